@@ -1,0 +1,96 @@
+"""Units, frames, names and order of the joints: the one page every other module agrees with.
+
+Frames: ``machine`` has its origin on the slew axis at ground level, x forward at zero slew, y left, z up.
+``throw`` is ``machine`` turned about z so that x (downrange) points from the slew axis to the target and
+y (crossrange) to its left. Quaternions are wxyz. Transforms are named ``T_world_machine``.
+"""
+
+from enum import IntEnum, StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+"""Floating-point array; its axes and units stand in the docstring of whoever takes it."""
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+JOINT_NAMES: Final = ("slew", "boom", "dipper", "telescope", "pitch", "roll")
+"""Serial order along the chain. The first four are driven hydraulically, the last two swing freely."""
+ACTIVE_JOINTS: Final = JOINT_NAMES[:4]
+PASSIVE_JOINTS: Final = JOINT_NAMES[4:]
+ACTIVE_COUNT: Final = 4
+JOINT_COUNT: Final = 6
+
+CONTROL_RATE_HZ: Final = 100.0
+"""Rate of velocity control, safety and telemetry (paper, section III-E)."""
+CONTROL_PERIOD_NS: Final = 10_000_000
+CONTROL_PERIOD_S: Final = 0.01
+POLICY_DECIMATION: Final = 8
+"""Control ticks a policy step: 100 Hz / 8 = 12.5 Hz (paper, section III-E)."""
+POLICY_PERIOD_S: Final = CONTROL_PERIOD_S * POLICY_DECIMATION
+
+RELEASE_THRESHOLD_RATIO: Final = 0.9
+"""The last action opens the gripper when it exceeds this (paper, section III-C)."""
+
+GRAVITY_M_PER_S2: Final = 9.81
+
+UNIT_SUFFIXES: Final = (
+    "_rad_m_per_s2",
+    "_rad_m_per_s",
+    "_rad_m",
+    "_rad_per_s2",
+    "_rad_per_s",
+    "_rad",
+    "_m3_per_rad",
+    "_m3_per_s",
+    "_m2",
+    "_m_per_s2",
+    "_m_per_s",
+    "_m",
+    "_kg_m2",
+    "_kg_per_m3",
+    "_kg",
+    "_ns",
+    "_s",
+    "_hz",
+    "_pa",
+    "_k",
+    "_per_s",
+    "_ratio",
+    "_count",
+    "_version",
+    "_bytes",
+)
+"""Every numeric field of a message, setting, table or log channel ends with one of these.
+
+``_rad_m`` marks arrays over joints: radians for the hinges, metres for the telescope.
+"""
+
+
+class Mode(StrEnum):
+    """How the machine throws: within the arm plane, or with the cabin turning."""
+
+    PLANAR = "2d"
+    SPATIAL = "3d"
+
+
+class Motion(IntEnum):
+    """What the control step does with the valves."""
+
+    HOLD = 0
+    """Zero velocity references; the machine stands still."""
+    ALIGN = 1
+    """Turn the cabin until the arm plane holds the target (2D) and let the swing die down."""
+    THROW = 2
+    """The policy drives."""
+    SETTLE = 3
+    """After the release (or an abort with the load swinging): bring arm and swing to rest, go to the safe pose."""
+    STOP = 4
+    """Valves closed at once, whatever moves; latched above this layer."""
+
+
+def wrap_angle_rad(angle_rad: Array) -> Array:
+    """Wrap angles, any shape, into [-pi, pi)."""
+    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi

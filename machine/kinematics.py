@@ -1,0 +1,155 @@
+"""Forward kinematics of the chain, batched; shapes (..., 6) in joint order, frame `machine`.
+
+Equations: docs/machine.md, section "Planar forward kinematics". The planar chain gives the tool pin in
+the arm plane; the slew turns that plane, which lies ``arm_plane_offset_m`` beside the slew axis.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.conventions import Array
+from machine.spec import CylinderSpec, MachineSpec
+
+
+class ToolState(NamedTuple):
+    """Position and velocity of a point, shape (..., 3), m and m/s, frame `machine`."""
+
+    position_m: Array
+    velocity_m_per_s: Array
+
+
+def swing_rad(joint_position_rad_m: Array) -> Array:
+    """Absolute swing of the gripper from the vertical in the arm plane, positive outward, shape (...)."""
+    return joint_position_rad_m[..., 1] + joint_position_rad_m[..., 2] + joint_position_rad_m[..., 4]
+
+
+def hanging_pitch_rad(active_position_rad_m: Array) -> Array:
+    """Pitch joint angle of a gripper that hangs plumb, for active joints of shape (..., 4)."""
+    return -(active_position_rad_m[..., 1] + active_position_rad_m[..., 2])
+
+
+def pin_in_plane(spec: MachineSpec, joint_position_rad_m: Array) -> Array:
+    """Tool pin in the arm plane, shape (..., 2): x from the slew axis, z above ground, metres."""
+    g = spec.geometry
+    boom = joint_position_rad_m[..., 1]
+    tube = boom + joint_position_rad_m[..., 2]
+    length = g.dipper_to_telescope_m + g.telescope_to_pin_m + joint_position_rad_m[..., 3]
+    x = (
+        g.boom_pivot_m[0]
+        + g.boom_length_m * np.cos(boom)
+        + g.telescope_axis_offset_m * np.cos(tube)
+        + length * np.sin(tube)
+    )
+    z = (
+        g.slew_frame_height_m
+        + g.boom_pivot_m[2]
+        + g.boom_length_m * np.sin(boom)
+        + g.telescope_axis_offset_m * np.sin(tube)
+        - length * np.cos(tube)
+    )
+    return np.stack([x, z], axis=-1)
+
+
+def grip_centre_in_plane_frame(
+    spec: MachineSpec, joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array
+) -> ToolState:
+    """Grip centre in the turning arm-plane frame (x outward, y left of the plane, z up).
+
+    The frame's origin is the foot of the slew axis moved by the arm-plane offset; velocities are those
+    an observer turning with the cabin sees (the slew rate does not enter).
+    """
+    g = spec.geometry
+    q, v = joint_position_rad_m, joint_velocity_rad_m_per_s
+    boom, boom_rate = q[..., 1], v[..., 1]
+    tube, tube_rate = boom + q[..., 2], boom_rate + v[..., 2]
+    swing, swing_rate = tube + q[..., 4], tube_rate + v[..., 4]
+    roll, roll_rate = q[..., 5], v[..., 5]
+    length = g.dipper_to_telescope_m + g.telescope_to_pin_m + q[..., 3]
+    pin = pin_in_plane(spec, q)
+    pin_vx = (
+        -g.boom_length_m * np.sin(boom) * boom_rate
+        - g.telescope_axis_offset_m * np.sin(tube) * tube_rate
+        + length * np.cos(tube) * tube_rate
+        + np.sin(tube) * v[..., 3]
+    )
+    pin_vz = (
+        g.boom_length_m * np.cos(boom) * boom_rate
+        + g.telescope_axis_offset_m * np.cos(tube) * tube_rate
+        + length * np.sin(tube) * tube_rate
+        - np.cos(tube) * v[..., 3]
+    )
+    below = g.pitch_to_roll_m + g.roll_to_grip_centre_m * np.cos(roll)
+    below_rate = -g.roll_to_grip_centre_m * np.sin(roll) * roll_rate
+    position = np.stack(
+        [
+            pin[..., 0] + below * np.sin(swing),
+            g.roll_to_grip_centre_m * np.sin(roll),
+            pin[..., 1] - below * np.cos(swing),
+        ],
+        axis=-1,
+    )
+    velocity = np.stack(
+        [
+            pin_vx + below * np.cos(swing) * swing_rate + below_rate * np.sin(swing),
+            g.roll_to_grip_centre_m * np.cos(roll) * roll_rate,
+            pin_vz + below * np.sin(swing) * swing_rate - below_rate * np.cos(swing),
+        ],
+        axis=-1,
+    )
+    return ToolState(position, velocity)
+
+
+def rotate_z(vector_m: Array, angle_rad: Array) -> Array:
+    """Turn vectors (..., 3) about z by angles (...)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = vector_m[..., 0], vector_m[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y, vector_m[..., 2]], axis=-1)
+
+
+def grip_centre(
+    spec: MachineSpec, joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array
+) -> ToolState:
+    """Grip centre in frame `machine`: where a load leaves, and how fast."""
+    local = grip_centre_in_plane_frame(spec, joint_position_rad_m, joint_velocity_rad_m_per_s)
+    offset = np.array([0.0, spec.geometry.arm_plane_offset_m, 0.0])
+    slew = joint_position_rad_m[..., 0]
+    position = rotate_z(local.position_m + offset, slew)
+    turning = joint_velocity_rad_m_per_s[..., 0]
+    carried = np.stack(
+        [-turning * position[..., 1], turning * position[..., 0], np.zeros_like(turning)], axis=-1
+    )
+    return ToolState(position, rotate_z(local.velocity_m_per_s, slew) + carried)
+
+
+def aligned_slew_rad(spec: MachineSpec, target_m: Array) -> Array:
+    """Slew angle that brings the arm plane over targets of shape (..., 3), frame `machine`.
+
+    A target nearer to the slew axis than the plane's offset cannot be aligned; its bearing is returned.
+    """
+    range_m = np.hypot(target_m[..., 0], target_m[..., 1])
+    bearing = np.arctan2(target_m[..., 1], target_m[..., 0])
+    ratio = np.clip(spec.geometry.arm_plane_offset_m / np.maximum(range_m, 1e-9), -1.0, 1.0)
+    return bearing - np.arcsin(ratio)
+
+
+def to_throw_frame(vector_m: Array, target_m: Array) -> Array:
+    """Turn `machine` vectors (..., 3) into frame `throw` (x downrange to the target, y crossrange left)."""
+    return rotate_z(vector_m, -np.arctan2(target_m[..., 1], target_m[..., 0]))
+
+
+def cylinder_length_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
+    """Pin-to-pin length of a cylinder over the joint's angle (...): |R(q) rod - base|."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]
+    rod_z = s * cylinder.rod_xz_m[0] + c * cylinder.rod_xz_m[1]
+    return np.hypot(rod_x - cylinder.base_xz_m[0], rod_z - cylinder.base_xz_m[1])
+
+
+def cylinder_arm_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
+    """Moment arm dL/dq of a cylinder, signed, m (also m/rad: cylinder speed a joint speed)."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]
+    rod_z = s * cylinder.rod_xz_m[0] + c * cylinder.rod_xz_m[1]
+    dx, dz = rod_x - cylinder.base_xz_m[0], rod_z - cylinder.base_xz_m[1]
+    return (dx * -rod_z + dz * rod_x) / np.hypot(dx, dz)

@@ -1,0 +1,337 @@
+"""Every message between machine and server, in one place: JSON on Zenoh, frozen, with a schema version.
+
+Toward the machine unknown fields are refused (it must not act on what it does not understand); from the
+machine they are ignored (a fleet upgrades one machine at a time). Units stand in the names.
+"""
+
+import hashlib
+import json
+from enum import StrEnum
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from machine.conventions import Mode
+
+SCHEMA_VERSION = 1
+
+
+class ThrowState(StrEnum):
+    """States of the machine, as operators see them."""
+
+    DISARMED = "disarmed"
+    ARMED = "armed"
+    ALIGNING = "aligning"
+    THROWING = "throwing"
+    COMMITTED = "committed"
+    SETTLING = "settling"
+    STOPPED = "stopped"
+    FAULT = "fault"
+
+
+class RejectReason(StrEnum):
+    """Why a machine or the server refuses; shared by runtime, server and console."""
+
+    WRONG_MACHINE = "wrong_machine"
+    STALE_EPOCH = "stale_epoch"
+    NO_LEASE = "no_lease"
+    LEASE_HELD = "lease_held"
+    NOT_DISARMED = "not_disarmed"
+    NOT_ARMED = "not_armed"
+    NONCE_UNKNOWN = "nonce_unknown"
+    NONCE_EXPIRED = "nonce_expired"
+    PLAN_MISMATCH = "plan_mismatch"
+    MODEL_MISMATCH = "model_mismatch"
+    POLICY_MISMATCH = "policy_mismatch"
+    POLICY_UNUSABLE = "policy_unusable"
+    TARGET_INVALID = "target_invalid"
+    TARGET_OUT_OF_REACH = "target_out_of_reach"
+    TARGET_TOO_NEAR = "target_too_near"
+    TARGET_IN_ZONE = "target_in_zone"
+    PREVIEW_REFUSED = "preview_refused"
+    PLAN_EXPIRED = "plan_expired"
+    CHECK_FAILED = "check_failed"
+    STOP_LATCHED = "stop_latched"
+    FAULT = "fault"
+    NO_PAYLOAD = "no_payload"
+    BUSY = "busy"
+    MALFORMED = "malformed"
+    MACHINE_LOST = "machine_lost"
+    UNKNOWN_OUTCOME = "unknown_outcome"
+
+
+class _ToMachine(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    schema_version: Literal[1] = SCHEMA_VERSION
+
+
+class _FromMachine(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    schema_version: int = SCHEMA_VERSION
+
+
+class Target(BaseModel):
+    """A point to hit, frame `machine` of the machine that throws."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    x_m: float = Field(ge=-60.0, le=60.0)
+    y_m: float = Field(ge=-60.0, le=60.0)
+    z_m: float = Field(default=0.0, ge=-5.0, le=10.0, description="height of the target surface above ground")
+
+
+class LandingEllipse(BaseModel):
+    """Predicted spread of landings, frame `throw` (x downrange, y crossrange left of the target line)."""
+
+    model_config = ConfigDict(frozen=True)
+    mean_downrange_error_m: float
+    mean_crossrange_error_m: float
+    sd_downrange_m: float
+    sd_crossrange_m: float
+    correlation_ratio: float = Field(ge=-1.0, le=1.0)
+    rollout_count: int
+    landed_count: int
+
+
+class ThrowPlan(_ToMachine):
+    """What the operator saw and agreed to; `plan_hash` binds it to what the machine runs."""
+
+    plan_id: str
+    machine_id: str
+    mode: Mode
+    target: Target
+    policy_sha256: str
+    model_sha256: str
+    twin_profile_version: int
+    predicted_impact_m: tuple[float, float, float]
+    predicted_ellipse: LandingEllipse | None = None
+
+    @property
+    def plan_hash(self) -> str:
+        """sha256 of the canonical JSON: sorted keys, no spaces, full float precision."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+class _Command(_ToMachine):
+    """What every command carries: a repeated id is answered, not executed again."""
+
+    command_id: str
+    machine_id: str
+    issuer: str
+
+
+class LeaseNotice(_Command):
+    """Tells the machine the current lease epoch; a higher epoch than the known one disarms."""
+
+    kind: Literal["lease"] = "lease"
+    epoch_count: int = Field(ge=0)
+
+
+class ArmRequest(_Command):
+    """Asks for permission to throw one plan."""
+
+    kind: Literal["arm"] = "arm"
+    epoch_count: int = Field(ge=0)
+    plan: ThrowPlan
+
+
+class FireRequest(_Command):
+    """Starts the armed throw; valid once, and only while the machine's nonce lives."""
+
+    kind: Literal["fire"] = "fire"
+    throw_id: str
+    epoch_count: int = Field(ge=0)
+    nonce: str
+    plan_hash: str
+
+
+class AbortRequest(_Command):
+    """Ends the armed or running throw; honoured until the commit point, reported after it."""
+
+    kind: Literal["abort"] = "abort"
+    epoch_count: int = Field(ge=0)
+
+
+class DisarmRequest(_Command):
+    """Gives an armed plan back."""
+
+    kind: Literal["disarm"] = "disarm"
+    epoch_count: int = Field(ge=0)
+
+
+class StopRequest(_Command):
+    """STOP: any role, no lease, latched on the machine."""
+
+    kind: Literal["stop"] = "stop"
+
+
+class StopClearRequest(_Command):
+    """Clears a latched stop or fault; needs the privilege and a new arm afterwards."""
+
+    kind: Literal["stop_clear"] = "stop_clear"
+    epoch_count: int = Field(ge=0)
+
+
+class LoadRequest(_Command):
+    """Take up a payload (on the virtual machine: a ball appears in the gripper)."""
+
+    kind: Literal["load"] = "load"
+    epoch_count: int = Field(ge=0)
+
+
+Command = (
+    LeaseNotice
+    | ArmRequest
+    | FireRequest
+    | AbortRequest
+    | DisarmRequest
+    | StopRequest
+    | StopClearRequest
+    | LoadRequest
+)
+
+
+class CommandReply(_FromMachine):
+    """Answer to every command. `accepted` is about this command, `state` about the machine after it."""
+
+    command_id: str
+    machine_id: str
+    accepted: bool
+    state: ThrowState
+    epoch_count: int
+    reason: RejectReason | None = None
+    detail: str = ""
+    """The numbers and the remedy, for people."""
+    nonce: str | None = None
+    nonce_valid_s: float | None = None
+    throw_id: str | None = None
+    is_repeat: bool = False
+
+
+class OperatorHeartbeat(_ToMachine):
+    """20 Hz while the operator holds the button; silence or `is_holding` false lets go."""
+
+    machine_id: str
+    throw_id: str
+    epoch_count: int = Field(ge=0)
+    sequence_count: int = Field(ge=0)
+    is_holding: bool
+
+
+class CheckResult(BaseModel):
+    """One arming check, as the operator reads it."""
+
+    model_config = ConfigDict(frozen=True)
+    check_id: str
+    passed: bool
+    severity: Literal["info", "warning", "error"]
+    text: str
+    remedy: str = ""
+
+
+class MachineState(_FromMachine):
+    """10 Hz: what the machine is doing, and whether it could throw."""
+
+    machine_id: str
+    boot_id: str
+    t_mono_ns: int
+    state: ThrowState
+    mode: Mode | None = None
+    epoch_count: int
+    plan_id: str | None = None
+    throw_id: str | None = None
+    joint_position_rad_m: tuple[float, float, float, float, float, float]
+    payload_held: bool
+    stop_latched: bool
+    fault: str = ""
+    checks: tuple[CheckResult, ...] = ()
+    model_sha256: str
+    policy_sha256: dict[str, str] = {}
+    """Mode -> hash of the policy on board."""
+    heartbeat_age_s: float | None = None
+    outbox_count: int = 0
+    recorder_dropped_count: int = 0
+    late_tick_ratio: float = 0.0
+    software: str = ""
+
+
+class JointStream(_FromMachine):
+    """25 Hz: joints, load in flight, for the 3D view."""
+
+    machine_id: str
+    t_mono_ns: int
+    joint_position_rad_m: tuple[float, float, float, float, float, float]
+    joint_velocity_rad_m_per_s: tuple[float, float, float, float, float, float]
+    state: ThrowState
+    payload_held: bool
+    ball_position_m: tuple[float, float, float] | None = None
+    """A tracked load in flight, frame `machine`; null when held or not tracked."""
+
+
+class EventKind(StrEnum):
+    """Durable events: each reaches the server's database exactly once."""
+
+    BOOTED = "booted"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+    THROW_ACCEPTED = "throw_accepted"
+    THROW_STARTED = "throw_started"
+    RELEASE_COMMANDED = "release_commanded"
+    ABORTED = "aborted"
+    IMPACT = "impact"
+    THROW_ENDED = "throw_ended"
+    STOP_LATCHED = "stop_latched"
+    STOP_CLEARED = "stop_cleared"
+    FAULT = "fault"
+    COMMAND_REFUSED = "command_refused"
+    LOG_STORED = "log_stored"
+
+
+class MachineEvent(_FromMachine):
+    """One record of the outbox; unique by (machine_id, boot_id, sequence_count)."""
+
+    machine_id: str
+    boot_id: str
+    sequence_count: int
+    t_mono_ns: int
+    t_utc: str
+    """ISO 8601 with zone, for people; order comes from the sequence."""
+    kind: EventKind
+    throw_id: str | None = None
+    plan_id: str | None = None
+    data: dict[str, Any] = {}
+    """IMPACT: ImpactSurvey; THROW_ENDED: ThrowEnd; LOG_STORED: {log_sha256, size_bytes}; else details."""
+
+
+class ImpactSurvey(_FromMachine):
+    """Where a load came down, as measured; frame `machine`."""
+
+    position_m: tuple[float, float, float]
+    sd_m: float
+    source: Literal["survey", "tracker", "manual"]
+
+
+class ThrowEnd(_FromMachine):
+    """How a throw ended."""
+
+    outcome: Literal["landed", "aborted", "stopped", "fault", "interrupted"]
+    detail: str = ""
+    release_speed_m_per_s: float | None = None
+    release_position_m: tuple[float, float, float] | None = None
+    throw_duration_s: float | None = None
+
+
+class EventBatch(_FromMachine):
+    """Outbox records in order, sent to the server as one query; the answer is an `EventAck`."""
+
+    machine_id: str
+    boot_id: str
+    events: tuple[MachineEvent, ...]
+
+
+class EventAck(BaseModel):
+    """The server has committed all events of this boot up to and including this sequence."""
+
+    model_config = ConfigDict(frozen=True)
+    boot_id: str
+    sequence_count: int

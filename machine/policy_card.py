@@ -1,0 +1,86 @@
+"""The card beside a policy file: what it needs, what it does, where it comes from, how well it throws."""
+
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from machine.conventions import Mode
+from machine.errors import PolicyError
+
+POLICY_FILE = "policy.onnx"
+CARD_FILE = "card.json"
+
+
+class TrainingRecord(BaseModel):
+    """How the policy came to be."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    commit: str
+    seed_count: int
+    """The seed's value."""
+    environment_step_count: int
+    iteration_count: int
+    wall_s: float
+    device: str
+    config: dict[str, Any]
+    """The resolved configuration, every field."""
+
+
+class PolicyCard(BaseModel):
+    """Contract of one policy version. The normaliser is inside the ONNX file.
+
+    ONNX input ``observation`` float32 [batch, len(observation_names)], output ``action`` float32
+    [batch, len(action_names)]; actions are clipped to [-1, 1] and scaled by ``action_scale_rad_m_per_s``,
+    the last one is the release (opens above 0.9).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    schema_version: Literal[1] = 1
+    policy_id: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]{2,63}$")
+    mode: Mode
+    policy_sha256: str
+    model_sha256: str
+    policy_rate_hz: float = 12.5
+    control_rate_hz: float = 100.0
+    observation_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    action_scale_rad_m_per_s: tuple[float, ...]
+    """Scale of each velocity action, same order as ``action_names`` without the release."""
+    target_range_min_m: float
+    target_range_max_m: float
+    target_height_min_m: float = 0.0
+    target_height_max_m: float = 0.0
+    training: TrainingRecord
+    evaluation: list[dict[str, Any]] = []
+    """Results of ``downrange evaluate``, appended after training."""
+
+
+def file_sha256(path: Path) -> str:
+    """sha256 of a file's bytes, hex."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def load_card(folder: Path) -> PolicyCard:
+    """Read and check the card of a policy folder (card.json beside policy.onnx).
+
+    Raises:
+        PolicyError: a file is missing, the card does not fit the schema, or the ONNX file's hash is not
+            the card's.
+    """
+    card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
+    for path in (card_path, policy_path):
+        if not path.is_file():
+            raise PolicyError(f"{path} is missing; a policy folder holds {POLICY_FILE} and {CARD_FILE}")
+    try:
+        card = PolicyCard.model_validate_json(card_path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise PolicyError(f"{card_path} is not a policy card: {error}") from error
+    found = file_sha256(policy_path)
+    if found != card.policy_sha256:
+        raise PolicyError(
+            f"{policy_path} has sha256 {found[:12]}..., its card says {card.policy_sha256[:12]}...: "
+            "the file was changed or cut off; copy the policy again"
+        )
+    return card

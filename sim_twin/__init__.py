@@ -1,0 +1,1 @@
+"""The twin, the virtual machine, rollouts, preview and evaluation campaigns."""
