@@ -28,7 +28,7 @@ class Landing(NamedTuple):
 
 
 def drag_per_m(ball: Ball) -> float:
-    """k = rho Cd A / (2 m), 1/m."""
+    """Return k = rho Cd A / (2 m), 1/m."""
     area_m2 = np.pi * ball.radius_m**2
     return ball.air_density_kg_per_m3 * ball.drag_coefficient_ratio * area_m2 / (2.0 * ball.mass_kg)
 

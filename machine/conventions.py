@@ -86,7 +86,7 @@ class Motion(IntEnum):
     THROW = 2
     """The policy drives."""
     SETTLE = 3
-    """After the release (or an abort with the load swinging): bring arm and swing to rest, go to the safe pose."""
+    """After release or abort: bring arm and swing to rest, then go to the safe pose."""
     STOP = 4
     """Valves closed at once, whatever moves; latched above this layer."""
 

@@ -1,15 +1,23 @@
 """Forward kinematics of the chain, batched; shapes (..., 6) in joint order, frame `machine`.
 
+The arrays may be numpy's or JAX's: every function works in the namespace of what it is given, so that
+the trainer runs the very lines that run on the machine.
+
 Equations: docs/machine.md, section "Planar forward kinematics". The planar chain gives the tool pin in
 the arm plane; the slew turns that plane, which lies ``arm_plane_offset_m`` beside the slew axis.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from machine.conventions import Array
 from machine.spec import CylinderSpec, MachineSpec
+
+
+def namespace(array: Any) -> Any:
+    """The array library of an array: numpy, or jax.numpy under the trainer."""
+    return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
 class ToolState(NamedTuple):
@@ -21,7 +29,9 @@ class ToolState(NamedTuple):
 
 def swing_rad(joint_position_rad_m: Array) -> Array:
     """Absolute swing of the gripper from the vertical in the arm plane, positive outward, shape (...)."""
-    return joint_position_rad_m[..., 1] + joint_position_rad_m[..., 2] + joint_position_rad_m[..., 4]
+    return (
+        joint_position_rad_m[..., 1] + joint_position_rad_m[..., 2] + joint_position_rad_m[..., 4]
+    )
 
 
 def hanging_pitch_rad(active_position_rad_m: Array) -> Array:
@@ -31,24 +41,25 @@ def hanging_pitch_rad(active_position_rad_m: Array) -> Array:
 
 def pin_in_plane(spec: MachineSpec, joint_position_rad_m: Array) -> Array:
     """Tool pin in the arm plane, shape (..., 2): x from the slew axis, z above ground, metres."""
+    xp = namespace(joint_position_rad_m)
     g = spec.geometry
     boom = joint_position_rad_m[..., 1]
     tube = boom + joint_position_rad_m[..., 2]
     length = g.dipper_to_telescope_m + g.telescope_to_pin_m + joint_position_rad_m[..., 3]
     x = (
         g.boom_pivot_m[0]
-        + g.boom_length_m * np.cos(boom)
-        + g.telescope_axis_offset_m * np.cos(tube)
-        + length * np.sin(tube)
+        + g.boom_length_m * xp.cos(boom)
+        + g.telescope_axis_offset_m * xp.cos(tube)
+        + length * xp.sin(tube)
     )
     z = (
         g.slew_frame_height_m
         + g.boom_pivot_m[2]
-        + g.boom_length_m * np.sin(boom)
-        + g.telescope_axis_offset_m * np.sin(tube)
-        - length * np.cos(tube)
+        + g.boom_length_m * xp.sin(boom)
+        + g.telescope_axis_offset_m * xp.sin(tube)
+        - length * xp.cos(tube)
     )
-    return np.stack([x, z], axis=-1)
+    return xp.stack([x, z], axis=-1)
 
 
 def grip_centre_in_plane_frame(
@@ -59,6 +70,7 @@ def grip_centre_in_plane_frame(
     The frame's origin is the foot of the slew axis moved by the arm-plane offset; velocities are those
     an observer turning with the cabin sees (the slew rate does not enter).
     """
+    xp = namespace(joint_position_rad_m)
     g = spec.geometry
     q, v = joint_position_rad_m, joint_velocity_rad_m_per_s
     boom, boom_rate = q[..., 1], v[..., 1]
@@ -68,32 +80,32 @@ def grip_centre_in_plane_frame(
     length = g.dipper_to_telescope_m + g.telescope_to_pin_m + q[..., 3]
     pin = pin_in_plane(spec, q)
     pin_vx = (
-        -g.boom_length_m * np.sin(boom) * boom_rate
-        - g.telescope_axis_offset_m * np.sin(tube) * tube_rate
-        + length * np.cos(tube) * tube_rate
-        + np.sin(tube) * v[..., 3]
+        -g.boom_length_m * xp.sin(boom) * boom_rate
+        - g.telescope_axis_offset_m * xp.sin(tube) * tube_rate
+        + length * xp.cos(tube) * tube_rate
+        + xp.sin(tube) * v[..., 3]
     )
     pin_vz = (
-        g.boom_length_m * np.cos(boom) * boom_rate
-        + g.telescope_axis_offset_m * np.cos(tube) * tube_rate
-        + length * np.sin(tube) * tube_rate
-        - np.cos(tube) * v[..., 3]
+        g.boom_length_m * xp.cos(boom) * boom_rate
+        + g.telescope_axis_offset_m * xp.cos(tube) * tube_rate
+        + length * xp.sin(tube) * tube_rate
+        - xp.cos(tube) * v[..., 3]
     )
-    below = g.pitch_to_roll_m + g.roll_to_grip_centre_m * np.cos(roll)
-    below_rate = -g.roll_to_grip_centre_m * np.sin(roll) * roll_rate
-    position = np.stack(
+    below = g.pitch_to_roll_m + g.roll_to_grip_centre_m * xp.cos(roll)
+    below_rate = -g.roll_to_grip_centre_m * xp.sin(roll) * roll_rate
+    position = xp.stack(
         [
-            pin[..., 0] + below * np.sin(swing),
-            g.roll_to_grip_centre_m * np.sin(roll),
-            pin[..., 1] - below * np.cos(swing),
+            pin[..., 0] + below * xp.sin(swing),
+            g.roll_to_grip_centre_m * xp.sin(roll),
+            pin[..., 1] - below * xp.cos(swing),
         ],
         axis=-1,
     )
-    velocity = np.stack(
+    velocity = xp.stack(
         [
-            pin_vx + below * np.cos(swing) * swing_rate + below_rate * np.sin(swing),
-            g.roll_to_grip_centre_m * np.cos(roll) * roll_rate,
-            pin_vz + below * np.sin(swing) * swing_rate - below_rate * np.cos(swing),
+            pin_vx + below * xp.cos(swing) * swing_rate + below_rate * xp.sin(swing),
+            g.roll_to_grip_centre_m * xp.cos(roll) * roll_rate,
+            pin_vz + below * xp.sin(swing) * swing_rate - below_rate * xp.cos(swing),
         ],
         axis=-1,
     )
@@ -102,22 +114,24 @@ def grip_centre_in_plane_frame(
 
 def rotate_z(vector_m: Array, angle_rad: Array) -> Array:
     """Turn vectors (..., 3) about z by angles (...)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    xp = namespace(angle_rad)
+    c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     x, y = vector_m[..., 0], vector_m[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y, vector_m[..., 2]], axis=-1)
+    return xp.stack([c * x - s * y, s * x + c * y, vector_m[..., 2]], axis=-1)
 
 
 def grip_centre(
     spec: MachineSpec, joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array
 ) -> ToolState:
     """Grip centre in frame `machine`: where a load leaves, and how fast."""
+    xp = namespace(joint_position_rad_m)
     local = grip_centre_in_plane_frame(spec, joint_position_rad_m, joint_velocity_rad_m_per_s)
-    offset = np.array([0.0, spec.geometry.arm_plane_offset_m, 0.0])
+    offset = xp.asarray([0.0, spec.geometry.arm_plane_offset_m, 0.0])
     slew = joint_position_rad_m[..., 0]
     position = rotate_z(local.position_m + offset, slew)
     turning = joint_velocity_rad_m_per_s[..., 0]
-    carried = np.stack(
-        [-turning * position[..., 1], turning * position[..., 0], np.zeros_like(turning)], axis=-1
+    carried = xp.stack(
+        [-turning * position[..., 1], turning * position[..., 0], xp.zeros_like(turning)], axis=-1
     )
     return ToolState(position, rotate_z(local.velocity_m_per_s, slew) + carried)
 
@@ -127,29 +141,33 @@ def aligned_slew_rad(spec: MachineSpec, target_m: Array) -> Array:
 
     A target nearer to the slew axis than the plane's offset cannot be aligned; its bearing is returned.
     """
-    range_m = np.hypot(target_m[..., 0], target_m[..., 1])
-    bearing = np.arctan2(target_m[..., 1], target_m[..., 0])
-    ratio = np.clip(spec.geometry.arm_plane_offset_m / np.maximum(range_m, 1e-9), -1.0, 1.0)
-    return bearing - np.arcsin(ratio)
+    xp = namespace(target_m)
+    range_m = xp.hypot(target_m[..., 0], target_m[..., 1])
+    bearing = xp.arctan2(target_m[..., 1], target_m[..., 0])
+    ratio = xp.clip(spec.geometry.arm_plane_offset_m / xp.maximum(range_m, 1e-9), -1.0, 1.0)
+    return bearing - xp.arcsin(ratio)
 
 
 def to_throw_frame(vector_m: Array, target_m: Array) -> Array:
     """Turn `machine` vectors (..., 3) into frame `throw` (x downrange to the target, y crossrange left)."""
-    return rotate_z(vector_m, -np.arctan2(target_m[..., 1], target_m[..., 0]))
+    xp = namespace(target_m)
+    return rotate_z(vector_m, -xp.arctan2(target_m[..., 1], target_m[..., 0]))
 
 
 def cylinder_length_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
     """Pin-to-pin length of a cylinder over the joint's angle (...): |R(q) rod - base|."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    xp = namespace(angle_rad)
+    c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]
     rod_z = s * cylinder.rod_xz_m[0] + c * cylinder.rod_xz_m[1]
-    return np.hypot(rod_x - cylinder.base_xz_m[0], rod_z - cylinder.base_xz_m[1])
+    return xp.hypot(rod_x - cylinder.base_xz_m[0], rod_z - cylinder.base_xz_m[1])
 
 
 def cylinder_arm_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
     """Moment arm dL/dq of a cylinder, signed, m (also m/rad: cylinder speed a joint speed)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    xp = namespace(angle_rad)
+    c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]
     rod_z = s * cylinder.rod_xz_m[0] + c * cylinder.rod_xz_m[1]
     dx, dz = rod_x - cylinder.base_xz_m[0], rod_z - cylinder.base_xz_m[1]
-    return (dx * -rod_z + dz * rod_x) / np.hypot(dx, dz)
+    return (dx * -rod_z + dz * rod_x) / xp.hypot(dx, dz)

@@ -76,7 +76,9 @@ class Target(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     x_m: float = Field(ge=-60.0, le=60.0)
     y_m: float = Field(ge=-60.0, le=60.0)
-    z_m: float = Field(default=0.0, ge=-5.0, le=10.0, description="height of the target surface above ground")
+    z_m: float = Field(
+        default=0.0, ge=-5.0, le=10.0, description="height of the target surface above ground"
+    )
 
 
 class LandingEllipse(BaseModel):

@@ -72,7 +72,9 @@ def load_card(folder: Path) -> PolicyCard:
     card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
     for path in (card_path, policy_path):
         if not path.is_file():
-            raise PolicyError(f"{path} is missing; a policy folder holds {POLICY_FILE} and {CARD_FILE}")
+            raise PolicyError(
+                f"{path} is missing; a policy folder holds {POLICY_FILE} and {CARD_FILE}"
+            )
     try:
         card = PolicyCard.model_validate_json(card_path.read_text(encoding="utf-8"))
     except ValueError as error:

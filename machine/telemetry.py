@@ -31,7 +31,11 @@ CONTROL_ROW = np.dtype(
 POLICY_ROW = np.dtype(
     [
         ("t_mono_ns", np.int64),
-        ("observation_ratio", np.float64, 65),  # mixed units, order in docs/throw_log.md; 2D fills 56
+        (
+            "observation_ratio",
+            np.float64,
+            65,
+        ),  # mixed units, order in docs/throw_log.md; 2D fills 56
         ("action_ratio", np.float64, 5),  # 3D: 4 joints + release; 2D: 3 joints + release, then 0
     ]
 )

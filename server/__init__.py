@@ -1,0 +1,1 @@
+"""The web service: accounts, machines, leases, plans, throws, audit, the 3D view."""

@@ -1,4 +1,4 @@
-"""Generate machine/spec.json from machine/m545.xml; refuses to invent a value the MJCF does not hold."""
+"""Generate machine/spec.json from machine/m545.xml; a value the MJCF lacks is an error."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from machine.conventions import ACTIVE_JOINTS
 from machine.spec import MJCF_PATH, SPEC_PATH, MachineSpec
 
 
-def _rounded(value: Any) -> Any:  # noqa: ANN401 - JSON tree
+def _rounded(value: Any) -> Any:
     if isinstance(value, float):
         return round(value, 9)
     if isinstance(value, dict):

@@ -1,0 +1,1 @@
+"""The batched training environment, PPO, and the export to ONNX and card."""

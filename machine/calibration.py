@@ -1,0 +1,89 @@
+"""What was measured on one machine about its valves: the feed-forward table of the velocity controller.
+
+Speeds are actuator speeds: m/s of the cylinder for boom, dipper and telescope, rad/s for the slew, so that
+the changing moment arm of a cylinder does not enter the table.
+"""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from machine.conventions import ACTIVE_COUNT, Array
+from machine.errors import UsageError
+from machine.kinematics import cylinder_arm_m, namespace
+from machine.spec import MachineSpec
+
+
+class ValveTable(BaseModel):
+    """Steady actuator speed over the valve command of one joint, both directions, increasing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    valve_ratio: tuple[float, ...]
+    actuator_speed_rad_m_per_s: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _increasing(self) -> "ValveTable":
+        valve, speed = np.asarray(self.valve_ratio), np.asarray(self.actuator_speed_rad_m_per_s)
+        if len(valve) != len(speed) or len(valve) < 3:
+            raise ValueError("a valve table needs the same number (3 or more) of valves and speeds")
+        if np.any(np.diff(valve) <= 0.0) or np.any(np.diff(speed) <= 0.0):
+            raise ValueError("valve commands and speeds of a valve table must both increase")
+        return self
+
+
+class ValveCalibration(BaseModel):
+    """Tables of all four joints of one machine."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    schema_version: Literal[1] = 1
+    machine_id: str
+    tables: tuple[ValveTable, ValveTable, ValveTable, ValveTable]
+
+
+def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
+    """Signed actuator speed a joint speed at active joint positions (..., 4); shape (..., 4).
+
+    Slew and telescope are direct (1). The dipper's cylinder shortens as the joint opens, so its ratio
+    is negative; valve tables and flows use the magnitude with the joint's sign.
+    """
+    boom = cylinder_arm_m(spec.hydraulics.boom_cylinder, active_position_rad_m[..., 1])
+    dipper = cylinder_arm_m(spec.hydraulics.dipper_cylinder, active_position_rad_m[..., 2])
+    one = boom * 0.0 + 1.0
+    xp = namespace(boom)
+    return xp.stack([one, boom, dipper, one], axis=-1)
+
+
+def nominal_calibration(spec: MachineSpec, machine_id: str = "nominal") -> ValveCalibration:
+    """A straight line to the speed limits with the residual dead band: a machine nobody has measured."""
+    middle = np.array([[0.0, 0.5, 0.0, 0.5]])
+    ratio = np.abs(actuator_ratio(spec, middle))[0]
+    band = spec.hydraulics.valve_dead_band_ratio
+    tables: list[ValveTable] = []
+    for joint in range(ACTIVE_COUNT):
+        up = spec.limits.speed_positive_rad_m_per_s[joint] * float(ratio[joint])
+        down = spec.limits.speed_negative_rad_m_per_s[joint] * float(ratio[joint])
+        tables.append(
+            ValveTable(
+                valve_ratio=(-1.0, -band, band, 1.0),
+                actuator_speed_rad_m_per_s=(-down, -1e-4, 1e-4, up),
+            )
+        )
+    return ValveCalibration(
+        machine_id=machine_id, tables=(tables[0], tables[1], tables[2], tables[3])
+    )
+
+
+def load_calibration(path: Path) -> ValveCalibration:
+    """Read a calibration file.
+
+    Raises:
+        UsageError: missing or not a calibration.
+    """
+    try:
+        return ValveCalibration.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"{path} is not a valve calibration ({error}); make one with `downrange calibrate`"
+        ) from error

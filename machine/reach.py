@@ -1,0 +1,40 @@
+"""Which targets may be thrown at: the arithmetic that the machine and the server both apply."""
+
+import math
+
+from machine.conventions import Mode
+from machine.errors import RefusedError
+from machine.messages import RejectReason, Target
+from machine.policy_card import PolicyCard
+
+MIN_RANGE_M = {Mode.PLANAR: 5.5, Mode.SPATIAL: 5.0}
+"""Nearer targets would bring the load over the machine's own legs and wheels."""
+
+
+def check_target(card: PolicyCard, target: Target) -> None:
+    """Refuse a target that this policy was not trained and validated for.
+
+    Raises:
+        RefusedError: too near, out of reach or off the trained heights, with the numbers and the remedy.
+    """
+    range_m = math.hypot(target.x_m, target.y_m)
+    nearest = max(card.target_range_min_m, MIN_RANGE_M[card.mode])
+    label = card.mode.value.upper()
+    if range_m < nearest:
+        raise RefusedError(
+            RejectReason.TARGET_TOO_NEAR,
+            f"Refused: target {range_m:.2f} m, {label} throws from {nearest:.2f} m on. "
+            "Move the target outward.",
+        )
+    if range_m > card.target_range_max_m:
+        raise RefusedError(
+            RejectReason.TARGET_OUT_OF_REACH,
+            f"Refused: target {range_m:.2f} m, {label} reaches {card.target_range_max_m:.2f} m. "
+            "Move the target closer or the machine nearer.",
+        )
+    if not card.target_height_min_m - 1e-9 <= target.z_m <= card.target_height_max_m + 1e-9:
+        raise RefusedError(
+            RejectReason.TARGET_OUT_OF_REACH,
+            f"Refused: target height {target.z_m:+.2f} m, this policy throws to heights "
+            f"{card.target_height_min_m:+.2f} to {card.target_height_max_m:+.2f} m.",
+        )
