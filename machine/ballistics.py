@@ -19,7 +19,7 @@ MAX_FLIGHT_S = 6.0
 class Landing(NamedTuple):
     """Where and when a load crosses the plane: position (..., 3) m, velocity (..., 3) m/s, time (...) s.
 
-    A load that never comes down through the plane within 6 s has NaN everywhere.
+    A load that does not come down through the plane within 6 s has NaN everywhere.
     """
 
     position_m: Array
@@ -98,7 +98,7 @@ def landing(
             break
         p0, v0 = position[flying], velocity[flying]
         p1, v1 = step_flight(p0, v0, drag[flying], wind[flying])
-        down = (p1[:, 2] <= plane[flying]) & (v1[:, 2] < 0.0)
+        down = (p0[:, 2] >= plane[flying]) & (p1[:, 2] < plane[flying])
         if down.any():
             hit = flying[down]
             u = _crossing(p0[down, 2], p1[down, 2], v0[down, 2], v1[down, 2], plane[hit])

@@ -1,6 +1,5 @@
 """Generate machine/spec.json from machine/m545.xml; a value the MJCF lacks is an error."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -140,5 +139,4 @@ def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
 
 def write_spec(path: Path = SPEC_PATH) -> None:
     """Write the spec as indented JSON with a newline at its end, so that its diff reads well."""
-    text = json.dumps(build_spec().model_dump(mode="json"), indent=2)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(build_spec().model_dump_json(indent=2) + "\n", encoding="utf-8")

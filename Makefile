@@ -1,0 +1,73 @@
+# One command each; CI runs exactly these. Every target does its own set-up from a fresh clone.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+PORT ?= 8000
+DATA ?= data
+BIN := .venv/bin
+STAMP := build/stamps
+export UV_PYTHON_DOWNLOADS = never
+export UV_PYTHON = $(PYTHON)
+
+.PHONY: help setup web demo test check lint types spec bench clean
+help:  ## Show this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+# --- set-up ---------------------------------------------------------------------------------------
+.tools/bin/uv:
+	@echo "== installing uv into .tools (once)"
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v >= (3, 11) else f"Python 3.11 or newer is needed, {sys.executable} is {v[0]}.{v[1]}; run: make PYTHON=/path/to/python3.12 ...")'
+	@$(PYTHON) -m venv .tools
+	@.tools/bin/python -m pip --quiet --disable-pip-version-check install 'uv==0.13.9'
+
+$(STAMP)/python: .tools/bin/uv pyproject.toml uv.lock
+	@echo "== installing Python packages into .venv"
+	@.tools/bin/uv sync --frozen --all-extras --quiet
+	@mkdir -p $(@D) && touch $@
+
+setup: $(STAMP)/python  ## Python environment with the command .venv/bin/downrange
+
+WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
+$(STAMP)/web: $(STAMP)/python $(WEB_SOURCES)
+	@echo "== building the console (web/dist)"
+	@$(BIN)/python scripts/node.py npm --prefix web ci --no-audit --no-fund --loglevel=error
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent build
+	@mkdir -p $(@D) && touch $@
+
+web: $(STAMP)/web  ## Build the console
+
+$(STAMP)/browser: $(STAMP)/python
+	@$(BIN)/python scripts/browser.py
+	@mkdir -p $(@D) && touch $@
+
+# --- use ------------------------------------------------------------------------------------------
+demo: $(STAMP)/python $(STAMP)/web  ## Server, virtual machine and console: make demo PORT=8000 DATA=data
+	@$(BIN)/downrange demo --port $(PORT) --data $(DATA)
+
+# --- checks ---------------------------------------------------------------------------------------
+lint: $(STAMP)/python
+	@echo "== lint, types, layers, spec"
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	@$(BIN)/pyright
+	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/downrange spec --check
+
+check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent check
+
+test: check $(STAMP)/browser  ## All checks and all tests, those in a real browser included
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
+	@$(BIN)/pytest
+
+types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
+	@$(BIN)/downrange openapi --out web/openapi.json
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent types
+
+spec: $(STAMP)/python  ## Regenerate machine/spec.json from machine/m545.xml
+	@$(BIN)/downrange spec
+
+bench: $(STAMP)/python  ## Measure everything in benchmarks/ against its floor
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+clean:  ## Remove everything that set-up made
+	@rm -rf .venv .tools build web/dist web/node_modules

@@ -1,0 +1,83 @@
+"""Entry point `downrange`: finds the verb, imports its module and nothing else, turns errors into words."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import tyro
+
+from machine.errors import DownrangeError
+
+
+class Verb(NamedTuple):
+    """A verb of the command line."""
+
+    module: str
+    summary: str
+    extra: str = ""
+    """The optional dependencies it needs, as in ``uv sync --extra NAME``."""
+
+
+VERBS: dict[str, Verb] = {
+    "demo": Verb("cli.demo", "run server, virtual machine and console on one port", "server"),
+    "server": Verb("cli.server", "run the web service", "server"),
+    "machine": Verb("cli.machine", "run on a machine's computer, or stand in for one"),
+    "throw": Verb("cli.throw", "throw once through a running server", "server"),
+    "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
+    "evaluate": Verb("cli.evaluate", "measure accuracy over many throws, the paper's way", "twin"),
+    "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
+    "calibrate": Verb("cli.calibrate", "measure a machine's valves and its response", "twin"),
+    "train": Verb("cli.train", "train a policy", "train"),
+    "db": Verb("cli.db", "upgrade, downgrade or check the database", "server"),
+    "openapi": Verb("cli.openapi", "write the description of the HTTP interface", "server"),
+    "spec": Verb("cli.spec", "write machine/spec.json from the MJCF", "twin"),
+}
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {name:<{width}}  {verb.summary}" for name, verb in VERBS.items())
+    return f"""usage: downrange VERB [OPTIONS]
+
+Throw with a material handler. Verbs:
+
+{verbs}
+
+`downrange VERB --help` explains a verb."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the process's exit code."""
+    argv = list(sys.argv[1:] if arguments is None else arguments)
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(_overview())
+        return 0
+    verb = VERBS.get(argv[0])
+    if verb is None:
+        print(f"downrange: no verb '{argv[0]}'\n\n{_overview()}", file=sys.stderr)
+        return 2
+    try:
+        module = importlib.import_module(verb.module)
+    except ModuleNotFoundError as error:
+        if not verb.extra or (error.name or "").split(".")[0] in ("cli", "machine"):
+            raise
+        print(
+            f"downrange {argv[0]}: the package '{error.name}' is not installed; "
+            f"run `uv sync --extra {verb.extra}` or `make setup`",
+            file=sys.stderr,
+        )
+        return 1
+    try:
+        code = tyro.cli(module.run, prog=f"downrange {argv[0]}", args=argv[1:])
+    except DownrangeError as error:
+        print(f"downrange {argv[0]}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return 130
+    return int(code or 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

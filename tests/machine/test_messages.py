@@ -1,0 +1,106 @@
+"""Messages: strict toward the machine, tolerant from it, and hashed so that nothing slips by."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from machine.conventions import Mode
+from machine.messages import (
+    ArmRequest,
+    Command,
+    CommandReply,
+    FireRequest,
+    StopRequest,
+    Target,
+    ThrowPlan,
+    ThrowState,
+)
+
+COMMAND = TypeAdapter[Command](Command)
+
+
+def plan(**changes) -> ThrowPlan:
+    fields = {
+        "plan_id": "p1",
+        "machine_id": "m001",
+        "mode": Mode.PLANAR,
+        "target": Target(x_m=9.0, y_m=0.0),
+        "policy_sha256": "a" * 64,
+        "model_sha256": "b" * 64,
+        "twin_profile_version": 1,
+        "predicted_impact_m": (9.0, 0.0, 0.0),
+    }
+    return ThrowPlan(**(fields | changes))
+
+
+@given(st.floats(-60, 60), st.floats(-60, 60), st.floats(-5, 10))
+def test_plan_hash_survives_the_wire_to_the_last_bit(x, y, z):
+    sent = plan(target=Target(x_m=x, y_m=y, z_m=z))
+    assert ThrowPlan.model_validate_json(sent.model_dump_json()).plan_hash == sent.plan_hash
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"target": Target(x_m=9.0, y_m=1e-12)},
+        {"mode": Mode.SPATIAL},
+        {"policy_sha256": "c" * 64},
+        {"machine_id": "m002"},
+        {"predicted_impact_m": (9.0, 0.0, 1e-9)},
+    ],
+)
+def test_plan_hash_changes_with_any_field(change):
+    assert plan(**change).plan_hash != plan().plan_hash
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 61.0, "far"])
+def test_a_target_that_is_no_place_is_refused(value):
+    with pytest.raises(ValidationError):
+        Target(x_m=value, y_m=0.0)
+
+
+def test_the_machine_refuses_fields_it_does_not_know():
+    with pytest.raises(ValidationError):
+        StopRequest.model_validate(
+            {"command_id": "1", "machine_id": "m", "issuer": "x", "hurry": True}
+        )
+
+
+def test_the_server_ignores_fields_it_does_not_know():
+    reply = CommandReply.model_validate(
+        {
+            "command_id": "1",
+            "machine_id": "m",
+            "accepted": True,
+            "state": "armed",
+            "epoch_count": 3,
+            "mood": "fine",
+        }
+    )
+    assert reply.state is ThrowState.ARMED
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        StopRequest(command_id="1", machine_id="m", issuer="i"),
+        ArmRequest(command_id="2", machine_id="m", issuer="i", epoch_count=1, plan=plan()),
+        FireRequest(
+            command_id="3",
+            machine_id="m",
+            issuer="i",
+            throw_id="t",
+            epoch_count=1,
+            nonce="n",
+            plan_hash="h",
+        ),
+    ],
+)
+def test_commands_come_back_as_the_kind_they_left(command):
+    assert COMMAND.validate_json(command.model_dump_json()) == command
+
+
+def test_an_epoch_below_zero_is_refused():
+    with pytest.raises(ValidationError):
+        ArmRequest(command_id="2", machine_id="m", issuer="i", epoch_count=-1, plan=plan())

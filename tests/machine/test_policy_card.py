@@ -1,0 +1,91 @@
+"""Policy folders that are incomplete or were changed are refused with the reason."""
+
+import json
+
+import pytest
+
+from machine.conventions import Mode
+from machine.errors import PolicyError, RefusedError
+from machine.messages import RejectReason, Target
+from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, file_sha256, load_card
+from machine.reach import check_target
+
+
+def make_card(sha: str, **changes) -> PolicyCard:
+    fields = {
+        "policy_id": "test-2d",
+        "mode": Mode.PLANAR,
+        "policy_sha256": sha,
+        "model_sha256": "b" * 64,
+        "observation_names": ("a",),
+        "action_names": ("u",),
+        "action_scale_rad_m_per_s": (1.0,),
+        "target_range_min_m": 6.0,
+        "target_range_max_m": 10.87,
+        "training": {
+            "commit": "x",
+            "seed_count": 0,
+            "environment_step_count": 1,
+            "iteration_count": 1,
+            "wall_s": 1.0,
+            "device": "cpu",
+            "config": {},
+        },
+    }
+    return PolicyCard.model_validate(fields | changes)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / POLICY_FILE).write_bytes(b"weights")
+    card = make_card(file_sha256(tmp_path / POLICY_FILE))
+    (tmp_path / CARD_FILE).write_text(card.model_dump_json())
+    return tmp_path
+
+
+def test_a_whole_folder_loads(folder):
+    assert load_card(folder).policy_id == "test-2d"
+
+
+@pytest.mark.parametrize("name", [POLICY_FILE, CARD_FILE])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(PolicyError, match=name):
+        load_card(folder)
+
+
+def test_a_cut_off_policy_file_is_noticed(folder):
+    (folder / POLICY_FILE).write_bytes(b"weigh")
+    with pytest.raises(PolicyError, match="changed or cut off"):
+        load_card(folder)
+
+
+def test_a_card_with_a_missing_field_is_refused(folder):
+    tree = json.loads((folder / CARD_FILE).read_text())
+    del tree["mode"]
+    (folder / CARD_FILE).write_text(json.dumps(tree))
+    with pytest.raises(PolicyError, match="mode"):
+        load_card(folder)
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        (Target(x_m=11.4, y_m=0.0), RejectReason.TARGET_OUT_OF_REACH),
+        (Target(x_m=0.0, y_m=10.871), RejectReason.TARGET_OUT_OF_REACH),
+        (Target(x_m=5.99, y_m=0.0), RejectReason.TARGET_TOO_NEAR),
+        (Target(x_m=-1.0, y_m=0.5), RejectReason.TARGET_TOO_NEAR),
+        (Target(x_m=9.0, y_m=0.0, z_m=0.3), RejectReason.TARGET_OUT_OF_REACH),
+    ],
+)
+def test_targets_the_policy_was_not_made_for_are_refused(target, reason):
+    with pytest.raises(RefusedError, match=r"\d") as refused:
+        check_target(make_card("a"), target)
+    assert refused.value.reason is reason
+
+
+@pytest.mark.parametrize(
+    "target", [Target(x_m=-9.0, y_m=0.0), Target(x_m=6.0, y_m=0.0), Target(x_m=10.87, y_m=0)]
+)
+def test_targets_within_reach_pass_in_any_direction(x_m, y_m):
+    check_target(make_card("a"), Target(x_m=x_m, y_m=y_m))

@@ -1,0 +1,73 @@
+"""Every numeric field of a message, spec, card, setting, table or log row carries its unit."""
+
+import importlib
+import pkgutil
+import types
+import typing
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from machine.conventions import UNIT_SUFFIXES
+from machine.telemetry import CONTROL_ROW, POLICY_ROW
+
+PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
+
+
+def models() -> list[type[BaseModel]]:
+    found: dict[str, type[BaseModel]] = {}
+    for package in PACKAGES:
+        for module in pkgutil.iter_modules(
+            importlib.import_module(package).__path__, f"{package}."
+        ):
+            for item in vars(importlib.import_module(module.name)).values():
+                if (
+                    isinstance(item, type)
+                    and issubclass(item, BaseModel)
+                    and item.__module__ == module.name
+                ):
+                    found[f"{module.name}.{item.__name__}"] = item
+    return list(found.values())
+
+
+def is_numeric(annotation: object) -> bool:
+    if annotation in (int, float):
+        return True
+    if typing.get_origin(annotation) is typing.Literal:
+        return False
+    if typing.get_origin(annotation) in (
+        tuple,
+        list,
+        dict,
+        typing.Union,
+        types.UnionType,
+        typing.Annotated,
+    ):
+        return any(is_numeric(part) for part in typing.get_args(annotation))
+    return False
+
+
+@pytest.mark.parametrize(
+    "model", models(), ids=lambda model: f"{model.__module__}.{model.__name__}"
+)
+def test_numeric_fields_of_models_end_with_a_unit(model):
+    bare = [
+        name
+        for name, field in model.model_fields.items()
+        if is_numeric(field.annotation) and not name.endswith(UNIT_SUFFIXES)
+    ]
+    assert not bare, f"{model.__name__}: {bare} carry no unit; see machine/conventions.py"
+
+
+@pytest.mark.parametrize("row", [CONTROL_ROW, POLICY_ROW])
+def test_columns_of_log_rows_end_with_a_unit(row):
+    assert row.names is not None
+    bare = [
+        name
+        for name in row.names
+        if row[name].base.kind in "fiu"
+        and row[name].base != np.bool_
+        and not name.endswith(UNIT_SUFFIXES)
+    ]
+    assert not bare
