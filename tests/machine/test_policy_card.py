@@ -84,8 +84,6 @@ def test_targets_the_policy_was_not_made_for_are_refused(target, reason):
     assert refused.value.reason is reason
 
 
-@pytest.mark.parametrize(
-    "target", [Target(x_m=-9.0, y_m=0.0), Target(x_m=6.0, y_m=0.0), Target(x_m=10.87, y_m=0)]
-)
+@pytest.mark.parametrize(("x_m", "y_m"), [(-9.0, 0.0), (6.0, 0.0), (10.87, 0.0), (0.0, -8.0)])
 def test_targets_within_reach_pass_in_any_direction(x_m, y_m):
     check_target(make_card("a"), Target(x_m=x_m, y_m=y_m))
