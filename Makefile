@@ -9,7 +9,7 @@ STAMP := build/stamps
 export UV_PYTHON_DOWNLOADS = never
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: help setup web demo test check lint types spec bench clean
+.PHONY: help setup runtime web demo test check lint types spec bench clean
 help:  ## Show this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
@@ -26,6 +26,10 @@ $(STAMP)/python: .tools/bin/uv pyproject.toml uv.lock
 	@mkdir -p $(@D) && touch $@
 
 setup: $(STAMP)/python  ## Python environment with the command .venv/bin/downrange
+
+runtime: .tools/bin/uv  ## Only what a machine's computer needs: .venv/bin/downrange machine
+	@echo "== installing the runtime's packages into .venv"
+	@.tools/bin/uv sync --frozen --no-dev --quiet
 
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 $(STAMP)/web: $(STAMP)/python $(WEB_SOURCES)
