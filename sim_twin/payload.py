@@ -1,0 +1,145 @@
+"""The load of N twin machines: held, released after the opening delay, flying, landed and surveyed.
+
+The flight is integrated with machine.ballistics outside MuJoCo; this module moves no machine.
+"""
+
+import numpy as np
+
+from machine.ballistics import drag_per_m, landing, step_flight
+from machine.conventions import Array, BoolArray, IntArray
+from machine.kinematics import ToolState
+from machine.spec import MachineSpec
+from sim_twin.profile import TwinProfile
+
+NEVER_NS = np.iinfo(np.int64).max
+
+
+class Payload:
+    """Loads of N machines; times in ns of the driver's clock, positions (N, 3) in frame `machine`."""
+
+    def __init__(self, spec: MachineSpec, profile: TwinProfile, count: int, tracked: bool) -> None:
+        self._profile, self._count, self._tracked = profile, count, tracked
+        self._drag_nominal_per_m = (
+            drag_per_m(spec.ball)
+            * profile.drag_coefficient_ratio
+            / spec.ball.drag_coefficient_ratio
+        )
+        self._radius_m = spec.ball.radius_m
+        self._wind = np.asarray(profile.wind_m_per_s, dtype=np.float64)
+        self.surface_height_m = np.zeros(count)
+        """Height of the ground the load lands on; a target off the ground raises it."""
+        self.held = np.zeros(count, dtype=np.bool_)
+        self.flying = np.zeros(count, dtype=np.bool_)
+        self.release_t_ns = np.full(count, NEVER_NS)
+        """When the load leaves; `NEVER_NS` while no opening is under way."""
+        self.release_position_m = np.full((count, 3), np.nan)
+        self.release_velocity_m_per_s = np.full((count, 3), np.nan)
+        self.position_m = np.full((count, 3), np.nan)
+        self.impact_t_ns: IntArray = np.zeros(count, dtype=np.int64)
+        self.impact_m = np.full((count, 3), np.nan)
+        """True point of impact; already known while the load flies (`impact_t_ns` then lies ahead)."""
+        self._velocity = np.full((count, 3), np.nan)
+        self._delay_ns: IntArray = np.zeros(count, dtype=np.int64)
+        self._drag = np.full(count, self._drag_nominal_per_m)
+        self._last_open = np.zeros(count, dtype=np.bool_)
+        self._survey_error = np.zeros((count, 2))
+
+    def reset(self, normal: Array) -> None:
+        """Take up a load and new per-throw numbers: standard normal (N, 4): delay, drag, survey x and y."""
+        p = self._profile
+        delay_s = p.release_delay_s + normal[:, 0] * p.release_delay_sd_s
+        self._delay_ns = np.round(np.clip(delay_s, 0.0, None) * 1e9).astype(np.int64)
+        self._drag = self._drag_nominal_per_m * np.clip(
+            1.0 + normal[:, 1] * p.spread.drag_sd_ratio, 0.0, None
+        )
+        self._survey_error = normal[:, 2:4] * p.noise.survey_sd_m
+        self.load()
+
+    def load(self) -> None:
+        """A load in every gripper; what flew or lay there before is forgotten."""
+        self.held[:] = True
+        self.flying[:] = False
+        self.release_t_ns[:] = NEVER_NS
+        self.impact_t_ns[:] = 0
+        for array in (
+            self.impact_m,
+            self.position_m,
+            self.release_position_m,
+            self.release_velocity_m_per_s,
+        ):
+            array[:] = np.nan
+        self._last_open[:] = False
+
+    def command(self, gripper_open: BoolArray, now_ns: int) -> None:
+        """Open where commanded; taking the command back before the load has left keeps the load."""
+        if np.array_equal(gripper_open, self._last_open):
+            return
+        rising = gripper_open & ~self._last_open & self.held
+        self.release_t_ns[rising] = now_ns + self._delay_ns[rising]
+        self.release_t_ns[~gripper_open & self.held] = NEVER_NS
+        self._last_open = gripper_open.copy()
+
+    def due(self, until_ns: int) -> IntArray:
+        """Indices of the machines whose load leaves by `until_ns`."""
+        return np.flatnonzero(self.held & (self.release_t_ns <= until_ns))
+
+    def release(
+        self, rows: IntArray, before: ToolState, after: ToolState, until_ns: int, tick_s: float
+    ) -> None:
+        """Let go of the loads of `rows` within the tick that ends at `until_ns`.
+
+        The grip centre's state in between: velocity linear, position the cubic through both ends.
+        """
+        late_s = (until_ns - self.release_t_ns[rows]) * 1e-9
+        share = np.clip(1.0 - late_s / tick_s, 0.0, 1.0)[:, None]
+        p0, v0 = before.position_m, before.velocity_m_per_s
+        p1, v1 = after.position_m, after.velocity_m_per_s
+        u2, u3 = share**2, share**3
+        position = (
+            (2 * u3 - 3 * u2 + 1) * p0
+            + (u3 - 2 * u2 + share) * tick_s * v0
+            + (3 * u2 - 2 * u3) * p1
+            + (u3 - u2) * tick_s * v1
+        )
+        velocity = v0 + share * (v1 - v0)
+        self.held[rows] = False
+        self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity
+        plane = self.surface_height_m[rows] + self._radius_m
+        end = landing(position, velocity, plane, self._drag[rows], self._wind)
+        lands = np.isfinite(end.time_s)
+        self.flying[rows] = lands
+        where = rows[lands]
+        self.impact_m[where] = end.position_m[lands]
+        # The survey measures the mark on the surface, not the ball's centre above it.
+        self.impact_m[where, 2] = self.surface_height_m[where]
+        self.impact_t_ns[where] = self.release_t_ns[where] + np.round(
+            end.time_s[lands] * 1e9
+        ).astype(np.int64)
+        if self._tracked:
+            self.position_m[rows], self._velocity[rows] = step_flight(
+                position, velocity, self._drag[rows], self._wind, late_s
+            )
+
+    def fly(self, now_ns: int, tick_s: float, fresh: IntArray) -> None:
+        """Move the loads in the air by one tick (`fresh` left within it and have moved already)."""
+        if not self.flying.any():
+            return
+        self.flying &= self.impact_t_ns > now_ns
+        if not self._tracked:
+            return
+        self.position_m[~self.flying] = np.nan
+        moving = self.flying.copy()
+        moving[fresh] = False
+        rows = np.flatnonzero(moving)
+        if rows.size:
+            self.position_m[rows], self._velocity[rows] = step_flight(
+                self.position_m[rows], self._velocity[rows], self._drag[rows], self._wind, tick_s
+            )
+
+    def survey(self, now_ns: int) -> tuple[IntArray, Array]:
+        """Times (N,) and surveyed points (N, 3) of the impacts up to now; 0 and NaN before."""
+        landed = (self.impact_t_ns > 0) & (self.impact_t_ns <= now_ns)
+        time_ns = np.where(landed, self.impact_t_ns, 0)
+        point = np.where(landed[:, None], self.impact_m, np.nan)
+        point[:, :2] += self._survey_error
+        return time_ns, point

@@ -1,0 +1,341 @@
+"""The twin: N machines in MuJoCo with velocity-response actuation and one machine's twin profile.
+
+It implements `runtime.driver.SimulatedDriver`; it knows no pressures (the virtual machine does) and never
+decides anything about a throw.
+"""
+
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from machine.calibration import ValveCalibration, nominal_calibration
+from machine.conventions import (
+    ACTIVE_COUNT,
+    ACTIVE_JOINTS,
+    CONTROL_PERIOD_NS,
+    CONTROL_PERIOD_S,
+    JOINT_COUNT,
+    PASSIVE_JOINTS,
+    Array,
+    BoolArray,
+)
+from machine.errors import PlantError, UsageError
+from machine.kinematics import grip_centre
+from machine.spec import MJCF_PATH, MachineSpec, load_spec
+from runtime.driver import SensorSample, ValveCommand
+from sim_twin.payload import Payload
+from sim_twin.profile import TwinProfile, nominal_profile
+from sim_twin.response import VelocityResponse
+
+DRIVE_INERTIA = 1e9
+"""Rotor inertia (kg m2, telescope kg) that makes a drive a velocity source: the arm's 70 kN m then moves
+the drive by 0.07 mrad/s2, and the accelerometer sees the accelerations that are really driven, which an
+implicit velocity servo of the same stiffness would hide from it."""
+FRICTION_WIDTH_RAD_PER_S = 0.004
+"""Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
+stable from 0.0005 on."""
+DETECTION_DEPTH_M = 5.0
+"""Negative margin and positive gap of this size: contacts are found but never push."""
+START_NS = 1_000_000_000
+THREADED_FROM_COUNT = 16
+"""Smaller batches are faster on one thread."""
+NOISE_TABLE_SIZE = 1 << 17
+NOISE_CHANNELS = 14
+
+
+@cache
+def twin_model() -> tuple[mujoco.MjModel, Array]:
+    """Compile the twin's model and return it with the passive friction moments of unit acceleration (2,).
+
+    From m545.xml: no visual geoms, no joint limits (the drives hold them), velocity-source drives,
+    friction applied from outside so that each machine of a batch has its own, IMU sensors.
+    """
+    tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
+    for geom in list(tree.geoms):
+        if geom.contype == 0 and geom.conaffinity == 0:
+            tree.delete(geom)
+        else:
+            geom.margin, geom.gap = -DETECTION_DEPTH_M, DETECTION_DEPTH_M
+    nominal = load_spec().passive
+    friction: list[float] = []
+    for joint in tree.joints:
+        if joint.name in PASSIVE_JOINTS:
+            friction.append(float(joint.frictionloss) / nominal.coulomb_friction_rad_per_s2)
+            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+            continue
+        joint.limited, joint.armature = 0, DRIVE_INERTIA
+        drive = tree.add_actuator()
+        drive.name = drive.target = joint.name
+        drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        drive.set_to_motor()
+        # Force that takes a velocity error away within one step; ctrl is that error.
+        drive.gainprm[0] = DRIVE_INERTIA / CONTROL_PERIOD_S
+    for kind, name in (
+        (mujoco.mjtSensor.mjSENS_GYRO, "imu_gyro"),
+        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "imu_accel"),
+    ):
+        sensor = tree.add_sensor()
+        sensor.type, sensor.name = kind, name
+        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, "imu"
+    tree.option.timestep = CONTROL_PERIOD_S
+    tree.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    tree.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    model = tree.compile()
+    order = [model.joint(i).name for i in range(model.njnt)]
+    if order != [*ACTIVE_JOINTS, *PASSIVE_JOINTS] or model.nv != JOINT_COUNT:
+        raise PlantError(
+            f"m545.xml has the joints {order}, the twin needs the order of JOINT_NAMES"
+        )
+    return model, np.asarray(friction)
+
+
+@cache
+def _noise_table() -> Array:
+    """Standard normal numbers that all sensors read from, each machine at its own place."""
+    return np.random.default_rng(20_240_519).standard_normal(NOISE_TABLE_SIZE + NOISE_CHANNELS)
+
+
+class Twin:
+    """N machines of one profile. Element i of a larger twin moves as element i of a smaller one."""
+
+    def __init__(
+        self,
+        *,
+        count: int,
+        profile: TwinProfile,
+        calibration: ValveCalibration,
+        seed: int = 0,
+        tracker: bool = True,
+        thread_count: int = 2,
+    ) -> None:
+        """Build the machines and put them, loaded, into the model's zero pose; call `reset` to begin.
+
+        Args:
+            count: N.
+            profile: effects of the machine that this twin stands for.
+            calibration: its valves' steady curve (speed over command in actuator space).
+            seed: of the first per-throw draw; `reset` takes new ones.
+            tracker: whether the flying load's position is reported.
+            thread_count: threads of the physics.
+
+        Raises:
+            UsageError: `count` is not positive.
+        """
+        if count < 1:
+            raise UsageError(f"a twin needs at least 1 machine, not {count}")
+        self.count = count
+        self.profile = profile
+        self.spec: MachineSpec = load_spec()
+        model, self._friction_moment = twin_model()
+        threads = thread_count if count >= THREADED_FROM_COUNT else 1
+        self._batch: Any = batch.Batch(model, count, threads)
+        self._bind()
+        self._response = VelocityResponse(self.spec, profile, calibration, count)
+        self._payload = Payload(self.spec, profile, count, tracker)
+        self._low, self._high = self.spec.position_range_rad_m
+        self._now_ns = START_NS
+        self._valve = np.zeros((count, ACTIVE_COUNT))
+        self._collided = np.zeros(count, dtype=np.bool_)
+        self._friction = np.zeros((2, count, 2))
+        self._noise_offset = np.zeros((count, 1), dtype=np.int64)
+        self._noise_sd = _noise_sd(profile)
+        self._frozen_rows: Any = None
+        self._sample: SensorSample | None = None
+        self.reset(np.zeros((count, JOINT_COUNT)), seed)
+
+    @classmethod
+    def for_plant(cls, *, count: int, unit_seed: int) -> "Twin":
+        """The nominal twin, as ``--plant twin`` names it.
+
+        Raises:
+            UsageError: `unit_seed` is not 0; a twin differs by its profile, not by a unit number.
+        """
+        if unit_seed != 0:
+            raise UsageError(
+                f"the twin has no unit {unit_seed}: it stands for one machine by its profile; "
+                "leave --unit-seed at 0 and name the machine's --profile, or use --plant virtual"
+            )
+        spec = load_spec()
+        return cls(
+            count=count, profile=nominal_profile(spec), calibration=nominal_calibration(spec)
+        )
+
+    def _bind(self) -> None:
+        self._position: Array = self._batch.bind("qpos")
+        self._velocity: Array = self._batch.bind("qvel")
+        self._control: Array = self._batch.bind("ctrl")
+        self._applied: Array = self._batch.bind("qfrc_applied")
+        self._imu: Array = self._batch.bind("sensordata")
+        self._contacts: Array = self._batch.bind("ncon")
+
+    @property
+    def joint_position_rad_m(self) -> Array:
+        """True joint positions (N, 6), a copy."""
+        return self._position.copy()
+
+    @property
+    def joint_velocity_rad_m_per_s(self) -> Array:
+        """True joint velocities (N, 6), a copy."""
+        return self._velocity.copy()
+
+    @property
+    def payload(self) -> Payload:
+        """The loads' true state: release, flight, impact."""
+        return self._payload
+
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self._now_ns
+
+    def reset(self, joint_position_rad_m: Array, seed: int) -> None:
+        """Start over at rest at these poses (N, 6), loaded, with the per-throw draws of `seed`.
+
+        Raises:
+            PlantError: poses of the wrong shape or not finite.
+        """
+        pose = np.asarray(joint_position_rad_m, dtype=np.float64)
+        if pose.shape != (self.count, JOINT_COUNT) or not np.isfinite(pose).all():
+            raise PlantError(
+                f"reset needs finite poses of shape ({self.count}, {JOINT_COUNT}), got {pose.shape}"
+            )
+        rng = np.random.default_rng(seed)
+        # Row by row, so that machine i draws the same numbers however many machines follow it.
+        normal = rng.standard_normal((self.count, 3 * ACTIVE_COUNT + 5))
+        self._noise_offset = np.random.default_rng((seed, 1)).integers(
+            0, NOISE_TABLE_SIZE, (self.count, 1)
+        )
+        self._response.reset(normal[:, : 3 * ACTIVE_COUNT].reshape(self.count, 3, ACTIVE_COUNT))
+        self._payload.reset(normal[:, 12:16])
+        scale = np.clip(1.0 + normal[:, 16:17] * self.profile.spread.friction_sd_ratio, 0.0, None)
+        p = self.profile
+        self._friction[0] = scale * np.asarray(p.viscous_friction_per_s) * self._friction_moment
+        self._friction[1] = (
+            scale * np.asarray(p.coulomb_friction_rad_per_s2) * self._friction_moment
+        )
+        self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._position[:] = pose
+        self._valve[:] = 0.0
+        self._batch.forward()
+        self._collided = self._contacts > 0
+        self._frozen_rows = None
+        self._sample = None
+
+    def freeze(self, frozen: BoolArray) -> None:
+        """Stop moving machines (N,) whose throw is over; their sensors keep their last values."""
+        self._frozen_rows = None if not frozen.any() else np.flatnonzero(~frozen).astype(np.int32)
+
+    def advance(self, until_ns: int) -> None:
+        """Step whole control ticks up to `until_ns`."""
+        while self._now_ns + CONTROL_PERIOD_NS <= until_ns:
+            self._tick()
+
+    def _tick(self) -> None:
+        q, v = self._position, self._velocity
+        reference = self._response.step(self._valve, q[:, :ACTIVE_COUNT])
+        room_low = (self._low - q[:, :ACTIVE_COUNT]) / CONTROL_PERIOD_S
+        room_high = (self._high - q[:, :ACTIVE_COUNT]) / CONTROL_PERIOD_S
+        # A cylinder at its end stop stands still, whatever its valve does.
+        reference = np.minimum(np.maximum(reference, room_low), room_high)
+        self._control[:] = reference - v[:, :ACTIVE_COUNT]
+        swing = v[:, ACTIVE_COUNT:]
+        viscous, coulomb = self._friction
+        self._applied[:, ACTIVE_COUNT:] = -(
+            viscous * swing + coulomb * np.tanh(swing / FRICTION_WIDTH_RAD_PER_S)
+        )
+        end_ns = self._now_ns + CONTROL_PERIOD_NS
+        due = self._payload.due(end_ns)
+        before = grip_centre(self.spec, q[due], v[due]) if due.size else None
+        self._batch.step(self._frozen_rows)
+        self._now_ns = end_ns
+        self._collided |= self._contacts > 0
+        if before is not None:
+            after = grip_centre(self.spec, q[due], v[due])
+            self._payload.release(due, before, after, end_ns, CONTROL_PERIOD_S)
+        self._payload.fly(end_ns, CONTROL_PERIOD_S, due)
+        self._sample = None
+
+    def read(self) -> SensorSample:
+        """Sensor values of the present tick; reading twice gives the same sample."""
+        if self._sample is None:
+            self._sample = self._measure()
+        return self._sample
+
+    def _measure(self) -> SensorSample:
+        tick = self._now_ns // CONTROL_PERIOD_NS
+        start = (self._noise_offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE
+        noise = _noise_table()[start + np.arange(NOISE_CHANNELS)] * self._noise_sd
+        load = self._payload
+        impact_t_ns, impact_m = load.survey(self._now_ns)
+        # MuJoCo's sensors describe the state in which the last step began.
+        imu_t_ns = self._now_ns - CONTROL_PERIOD_NS
+        count = self.count
+        return SensorSample(
+            t_mono_ns=self._now_ns,
+            joint_position_rad_m=self._position[:, :4] + noise[:, 0:4],
+            joint_velocity_rad_m_per_s=self._velocity[:, :4] + noise[:, 4:8],
+            imu_t_mono_ns=np.full(count, imu_t_ns),
+            imu_gyro_rad_per_s=self._imu[:, 0:3] + noise[:, 8:11],
+            imu_accel_m_per_s2=self._imu[:, 3:6] + noise[:, 11:14],
+            payload_held=load.held.copy(),
+            supply_pressure_pa=np.full(count, self.spec.hydraulics.supply_pressure_pa),
+            local_enable=np.ones(count, dtype=np.bool_),
+            emergency_stop=np.zeros(count, dtype=np.bool_),
+            ball_t_mono_ns=np.where(np.isfinite(load.position_m[:, 0]), self._now_ns, 0),
+            ball_position_m=load.position_m.copy(),
+            impact_t_mono_ns=impact_t_ns,
+            impact_position_m=impact_m,
+            impact_sd_m=np.full(count, self.profile.noise.survey_sd_m),
+        )
+
+    def write(self, command: ValveCommand) -> None:
+        """Set the valves from now on.
+
+        Raises:
+            PlantError: a command of the wrong shape, not finite, or beyond -1..1.
+        """
+        valve = command.valve_ratio
+        if valve.shape != self._valve.shape or not bool((np.abs(valve) <= 1.0 + 1e-9).all()):
+            raise PlantError(
+                f"valve commands must be {self._valve.shape} within -1..1, got {valve.shape} "
+                f"up to {np.max(np.abs(valve), initial=0.0):.3g}"
+            )
+        self._valve[:] = valve
+        self._payload.command(command.gripper_open, self._now_ns)
+
+    def load(self) -> None:
+        """A load in every gripper."""
+        self._payload.load()
+        self._sample = None
+
+    def collided(self) -> BoolArray:
+        """(N,) whether the gripper has touched ground, arm or machine since the reset."""
+        return self._collided.copy()
+
+    def true_impact_m(self) -> Array:
+        """True impact points (N, 3), NaN before the impact."""
+        landed = (self._payload.impact_t_ns > 0) & (self._payload.impact_t_ns <= self._now_ns)
+        return np.where(landed[:, None], self._payload.impact_m, np.nan)
+
+    def set_surface_height(self, height_m: Array) -> None:
+        """Height (N,) of the surface on which the loads land, from the next release on."""
+        self._payload.surface_height_m[:] = height_m
+
+    def close(self) -> None:
+        """Close the valves."""
+        self._valve[:] = 0.0
+
+
+def _noise_sd(profile: TwinProfile) -> Array:
+    """Standard deviation of each noise channel (14,): positions, velocities, gyro, accelerometer."""
+    n = profile.noise
+    return np.asarray(
+        [
+            *n.joint_position_sd_rad_m,
+            *n.joint_velocity_sd_rad_m_per_s,
+            *[n.gyro_sd_rad_per_s] * 3,
+            *[n.accel_sd_m_per_s2] * 3,
+        ]
+    )
