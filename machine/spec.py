@@ -163,6 +163,10 @@ class MachineSpec(_Frozen):
         canonical = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
+    def __hash__(self) -> int:
+        """By the model hash, so that what is derived from a spec can be cached cheaply."""
+        return hash(self.sha256)
+
     def speed_limit(self, velocity_rad_m_per_s: Array) -> Array:
         """Speed limit in the direction of each velocity, shape (..., 4), rad/s and m/s."""
         positive = np.asarray(self.limits.speed_positive_rad_m_per_s)

@@ -1,0 +1,141 @@
+"""Joint velocity control: from a wish to a reference the machine can follow, from there to valves.
+
+`shape_reference` runs unchanged on numpy and JAX arrays, because the trainer must see the very reference
+the machine follows. The controller itself is numpy only. It knows no valve delay as a fault: feedback
+compares with the velocity that a machine of nominal response would have by now.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.calibration import actuator_ratio
+from machine.conventions import Array
+from machine.kinematics import namespace
+from machine.spec import MachineSpec
+
+FLOW_SHARE_RATIO = 0.90
+"""Share of the pump that references may ask for: above it axes starve each other unpredictably."""
+SOFT_STOP_ACCELERATION_RATIO = 0.5
+"""Share of a joint's acceleration used to stop before a position limit; the rest is reserve."""
+
+
+class _ShapeConstants(NamedTuple):
+    speed_positive: Array
+    speed_negative: Array
+    acceleration: Array
+    stop_acceleration: Array
+    stop_delay: Array
+    low: Array
+    high: Array
+    area_positive: Array
+    area_negative: Array
+    flow: float
+
+
+@cache
+def _shape_constants(spec: MachineSpec) -> _ShapeConstants:
+    h, limits = spec.hydraulics, spec.limits
+    quarter_pi = 0.25 * np.pi
+    bores = np.array([h.boom_cylinder.bore_m, h.dipper_cylinder.bore_m, h.telescope_bore_m])
+    rods = np.array([h.boom_cylinder.rod_m, h.dipper_cylinder.rod_m, h.telescope_rod_m])
+    full, annulus = quarter_pi * bores**2, quarter_pi * (bores**2 - rods**2)
+    slew = h.slew_displacement_m3_per_rad
+    acceleration = np.asarray(limits.acceleration_rad_m_per_s2)
+    low, high = spec.position_range_rad_m
+    return _ShapeConstants(
+        speed_positive=np.asarray(limits.speed_positive_rad_m_per_s),
+        speed_negative=np.asarray(limits.speed_negative_rad_m_per_s),
+        acceleration=acceleration,
+        stop_acceleration=SOFT_STOP_ACCELERATION_RATIO * acceleration,
+        stop_delay=np.asarray(spec.response.dead_time_s) + np.asarray(spec.response.lag_s),
+        # A continuous joint has limits too far away to matter; float32 must hold their square.
+        low=np.maximum(low, -1e6),
+        high=np.minimum(high, 1e6),
+        # The dipper's cylinder shortens as the joint opens: its annulus fills on the positive side.
+        area_positive=np.array([slew, full[0], annulus[1], full[2]]),
+        area_negative=np.array([slew, annulus[0], full[1], annulus[2]]),
+        flow=FLOW_SHARE_RATIO * h.pump_flow_m3_per_s,
+    )
+
+
+def flow_demand_m3_per_s(
+    spec: MachineSpec, velocity_rad_m_per_s: Array, ratio_magnitude: Array
+) -> Array:
+    """Pump flow (...) that joint velocities (..., 4) take: actuator speed times the side that fills.
+
+    Boom down counts with its annulus: the load may drive the cylinder, the pump still fills it.
+    """
+    return _demand(_shape_constants(spec), velocity_rad_m_per_s, ratio_magnitude)
+
+
+def _demand(k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
+    xp = namespace(velocity)
+    area = xp.where(velocity >= 0.0, k.area_positive, k.area_negative)
+    return (xp.abs(velocity) * ratio_magnitude * area).sum(axis=-1)
+
+
+def _allocate(k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
+    xp = namespace(velocity)
+    demand = _demand(k, velocity, ratio_magnitude)
+    scale = k.flow / xp.maximum(demand, k.flow)
+    return velocity * scale[..., None]
+
+
+def shape_reference(
+    spec: MachineSpec,
+    request_rad_m_per_s: Array,
+    previous_reference_rad_m_per_s: Array,
+    active_position_rad_m: Array,
+    dt_s: float,
+) -> Array:
+    """Turn requested joint velocities into references the machine can follow; shape (..., 4).
+
+    In this order: speed limit of the direction and soft approach to position limits, share of the pump
+    flow, acceleration limit, and once more limits and flow for what the acceleration limit held back.
+
+    Args:
+        spec: limits, cylinders, pump.
+        request_rad_m_per_s: (..., 4) from the policy or from the motion being run.
+        previous_reference_rad_m_per_s: (..., 4) what this function returned one tick ago.
+        active_position_rad_m: (..., 4) as measured.
+        dt_s: the tick.
+    """
+    ratio = namespace(request_rad_m_per_s).abs(actuator_ratio(spec, active_position_rad_m))
+    return shape_with_ratio(
+        spec,
+        request_rad_m_per_s,
+        previous_reference_rad_m_per_s,
+        active_position_rad_m,
+        ratio,
+        dt_s,
+    )
+
+
+def shape_with_ratio(
+    spec: MachineSpec,
+    request_rad_m_per_s: Array,
+    previous_reference_rad_m_per_s: Array,
+    active_position_rad_m: Array,
+    ratio_magnitude: Array,
+    dt_s: float,
+) -> Array:
+    """`shape_reference` for a caller who already has |actuator_ratio| (..., 4)."""
+    k = _shape_constants(spec)
+    xp = namespace(request_rad_m_per_s)
+    upper = xp.minimum(k.speed_positive, _approach(k, k.high - active_position_rad_m))
+    lower = -xp.minimum(k.speed_negative, _approach(k, active_position_rad_m - k.low))
+    wanted = _allocate(k, xp.clip(request_rad_m_per_s, lower, upper), ratio_magnitude)
+    change = k.acceleration * dt_s
+    previous = previous_reference_rad_m_per_s
+    ramped = xp.clip(wanted, previous - change, previous + change)
+    return _allocate(k, xp.clip(ramped, lower, upper), ratio_magnitude)
+
+
+def _approach(k: _ShapeConstants, distance: Array) -> Array:
+    """Highest speed from which distance = v delay + v^2 / (2 a) still stops; 0 at or past the limit."""
+    xp = namespace(distance)
+    a, delay = k.stop_acceleration, k.stop_delay
+    room = xp.maximum(distance, 0.0)
+    return a * (xp.sqrt(delay * delay + 2.0 * room / a) - delay)
