@@ -1,0 +1,297 @@
+"""Many throws on one plant, and what came of each: the evaluation protocol of the paper (section IV-A).
+
+The plant may be the twin, the virtual machine or anybody's `SimulatedDriver`; only what its sensors and
+its survey say is used.
+"""
+
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, Motion
+from machine.errors import UsageError
+from machine.kinematics import grip_centre, to_throw_frame
+from machine.messages import LandingEllipse
+from runtime.control_loop import ControlOutputs, ControlParams, Violation
+from runtime.driver import SensorSample, SimulatedDriver
+from sim_twin.rollout import Rollout
+
+RELEASE_TIMEOUT_S = 7.0
+"""A throw without a release by then has failed; training ends its episodes at the same time."""
+END_TIMEOUT_S = 14.0
+LIMIT_REACHED_RAD_M = 0.004
+"""A joint nearer to its position limit than this has reached it (four times the position noise)."""
+
+
+class Outcome(StrEnum):
+    """How a throw ended."""
+
+    LANDED = "landed"
+    NO_RELEASE = "no_release"
+    COLLISION = "collision"
+    LIMIT = "limit"
+    TIMEOUT = "timeout"
+
+
+class ThrowResult(NamedTuple):
+    """One throw. Values that the throw did not reach are NaN; frame `machine` and frame `throw`."""
+
+    target_m: tuple[float, float, float]
+    outcome: Outcome
+    impact_m: tuple[float, float, float]
+    downrange_error_m: float
+    crossrange_error_m: float
+    release_speed_m_per_s: float
+    throw_duration_s: float
+    """Start of the throw to the load leaving the gripper."""
+    simulated_s: float
+    """Start of the throw to its end."""
+
+
+@runtime_checkable
+class Freezable(Protocol):
+    """A plant that can spare the work for machines (N,) whose throw is over."""
+
+    def freeze(self, frozen: BoolArray) -> None:
+        """Stop moving these machines until the next reset."""
+        ...
+
+
+@runtime_checkable
+class HasSurface(Protocol):
+    """A plant on which loads can land above or below the machine's ground."""
+
+    def set_surface_height(self, height_m: Array) -> None:
+        """Height (N,) of the surface, from the next release on."""
+        ...
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A plant that knows where loads really came down, apart from its survey."""
+
+    def true_impact_m(self) -> Array:
+        """True impact points (N, 3), NaN before the impact."""
+        ...
+
+
+class TickRecorder(Protocol):
+    """Takes down what a throw log needs (sim_twin.throw_logs)."""
+
+    def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
+        """A batch starts: its machines carry out these throws."""
+        ...
+
+    def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
+        """One control tick of the whole batch; `sample` is the one after it."""
+        ...
+
+    def end(self, results: Sequence[ThrowResult]) -> None:
+        """The batch is over."""
+        ...
+
+
+Progress = Callable[[int, int], None]
+"""Called with throws done and throws in all."""
+
+
+def run_throws(
+    plant: SimulatedDriver,
+    params: ControlParams,
+    targets_m: Array,
+    starts_rad_m: Array,
+    seed: int,
+    *,
+    record: TickRecorder | None = None,
+    progress: Progress | None = None,
+    use_truth: bool = False,
+) -> list[ThrowResult]:
+    """Throw once at each target (N, 3) from each start (N, 6), `plant.count` at a time.
+
+    Args:
+        plant: the machines.
+        params: policy, calibration and spec of the control step.
+        targets_m: frame `machine`.
+        starts_rad_m: joint order.
+        seed: of everything random in the plant.
+        record: takes down every tick.
+        progress: told about throws that have ended.
+        use_truth: score the true impacts where the plant knows them, not the surveyed ones.
+
+    Raises:
+        UsageError: no policy, unequal numbers of targets and starts, or a target off the ground on a
+            plant that has ground only.
+    """
+    if params.policy is None:
+        raise UsageError("a campaign needs a policy: name one with --policy DIR or --policies DIR")
+    count = targets_m.shape[0]
+    if starts_rad_m.shape[0] != count:
+        raise UsageError(f"{count} targets but {starts_rad_m.shape[0]} start poses")
+    if np.any(targets_m[:, 2] != 0.0) and not isinstance(plant, HasSurface):
+        raise UsageError(f"{type(plant).__name__} has ground only: targets need a height of 0 m")
+    results: list[ThrowResult] = []
+    for number, first in enumerate(range(0, count, plant.count)):
+        taken = min(plant.count, count - first)
+        # The last batch is filled up with repeats, whose results are dropped.
+        rows = first + np.arange(plant.count) % taken
+        batch_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+        batch = _Batch(plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken)
+        if record is not None:
+            record.begin(plant, first, taken)
+        batch_results = batch.run(record, progress, (first, count), use_truth)
+        if record is not None:
+            record.end(batch_results)
+        results.extend(batch_results)
+    return results
+
+
+class _Batch:
+    """The throws that run side by side: follows them until each has ended."""
+
+    def __init__(
+        self,
+        plant: SimulatedDriver,
+        params: ControlParams,
+        target_m: Array,
+        start_rad_m: Array,
+        seed: int,
+        taken: int,
+    ) -> None:
+        self._spec = params.spec
+        if isinstance(plant, HasSurface):
+            plant.set_surface_height(target_m[:, 2])
+        self._rollout = Rollout(plant, params, target_m, start_rad_m, seed)
+        self._taken, self._count = taken, plant.count
+        low, high = params.spec.position_range_rad_m
+        self._low, self._high = low + LIMIT_REACHED_RAD_M, high - LIMIT_REACHED_RAD_M
+        self._code = np.full(plant.count, "", dtype="U16")
+        self._code[taken:] = Outcome.TIMEOUT
+        self._was_held = self._rollout.sample.payload_held.copy()
+        self._impact = np.full((plant.count, 3), np.nan)
+        self._release_speed = np.full(plant.count, np.nan)
+        self._release_s = np.full(plant.count, np.nan)
+        self._end_s = np.zeros(plant.count)
+
+    def run(
+        self,
+        record: TickRecorder | None,
+        progress: Progress | None,
+        place: tuple[int, int],
+        use_truth: bool,
+    ) -> list[ThrowResult]:
+        """Tick until every throw has ended; `place` is (first throw, throws in all) for `progress`."""
+        running = self._code == ""
+        told = -1
+        while running.any():
+            now_ns = self._rollout.plant.now_ns()
+            outputs = self._rollout.tick()
+            sample = self._rollout.sample
+            if record is not None:
+                record.tick(now_ns, sample, outputs)
+            self._note_release(sample, outputs)
+            if self._note_ends(sample, outputs, running, use_truth):
+                running = self._code == ""
+                if isinstance(self._rollout.plant, Freezable):
+                    self._rollout.plant.freeze(~running)
+                done = self._taken - int(np.count_nonzero(running[: self._taken]))
+                if progress is not None and done != told:
+                    told = done
+                    progress(place[0] + done, place[1])
+        return self._results()
+
+    def _note_release(self, sample: SensorSample, outputs: ControlOutputs) -> None:
+        left = self._was_held & ~sample.payload_held
+        if left.any():
+            self._was_held &= sample.payload_held
+            row = outputs.row[left]
+            grip = grip_centre(
+                self._spec, row["joint_position_rad_m"], row["joint_velocity_rad_m_per_s"]
+            )
+            self._release_speed[left] = np.linalg.norm(grip.velocity_m_per_s, axis=-1)
+            self._release_s[left] = self._rollout.elapsed_s
+
+    def _note_ends(
+        self, sample: SensorSample, outputs: ControlOutputs, running: BoolArray, use_truth: bool
+    ) -> bool:
+        """Write down the outcome of throws that ended in this tick; whether there were any."""
+        rollout = self._rollout
+        elapsed_s = rollout.elapsed_s
+        position = sample.joint_position_rad_m
+        holding = sample.payload_held
+        violation = outputs.violation_count
+        beyond = ((position <= self._low) | (position >= self._high)).any(axis=-1)
+        beyond |= (violation & int(Violation.SWING | Violation.SAFETY)) != 0
+        aborted = (violation & int(Violation.IMU | Violation.POLICY)) != 0
+        late = ~outputs.release_commanded & (
+            aborted | (elapsed_s >= RELEASE_TIMEOUT_S - 0.5 * CONTROL_PERIOD_S)
+        )
+        landed = sample.impact_t_mono_ns > rollout.start_ns
+        ended = np.zeros(self._count, dtype=np.bool_)
+        # First match wins: a machine that broke something has not made a good throw.
+        for outcome, happened in (
+            (Outcome.COLLISION, rollout.plant.collided()),
+            (Outcome.LIMIT, beyond & holding & (rollout.motion == Motion.THROW)),
+            (Outcome.LANDED, landed),
+            (Outcome.NO_RELEASE, late & holding),
+            (Outcome.TIMEOUT, np.full(self._count, elapsed_s >= END_TIMEOUT_S)),
+        ):
+            new = running & happened & ~ended
+            if new.any():
+                self._code[new] = outcome
+                ended |= new
+        if not ended.any():
+            return False
+        self._end_s[ended] = elapsed_s
+        plant = rollout.plant
+        point = sample.impact_position_m
+        if use_truth and isinstance(plant, KnowsTruth):
+            point = plant.true_impact_m()
+        fell = ended & (self._code == Outcome.LANDED)
+        self._impact[fell] = point[fell]
+        return True
+
+    def _results(self) -> list[ThrowResult]:
+        target = self._rollout.target_m
+        local = to_throw_frame(self._impact, target)
+        down = local[:, 0] - np.hypot(target[:, 0], target[:, 1])
+        return [
+            ThrowResult(
+                target_m=_point(target[i]),
+                outcome=Outcome(str(self._code[i])),
+                impact_m=_point(self._impact[i]),
+                downrange_error_m=float(down[i]),
+                crossrange_error_m=float(local[i, 1]),
+                release_speed_m_per_s=float(self._release_speed[i]),
+                throw_duration_s=float(self._release_s[i]),
+                simulated_s=float(self._end_s[i]),
+            )
+            for i in range(self._taken)
+        ]
+
+
+def _point(row: Array) -> tuple[float, float, float]:
+    return float(row[0]), float(row[1]), float(row[2])
+
+
+def landing_ellipse(results: Sequence[ThrowResult]) -> LandingEllipse | None:
+    """Mean and spread of the landed throws' errors; None when fewer than two landed."""
+    landed = [r for r in results if r.outcome is Outcome.LANDED]
+    if len(landed) < 2:
+        return None
+    down = np.array([r.downrange_error_m for r in landed])
+    cross = np.array([r.crossrange_error_m for r in landed])
+    sd_down, sd_cross = float(down.std(ddof=1)), float(cross.std(ddof=1))
+    product = sd_down * sd_cross
+    covariance = float(np.sum((down - down.mean()) * (cross - cross.mean())) / (len(landed) - 1))
+    correlation = float(np.clip(covariance / product, -1.0, 1.0)) if product > 0.0 else 0.0
+    return LandingEllipse(
+        mean_downrange_error_m=float(down.mean()),
+        mean_crossrange_error_m=float(cross.mean()),
+        sd_downrange_m=sd_down,
+        sd_crossrange_m=sd_cross,
+        correlation_ratio=correlation,
+        rollout_count=len(results),
+        landed_count=len(landed),
+    )
