@@ -3,7 +3,18 @@
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from server import audit, auth, events, health, history, leases, machines, plans, policies, throws
+from server.routes import (
+    audit,
+    auth,
+    events,
+    health,
+    history,
+    leases,
+    machines,
+    plans,
+    policies,
+    throws,
+)
 from server.schemas import ErrorBody
 
 API_PREFIX = "/api/v1"

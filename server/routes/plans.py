@@ -4,8 +4,8 @@ from typing import NoReturn
 
 from fastapi import APIRouter
 
-from server.schemas import ArmBody, ArmView, PlanFrames, PlanRequest, PlanView
 from server.errors import UnavailableError
+from server.schemas import ArmBody, ArmView, PlanFrames, PlanRequest, PlanView
 
 router = APIRouter(tags=["plans"])
 

@@ -4,8 +4,8 @@ from typing import NoReturn
 
 from fastapi import APIRouter
 
-from server.schemas_history import PolicyView
 from server.errors import UnavailableError
+from server.schemas_history import PolicyView
 
 router = APIRouter(tags=["policies"])
 

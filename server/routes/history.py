@@ -1,13 +1,13 @@
 """History."""
 
-from typing import NoReturn
-
 from datetime import datetime
+from typing import NoReturn
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, StreamingResponse
 
 from machine.conventions import Mode
+from server.errors import UnavailableError
 from server.schemas_history import (
     GroupBy,
     ImpactRequest,
@@ -20,7 +20,6 @@ from server.schemas_history import (
     ThrowSeries,
     ThrowStats,
 )
-from server.errors import UnavailableError
 
 router = APIRouter(tags=["history"])
 

@@ -4,8 +4,8 @@ from typing import NoReturn
 
 from fastapi import APIRouter
 
-from server.schemas import CommandView, MachineView, StopView, TargetRequest, TargetView
 from server.errors import UnavailableError
+from server.schemas import CommandView, MachineView, StopView, TargetRequest, TargetView
 
 router = APIRouter(tags=["machines"])
 

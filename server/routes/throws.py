@@ -4,8 +4,8 @@ from typing import NoReturn
 
 from fastapi import APIRouter
 
-from server.schemas import FireView
 from server.errors import UnavailableError
+from server.schemas import FireView
 
 router = APIRouter(tags=["throws"])
 

@@ -1,0 +1,37 @@
+"""Runs migrations on the database that the caller names (server.database, `downrange db`)."""
+
+from alembic import context
+from sqlalchemy import Connection
+
+from server.database import Database
+from server.models import Base
+from server.settings import load_settings
+
+
+def _run(connection: Connection) -> None:
+    context.configure(
+        connection=connection,
+        target_metadata=Base.metadata,
+        # SQLite cannot alter columns in place: Alembic copies the table instead.
+        render_as_batch=connection.dialect.name == "sqlite",
+        compare_type=True,
+        transaction_per_migration=True,
+    )
+    with context.begin_transaction():
+        context.run_migrations()
+
+
+def _main() -> None:
+    if context.is_offline_mode():
+        raise SystemExit("migrations need the database; there is no offline mode")
+    given = context.config.attributes.get("url")
+    database = Database(given or load_settings().resolved_database_url)
+    try:
+        with database.engine.connect() as connection:
+            _run(connection)
+            connection.commit()
+    finally:
+        database.close()
+
+
+_main()

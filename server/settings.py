@@ -1,0 +1,124 @@
+"""Settings of the web service: from the environment alone, checked, printed with secrets hidden.
+
+Operator preferences are in the database, machine truth in spec.json; neither is here.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from machine.errors import UsageError
+
+PREFIX = "DOWNRANGE_"
+CHECKOUT = Path(__file__).resolve().parents[1]
+"""The folder that holds policies, migrations and the built console beside the packages."""
+
+
+class Settings(BaseSettings):
+    """Each field is the environment variable DOWNRANGE_ + its name in capitals."""
+
+    model_config = SettingsConfigDict(env_prefix=PREFIX, extra="forbid", frozen=True, populate_by_name=True)
+
+    data_dir: Path = Path("data")
+    """Database, throw logs, machine secrets, lock file."""
+    database_url: SecretStr | None = None
+    """`postgresql://user:password@host/name`; SQLite in the data folder if not set."""
+    database_upgrade: bool = False
+    """Upgrade an older database at start (the demo does); else that is refused."""
+    host: str = "127.0.0.1"
+    port_count: int = Field(default=8000, ge=0, le=65535, alias="DOWNRANGE_PORT")
+    origins: Annotated[tuple[str, ...], NoDecode] = ()
+    """Exact origins of browsers, comma separated; this host's own when empty."""
+    secure_cookie: bool = False
+    """Send the session cookie over HTTPS only; set it wherever a TLS proxy stands in front."""
+    site: str = Field(default="yard", pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")
+    link_listen: str = "tcp/127.0.0.1:7447"
+    """Zenoh endpoint at which machines call in."""
+    machine_slot_count: int = Field(default=16, ge=1, le=1000)
+    """Machine accounts m001.. made at first start; the link's access rules cannot grow while it runs."""
+    policies_dir: Path = CHECKOUT / "policies"
+    web_dir: Path = CHECKOUT / "web" / "dist"
+    preview_worker_count: int = Field(default=2, ge=1, le=16)
+    session_s: float = Field(default=12 * 3600.0, gt=0.0)
+    lease_ttl_s: float = Field(default=15.0, gt=0.0)
+    lease_idle_s: float = Field(default=600.0, gt=0.0)
+    plan_ttl_s: float = Field(default=300.0, gt=0.0)
+    log_max_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
+    """Largest throw log that a machine may upload."""
+
+    @field_validator("origins", mode="before")
+    @classmethod
+    def _split(cls, value: object) -> object:
+        if isinstance(value, str):
+            return tuple(part.strip().rstrip("/") for part in value.split(",") if part.strip())
+        return value
+
+    @property
+    def resolved_database_url(self) -> str:
+        """The database's URL with its driver."""
+        if self.database_url is None:
+            return f"sqlite:///{(self.data_dir / 'downrange.db').resolve()}"
+        url = self.database_url.get_secret_value()
+        for prefix in ("postgresql://", "postgres://"):
+            if url.startswith(prefix):
+                return "postgresql+psycopg://" + url.removeprefix(prefix)
+        return url
+
+    @property
+    def allowed_origins(self) -> frozenset[str]:
+        """Origins from which a browser may write."""
+        if self.origins:
+            return frozenset(self.origins)
+        hosts = {"127.0.0.1", "localhost"}
+        if self.host not in ("0.0.0.0", "::", ""):
+            hosts.add(f"[{self.host}]" if ":" in self.host else self.host)
+        return frozenset(f"http://{host}:{self.port_count}" for host in hosts)
+
+    def lines(self) -> list[str]:
+        """The settings for people, secrets hidden."""
+        return [
+            f"{variable_name(name)}={getattr(self, name)}" for name in type(self).model_fields
+        ]
+
+
+def variable_name(field: str) -> str:
+    """The environment variable of a field."""
+    return Settings.model_fields[field].alias or PREFIX + field.upper()
+
+
+def load_settings(
+    environment: Mapping[str, str] | None = None, **overrides: Any
+) -> Settings:
+    """Read the settings.
+
+    Args:
+        environment: where the variables are looked for when checking their names; the process's.
+        overrides: fields that the command line sets.
+
+    Raises:
+        UsageError: a variable DOWNRANGE_* that is none, or a value that cannot be used.
+    """
+    found = os.environ if environment is None else environment
+    known = {variable_name(name) for name in Settings.model_fields}
+    unknown = sorted(name for name in found if name.startswith(PREFIX) and name not in known)
+    if unknown:
+        raise UsageError(
+            f"unknown setting {', '.join(unknown)}; known are {', '.join(sorted(known))}"
+        )
+    values = {
+        Settings.model_fields[name].alias or name: value
+        for name, value in overrides.items()
+        if value is not None
+    }
+    try:
+        return Settings(**values)
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}"
+            for item in error.errors()
+        )
+        raise UsageError(f"settings cannot be used: {problems}") from error
