@@ -1,0 +1,74 @@
+// Runs before the viewer in its iframe: keeps it to our own server, keeps it reconnecting, and joins it
+// to the console around it (same origin). What it tells the console stands in docs/viewer.md.
+(() => {
+  "use strict";
+  const theme = new URLSearchParams(location.search).get("theme");
+  if (theme === "dark" || theme === "light") document.documentElement.dataset.theme = theme;
+  // The viewer takes a server's address from the query; ours is the only one there is.
+  history.replaceState(null, "", location.pathname);
+
+  let isEnded = false;
+  const tell = (state, detail = "") => {
+    if (window.parent !== window) {
+      window.parent.postMessage({ source: "downrange-viewer", state, detail }, location.origin);
+    }
+  };
+
+  // The viewer retries only while its document has the focus; in an iframe it seldom does.
+  document.hasFocus = () => !isEnded && document.visibilityState === "visible";
+  document.addEventListener("visibilitychange", () => window.dispatchEvent(new Event("focus")));
+
+  const closed = async () => {
+    tell("disconnected");
+    try {
+      const answer = await fetch("/viewer/status", { headers: { Accept: "application/json" } });
+      if (answer.status === 401) {
+        isEnded = true;
+        tell("signed_out");
+        window.dispatchEvent(new Event("blur"));
+      }
+    } catch {
+      // The server is away; the viewer keeps trying once a second.
+    }
+  };
+  const NativeWorker = window.Worker;
+  window.Worker = class extends NativeWorker {
+    constructor(...args) {
+      super(...args);
+      let isDrawn = false;
+      this.addEventListener("message", ({ data }) => {
+        if (data?.type === "connected") {
+          isDrawn = false;
+          tell("connected");
+        } else if (data?.type === "message_batch" && !isDrawn) {
+          isDrawn = data.messages.some((message) => message.name?.startsWith("/live/"));
+          if (isDrawn) tell("drawn");
+        } else if (data?.type === "closed") {
+          closed();
+        }
+      });
+    }
+  };
+
+  // Keys belong to the console: STOP, hold to throw and nudging work wherever the focus is.
+  for (const type of ["keydown", "keyup"]) {
+    window.addEventListener(
+      type,
+      (event) => {
+        event.stopImmediatePropagation();
+        if (window.parent === window) return;
+        const { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat } = event;
+        const init = { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat, bubbles: true, cancelable: true };
+        const copy = new window.parent.KeyboardEvent(type, init);
+        if (!window.parent.document.body.dispatchEvent(copy)) event.preventDefault();
+      },
+      { capture: true },
+    );
+  }
+  window.addEventListener("pointerup", () => {
+    if (window.parent !== window) setTimeout(() => window.parent.focus(), 0);
+  });
+
+  const probe = document.createElement("canvas");
+  if (!probe.getContext("webgl2")) tell("unsupported", "This browser shows no WebGL 2 graphics.");
+})();

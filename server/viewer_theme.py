@@ -1,0 +1,91 @@
+"""Colours and camera positions of the 3D view, for light and dark rooms. One accent; red is for faults."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Rgb = tuple[int, int, int]
+Vector = tuple[float, float, float]
+ThemeName = Literal["light", "dark"]
+CameraPreset = Literal["3d", "top", "side"]
+
+
+@dataclass(frozen=True)
+class Theme:
+    """sRGB 0..255; `server/viewer_page.css` repeats `haze` as the page's background."""
+
+    is_dark: bool
+    haze: Rgb
+    ground: Rgb
+    grid_cell: Rgb
+    grid_section: Rgb
+    dim: Rgb
+    dim_ratio: float
+    ring: Rgb
+    accent: Rgb
+    measured: Rgb
+    past: Rgb
+    zone: Rgb
+    lost: Rgb
+    light_intensity_ratio: float
+    sky_intensity_ratio: float
+    shadow_ratio: float
+
+
+THEMES: dict[ThemeName, Theme] = {
+    "light": Theme(
+        is_dark=False,
+        haze=(226, 231, 236),
+        ground=(205, 208, 209),
+        grid_cell=(190, 194, 197),
+        grid_section=(168, 173, 178),
+        dim=(70, 80, 92),
+        dim_ratio=0.26,
+        ring=(52, 60, 70),
+        accent=(24, 100, 190),
+        measured=(20, 24, 30),
+        past=(110, 118, 128),
+        zone=(176, 96, 0),
+        lost=(120, 126, 134),
+        light_intensity_ratio=2.2,
+        sky_intensity_ratio=0.55,
+        shadow_ratio=0.35,
+    ),
+    "dark": Theme(
+        is_dark=True,
+        haze=(26, 29, 33),
+        ground=(52, 57, 63),
+        grid_cell=(66, 72, 79),
+        grid_section=(88, 95, 103),
+        dim=(8, 9, 11),
+        dim_ratio=0.45,
+        ring=(176, 184, 193),
+        accent=(92, 174, 255),
+        measured=(245, 247, 250),
+        past=(140, 148, 158),
+        zone=(255, 179, 71),
+        lost=(120, 126, 134),
+        light_intensity_ratio=1.7,
+        sky_intensity_ratio=0.35,
+        shadow_ratio=0.5,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera pose, frame `machine`."""
+
+    position_m: Vector
+    look_at_m: Vector
+    fov_rad: float
+
+
+VIEWPOINTS: dict[CameraPreset, Viewpoint] = {
+    # Over the operator's right shoulder, the throwing field ahead; the console's panel covers the right.
+    "3d": Viewpoint((-8.6, -14.6, 8.4), (4.3, -0.9, 0.6), 0.66),
+    # From far above with a narrow lens: close to a map. The hair's breadth of tilt keeps x upward.
+    "top": Viewpoint((3.7, 0.0, 52.0), (3.9, 0.0, 0.0), 0.52),
+    "side": Viewpoint((3.6, -27.0, 3.4), (3.6, 0.0, 1.9), 0.52),
+}
+MIN_ORBIT_M = 2.0
+MAX_ORBIT_M = 90.0
