@@ -1,0 +1,215 @@
+"""Zenoh configurations of both ends of the link: a router that knows its machines, and its clients.
+
+One function each, so that server, machine and tests cannot drift apart. No discovery of any kind: endpoints
+are explicit, users have passwords, and a machine can neither speak nor listen outside its own keys.
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from machine.channels import KEY_ROOT, machine_prefix
+from machine.errors import UsageError
+
+LEASE_MS = 1000
+"""Silence after which an end gives its peer up; measured: a frozen machine is seen after 0.76 s."""
+KEEP_ALIVE_COUNT = 4
+"""Keep-alive messages a lease: one may be late or lost without harm (ITU-T G.8013 asks for 3.5)."""
+RETRY_MIN_MS = 200
+RETRY_MAX_MS = 1000
+OPEN_TIMEOUT_MS = 1000
+"""Bound of one attempt to open a client session; the caller tries again."""
+
+NAME_PATTERN = re.compile(r"^[a-z0-9][a-z0-9_-]{0,31}$")
+"""Sites, machine ids, user names: one chunk of a key; no wildcard, no ':' (it ends a dictionary name)."""
+
+_MESSAGES = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RouterTls:
+    """Files of a router that listens on ``tls/...``; with `client_ca` machines must show certificates too."""
+
+    certificate: Path
+    private_key: Path
+    client_ca: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ClientTls:
+    """Files of a machine that connects to ``tls/...``."""
+
+    root_ca: Path
+    certificate: Path | None = None
+    private_key: Path | None = None
+
+
+def check_name(what: str, name: str) -> str:
+    """Return `name` if it can be one chunk of a key and a user name.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    if not NAME_PATTERN.match(name):
+        raise UsageError(
+            f"{what} {name!r} cannot be used: 1 to 32 of a-z 0-9 _ - and not first a sign"
+        )
+    return name
+
+
+def router_config(
+    *,
+    listen: Sequence[str],
+    users: Mapping[str, str],
+    machines: Iterable[str],
+    site: str,
+    dictionary_file: Path,
+    tls: RouterTls | None = None,
+    lease_ms: int = LEASE_MS,
+) -> zenoh.Config:
+    """Configuration of the router: passwords, and one rule a machine.
+
+    Args:
+        listen: Endpoints, e.g. ``("tcp/127.0.0.1:7447",)``.
+        users: User name -> password. Those who are not in `machines` are servers and may do everything
+            below ``downrange/v1``; the session that is the router itself needs no user.
+        machines: Machine ids; each is also the user name under which the machine connects.
+        site: Site of these machines.
+        dictionary_file: Where the passwords are written for Zenoh, mode 0600.
+        tls: Needed for ``tls/...`` endpoints.
+        lease_ms: What the router announces; machines notice a dead router after this time.
+
+    Raises:
+        UsageError: a name that cannot be used, or a machine without a password.
+    """
+    machine_ids = [check_name("machine id", name) for name in machines]
+    check_name("site", site)
+    missing = [name for name in machine_ids if name not in users]
+    if missing:
+        raise UsageError(
+            f"no password for {', '.join(missing)}: every machine needs one in `users`"
+        )
+    _write_dictionary(dictionary_file, users)
+    servers = [name for name in users if name not in set(machine_ids)]
+    config = _common(lease_ms)
+    config["mode"] = "router"
+    config["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
+    config["transport"]["auth"] = {"usrpwd": {"dictionary_file": str(dictionary_file)}}
+    config["access_control"] = _access_control(site, machine_ids, servers)
+    if tls is not None:
+        config["transport"]["link"]["tls"] = {
+            "listen_certificate": str(tls.certificate),
+            "listen_private_key": str(tls.private_key),
+            "enable_mtls": tls.client_ca is not None,
+            "root_ca_certificate": None if tls.client_ca is None else str(tls.client_ca),
+            "close_link_on_expiration": True,
+        }
+    return _built(config)
+
+
+def client_config(
+    *,
+    connect: Sequence[str],
+    user: str | None = None,
+    password: str | None = None,
+    tls: ClientTls | None = None,
+    lease_ms: int = LEASE_MS,
+) -> zenoh.Config:
+    """Configuration of a machine's (or an outside server's) session.
+
+    `zenoh.open` raises within about a second when no endpoint can be reached or the router refuses the
+    password (it does not say which); the caller tries again. Once open, Zenoh reconnects by itself.
+    """
+    config = _common(lease_ms)
+    config["mode"] = "client"
+    config["connect"] = {
+        "endpoints": list(connect),
+        "timeout_ms": OPEN_TIMEOUT_MS,
+        "exit_on_failure": False,
+        "retry": {
+            "period_init_ms": RETRY_MIN_MS,
+            "period_max_ms": RETRY_MAX_MS,
+            "period_increase_factor": 2,
+        },
+    }
+    if user is not None:
+        config["transport"]["auth"] = {"usrpwd": {"user": user, "password": password or ""}}
+    if tls is not None:
+        config["transport"]["link"]["tls"] = {
+            "root_ca_certificate": str(tls.root_ca),
+            "connect_certificate": None if tls.certificate is None else str(tls.certificate),
+            "connect_private_key": None if tls.private_key is None else str(tls.private_key),
+        }
+    return _built(config)
+
+
+def _common(lease_ms: int) -> dict[str, Any]:
+    return {
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "adminspace": {"enabled": False},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {"tx": {"lease": lease_ms, "keep_alive": KEEP_ALIVE_COUNT}},
+        },
+    }
+
+
+def _access_control(site: str, machines: list[str], servers: list[str]) -> dict[str, Any]:
+    rules = [_rule(name, f"{machine_prefix(site, name)}/**") for name in machines]
+    subjects = [{"id": name, "usernames": [name]} for name in machines]
+    policies = [{"rules": [name], "subjects": [name]} for name in machines]
+    if servers:
+        # Machine ids are lower case, so this name cannot be one of theirs.
+        rules.append(_rule("Servers", f"{KEY_ROOT}/**"))
+        subjects.append({"id": "Servers", "usernames": servers})
+        policies.append({"rules": ["Servers"], "subjects": ["Servers"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _rule(name: str, key: str) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": list(_MESSAGES),
+        "key_exprs": [key],
+    }
+
+
+def _write_dictionary(path: Path, users: Mapping[str, str]) -> None:
+    for name, password in users.items():
+        check_name("user", name)
+        if not password or "\n" in password or ":" in password:
+            raise UsageError(f"the password of {name} is empty or holds ':' or a line break")
+    text = "".join(f"{name}:{password}\n" for name, password in users.items())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        os.fchmod(file.fileno(), 0o600)
+        file.write(text)
+
+
+def _built(config: dict[str, Any]) -> zenoh.Config:
+    return zenoh.Config.from_json5(json.dumps(config))

@@ -1,0 +1,146 @@
+"""The router's passwords and rules, against a real router and real sessions."""
+
+import socket
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from machine.channels import machine_key
+from machine.errors import UsageError
+from runtime.zenoh_config import client_config, router_config
+
+SITE = "yard"
+USERS = {"m001": "one", "m002": "two", "server": "three"}
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def router(tmp_path: Path, endpoint: str) -> Iterator[zenoh.Session]:
+    config = router_config(
+        listen=[endpoint],
+        users=USERS,
+        machines=["m001", "m002"],
+        site=SITE,
+        dictionary_file=tmp_path / "users.txt",
+    )
+    with zenoh.open(config) as session:
+        yield session
+
+
+def wait_for(condition, timeout_s: float = 5.0) -> bool:
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return bool(condition())
+
+
+def key(machine_id: str, name: str) -> str:
+    return machine_key(SITE, machine_id, name)
+
+
+@pytest.mark.parametrize(
+    ("user", "password"),
+    [("m001", "wrong"), ("nobody", "one"), (None, None), ("m001", "two")],
+)
+def test_wrong_credentials_are_refused(router, endpoint, user, password) -> None:
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(client_config(connect=[endpoint], user=user, password=password))
+
+
+def test_password_file_is_private(router, tmp_path) -> None:
+    assert stat.S_IMODE((tmp_path / "users.txt").stat().st_mode) == 0o600
+
+
+def test_machine_speaks_for_itself(router, endpoint) -> None:
+    states: list[str] = []
+    alive: list[str] = []
+    router.declare_subscriber(key("*", "state"), lambda s: states.append(str(s.key_expr)))
+    router.liveliness().declare_subscriber(
+        key("*", "alive"), lambda s: alive.append(str(s.key_expr)), history=True
+    )
+    with zenoh.open(client_config(connect=[endpoint], user="m001", password="one")) as machine:
+        token = machine.liveliness().declare_token(key("m001", "alive"))
+        publisher = machine.declare_publisher(key("m001", "state"))
+        publisher.put(b"{}")
+        assert wait_for(lambda: states and alive)
+        token.undeclare()
+    assert states == [key("m001", "state")]
+    assert set(alive) == {key("m001", "alive")}
+
+
+def test_machine_cannot_speak_or_listen_for_another(router, endpoint) -> None:
+    seen: list[str] = []
+    stolen: list[str] = []
+    for name in ("state", "joints"):
+        router.declare_subscriber(key("*", name), lambda s: seen.append(str(s.key_expr)))
+    router.liveliness().declare_subscriber(
+        key("*", "alive"), lambda s: seen.append(str(s.key_expr)), history=True
+    )
+    with zenoh.open(client_config(connect=[endpoint], user="m001", password="one")) as machine:
+        machine.liveliness().declare_token(key("m002", "alive"))
+        machine.declare_queryable(key("m002", "command"), lambda q: q.reply(q.key_expr, b"spoof"))
+        machine.declare_queryable(key("*", "command"), lambda q: q.reply(q.key_expr, b"spoof"))
+        for name in (key("m002", "heartbeat"), key("*", "heartbeat"), "downrange/**"):
+            machine.declare_subscriber(name, lambda s: stolen.append(str(s.key_expr)))
+        machine.declare_queryable(key("m001", "command"), lambda q: q.reply(q.key_expr, b"own"))
+        machine.put(key("m002", "state"), b"spoof")
+        # The own reply comes after the spoofed declarations on the same link: they have been judged by then.
+        assert wait_for(
+            lambda: (
+                [bytes(r.ok.payload) for r in router.get(key("m001", "command"), timeout=1.0)]
+                == [b"own"]
+            )
+        )
+        router.put(key("m002", "heartbeat"), b"secret")
+        assert not list(router.get(key("m002", "command"), timeout=0.3))
+        machine.put(key("m001", "joints"), b"last")
+        assert wait_for(lambda: key("m001", "joints") in seen)
+        assert not [name for name in seen if "m002" in name]
+        # A session hears its own puts without the router; only what the router sent would be stolen.
+        assert key("m002", "heartbeat") not in stolen
+
+
+def test_outside_server_reaches_all_machines(router, endpoint) -> None:
+    with (
+        zenoh.open(client_config(connect=[endpoint], user="m002", password="two")) as machine,
+        zenoh.open(client_config(connect=[endpoint], user="server", password="three")) as server,
+    ):
+        machine.declare_queryable(key("m002", "command"), lambda q: q.reply(q.key_expr, b"yes"))
+        assert wait_for(
+            lambda: (
+                [bytes(r.ok.payload) for r in server.get(key("m002", "command"), timeout=1.0)]
+                == [b"yes"]
+            )
+        )
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a:b", "A", "*", "m$1", "x" * 33])
+def test_unusable_machine_ids(tmp_path, name) -> None:
+    with pytest.raises(UsageError):
+        router_config(
+            listen=[],
+            users={name: "x"},
+            machines=[name],
+            site="yard",
+            dictionary_file=tmp_path / "u",
+        )
+
+
+@pytest.mark.parametrize("users", [{}, {"m001": ""}, {"m001": "a:b"}, {"m001": "a\nserver:x"}])
+def test_unusable_passwords(tmp_path, users) -> None:
+    with pytest.raises(UsageError):
+        router_config(
+            listen=[], users=users, machines=["m001"], site="yard", dictionary_file=tmp_path / "u"
+        )
