@@ -25,7 +25,7 @@ class Payload:
             / spec.ball.drag_coefficient_ratio
         )
         self._radius_m = spec.ball.radius_m
-        self._wind = np.asarray(profile.wind_m_per_s, dtype=np.float64)
+        self.wind_m_per_s = np.asarray(profile.wind_m_per_s, dtype=np.float64)
         self.surface_height_m = np.zeros(count)
         """Height of the ground the load lands on; a target off the ground raises it."""
         self.held = np.zeros(count, dtype=np.bool_)
@@ -40,7 +40,7 @@ class Payload:
         """True point of impact; already known while the load flies (`impact_t_ns` then lies ahead)."""
         self._velocity = np.full((count, 3), np.nan)
         self._delay_ns: IntArray = np.zeros(count, dtype=np.int64)
-        self._drag = np.full(count, self._drag_nominal_per_m)
+        self.drag_per_m: Array = np.full(count, self._drag_nominal_per_m)
         self._last_open = np.zeros(count, dtype=np.bool_)
         self._survey_error = np.zeros((count, 2))
 
@@ -49,7 +49,7 @@ class Payload:
         p = self._profile
         delay_s = p.release_delay_s + normal[:, 0] * p.release_delay_sd_s
         self._delay_ns = np.round(np.clip(delay_s, 0.0, None) * 1e9).astype(np.int64)
-        self._drag = self._drag_nominal_per_m * np.clip(
+        self.drag_per_m = self._drag_nominal_per_m * np.clip(
             1.0 + normal[:, 1] * p.spread.drag_sd_ratio, 0.0, None
         )
         self._survey_error = normal[:, 2:4] * p.noise.survey_sd_m
@@ -105,7 +105,7 @@ class Payload:
         self.held[rows] = False
         self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity
         plane = self.surface_height_m[rows] + self._radius_m
-        end = landing(position, velocity, plane, self._drag[rows], self._wind)
+        end = landing(position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s)
         lands = np.isfinite(end.time_s)
         self.flying[rows] = lands
         where = rows[lands]
@@ -117,7 +117,7 @@ class Payload:
         ).astype(np.int64)
         if self._tracked:
             self.position_m[rows], self._velocity[rows] = step_flight(
-                position, velocity, self._drag[rows], self._wind, late_s
+                position, velocity, self.drag_per_m[rows], self.wind_m_per_s, late_s
             )
 
     def fly(self, now_ns: int, tick_s: float, fresh: IntArray) -> None:
@@ -133,7 +133,11 @@ class Payload:
         rows = np.flatnonzero(moving)
         if rows.size:
             self.position_m[rows], self._velocity[rows] = step_flight(
-                self.position_m[rows], self._velocity[rows], self._drag[rows], self._wind, tick_s
+                self.position_m[rows],
+                self._velocity[rows],
+                self.drag_per_m[rows],
+                self.wind_m_per_s,
+                tick_s,
             )
 
     def survey(self, now_ns: int) -> tuple[IntArray, Array]:

@@ -122,6 +122,31 @@ def nominal_profile(spec: MachineSpec) -> TwinProfile:
     )
 
 
+def exact_profile(profile: TwinProfile) -> TwinProfile:
+    """The profile without anything random: the twin that the nominal throw runs on."""
+    nothing = (0.0, 0.0, 0.0, 0.0)
+    return profile.model_copy(
+        update={
+            "release_delay_sd_s": 0.0,
+            "noise": SensorNoise(
+                joint_position_sd_rad_m=nothing,
+                joint_velocity_sd_rad_m_per_s=nothing,
+                gyro_sd_rad_per_s=0.0,
+                accel_sd_m_per_s2=0.0,
+            ),
+            "spread": Spread(
+                start_position_sd_rad_m=nothing,
+                start_swing_sd_rad=(0.0, 0.0),
+                dead_time_sd_s=nothing,
+                natural_frequency_sd_ratio=nothing,
+                gain_sd_ratio=nothing,
+                friction_sd_ratio=0.0,
+                drag_sd_ratio=0.0,
+            ),
+        }
+    )
+
+
 def load_profile(path: Path) -> TwinProfile:
     """Read a profile.
 
