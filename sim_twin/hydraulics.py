@@ -44,7 +44,7 @@ STOP_STIFFNESS = np.array([0.0, 2.0e7, 1.0e7, 2.0e7])
 STOP_DAMPING = np.array([0.0, 2.0e5, 3.0e4, 6.0e4])
 START_PRESSURE_PA = 1.5e6
 """The lesser loaded chamber of a machine that has stood for a while."""
-SIZING_LOAD = np.array([2.0e3, 99.0e3, 22.0e3, -6.9e3])
+SIZING_LOAD = np.array([2.0e3, 99.0e3, 32.0e3, -6.9e3])
 """Actuator load (N m, N) that resists positive motion at 5.8 m reach: facts' 55 kN m at the boom."""
 SIZING_POSITION_RAD_M = np.array([0.0, 0.5, 0.0, 0.5])
 
@@ -130,39 +130,48 @@ class Hydraulics:
     """
 
     def __init__(self, spec: MachineSpec, unit: MachineUnit, count: int, step_s: float) -> None:
-        sizes = size_machine(spec)
-        self._step_s = step_s
-        self._area = sizes.area_m2
-        self._area_column = sizes.area_m2[:, None, :]
-        self._signed_area = self._area_column * np.array([1.0, -1.0])[:, None, None]
-        self._sizes = sizes
-        self._unit = unit
         h = spec.hydraulics
+        self._sizes = sizes = size_machine(spec)
+        self._area = sizes.area_m2
+        self._signed_area = sizes.area_m2[:, None, :] * np.array([1.0, -1.0])[:, None, None]
+        # The slew's circuit has no stroke: its volume is constant and it meets no cushion.
+        strokes = np.array([0.0, 1.0, 1.0, 1.0])
+        self._volume_area = sizes.area_m2[:, None, :] * strokes
+        self._per_cushion = strokes / CUSHION_STROKE_M
+        self._cushion_floor = np.where(strokes > 0.0, CUSHION_MIN_RATIO, 1.0)
+        self._unit = unit
         self._triangle = CylinderTriangle((h.boom_cylinder, h.dipper_cylinder))
         self._low, self._high = spec.position_range_rad_m
-        start, _ = self._triangle.length_and_lever(self._low[1:3])
-        self._length_low = start
+        self._length_low, _ = self._triangle.length_and_lever(self._low[1:3])
         self.spools = Spools(unit, count, step_s)
         self.pressure_pa = np.full((2, count, 4), START_PRESSURE_PA)
         self.rail_pa = np.full((count, 1), unit.supply_pressure_pa)
-        self._relief = np.array([unit.slew_relief_pressure_pa] + [PORT_RELIEF_PA] * 3)
-        self._lever = np.ones((count, 4))
-        self._extension = np.zeros((count, 4))
-        self._volume = np.zeros((2, count, 4))
-        self._cushion = np.zeros((2, count, 4))
-        self._gain = np.stack([unit.valve_gain_positive_ratio, unit.valve_gain_negative_ratio])
-        self._inlet = np.zeros((2, count, 4))
-        self._outlet = np.zeros((2, count, 4))
-        self._friction = np.zeros((count, 4))
+        self._relief_pa = np.array([unit.slew_relief_pressure_pa] + [PORT_RELIEF_PA] * 3)
+        self._valve_gain = np.stack(
+            [unit.valve_gain_positive_ratio, unit.valve_gain_negative_ratio]
+        )[:, None, :]
         viscous = VISCOUS_PRESSURE_PA_S * np.asarray(unit.viscous_friction_ratio)
         self._viscous = viscous * self._area[0]
+        self._bulk_step = unit.bulk_modulus_pa * step_s
         self._rail_gain = step_s * unit.bulk_modulus_pa / RAIL_VOLUME_M3
+        self._pump_m3_per_s, self._set_pa = unit.pump_flow_m3_per_s, unit.supply_pressure_pa
         self._pump_slope = unit.pump_flow_m3_per_s / PUMP_DROOP_PA
+        self._allocate(count)
+
+    def _allocate(self, count: int) -> None:
+        one, both = (count, 4), (2, count, 4)
+        self._lever, self._extension, self._speed = np.ones(one), np.zeros(one), np.zeros(one)
+        self._friction, self._force, self._work = np.zeros(one), np.zeros(one), np.zeros(one)
+        self._volume, self._cushion, self._soft = np.zeros(both), np.zeros(both), np.zeros(both)
+        self._inlet, self._outlet = np.zeros(both), np.zeros(both)
+        self._from_rail, self._to_tank, self._relief = np.zeros(both), np.zeros(both), np.zeros(both)
+        self._inflow, self._gain_sum, self._both = np.zeros(both), np.zeros(both), np.zeros(both)
+        self._is_lower = np.zeros(both, dtype=np.bool_)
 
     def reset(self, position_rad_m: Array, load_torque: Array, conditions: ThrowConditions) -> None:
         """Stand still at active positions (N, 4) against loads (N, 4) that resist positive motion, N m, N."""
         self.spools.reset(conditions)
-        flow = conditions.flow_ratio * self._gain[:, None, :]
+        flow = conditions.flow_ratio * self._valve_gain
         self._inlet = self._sizes.inlet[:, None, :] * flow
         # The edge of chamber [0] to tank opens with negative motion, and has that direction's gain.
         self._outlet = self._sizes.outlet[:, None, :] * flow[::-1]
@@ -181,71 +190,112 @@ class Hydraulics:
         """Advance one step; active positions, velocities, valve commands (N, 4) -> joint torque (N, 4)."""
         opening = self.spools.step(command_ratio)
         self._geometry(position_rad_m)
-        speed = velocity_rad_m_per_s * self._lever
-        pressure = self.pressure_pa
-        inlet = self._inlet * opening
-        inlet /= np.sqrt(np.maximum(self.rail_pa - pressure, 0.0) + LAMINAR_PRESSURE_PA)
+        speed = self._speed
+        np.multiply(velocity_rad_m_per_s, self._lever, out=speed)
+        self._conduct(opening)
+        self._step_rail()
+        self._step_chambers(speed)
+        force, work = self._force, self._work
+        np.multiply(self.pressure_pa[0], self._area[0], out=force)
+        np.multiply(self.pressure_pa[1], self._area[1], out=work)
+        force -= work
+        np.multiply(speed, 1.0 / FRICTION_SPEED, out=work)
+        np.tanh(work, out=work)
+        work *= self._friction
+        force -= work
+        np.multiply(speed, self._viscous, out=work)
+        force -= work
+        force *= self._lever
+        np.maximum(position_rad_m, self._low, out=work)
+        np.minimum(work, self._high, out=work)
+        np.subtract(position_rad_m, work, out=work)
+        if work.any():
+            force -= STOP_STIFFNESS * work
+            force -= STOP_DAMPING * velocity_rad_m_per_s * (work != 0.0)
+        return force
+
+    def _conduct(self, opening_ratio: Array) -> None:
+        """Conductances Q / dp of rail edges and of all ways to tank and relief at the last pressures."""
+        pressure, work, inlet, tank = self.pressure_pa, self._both, self._from_rail, self._to_tank
+        np.subtract(self.rail_pa, pressure, out=work)
+        np.greater(work, 0.0, out=self._is_lower)
+        work += LAMINAR_PRESSURE_PA
+        np.maximum(work, LAMINAR_PRESSURE_PA, out=work)
+        np.sqrt(work, out=work)
+        np.multiply(self._inlet, opening_ratio, out=inlet)
+        inlet /= work
         # Load-holding checks: oil does not flow back from a chamber to the rail.
-        inlet *= pressure < self.rail_pa
-        outlet = self._outlet * opening[::-1] * self._cushion
-        outlet /= np.sqrt(np.abs(pressure - TANK_PRESSURE_PA) + LAMINAR_PRESSURE_PA)
-        outlet += CHECK_CONDUCTANCE_M3_PER_S_PA * (pressure < TANK_PRESSURE_PA)
-        relief = RELIEF_CONDUCTANCE_M3_PER_S_PA * (pressure > self._relief)
-        self._step_rail(inlet, pressure)
-        stiffness = self._unit.bulk_modulus_pa * self._step_s / self._volume
-        stiffness *= (pressure + AIR_PRESSURES_PA[0]) / (pressure + AIR_PRESSURES_PA[1])
-        leak = LEAK_CONDUCTANCE_M3_PER_S_PA
-        gain = inlet + outlet + relief + leak
-        inflow = inlet * self.rail_pa + outlet * TANK_PRESSURE_PA + relief * self._relief
-        inflow += leak * pressure[::-1]
-        inflow -= self._signed_area * speed
-        inflow *= stiffness
+        inlet *= self._is_lower
+        np.subtract(pressure, TANK_PRESSURE_PA, out=work)
+        np.less(work, 0.0, out=self._is_lower)
+        np.abs(work, out=work)
+        work += LAMINAR_PRESSURE_PA
+        np.sqrt(work, out=work)
+        np.multiply(self._outlet, opening_ratio[::-1], out=tank)
+        tank *= self._cushion
+        tank /= work
+        np.multiply(self._is_lower, CHECK_CONDUCTANCE_M3_PER_S_PA, out=work)
+        tank += work
+        np.greater(pressure, self._relief_pa, out=self._is_lower)
+        np.multiply(self._is_lower, RELIEF_CONDUCTANCE_M3_PER_S_PA, out=self._relief)
+
+    def _step_chambers(self, speed: Array) -> None:
+        """Implicit pressures: p' = (p + k (sum G p_source - A w)) / (1 + k sum G), k = dt beta / V."""
+        pressure, inflow, gain, work = self.pressure_pa, self._inflow, self._gain_sum, self._both
+        np.add(pressure, AIR_PRESSURES_PA[0], out=self._soft)
+        np.add(pressure, AIR_PRESSURES_PA[1], out=work)
+        work *= self._volume
+        self._soft /= work
+        self._soft *= self._bulk_step
+        np.multiply(self._from_rail, self.rail_pa, out=inflow)
+        np.multiply(self._to_tank, TANK_PRESSURE_PA, out=work)
+        inflow += work
+        np.multiply(self._relief, self._relief_pa, out=work)
+        inflow += work
+        np.multiply(pressure[::-1], LEAK_CONDUCTANCE_M3_PER_S_PA, out=work)
+        inflow += work
+        np.multiply(self._signed_area, speed, out=work)
+        inflow -= work
+        inflow *= self._soft
         inflow += pressure
-        gain *= stiffness
+        np.add(self._from_rail, self._to_tank, out=gain)
+        gain += self._relief
+        gain += LEAK_CONDUCTANCE_M3_PER_S_PA
+        gain *= self._soft
         gain += 1.0
         np.divide(inflow, gain, out=pressure)
         np.maximum(pressure, 0.0, out=pressure)
-        force = (self._signed_area * pressure).sum(0)
-        force -= self._friction * np.tanh(speed / FRICTION_SPEED)
-        force -= self._viscous * speed
-        force *= self._lever
-        beyond = position_rad_m - np.clip(position_rad_m, self._low, self._high)
-        if beyond.any():
-            force -= STOP_STIFFNESS * beyond
-            force -= STOP_DAMPING * velocity_rad_m_per_s * (beyond != 0.0)
-        return force
 
     def flow_m3_per_s(self, velocity_rad_m_per_s: Array) -> Array:
         """Oil (N, 4) that the filling chambers swallow at joint velocities (N, 4), last geometry."""
         speed = velocity_rad_m_per_s * self._lever
         return np.where(speed >= 0.0, self._area[0], self._area[1]) * np.abs(speed)
 
-    def _step_rail(self, inlet: Array, pressure: Array) -> None:
+    def _step_rail(self) -> None:
         """Implicit rail pressure; the pump gives min(full flow, slope (set - rail)), so the lesser wins."""
-        taken = inlet.sum((0, 2))[:, None]
-        back = (inlet * pressure).sum((0, 2))[:, None]
-        unit, gain, slope = self._unit, self._rail_gain, self._pump_slope
-        source = self.rail_pa + gain * back
-        throttled = source + gain * slope * unit.supply_pressure_pa
-        throttled /= 1.0 + gain * (slope + taken)
-        limited = (source + gain * unit.pump_flow_m3_per_s) / (1.0 + gain * taken)
-        np.minimum(throttled, limited, out=self.rail_pa)
+        gain, slope = self._rail_gain, self._pump_slope
+        taken = gain * np.einsum("snj->n", self._from_rail)
+        back = gain * np.einsum("snj,snj->n", self._from_rail, self.pressure_pa)
+        back += self.rail_pa[:, 0]
+        limited = (back + gain * self._pump_m3_per_s) / (1.0 + taken)
+        back += gain * slope * self._set_pa
+        taken += 1.0 + gain * slope
+        back /= taken
+        np.minimum(back, limited, out=self.rail_pa[:, 0])
 
     def _geometry(self, position_rad_m: Array) -> None:
         """Levers, chamber volumes and end cushions at active positions (N, 4)."""
         length, lever = self._triangle.length_and_lever(position_rad_m[:, 1:3])
         np.abs(lever, out=self._lever[:, 1:3])
-        extension = self._extension
-        np.abs(length - self._length_low, out=extension[:, 1:3])
+        extension, stroke, volume = self._extension, self._sizes.stroke_m, self._volume
+        length -= self._length_low
+        np.abs(length, out=extension[:, 1:3])
         np.subtract(position_rad_m[:, 3], self._low[3], out=extension[:, 3])
-        np.clip(extension, 0.0, self._sizes.stroke_m, out=extension)
-        volume = self._volume
-        volume[0] = extension
-        np.subtract(self._sizes.stroke_m, extension, out=volume[1])
-        np.multiply(volume, 1.0 / CUSHION_STROKE_M, out=self._cushion)
-        np.clip(self._cushion, CUSHION_MIN_RATIO, 1.0, out=self._cushion)
-        # The slew's "stroke" is no volume and has no end.
-        self._cushion[:, :, 0] = 1.0
-        volume *= self._area_column
-        volume[:, :, 0] = 0.0
+        np.maximum(extension, 0.0, out=extension)
+        np.minimum(extension, stroke, out=volume[0])
+        np.subtract(stroke, volume[0], out=volume[1])
+        np.multiply(volume, self._per_cushion, out=self._cushion)
+        self._cushion += self._cushion_floor
+        np.minimum(self._cushion, 1.0, out=self._cushion)
+        volume *= self._volume_area
         volume += DEAD_VOLUME_M3

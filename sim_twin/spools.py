@@ -8,7 +8,7 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.units import MachineUnit, ThrowConditions
 
-FULL_STROKE_S = 0.05
+FULL_STROKE_S = 0.10
 """Fastest full stroke of a spool (servo-piloted main stage, assumed)."""
 MAX_DEAD_TIME_S = 0.30
 
