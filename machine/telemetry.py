@@ -39,3 +39,18 @@ POLICY_ROW = np.dtype(
         ("action_ratio", np.float64, 5),  # 3D: 4 joints + release; 2D: 3 joints + release, then 0
     ]
 )
+
+IMU_ROW = np.dtype(
+    [
+        ("t_mono_ns", np.int64),  # sample time, machine clock
+        ("gyro_rad_per_s", np.float64, 3),  # gripper frame, as driver.SensorSample
+        ("accel_m_per_s2", np.float64, 3),  # specific force, gripper frame
+    ]
+)
+
+BALL_ROW = np.dtype(
+    [
+        ("t_mono_ns", np.int64),  # sample time, machine clock
+        ("position_m", np.float64, 3),  # frame `machine`
+    ]
+)
