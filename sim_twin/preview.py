@@ -20,6 +20,8 @@ from machine.reach import check_target
 from machine.spec import MachineSpec
 from runtime.control_loop import ControlOutputs, ControlParams
 from runtime.driver import SensorSample, SimulatedDriver
+from runtime.imu_estimator import swing_frequency_rad_per_s
+from runtime.swing_control import ALIGN_SPEED_RAD_PER_S, turn_profile
 from sim_twin.campaign import Outcome, ThrowResult, landing_ellipse, run_throws
 from sim_twin.clearances import Clearance, limit_clearances, solid_clearances
 from sim_twin.profile import TwinProfile, exact_profile
@@ -34,10 +36,6 @@ MISS_LIMIT_M = 0.5
 BAD_THROW_LIMIT_RATIO = 0.05
 """Share of the ellipse's throws that may end badly."""
 ALIGNED_RAD = 0.01
-TURN_RAMP_S = 1.9
-"""Ramp of the cabin turn before a 2D throw: one swing period leaves the gripper plumb."""
-TURN_SPEED_RATIO = 0.5
-"""Share of the slew speed limit used for that turn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,33 +158,26 @@ def _start(request: PreviewRequest) -> tuple[Array, Array]:
     aligned[0] += distance
     if abs(distance) < ALIGNED_RAD:
         return aligned, np.zeros((0, JOINT_COUNT))
-    slew = pose[0] + turn_angles_rad(distance, _turn_speed(spec))
+    slew = pose[0] + turn_angles_rad(spec, distance)
     frames = np.repeat(pose[None], slew.size, axis=0)
     frames[:, 0] = slew
     return aligned, frames
 
 
-def _turn_speed(spec: MachineSpec) -> float:
-    return TURN_SPEED_RATIO * min(
-        spec.limits.speed_positive_rad_m_per_s[0], spec.limits.speed_negative_rad_m_per_s[0]
-    )
-
-
-def turn_angles_rad(distance_rad: float, speed_rad_per_s: float) -> Array:
-    """Angles (T,) of a turn from rest to rest, one a frame: ramp, constant speed, ramp.
+def turn_angles_rad(spec: MachineSpec, turn_rad: float) -> Array:
+    """Angles (T,) of the turn that ALIGN plans, one a frame, from 0 to `turn_rad`.
 
     The turn before a 2D throw is drawn, not simulated: it ends at rest, and the throw is then simulated.
     """
-    length = abs(distance_rad)
-    cruise_s = max(length / speed_rad_per_s - TURN_RAMP_S, 0.0)
-    speed = length / (TURN_RAMP_S + cruise_s)
-    total_s = 2.0 * TURN_RAMP_S + cruise_s
-    t = np.arange(0.0, total_s, FRAME_PERIOD_S)
-    up = np.minimum(t, TURN_RAMP_S)
-    flat = np.clip(t - TURN_RAMP_S, 0.0, cruise_s)
-    down = np.clip(t - TURN_RAMP_S - cruise_s, 0.0, TURN_RAMP_S)
-    gone = speed * (up**2 / (2 * TURN_RAMP_S) + flat + down - down**2 / (2 * TURN_RAMP_S))
-    return math.copysign(1.0, distance_rad) * gone
+    ramp_s = turn_ramp_s(spec)
+    total_s = ramp_s + abs(turn_rad) / ALIGN_SPEED_RAD_PER_S
+    time_s = np.arange(0.0, total_s, FRAME_PERIOD_S)
+    return turn_profile(time_s, np.full(time_s.size, turn_rad), ramp_s)[0]
+
+
+def turn_ramp_s(spec: MachineSpec) -> float:
+    """Ramp of the planned turn: one swing period, the mean of both axes."""
+    return 2.0 * math.pi / (0.5 * sum(swing_frequency_rad_per_s(spec)))
 
 
 class _Frames:
