@@ -6,15 +6,43 @@ eighth tick of a throw. It keeps no clock, does no I/O and decides no motion: th
 
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.calibration import ValveCalibration
-from machine.conventions import Array, BoolArray, IntArray, Mode
+from machine.calibration import ValveCalibration, actuator_ratio
+from machine.conventions import (
+    CONTROL_PERIOD_S,
+    Array,
+    BoolArray,
+    IntArray,
+    Mode,
+    Motion,
+    wrap_angle_rad,
+)
+from machine.errors import PolicyError
+from machine.kinematics import aligned_slew_rad
 from machine.spec import MachineSpec
+from machine.telemetry import CONTROL_ROW
+from runtime import imu_estimator, safety, swing_control
+from runtime.arm_motion import ArmMotion
 from runtime.driver import SensorSample, ValveCommand
 from runtime.policy import PolicyRunner
+from runtime.policy_step import (
+    PolicyInputs,
+    PolicyOutputs,
+    ThrowMemory,
+    initial_throw,
+    run_policies,
+)
+from runtime.velocity_controller import ControllerState, VelocityController, shape_with_ratio
+
+RELEASE_WAIT_S = 0.6
+"""The load leaves 0.258 s after the command (paper, III-F); a throw whose switch never says so ends here."""
+IMU_AGE_MAX_S = 0.15
+"""Older than any burst of lost packets that the extrapolation can bridge."""
+SPEED_FILTER_S = 0.10
 
 
 class Violation(IntFlag):
@@ -25,12 +53,12 @@ class Violation(IntFlag):
     SWING = 2
     """The gripper swung beyond `spec.limits.swing_rad`."""
     IMU = 4
-    """No usable gripper IMU sample for too long while the policy drives."""
+    """No usable gripper IMU sample for too long while it is needed."""
     POLICY = 8
     """The policy gave a number that is not finite."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ControlParams:
     """What stays constant while machines are controlled."""
 
@@ -39,6 +67,19 @@ class ControlParams:
     mode: Mode
     policy: PolicyRunner | None
     """Needed for THROW only."""
+
+    def __post_init__(self) -> None:
+        """Refuse a policy of the other mode."""
+        if self.policy is not None and self.policy.card.mode is not self.mode:
+            raise PolicyError(
+                f"policy {self.policy.card.policy_id} is for mode {self.policy.card.mode.value}, "
+                f"the control step runs mode {self.mode.value}; load the policy of that mode"
+            )
+
+    @cached_property
+    def controller(self) -> VelocityController:
+        """Velocity controller with this machine's tables inverted."""
+        return VelocityController(self.spec, self.calibration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +99,7 @@ class ControlOutputs:
 
     command: ValveCommand
     row: NDArray[np.void]
-    """(N,) telemetry.CONTROL_ROW"""
+    """(N,) telemetry.CONTROL_ROW; tick_count counts from `initial_state`."""
     policy_row: NDArray[np.void] | None
     """(N,) telemetry.POLICY_ROW where any policy ran this tick; t_mono_ns 0 where this machine's did not."""
     release_commanded: BoolArray
@@ -73,27 +114,248 @@ class ControlOutputs:
     """(N,) SETTLE has come to rest in the safe pose."""
     violation_count: IntArray
     """(N,) bits of `Violation`."""
+    motion_time_s: Array
+    """(N,) since the present motion began."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControlState:
     """What the control step remembers from tick to tick; opaque, made by `initial_state`."""
 
+    tick_count: int
+    motion: IntArray
+    motion_tick_count: IntArray
+    speed_rad_m_per_s: Array
+    """(N, 4) filtered."""
+    imu: imu_estimator.ImuState
+    swing: swing_control.SwingState
+    throw: ThrowMemory
+    controller: ControllerState
+    safety: safety.SafetyMemory
+
+
+@dataclass(frozen=True, slots=True)
+class _Sensed:
+    """What the sensors of one tick mean."""
+
+    arm: ArmMotion
+    imu: imu_estimator.ImuEstimate
+    filtered_speed: Array
+    position: Array
+    """(N, 6) all joints."""
+    velocity: Array
+    begins: BoolArray
+    motion_tick: IntArray
+
 
 def initial_state(
     params: ControlParams, sample: SensorSample, target_m: Array, now_ns: int
 ) -> ControlState:
-    """Memory of machines (N) about which nothing is known but one sample."""
-    raise NotImplementedError
+    """Memory of machines that hold, and about which nothing is known but one sample.
+
+    Args:
+        params: constants.
+        sample: of this moment; the gripper is taken to be at rest.
+        target_m: (N, 3); only its length is used.
+        now_ns: the moment.
+    """
+    count = target_m.shape[0]
+    arm = ArmMotion.of(params.spec, sample)
+    imu, _ = imu_estimator.update(
+        params.spec,
+        imu_estimator.initial_imu(sample),
+        sample,
+        arm.velocity_rad_m_per_s,
+        arm.radius_m,
+        now_ns,
+    )
+    return ControlState(
+        tick_count=0,
+        motion=np.full(count, int(Motion.HOLD)),
+        motion_tick_count=np.zeros(count, dtype=np.int64),
+        speed_rad_m_per_s=sample.joint_velocity_rad_m_per_s,
+        imu=imu,
+        swing=swing_control.initial_swing(sample.joint_position_rad_m[:, 0]),
+        throw=initial_throw(params.mode, count),
+        controller=params.controller.initial(count),
+        safety=safety.closed_memory(count),
+    )
 
 
 def step(
     params: ControlParams, state: ControlState, inputs: ControlInputs, now_ns: int
 ) -> tuple[ControlState, ControlOutputs]:
-    """One tick of 10 ms for N machines; pure."""
-    raise NotImplementedError
+    """One tick of 10 ms for N machines; pure.
+
+    Raises:
+        PolicyError: a machine throws and there is no policy, or the policy cannot run.
+    """
+    spec, sample, motion = params.spec, inputs.sample, inputs.motion
+    active, speed = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
+    imu_state, sensed = _sense(params, state, inputs, now_ns)
+    policy = run_policies(
+        spec,
+        params.mode,
+        params.policy,
+        state.throw,
+        PolicyInputs(
+            sensed.position,
+            sensed.velocity,
+            inputs.target_m,
+            motion,
+            sensed.begins,
+            sensed.motion_tick,
+            now_ns,
+        ),
+    )
+    throw = policy.memory
+    swing, request, aligned, settled = _motions(params, state, inputs, sensed, throw)
+    ratio = np.abs(actuator_ratio(spec, active))
+    previous = state.controller.delay_line[0]
+    reference = shape_with_ratio(spec, request, previous, active, ratio, CONTROL_PERIOD_S)
+    controller, valve = params.controller.update(state.controller, reference, speed, ratio)
+    opening = throw.released & ((motion == Motion.THROW) | (motion == Motion.SETTLE))
+    memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
+    closed: BoolArray = np.not_equal(gated.intervention_count & int(safety.CLOSING), 0)
+    if closed.any():
+        # A machine whose valves were closed starts again from standstill, not from old wishes.
+        controller = controller.forget(closed)
+    gone = throw.released & ~sample.payload_held
+    waited = throw.released_tick_count >= round(RELEASE_WAIT_S / CONTROL_PERIOD_S)
+    after = ControlState(
+        tick_count=state.tick_count + 1,
+        motion=motion,
+        motion_tick_count=sensed.motion_tick,
+        speed_rad_m_per_s=sensed.filtered_speed,
+        imu=imu_state,
+        swing=swing,
+        throw=throw,
+        controller=controller,
+        safety=memory,
+    )
+    row = _row(state.tick_count, inputs, sensed, gated, now_ns)
+    row["velocity_request_rad_m_per_s"] = request
+    row["velocity_reference_rad_m_per_s"] = reference
+    row["valve_requested_ratio"] = valve
+    return after, ControlOutputs(
+        command=ValveCommand(gated.valve_ratio, gated.gripper_open),
+        row=row,
+        policy_row=policy.row,
+        release_commanded=throw.released,
+        load_gone=gone,
+        throw_done=throw.released & (gone | waited),
+        aligned=aligned,
+        settled=settled,
+        violation_count=_violations(spec, motion, sensed, policy, gated),
+        motion_time_s=np.multiply(sensed.motion_tick, CONTROL_PERIOD_S, dtype=np.float64),
+    )
 
 
 def next_motion(motion: IntArray, outputs: ControlOutputs) -> IntArray:
     """Motion (N,) of the next tick when nobody interferes: ALIGN -> THROW -> SETTLE; for rollouts."""
-    raise NotImplementedError
+    starts = (motion == Motion.ALIGN) & outputs.aligned
+    ends = (motion == Motion.THROW) & outputs.throw_done
+    return np.where(starts, int(Motion.THROW), np.where(ends, int(Motion.SETTLE), motion))
+
+
+def _sense(
+    params: ControlParams, state: ControlState, inputs: ControlInputs, now_ns: int
+) -> tuple[imu_estimator.ImuState, _Sensed]:
+    sample = inputs.sample
+    active, speed = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
+    arm = ArmMotion.of(params.spec, sample)
+    imu_state, imu = imu_estimator.update(
+        params.spec, state.imu, sample, arm.velocity_rad_m_per_s, arm.radius_m, now_ns
+    )
+    count = active.shape[0]
+    position, velocity = np.empty((count, 6)), np.empty((count, 6))
+    position[:, :4], velocity[:, :4] = active, speed
+    position[:, 4] = imu.swing_rad - active[:, 1] - active[:, 2]
+    velocity[:, 4] = imu.swing_rate_rad_per_s - speed[:, 1] - speed[:, 2]
+    position[:, 5], velocity[:, 5] = imu.roll_rad, imu.roll_rate_rad_per_s
+    blend = CONTROL_PERIOD_S / SPEED_FILTER_S
+    filtered = state.speed_rad_m_per_s + blend * (speed - state.speed_rad_m_per_s)
+    begins: BoolArray = np.not_equal(inputs.motion, state.motion)
+    ticks = np.where(begins, 0, state.motion_tick_count + 1)
+    return imu_state, _Sensed(arm, imu, filtered, position, velocity, begins, ticks)
+
+
+def _motions(
+    params: ControlParams,
+    state: ControlState,
+    inputs: ControlInputs,
+    sensed: _Sensed,
+    throw: ThrowMemory,
+) -> tuple[swing_control.SwingState, Array, BoolArray, BoolArray]:
+    """Velocity requests (N, 4) of whatever motion each machine runs, and whether it is done."""
+    spec, motion = params.spec, inputs.motion
+    active = inputs.sample.joint_position_rad_m
+    request = np.where((motion == Motion.THROW)[:, None], throw.request_rad_m_per_s, 0.0)
+    aligned = settled = np.zeros(motion.shape, dtype=np.bool_)
+    swing = state.swing
+    aligning, settling = motion == Motion.ALIGN, motion == Motion.SETTLE
+    if not (aligning.any() or settling.any()):
+        return swing, request, aligned, settled
+    if sensed.begins.any():
+        turn = np.zeros(motion.shape)
+        if params.mode is Mode.PLANAR:
+            target = np.where(aligning[:, None], inputs.target_m, (1.0, 0.0, 0.0))
+            turn = wrap_angle_rad(aligned_slew_rad(spec, target) - active[:, 0])
+        swing = swing_control.begin(swing, sensed.begins, active[:, 0], turn)
+    before, amplitude = swing, swing_control.swing_amplitude_rad(spec, sensed.imu)
+    if aligning.any():
+        swing, output = swing_control.align(spec, before, active, sensed.filtered_speed, amplitude)
+        request = np.where(aligning[:, None], output.request_rad_m_per_s, request)
+        aligned = aligning & output.done
+    if settling.any():
+        settled_swing, output = swing_control.settle(
+            spec, before, active, sensed.filtered_speed, sensed.arm, sensed.imu, amplitude
+        )
+        request = np.where(settling[:, None], output.request_rad_m_per_s, request)
+        settled = settling & output.done
+        swing = swing_control.choose(settling, settled_swing, swing)
+    return swing, request, aligned, settled
+
+
+def _violations(
+    spec: MachineSpec,
+    motion: IntArray,
+    sensed: _Sensed,
+    policy: PolicyOutputs,
+    gated: safety.SafetyOutput,
+) -> IntArray:
+    imu, limit = sensed.imu, spec.limits.swing_rad
+    needs_imu = (motion == Motion.THROW) | (motion == Motion.ALIGN)
+    swings = (np.abs(imu.swing_rad) > limit) | (np.abs(imu.roll_rad) > limit)
+    closing = int(safety.CLOSING & ~safety.Intervention.STOPPED)
+    return (
+        np.where(gated.intervention_count & closing, int(Violation.SAFETY), 0)
+        + np.where(needs_imu & swings, int(Violation.SWING), 0)
+        + np.where(needs_imu & (imu.age_s > IMU_AGE_MAX_S), int(Violation.IMU), 0)
+        + np.where(policy.failed, int(Violation.POLICY), 0)
+    )
+
+
+def _row(
+    tick_count: int,
+    inputs: ControlInputs,
+    sensed: _Sensed,
+    gated: safety.SafetyOutput,
+    now_ns: int,
+) -> NDArray[np.void]:
+    sample = inputs.sample
+    row = np.empty(inputs.motion.shape[0], dtype=CONTROL_ROW)
+    row["t_mono_ns"] = now_ns
+    row["sensor_t_mono_ns"] = sample.t_mono_ns
+    row["tick_count"] = tick_count
+    row["motion_code_count"] = inputs.motion
+    row["sensor_position_rad_m"] = sample.joint_position_rad_m
+    row["sensor_velocity_rad_m_per_s"] = sample.joint_velocity_rad_m_per_s
+    row["joint_position_rad_m"] = sensed.position
+    row["joint_velocity_rad_m_per_s"] = sensed.velocity
+    row["valve_applied_ratio"] = gated.valve_ratio
+    row["safety_code_count"] = gated.intervention_count
+    row["gripper_open_commanded"] = gated.gripper_open
+    row["payload_held"] = sample.payload_held
+    row["supply_pressure_pa"] = sample.supply_pressure_pa
+    return row

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from machine.calibration import actuator_ratio
-from machine.conventions import Array
+from machine.calibration import ValveCalibration, ValveTable, actuator_ratio
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
 from machine.kinematics import namespace
 from machine.spec import MachineSpec
 
@@ -139,3 +139,108 @@ def _approach(k: _ShapeConstants, distance: Array) -> Array:
     a, delay = k.stop_acceleration, k.stop_delay
     room = xp.maximum(distance, 0.0)
     return a * (xp.sqrt(delay * delay + 2.0 * room / a) - delay)
+
+
+LEAD_TIME_S = (0.35, 0.0, 0.0, 0.0)
+"""Share of the slew's lag that the feed-forward leads by: its reference has a known acceleration."""
+RESPONSE_LAG_S = (0.20, 0.10, 0.10, 0.10)
+"""First-order lag that is left after dead time and lead: what feedback expects the machine to do."""
+PROPORTIONAL_RATIO = (0.30, 0.25, 0.25, 0.25)
+INTEGRAL_PER_S = (0.8, 1.2, 1.2, 1.2)
+"""Gains for loops with 60 to 90 ms dead time (slew 0.15 s): crossover near 1 rad/s, phase margin 70 deg."""
+INTEGRAL_LIMIT_RATIO = 0.20
+"""The integrator may correct a table that is wrong by this share of the speed limit, not more."""
+THRESHOLD_RAD_M_PER_S = (0.012, 0.006, 0.006, 0.006)
+"""Actuator speed below which the feed-forward fades through the dead band instead of jumping across it."""
+STANDSTILL_RAD_M_PER_S = 0.004
+"""Reference and expected speed below which a joint counts as standing: no feedback, valve closed."""
+
+
+class ControllerState(NamedTuple):
+    """Memory of the velocity controller."""
+
+    delay_line: Array
+    """(D, N, 4) references of the last ticks, newest first."""
+    expected: Array
+    """(N, 4) what a machine of nominal response does now."""
+    integral: Array
+    """(N, 4) correction of the speed."""
+
+    def forget(self, machines: BoolArray) -> "ControllerState":
+        """The same with the memory of some machines (N,) as at standstill."""
+        keep = ~machines[:, None]
+        return ControllerState(self.delay_line * keep, self.expected * keep, self.integral * keep)
+
+
+class VelocityController:
+    """Feed-forward by the inverse valve tables of one machine, PI on the difference from the expected."""
+
+    def __init__(self, spec: MachineSpec, calibration: ValveCalibration) -> None:
+        """Invert the tables once; the object holds constants only."""
+        limits = spec.limits
+        self._inverse = [
+            _inverse_table(table, THRESHOLD_RAD_M_PER_S[joint])
+            for joint, table in enumerate(calibration.tables)
+        ]
+        self._delay_ticks = np.rint(
+            np.asarray(spec.response.dead_time_s) / CONTROL_PERIOD_S
+        ).astype(np.int64)
+        self._blend = 1.0 - np.exp(-CONTROL_PERIOD_S / np.asarray(RESPONSE_LAG_S))
+        self._lead = np.asarray(LEAD_TIME_S) / CONTROL_PERIOD_S
+        self._proportional = np.asarray(PROPORTIONAL_RATIO)
+        self._integral_step = np.asarray(INTEGRAL_PER_S) * CONTROL_PERIOD_S
+        self._integral_limit = INTEGRAL_LIMIT_RATIO * np.minimum(
+            limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s
+        )
+
+    def initial(self, count: int) -> ControllerState:
+        """Memory of `count` machines that stand still."""
+        still = np.zeros((count, ACTIVE_COUNT))
+        line = np.zeros((int(self._delay_ticks.max()) + 1, count, ACTIVE_COUNT))
+        return ControllerState(line, still, still)
+
+    def update(
+        self,
+        state: ControllerState,
+        reference_rad_m_per_s: Array,
+        velocity_rad_m_per_s: Array,
+        ratio_magnitude: Array,
+    ) -> tuple[ControllerState, Array]:
+        """One tick: references, measured velocities, |actuator_ratio|, all (N, 4), to valves (N, 4)."""
+        reference = reference_rad_m_per_s
+        line = np.concatenate([reference[None], state.delay_line[:-1]])
+        delayed = line[self._delay_ticks, :, np.arange(ACTIVE_COUNT)].T
+        expected = state.expected + self._blend * (delayed - state.expected)
+        error = expected - velocity_rad_m_per_s
+        moves = (np.abs(reference) > STANDSTILL_RAD_M_PER_S) | (
+            np.abs(expected) > STANDSTILL_RAD_M_PER_S
+        )
+        lead = self._lead * (reference - state.delay_line[0])
+        correction = np.where(moves, self._proportional * error + state.integral, 0.0)
+        valve = self._valve((reference + lead + correction) * ratio_magnitude)
+        # Anti-windup: a saturated valve takes no more of the same sign; a standing joint forgets.
+        grows = moves & ((np.abs(valve) < 1.0) | (error * valve < 0.0))
+        integral = np.where(grows, state.integral + self._integral_step * error, state.integral)
+        integral = np.where(moves, integral, 0.98 * integral)
+        integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+        return ControllerState(line, expected, integral), valve
+
+    def _valve(self, actuator_speed: Array) -> Array:
+        columns = [
+            np.interp(actuator_speed[:, joint], speeds, valves)
+            for joint, (speeds, valves) in enumerate(self._inverse)
+        ]
+        return np.stack(columns, axis=1)
+
+
+def _inverse_table(table: ValveTable, threshold: float) -> tuple[Array, Array]:
+    """Speeds and valves of the inverse; inside the threshold a straight line through zero."""
+    speeds = np.asarray(table.actuator_speed_rad_m_per_s)
+    valves = np.asarray(table.valve_ratio)
+    edge = np.array([-threshold, threshold])
+    edge_valve = np.interp(edge, speeds, valves)
+    slow, fast = speeds < -threshold, speeds > threshold
+    return (
+        np.concatenate([speeds[slow], edge[:1], [0.0], edge[1:], speeds[fast]]),
+        np.concatenate([valves[slow], edge_valve[:1], [0.0], edge_valve[1:], valves[fast]]),
+    )

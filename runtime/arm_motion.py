@@ -1,0 +1,42 @@
+"""Motion of the tool pin in the arm plane: what swings the gripper, and what can damp it; batched."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.conventions import Array
+from machine.spec import MachineSpec
+from runtime.driver import SensorSample
+
+
+@dataclass(frozen=True, slots=True)
+class ArmMotion:
+    """Tool pin of N machines at one tick."""
+
+    radius_m: Array
+    """(N,) from the slew axis, in the arm plane."""
+    dipper_arm_m: Array
+    """(N,) outward motion of the pin a radian of the dipper."""
+    velocity_rad_m_per_s: Array
+    """(3, N) outward and up in the turning arm plane, and the slew rate."""
+
+    @classmethod
+    def of(cls, spec: MachineSpec, sample: SensorSample) -> "ArmMotion":
+        """From the joint sensors, by the derivative of machine.kinematics.pin_in_plane."""
+        g = spec.geometry
+        _, boom, dipper, extension = sample.joint_position_rad_m.T
+        turning, boom_rate, dipper_rate, extending = sample.joint_velocity_rad_m_per_s.T
+        tube = boom + dipper
+        cos_tube, sin_tube = np.cos(tube), np.sin(tube)
+        length = g.dipper_to_telescope_m + g.telescope_to_pin_m + extension
+        across = g.telescope_axis_offset_m * cos_tube + length * sin_tube
+        along = length * cos_tube - g.telescope_axis_offset_m * sin_tube
+        boom_x, boom_z = g.boom_length_m * np.cos(boom), g.boom_length_m * np.sin(boom)
+        tube_rate = boom_rate + dipper_rate
+        outward = along * tube_rate - boom_z * boom_rate + sin_tube * extending
+        upward = across * tube_rate + boom_x * boom_rate - cos_tube * extending
+        return cls(
+            radius_m=g.boom_pivot_m[0] + boom_x + across,
+            dipper_arm_m=along,
+            velocity_rad_m_per_s=np.stack([outward, upward, turning]),
+        )

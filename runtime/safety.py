@@ -1,0 +1,189 @@
+"""The last gate before the valves: trusts nobody; knows the spec, the sensors and its own last output.
+
+It shares no helper with the policy and the controller, does its own arithmetic, and clips or closes. It
+never opens a valve that was not asked for, and it is no safety-rated function (docs/safety.md).
+"""
+
+from dataclasses import dataclass
+from enum import IntFlag
+from functools import cache
+
+import numpy as np
+
+from machine.conventions import Array, BoolArray, IntArray, Motion
+from machine.spec import MachineSpec
+from runtime.driver import SensorSample
+
+
+class Intervention(IntFlag):
+    """Why the applied command differs from the requested one; bits of `safety_code_count`."""
+
+    NOT_FINITE = 1
+    """A request, the last output or a joint sensor was not a number: all valves closed."""
+    STALE_SENSORS = 2
+    """Joint sensors older than 50 ms, or from the future: all valves closed."""
+    LOCAL_DISABLED = 4
+    """The enable switch at the machine is off: all valves closed."""
+    EMERGENCY_STOP = 8
+    """The hardwired emergency stop is pressed: all valves closed."""
+    OVER_SPEED = 16
+    """A joint moves faster than 1.5 times its limit: all valves closed."""
+    STOPPED = 32
+    """The motion is STOP or unknown: all valves closed."""
+    POSITION_LIMIT = 64
+    """A joint would run into its limit: its valve closed in that direction."""
+    RANGE_CLIPPED = 128
+    """A request beyond -1..1."""
+    RATE_CLIPPED = 256
+    """A request that moved faster than a valve may."""
+    GRIPPER_KEPT_CLOSED = 512
+    """Opening was asked for outside a throw."""
+
+
+CLOSING = (
+    Intervention.NOT_FINITE
+    | Intervention.STALE_SENSORS
+    | Intervention.LOCAL_DISABLED
+    | Intervention.EMERGENCY_STOP
+    | Intervention.OVER_SPEED
+    | Intervention.STOPPED
+)
+"""Bits that close all valves."""
+FAULTS = Intervention.NOT_FINITE | Intervention.STALE_SENSORS | Intervention.OVER_SPEED
+"""Bits that no operator causes on purpose: they end a throw as a fault."""
+
+SENSOR_AGE_MAX_NS = 50_000_000
+"""Five control ticks without joint sensors."""
+OVER_SPEED_RATIO = 1.5
+VALVE_STEP_RATIO = 0.2
+"""Change of a valve a tick of 10 ms: end to end in 0.1 s, faster than a spool moves (A)."""
+STOP_DELAY_S = 0.10
+"""From closing a valve until the joint begins to slow: dead time of the arm's valves, with reserve."""
+LIMIT_MARGIN_RAD_M = 0.01
+"""Kept before a position limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyMemory:
+    """What the gate remembers: only what it let through last."""
+
+    valve_ratio: Array
+    """(N, 4)"""
+    gripper_open: BoolArray
+    """(N,)"""
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyOutput:
+    """What goes to the machine, and why."""
+
+    valve_ratio: Array
+    """(N, 4) within -1..1"""
+    gripper_open: BoolArray
+    """(N,)"""
+    intervention_count: IntArray
+    """(N,) bits of `Intervention`; 0 = as requested."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    low: Array
+    high: Array
+    speed_positive: Array
+    speed_negative: Array
+    stop_per_speed_squared: Array
+
+
+@cache
+def _limits(spec: MachineSpec) -> _Limits:
+    low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]
+    high = [np.inf if v is None else v for v in spec.limits.position_max_rad_m]
+    return _Limits(
+        low=np.asarray(low) + LIMIT_MARGIN_RAD_M,
+        high=np.asarray(high) - LIMIT_MARGIN_RAD_M,
+        speed_positive=OVER_SPEED_RATIO * np.asarray(spec.limits.speed_positive_rad_m_per_s),
+        speed_negative=-OVER_SPEED_RATIO * np.asarray(spec.limits.speed_negative_rad_m_per_s),
+        stop_per_speed_squared=0.5 / np.asarray(spec.limits.acceleration_rad_m_per_s2),
+    )
+
+
+def closed_memory(count: int) -> SafetyMemory:
+    """Memory of `count` machines at start-up: everything closed."""
+    return SafetyMemory(np.zeros((count, 4)), np.zeros(count, dtype=np.bool_))
+
+
+def apply(
+    spec: MachineSpec,
+    requested_ratio: Array,
+    open_requested: BoolArray,
+    memory: SafetyMemory,
+    sample: SensorSample,
+    motion: IntArray,
+    now_ns: int,
+) -> tuple[SafetyMemory, SafetyOutput]:
+    """Clip or close what the controller asks for.
+
+    Args:
+        spec: limits of position, speed and acceleration.
+        requested_ratio: (N, 4) valves, -1..1.
+        open_requested: (N,) gripper.
+        memory: what this gate let through one tick ago.
+        sample: joint sensors and switches of this tick.
+        motion: (N,) conventions.Motion.
+        now_ns: the tick, same clock as the sample.
+
+    Returns:
+        The memory for the next tick, and what may be written. A closing intervention resets the memory,
+        so that the valves open again only through the rate limit.
+    """
+    limits = _limits(spec)
+    position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
+    with np.errstate(invalid="ignore"):
+        numbers = requested_ratio + memory.valve_ratio + position + velocity
+    finite: BoolArray = np.asarray(np.isfinite(numbers).all(axis=1))
+    age_ns = now_ns - sample.t_mono_ns
+    stale = age_ns > SENSOR_AGE_MAX_NS or age_ns < 0
+    fast = (velocity > limits.speed_positive) | (velocity < limits.speed_negative)
+    moving = (motion >= Motion.HOLD) & (motion < Motion.STOP)
+    bits = (
+        np.where(finite, 0, int(Intervention.NOT_FINITE))
+        + (int(Intervention.STALE_SENSORS) if stale else 0)
+        + np.where(sample.local_enable, 0, int(Intervention.LOCAL_DISABLED))
+        + np.where(sample.emergency_stop, int(Intervention.EMERGENCY_STOP), 0)
+        + np.where(fast.any(axis=1), int(Intervention.OVER_SPEED), 0)
+        + np.where(moving, 0, int(Intervention.STOPPED))
+    )
+    closed: BoolArray = np.not_equal(bits, 0)
+    usable = finite[:, None]
+    wanted = np.where(usable, requested_ratio, 0.0)
+    valve, clip_bits = _clip_valves(limits, wanted, position, velocity, memory)
+    may_open = (motion == Motion.THROW) | ((motion == Motion.SETTLE) & memory.gripper_open)
+    opened = open_requested & may_open & ~closed
+    bits = (
+        bits
+        + np.where(closed, 0, clip_bits)
+        + np.where(open_requested & ~opened, int(Intervention.GRIPPER_KEPT_CLOSED), 0)
+    )
+    valve = np.where(closed[:, None], 0.0, valve)
+    return SafetyMemory(valve, opened), SafetyOutput(valve, opened, bits)
+
+
+def _clip_valves(
+    limits: _Limits, wanted: Array, position: Array, velocity: Array, memory: SafetyMemory
+) -> tuple[Array, IntArray]:
+    """Range, rate, and last the position limits, which may close a valve faster than the rate."""
+    ranged = np.minimum(np.maximum(wanted, -1.0), 1.0)
+    last = memory.valve_ratio
+    rated = np.minimum(np.maximum(ranged, last - VALVE_STEP_RATIO), last + VALVE_STEP_RATIO)
+    # Where each joint would come to rest if its valve closed now, seen in both directions.
+    up, down = np.maximum(velocity, 0.0), np.maximum(-velocity, 0.0)
+    slowing = limits.stop_per_speed_squared
+    over = position + up * STOP_DELAY_S + slowing * up * up >= limits.high
+    under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low
+    stops = np.where(rated > 0.0, over, (rated < 0.0) & under)
+    bits = (
+        np.where((ranged != wanted).any(axis=1), int(Intervention.RANGE_CLIPPED), 0)
+        + np.where((rated != ranged).any(axis=1), int(Intervention.RATE_CLIPPED), 0)
+        + np.where(stops.any(axis=1), int(Intervention.POSITION_LIMIT), 0)
+    )
+    return np.where(stops, 0.0, rated), bits

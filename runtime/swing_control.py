@@ -1,0 +1,231 @@
+"""Motions without a policy: align the cabin, damp the swing, go to the safe pose; batched.
+
+The gripper is a pendulum: a velocity profile averaged over one swing period leaves no swing behind, and a
+pin that follows the swing takes energy out of it. It gives velocity requests only; limits, pump flow and
+valves are dealt with where every request is.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray
+from machine.spec import MachineSpec
+from machine.starts import SAFE_ACTIVE_RAD_M
+from runtime.arm_motion import ArmMotion
+from runtime.imu_estimator import ImuEstimate, swing_frequency_rad_per_s
+
+ALIGN_SPEED_RAD_PER_S = 0.45
+"""Cruise of the cabin: the gripper then leans outward by 8 degrees at 6 m."""
+ALIGN_GAIN_PER_S = 0.9
+"""Position feedback around the planned turn; the slew answers 0.35 s late."""
+ALIGN_TOLERANCE_RAD = 0.0025
+"""25 mm across the line at 10 m."""
+ALIGN_HYSTERESIS_RAD = 0.0010
+"""A correction that has begun goes on to this, so that the valve does not chatter at the tolerance."""
+ALIGN_CREEP_RAD_PER_S = 0.02
+"""Slowest correction: below it the valve is inside its dead band."""
+ALIGNED_SWING_RAD = 0.030
+"""Residual swing a throw may start with: three times what friction holds."""
+STILL_RAD_M_PER_S = 0.03
+DWELL_S = 0.30
+"""How long a motion's end must hold before it counts."""
+POSITION_FILTER_S = 0.10
+ALIGN_RESPONSE_S = 0.40
+"""The turn seen by the filtered sensor comes this much after its plan: dead time, lag, filter."""
+
+DAMPING_M_PER_S_PER_RAD = 1.4
+"""Pin speed a radian of swing: damping ratio k / (2 L omega0) = 0.23 with L = 0.92 m."""
+DAMPING_DEAD_ZONE_RAD = 0.012
+"""Swing that friction holds by itself is left alone."""
+DAMPING_LEAD_S = (0.18, 0.35)
+"""The swing is taken this much ahead, to meet the arm's (pitch) and the slew's (roll) delay."""
+DAMPING_SPEED_M_PER_S = 0.6
+RETURN_GAIN_PER_S = 0.8
+RETURN_SPEED_RAD_M_PER_S = (0.0, 0.15, 0.22, 0.15)
+RETURN_SWING_RAD = 0.15
+"""Swing at which the return to the safe pose runs at half speed."""
+SETTLED_POSITION_RAD_M = 0.05
+SETTLED_SWING_RAD = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SwingState:
+    """Memory of the motions."""
+
+    time_s: Array
+    """(N,) since the motion began."""
+    start_slew_rad: Array
+    """(N,) where ALIGN began."""
+    turn_rad: Array
+    """(N,) how far ALIGN turns, signed."""
+    slew_rad: Array
+    """(N,) filtered slew angle."""
+    correcting: BoolArray
+    """(N,) ALIGN creeps to the line at present."""
+    quiet_s: Array
+    """(N,) how long the end condition of ALIGN or SETTLE has held."""
+
+
+class SwingOutput(NamedTuple):
+    """What a motion wants, and whether it is done."""
+
+    request_rad_m_per_s: Array
+    """(N, 4)"""
+    done: BoolArray
+    """(N,)"""
+
+
+def initial_swing(slew_rad: Array) -> SwingState:
+    """Memory of machines at slew angles (N,) that run no motion yet."""
+    zero = np.zeros_like(slew_rad)
+    return SwingState(zero, slew_rad, zero, slew_rad, zero.astype(np.bool_), zero)
+
+
+def begin(state: SwingState, begins: BoolArray, slew_rad: Array, turn_rad: Array) -> SwingState:
+    """Restart the memory of the machines (N,) whose motion begins; `turn_rad` (N,) is for ALIGN."""
+    return SwingState(
+        time_s=np.where(begins, 0.0, state.time_s),
+        start_slew_rad=np.where(begins, slew_rad, state.start_slew_rad),
+        turn_rad=np.where(begins, turn_rad, state.turn_rad),
+        slew_rad=np.where(begins, slew_rad, state.slew_rad),
+        correcting=state.correcting & ~begins,
+        quiet_s=np.where(begins, 0.0, state.quiet_s),
+    )
+
+
+def choose(first: BoolArray, one: SwingState, other: SwingState) -> SwingState:
+    """Memory `one` for the machines (N,) where `first`, `other` for the rest."""
+    return SwingState(
+        *(
+            np.where(first, getattr(one, name), getattr(other, name))
+            for name in SwingState.__slots__
+        )
+    )
+
+
+def swing_amplitude_rad(spec: MachineSpec, imu: ImuEstimate) -> Array:
+    """Amplitude (N,) of a free swing through the present angles and rates, both axes together."""
+    pitch, roll = swing_frequency_rad_per_s(spec)
+    return np.sqrt(
+        imu.swing_rad**2
+        + (imu.swing_rate_rad_per_s / pitch) ** 2
+        + imu.roll_rad**2
+        + (imu.roll_rate_rad_per_s / roll) ** 2
+    )
+
+
+def turn_profile(time_s: Array, turn_rad: Array, ramp_s: float) -> tuple[Array, Array]:
+    """Angle and rate (N,) of a planned turn: a constant rate averaged over `ramp_s`.
+
+    A pulse of length D = |turn| / cruise, moving-averaged over the ramp time T, has ramps of length T
+    (shorter turns: D) and no content at the frequency 1 / T.
+    """
+    cruise = ALIGN_SPEED_RAD_PER_S
+    pulse = np.abs(turn_rad) / cruise
+    edges = np.maximum(
+        np.stack([time_s, time_s - pulse, time_s - ramp_s, time_s - ramp_s - pulse]), 0
+    )
+    scale = np.sign(turn_rad) * cruise / ramp_s
+    rate = scale * (edges[0] - edges[1] - edges[2] + edges[3])
+    squares = 0.5 * edges * edges
+    angle = scale * (squares[0] - squares[1] - squares[2] + squares[3])
+    return angle, rate
+
+
+def align(
+    spec: MachineSpec, state: SwingState, active_position: Array, speed: Array, amplitude: Array
+) -> tuple[SwingState, SwingOutput]:
+    """Turn the cabin along its planned profile while the arm stands.
+
+    Positions and filtered speeds are (N, 4), the swing's amplitude (N,). Done when the plan has run, the
+    line is held and the swing has died down.
+    """
+    ramp_s = 2.0 * np.pi / (0.5 * sum(swing_frequency_rad_per_s(spec)))
+    time_s = state.time_s + CONTROL_PERIOD_S
+    slew = state.slew_rad + CONTROL_PERIOD_S / POSITION_FILTER_S * (
+        active_position[:, 0] - state.slew_rad
+    )
+    _, rate = turn_profile(time_s, state.turn_rad, ramp_s)
+    angle, _ = turn_profile(time_s - ALIGN_RESPONSE_S, state.turn_rad, ramp_s)
+    error = state.start_slew_rad + angle - slew
+    run_s = ramp_s + np.abs(state.turn_rad) / ALIGN_SPEED_RAD_PER_S
+    planned = time_s < run_s + ALIGN_RESPONSE_S
+    size = np.abs(error)
+    correcting = ~planned & (
+        (size > ALIGN_TOLERANCE_RAD) | (state.correcting & (size > ALIGN_HYSTERESIS_RAD))
+    )
+    creep = np.sign(error) * np.maximum(ALIGN_GAIN_PER_S * size, ALIGN_CREEP_RAD_PER_S)
+    request = np.zeros_like(active_position)
+    request[:, 0] = np.where(
+        planned, rate + ALIGN_GAIN_PER_S * error, np.where(correcting, creep, 0.0)
+    )
+    quiet = (
+        ~planned
+        & ~correcting
+        & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)
+        & (amplitude < ALIGNED_SWING_RAD)
+    )
+    quiet_s = np.where(quiet, state.quiet_s + CONTROL_PERIOD_S, 0.0)
+    after = SwingState(time_s, state.start_slew_rad, state.turn_rad, slew, correcting, quiet_s)
+    return after, SwingOutput(request, quiet_s >= DWELL_S)
+
+
+def settle(
+    spec: MachineSpec,
+    state: SwingState,
+    active_position: Array,
+    speed: Array,
+    arm: ArmMotion,
+    imu: ImuEstimate,
+    amplitude: Array,
+) -> tuple[SwingState, SwingOutput]:
+    """Damp the swing with dipper and slew while going to the safe pose, the calmer the faster.
+
+    Args:
+        spec: machine.
+        state: memory.
+        active_position: (N, 4).
+        speed: (N, 4) joint velocities, filtered.
+        arm: tool pin.
+        imu: free joints.
+        amplitude: (N,) of the swing.
+    """
+    time_s = state.time_s + CONTROL_PERIOD_S
+    pitch, roll = swing_frequency_rad_per_s(spec)
+    swing = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, DAMPING_LEAD_S[0])
+    lean = _ahead(imu.roll_rad, imu.roll_rate_rad_per_s, roll, DAMPING_LEAD_S[1])
+    gap = np.asarray(SAFE_ACTIVE_RAD_M) - active_position
+    calm = 1.0 / (1.0 + (amplitude / RETURN_SWING_RAD) ** 2)
+    fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
+    request = np.clip(RETURN_GAIN_PER_S * gap, -fastest, fastest) * calm[:, None]
+    request[:, 0] = _pin_speed(lean, amplitude) / np.maximum(arm.radius_m, 2.0)
+    request[:, 2] += _pin_speed(swing, amplitude) / np.maximum(arm.dipper_arm_m, 1.0)
+    quiet = (
+        (np.abs(gap[:, 1:]).max(axis=1) < SETTLED_POSITION_RAD_M)
+        & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)
+        & (amplitude < SETTLED_SWING_RAD)
+    )
+    quiet_s = np.where(quiet, state.quiet_s + CONTROL_PERIOD_S, 0.0)
+    after = SwingState(
+        time_s,
+        state.start_slew_rad,
+        state.turn_rad,
+        active_position[:, 0],
+        state.correcting,
+        quiet_s,
+    )
+    return after, SwingOutput(request, quiet_s >= DWELL_S)
+
+
+def _ahead(angle: Array, rate: Array, frequency: float, lead_s: float) -> Array:
+    """Angle of a free swing `lead_s` later."""
+    phase = frequency * lead_s
+    return angle * np.cos(phase) + rate * (np.sin(phase) / frequency)
+
+
+def _pin_speed(angle: Array, amplitude: Array) -> Array:
+    """Speed of the pin towards the load; nothing once friction will hold the rest."""
+    wanted = np.clip(DAMPING_M_PER_S_PER_RAD * angle, -DAMPING_SPEED_M_PER_S, DAMPING_SPEED_M_PER_S)
+    return np.where(amplitude > 2.0 * DAMPING_DEAD_ZONE_RAD, wanted, 0.0)
