@@ -1,0 +1,97 @@
+"""Fixtures that several packages' tests share."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine.conventions import Mode
+from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
+from machine.spec import load_spec
+from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
+
+RELEASE_SPEED_M_PER_S = {Mode.PLANAR: 1.9, Mode.SPATIAL: 1.9}
+
+
+def _weights(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+    """Linear map of a hand-made policy: the dipper pumps the swing, the load goes when it flies fast.
+
+    A pin that moves against the swing angle accelerates with the swing, which feeds it.
+    """
+    names, actions = OBSERVATION_NAMES[mode], ACTION_NAMES[mode]
+    weights, bias = np.zeros((len(names), len(actions))), np.zeros(len(actions))
+    dipper, release = actions.index("dipper_velocity"), actions.index("release")
+    for joint in ("boom", "dipper", "pitch"):
+        weights[names.index(f"{joint}_position_k"), dipper] = -5.0
+        weights[names.index(f"{joint}_velocity_k"), dipper] = 0.6
+    bias[dipper] = 0.25
+    weights[names.index("grip_velocity_x"), release] = 6.0
+    bias[release] = -6.0 * RELEASE_SPEED_M_PER_S[mode] + 1.5
+    if mode is Mode.SPATIAL:
+        slew = actions.index("slew_velocity")
+        weights[names.index("slew_position_k"), slew] = -1.0
+    return weights, bias
+
+
+def write_swing_policy(folder: Path, mode: Mode) -> None:
+    """A policy folder whose ONNX file is tanh(observation @ W + b)."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    weights, bias = _weights(mode)
+    graph = helper.make_graph(
+        [
+            helper.make_node("Gemm", ["observation", "W", "b"], ["raw"]),
+            helper.make_node("Tanh", ["raw"], ["action"]),
+        ],
+        "swing",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", len(weights)])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(bias)])],
+        [
+            numpy_helper.from_array(weights.astype(np.float32), "W"),
+            numpy_helper.from_array(bias.astype(np.float32), "b"),
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    model.ir_version = 8
+    folder.mkdir(parents=True)
+    onnx.save(model, str(folder / POLICY_FILE))
+    spec = load_spec()
+    scale = np.maximum(
+        spec.limits.speed_positive_rad_m_per_s, spec.limits.speed_negative_rad_m_per_s
+    )
+    card = PolicyCard(
+        policy_id=folder.name,
+        mode=mode,
+        policy_sha256=file_sha256(folder / POLICY_FILE),
+        model_sha256=spec.sha256,
+        observation_names=OBSERVATION_NAMES[mode],
+        action_names=ACTION_NAMES[mode],
+        action_scale_rad_m_per_s=tuple(
+            float(v) for v in (scale if mode is Mode.SPATIAL else scale[1:])
+        ),
+        target_range_min_m=5.5,
+        target_range_max_m=10.9,
+        training=TrainingRecord(
+            commit="none",
+            seed_count=0,
+            environment_step_count=0,
+            iteration_count=0,
+            wall_s=0.0,
+            device="by hand",
+            config={},
+        ),
+    )
+    (folder / CARD_FILE).write_text(card.model_dump_json(indent=2), encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def swing_policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policies folder with a hand-made policy of each mode: it throws, but aims at nothing."""
+    root = tmp_path_factory.mktemp("policies")
+    for mode in Mode:
+        write_swing_policy(root / f"swing-{mode.value}", mode)
+    active = {mode.value: f"swing-{mode.value}" for mode in Mode}
+    (root / "active.json").write_text(json.dumps(active), encoding="utf-8")
+    return root
