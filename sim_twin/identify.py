@@ -42,9 +42,9 @@ def simulate_response(
     period_s: float = CONTROL_PERIOD_S,
 ) -> Array:
     """Velocity (runs, ticks) that the model gives for commands (runs, ticks) from rest."""
-    ticks = np.arange(command.shape[1])
-    at = ticks - dead_time_s / period_s
-    delayed = np.stack([np.interp(at, ticks, run, left=0.0) for run in command])
+    whole, fraction = divmod(dead_time_s / period_s, 1.0)
+    padded = np.pad(command, ((0, 0), (int(whole) + 1, 0)))[:, : command.shape[1] + 1]
+    delayed = padded[:, 1:] + fraction * (padded[:, :-1] - padded[:, 1:])
     w, z = natural_frequency_rad_per_s, damping_ratio
     system = ([gain_ratio * w * w], [1.0, 2.0 * z * w, w * w])
     discrete: Any = cont2discrete(system, period_s, method="zoh")

@@ -12,7 +12,7 @@ def random_steps(rng, runs=6, ticks=400):
     return np.repeat(rng.uniform(-0.4, 0.4, (runs, ticks // 25)), 25, axis=1)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.floats(0.02, 0.25),
     st.floats(3.0, 15.0),

@@ -1,0 +1,107 @@
+"""Excite a machine's drives and fit their response: what turns a nominal twin profile into a machine's own.
+
+Uses only what a real machine's sensors show. One joint moves at a time, so that the shared pump does not
+blur one joint's response with another's motion.
+"""
+
+import numpy as np
+
+from machine.calibration import ValveCalibration, actuator_ratio
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_NS, CONTROL_PERIOD_S, Array, IntArray
+from machine.spec import MachineSpec
+from machine.starts import safe_pose
+from runtime.driver import SimulatedDriver, ValveCommand
+from sim_twin.identify import ResponseFit, fit_response
+from sim_twin.profile import TwinProfile, nominal_profile
+
+DURATION_S = 6.0
+HOLD_S = ((0.8, 2.0), (0.2, 0.9), (0.2, 0.9), (0.2, 0.9))
+"""Shortest and longest time a valve command is held, per joint: throws reverse joints this often."""
+VALVE_RATIO = (0.15, 0.85)
+"""Smallest and largest command: outside the dead band, below what one joint's flow limit clips."""
+MARGIN_RAD_M = 0.25
+"""Distance from a position limit at which the command turns back."""
+
+
+def record_valve_response(
+    plant: SimulatedDriver, spec: MachineSpec, calibration: ValveCalibration, seed: int
+) -> tuple[IntArray, Array, Array]:
+    """Drive each copy of the plant with random valve commands on one joint.
+
+    Returns:
+        Joint index (N,), steady joint velocity that the calibration gives for the command (N, ticks), and
+        the measured joint velocity (N, ticks), rad/s and m/s.
+    """
+    rng = np.random.default_rng(seed)
+    count = plant.count
+    rows, joint = np.arange(count), np.arange(count) % ACTIVE_COUNT
+    hold = np.asarray(HOLD_S)[joint]
+    low, high = spec.position_range_rad_m
+    tables = [
+        (np.asarray(t.valve_ratio), np.asarray(t.actuator_speed_rad_m_per_s))
+        for t in calibration.tables
+    ]
+    ticks = round(DURATION_S / CONTROL_PERIOD_S)
+    steady, measured = np.zeros((count, ticks)), np.zeros((count, ticks))
+    plant.reset(np.tile(safe_pose(), (count, 1)), seed)
+    shut = np.zeros(count, dtype=np.bool_)
+    level = np.zeros(count)
+    until = np.zeros(count)
+    sample = plant.read()
+    for tick in range(ticks):
+        position = sample.joint_position_rad_m
+        own = position[rows, joint]
+        turn = np.where(
+            own > high[joint] - MARGIN_RAD_M,
+            -1.0,
+            np.where(own < low[joint] + MARGIN_RAD_M, 1.0, 0.0),
+        )
+        due = (tick * CONTROL_PERIOD_S >= until) | (turn * level < 0.0)
+        sign = np.where(turn != 0.0, turn, rng.choice([-1.0, 1.0], count))
+        level = np.where(due, sign * rng.uniform(*VALVE_RATIO, count), level)
+        until = np.where(due, tick * CONTROL_PERIOD_S + rng.uniform(hold[:, 0], hold[:, 1]), until)
+        valve = np.zeros((count, ACTIVE_COUNT))
+        valve[rows, joint] = level
+        ratio = np.abs(actuator_ratio(spec, position))[rows, joint]
+        actuator = np.array([np.interp(v, *tables[j]) for v, j in zip(level, joint, strict=True)])
+        steady[:, tick] = actuator / ratio
+        plant.write(ValveCommand(valve, shut))
+        plant.advance(plant.now_ns() + CONTROL_PERIOD_NS)
+        sample = plant.read()
+        measured[:, tick] = sample.joint_velocity_rad_m_per_s[rows, joint]
+    return joint, steady, measured
+
+
+def identify_profile(
+    plant: SimulatedDriver,
+    spec: MachineSpec,
+    calibration: ValveCalibration,
+    machine_id: str,
+    seed: int = 0,
+) -> tuple[TwinProfile, tuple[ResponseFit, ...]]:
+    """Twin profile of a machine with the response of its own drives; the rest stays nominal.
+
+    Raises:
+        ValueError: a joint did not move.
+    """
+    joint, steady, measured = record_valve_response(plant, spec, calibration, seed)
+    fits = tuple(
+        fit_response(steady[joint == j], measured[joint == j]) for j in range(ACTIVE_COUNT)
+    )
+
+    def four(values: list[float]) -> tuple[float, float, float, float]:
+        return values[0], values[1], values[2], values[3]
+
+    profile = nominal_profile(spec).model_copy(
+        update={
+            "machine_id": machine_id,
+            "version_count": 1,
+            "note": "response identified from random valve motion, one joint at a time; "
+            + ", ".join(f"R2 {fit.r2_ratio:.3f}" for fit in fits),
+            "dead_time_s": four([fit.dead_time_s for fit in fits]),
+            "natural_frequency_rad_per_s": four([fit.natural_frequency_rad_per_s for fit in fits]),
+            "damping_ratio": four([fit.damping_ratio for fit in fits]),
+            "gain_ratio": four([fit.gain_ratio for fit in fits]),
+        }
+    )
+    return profile, fits
