@@ -123,9 +123,8 @@ def recover_log(folder: Path, throw_id: str) -> StoredLog | None:
         log.impact,
         log.impact_t_mono_ns,
     )
-    part.replace(scratch := part.with_name(part.name + ".old"))
     stored = write_throw_log(path, recovered)
-    scratch.unlink(missing_ok=True)
+    part.unlink(missing_ok=True)
     return stored
 
 

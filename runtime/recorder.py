@@ -47,6 +47,7 @@ QUEUE_LENGTH: Final = 4000
 RESERVED_COUNT: Final = 200
 """Places that rows may not take: begin, events and end of a throw must not be the ones that are dropped."""
 PART_SUFFIX: Final = ".part"
+SCRATCH_SUFFIX: Final = ".new"
 
 
 class LogWriter:
@@ -114,18 +115,18 @@ def write_throw_log(path: Path, log: ThrowLog) -> StoredLog:
     Raises:
         LogError: the file cannot be written.
     """
-    part = path.with_name(path.name + PART_SUFFIX)
+    scratch = path.with_name(path.name + SCRATCH_SUFFIX)
     context = {key: value for key, value in log.metadata.items() if key != RESULT_RECORD}
     context.pop("log_schema_version", None)
     result = {"is_complete": True, **log.metadata.get(RESULT_RECORD, {})}
     result.pop("row_count", None)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as stream:
+        with scratch.open("wb") as stream:
             writer = LogWriter(stream, context)
             _write_rows(writer, log)
             writer.close(result)
-        return publish_log(part, path, str(log.metadata.get("throw_id", "")))
+        return publish_log(scratch, path, str(log.metadata.get("throw_id", "")))
     except OSError as error:
         raise LogError(
             f"cannot write {path} ({error}); check the disk and its permissions"
