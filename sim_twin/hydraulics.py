@@ -46,6 +46,8 @@ START_PRESSURE_PA = 1.5e6
 """The lesser loaded chamber of a machine that has stood for a while."""
 SIZING_LOAD = np.array([2.0e3, 99.0e3, 32.0e3, -6.9e3])
 """Actuator load (N m, N) that resists positive motion at 5.8 m reach: facts' 55 kN m at the boom."""
+SIZING_FRICTION = np.array([3.0e3, 10.0e3, 8.0e3, 5.5e3])
+"""Actuator friction (N m, N) at those speeds."""
 SIZING_POSITION_RAD_M = np.array([0.0, 0.5, 0.0, 0.5])
 
 
@@ -109,12 +111,13 @@ def size_machine(spec: MachineSpec) -> Sizes:
     inlet, outlet = np.empty((2, 4)), np.empty((2, 4))
     for side, sign in ((0, 1.0), (1, -1.0)):
         into, out = area[side], area[1 - side]
-        drive = rail * into - TANK_PRESSURE_PA * out - sign * SIZING_LOAD
+        drive = rail * into - TANK_PRESSURE_PA * out - sign * SIZING_LOAD - SIZING_FRICTION
         edge = speed[side] * np.sqrt((into**3 + out**3) / drive)
         inlet[side], outlet[1 - side] = edge, edge
     for joint in (1, 2):
         filled = TANK_PRESSURE_PA
-        driven = (SIZING_LOAD[joint] + filled * area[1, joint]) / area[0, joint]
+        weight = SIZING_LOAD[joint] - SIZING_FRICTION[joint]
+        driven = (weight + filled * area[1, joint]) / area[0, joint]
         inlet[1, joint] = area[1, joint] * speed[1, joint] / np.sqrt(rail - filled)
         outlet[0, joint] = area[0, joint] * speed[1, joint] / np.sqrt(driven - TANK_PRESSURE_PA)
     return Sizes(area, stroke, inlet, outlet)
@@ -164,7 +167,11 @@ class Hydraulics:
         self._friction, self._force, self._work = np.zeros(one), np.zeros(one), np.zeros(one)
         self._volume, self._cushion, self._soft = np.zeros(both), np.zeros(both), np.zeros(both)
         self._inlet, self._outlet = np.zeros(both), np.zeros(both)
-        self._from_rail, self._to_tank, self._relief = np.zeros(both), np.zeros(both), np.zeros(both)
+        self._from_rail, self._to_tank, self._relief = (
+            np.zeros(both),
+            np.zeros(both),
+            np.zeros(both),
+        )
         self._inflow, self._gain_sum, self._both = np.zeros(both), np.zeros(both), np.zeros(both)
         self._is_lower = np.zeros(both, dtype=np.bool_)
 
@@ -266,10 +273,10 @@ class Hydraulics:
         np.divide(inflow, gain, out=pressure)
         np.maximum(pressure, 0.0, out=pressure)
 
-    def flow_m3_per_s(self, velocity_rad_m_per_s: Array) -> Array:
-        """Oil (N, 4) that the filling chambers swallow at joint velocities (N, 4), last geometry."""
-        speed = velocity_rad_m_per_s * self._lever
-        return np.where(speed >= 0.0, self._area[0], self._area[1]) * np.abs(speed)
+    def pump_flow_m3_per_s(self) -> Array:
+        """What the pump delivers now (N,)."""
+        wanted = self._pump_slope * (self._set_pa - self.rail_pa[:, 0])
+        return np.minimum(wanted, self._pump_m3_per_s)
 
     def _step_rail(self) -> None:
         """Implicit rail pressure; the pump gives min(full flow, slope (set - rail)), so the lesser wins."""

@@ -31,7 +31,9 @@ def build_body(spec: MachineSpec, unit: MachineUnit, step_s: float) -> PlantBody
     tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
     tree.option.timestep = step_s
     tree.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    tree.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    off = mujoco.mjtDisableBit
+    # Without automatic resets a divergence stays visible instead of moving the machine to zero.
+    tree.option.disableflags |= int(off.mjDSBL_EULERDAMP) | int(off.mjDSBL_AUTORESET)
     for geom in list(tree.geoms):
         if not geom.contype and not geom.conaffinity:
             tree.delete(geom)

@@ -42,7 +42,7 @@ class DelayedSamples:
         self._arrival_ns = np.full((depth, count), NEVER_NS, dtype=np.int64)
         self._values = np.full((depth, count, width), np.nan)
         self._rows = np.arange(count)
-        self._head = 0
+        self._head = np.zeros(count, dtype=np.int64)
 
     def clear(self, which: BoolArray | slice = slice(None)) -> None:
         """Forget everything of these sensors."""
@@ -51,11 +51,13 @@ class DelayedSamples:
         self._values[:, which] = np.nan
 
     def push(self, sample_ns: int, arrival_ns: IntArray, values: Array) -> None:
-        """Send values (N, width) sampled at one time; they arrive at (N,) times, NEVER_NS = lost."""
-        self._head = (self._head + 1) % self._sample_ns.shape[0]
-        self._sample_ns[self._head] = sample_ns
-        self._arrival_ns[self._head] = arrival_ns
-        self._values[self._head] = values
+        """Send values (N, width) sampled at one time; they arrive at (N,) times, NEVER_NS = not sent."""
+        sent = np.flatnonzero(arrival_ns != NEVER_NS)
+        self._head[sent] = (self._head[sent] + 1) % self._sample_ns.shape[0]
+        row = self._head[sent]
+        self._sample_ns[row, sent] = sample_ns
+        self._arrival_ns[row, sent] = arrival_ns[sent]
+        self._values[row, sent] = values[sent]
 
     def newest(self, now_ns: int) -> tuple[IntArray, Array]:
         """Sample times (N,), 0 = none yet, and values (N, width), NaN = none yet."""

@@ -122,7 +122,7 @@ class ThrownLoad:
     def fly(self, now_ns: int, plane_m: Array, wind_m_per_s: Array) -> Landed:
         """Fly all loads in the air to this time, towards target surfaces at heights (N,)."""
         rows = np.flatnonzero(self.flying)
-        step_s = (now_ns - self._time_ns[rows]) * 1e-9
+        step_s: Array = (now_ns - self._time_ns[rows]).astype(np.float64) * 1e-9
         p0, v0 = self.position_m[rows], self.velocity_m_per_s[rows]
         wind = wind_m_per_s[rows]
         p1, v1 = step_flight(p0, v0, self._drag_per_m, wind, step_s)
@@ -152,11 +152,11 @@ class ThrownLoad:
         """The gripper switches (N,): true until shortly after the load has left."""
         return self._switch_ns > now_ns
 
-    def locate(self, grip: GripMotion) -> None:
-        """Put the held loads where their grippers are."""
+    def locate(self, grip: GripMotion, now_ns: int) -> None:
+        """Put the held loads where their grippers are, 2 ms after `grip` at most."""
         held = self.held
+        later_s = (now_ns - grip.time_ns) * 1e-9
         arm_m = np.einsum("nij,nj->ni", grip.rotation[held], self._offset_m[held])
-        self.position_m[held] = grip.position_m[held] + arm_m
-        self.velocity_m_per_s[held] = grip.velocity_m_per_s[held] + np.cross(
-            grip.rate_rad_per_s[held], arm_m
-        )
+        velocity = grip.velocity_m_per_s[held] + np.cross(grip.rate_rad_per_s[held], arm_m)
+        self.position_m[held] = grip.position_m[held] + arm_m + velocity * later_s
+        self.velocity_m_per_s[held] = velocity

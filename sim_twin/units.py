@@ -82,7 +82,7 @@ def nominal_unit(spec: MachineSpec) -> MachineUnit:
         unit_seed=0,
         # With dead band and pressure build-up this gives the 0.08 s and 0.15 s to the first movement
         # that facts and spec name (docs/virtual_machine.md has the measurement).
-        dead_time_s=(0.130, 0.068, 0.068, 0.068),
+        dead_time_s=(0.120, 0.068, 0.068, 0.068),
         spool_lag_s=(0.080, 0.060, 0.060, 0.060),
         dead_band_positive_ratio=(band, band, band, band),
         dead_band_negative_ratio=(band, band, band, band),
@@ -133,8 +133,8 @@ UNIT_HALF_WIDTH: dict[str, float | Four] = {
     "dead_band_positive_ratio": 0.025,
     "dead_band_negative_ratio": 0.025,
     "hysteresis_ratio": 0.004,
-    "valve_gain_positive_ratio": (0.055, 0.10, 0.125, 0.125),
-    "valve_gain_negative_ratio": (0.055, 0.10, 0.125, 0.125),
+    "valve_gain_positive_ratio": (0.06, 0.10, 0.125, 0.125),
+    "valve_gain_negative_ratio": (0.06, 0.10, 0.125, 0.125),
     "metering_curve_ratio": 0.10,
     "friction_pressure_pa": (4.0e5, 2.5e5, 4.0e5, 2.0e5),
     "viscous_friction_ratio": 0.30,

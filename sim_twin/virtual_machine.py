@@ -61,6 +61,8 @@ class PlantTruth:
     """(N,) 0 = not yet."""
     impact_position_m: Array
     """(N, 3) point of the target surface that the load touched."""
+    pump_flow_m3_per_s: Array
+    """(N,) what the pump delivers at this instant."""
 
 
 class VirtualMachine:
@@ -182,7 +184,7 @@ class VirtualMachine:
             self._take_load(empty, draw_conditions(self._unit, self.count, self._rng))
 
     def reset(self, joint_position_rad_m: Array, seed: int) -> None:
-        """Start over at rest at poses (N, 6) with a load; `seed` fixes all noise of the throws that follow."""
+        """Start over at rest at poses (N, 6), with loads; `seed` fixes all noise that follows."""
         pose = np.asarray(joint_position_rad_m, dtype=np.float64)
         if pose.shape != self._position.shape or not np.isfinite(pose).all():
             raise PlantError(
@@ -230,7 +232,7 @@ class VirtualMachine:
     def truth(self) -> PlantTruth:
         """What really is and was."""
         load = self._load
-        load.locate(self._grip_motion())
+        load.locate(self._grip_motion(), self._physics_ns)
         return PlantTruth(
             joint_position_rad_m=self._position.copy(),
             joint_velocity_rad_m_per_s=self._velocity.copy(),
@@ -241,6 +243,7 @@ class VirtualMachine:
             release_velocity_m_per_s=load.release_velocity_m_per_s.copy(),
             impact_t_mono_ns=load.impact_ns.copy(),
             impact_position_m=load.impact_m.copy(),
+            pump_flow_m3_per_s=self._hydraulics.pump_flow_m3_per_s(),
         )
 
     def _take_load(self, which: BoolArray, conditions: ThrowConditions) -> None:
