@@ -135,6 +135,8 @@ def _words(shown: ThrowPreview) -> str:
             f"downrange, {e.mean_crossrange_error_m:+.3f} m crossrange; sd {e.sd_downrange_m:.3f} and "
             f"{e.sd_crossrange_m:.3f} m"
         )
-    lines.extend(f"{c.name}: {c.value_rad_m:.2f} at {c.at_s:.1f} s" for c in shown.clearances)
+    lines.extend(
+        f"{c.name}: {c.value_rad_m:.2f} {c.unit} at {c.at_s:.1f} s" for c in shown.clearances
+    )
     lines.append(f"computed in {shown.wall_s:.2f} s")
     return "\n".join(lines)

@@ -137,18 +137,30 @@ def run_throws(
         # The last batch is filled up with repeats, whose results are dropped.
         rows = first + np.arange(plant.count) % taken
         batch_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
-        batch = _Batch(plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken)
+        batch = ThrowBatch(plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken)
+        batch.use_truth = use_truth
         if record is not None:
             record.begin(plant, first, taken)
-        batch_results = batch.run(record, progress, (first, count), use_truth)
+        told = -1
+        while batch.running.any():
+            now_ns, outputs = plant.now_ns(), batch.tick()
+            if record is not None:
+                record.tick(now_ns, batch.rollout.sample, outputs)
+            if progress is not None and batch.ended_count != told:
+                told = batch.ended_count
+                progress(first + told, count)
+        batch_results = batch.results()
         if record is not None:
             record.end(batch_results)
         results.extend(batch_results)
     return results
 
 
-class _Batch:
-    """The throws that run side by side: follows them until each has ended."""
+class ThrowBatch:
+    """Throws that run side by side, and how each of them ended."""
+
+    use_truth = False
+    """Score true impacts where the plant knows them."""
 
     def __init__(
         self,
@@ -159,47 +171,44 @@ class _Batch:
         seed: int,
         taken: int,
     ) -> None:
+        """Start a throw on every machine; only the first `taken` of them count."""
         self._spec = params.spec
         if isinstance(plant, HasSurface):
             plant.set_surface_height(target_m[:, 2])
-        self._rollout = Rollout(plant, params, target_m, start_rad_m, seed)
+        self.rollout = Rollout(plant, params, target_m, start_rad_m, seed)
         self._taken, self._count = taken, plant.count
         low, high = params.spec.position_range_rad_m
         self._low, self._high = low + LIMIT_REACHED_RAD_M, high - LIMIT_REACHED_RAD_M
-        self._code = np.full(plant.count, "", dtype="U16")
-        self._code[taken:] = Outcome.TIMEOUT
-        self._was_held = self._rollout.sample.payload_held.copy()
+        self.outcome = np.full(plant.count, "", dtype="U16")
+        """(N,) `Outcome`; empty while the throw runs."""
+        self.outcome[taken:] = Outcome.TIMEOUT
+        self.running: BoolArray = self.outcome == ""
+        """(N,) throws that have not ended."""
+        self._was_held = self.rollout.sample.payload_held.copy()
         self._impact = np.full((plant.count, 3), np.nan)
-        self._release_speed = np.full(plant.count, np.nan)
-        self._release_s = np.full(plant.count, np.nan)
+        self.release_speed_m_per_s = np.full(plant.count, np.nan)
+        self.release_s = np.full(plant.count, np.nan)
         self._end_s = np.zeros(plant.count)
 
-    def run(
-        self,
-        record: TickRecorder | None,
-        progress: Progress | None,
-        place: tuple[int, int],
-        use_truth: bool,
-    ) -> list[ThrowResult]:
-        """Tick until every throw has ended; `place` is (first throw, throws in all) for `progress`."""
-        running = self._code == ""
-        told = -1
-        while running.any():
-            now_ns = self._rollout.plant.now_ns()
-            outputs = self._rollout.tick()
-            sample = self._rollout.sample
-            if record is not None:
-                record.tick(now_ns, sample, outputs)
-            self._note_release(sample, outputs)
-            if self._note_ends(sample, outputs, running, use_truth):
-                running = self._code == ""
-                if isinstance(self._rollout.plant, Freezable):
-                    self._rollout.plant.freeze(~running)
-                done = self._taken - int(np.count_nonzero(running[: self._taken]))
-                if progress is not None and done != told:
-                    told = done
-                    progress(place[0] + done, place[1])
-        return self._results()
+    @property
+    def ended_count(self) -> int:
+        """Throws that have ended."""
+        return self._taken - int(np.count_nonzero(self.running))
+
+    @property
+    def load_gone(self) -> BoolArray:
+        """(N,) whether the load has left the gripper."""
+        return ~self._was_held
+
+    def tick(self) -> ControlOutputs:
+        """One control tick of all machines, and what it ended."""
+        outputs = self.rollout.tick()
+        self._note_release(self.rollout.sample, outputs)
+        if self._note_ends(self.rollout.sample, outputs):
+            self.running = self.outcome == ""
+            if isinstance(self.rollout.plant, Freezable):
+                self.rollout.plant.freeze(~self.running)
+        return outputs
 
     def _note_release(self, sample: SensorSample, outputs: ControlOutputs) -> None:
         left = self._was_held & ~sample.payload_held
@@ -209,14 +218,12 @@ class _Batch:
             grip = grip_centre(
                 self._spec, row["joint_position_rad_m"], row["joint_velocity_rad_m_per_s"]
             )
-            self._release_speed[left] = np.linalg.norm(grip.velocity_m_per_s, axis=-1)
-            self._release_s[left] = self._rollout.elapsed_s
+            self.release_speed_m_per_s[left] = np.linalg.norm(grip.velocity_m_per_s, axis=-1)
+            self.release_s[left] = self.rollout.elapsed_s
 
-    def _note_ends(
-        self, sample: SensorSample, outputs: ControlOutputs, running: BoolArray, use_truth: bool
-    ) -> bool:
+    def _note_ends(self, sample: SensorSample, outputs: ControlOutputs) -> bool:
         """Write down the outcome of throws that ended in this tick; whether there were any."""
-        rollout = self._rollout
+        rollout = self.rollout
         elapsed_s = rollout.elapsed_s
         position = sample.joint_position_rad_m
         holding = sample.payload_held
@@ -237,34 +244,34 @@ class _Batch:
             (Outcome.NO_RELEASE, late & holding),
             (Outcome.TIMEOUT, np.full(self._count, elapsed_s >= END_TIMEOUT_S)),
         ):
-            new = running & happened & ~ended
+            new = self.running & happened & ~ended
             if new.any():
-                self._code[new] = outcome
+                self.outcome[new] = outcome
                 ended |= new
         if not ended.any():
             return False
         self._end_s[ended] = elapsed_s
         plant = rollout.plant
         point = sample.impact_position_m
-        if use_truth and isinstance(plant, KnowsTruth):
+        if self.use_truth and isinstance(plant, KnowsTruth):
             point = plant.true_impact_m()
-        fell = ended & (self._code == Outcome.LANDED)
+        fell = ended & (self.outcome == Outcome.LANDED)
         self._impact[fell] = point[fell]
         return True
 
-    def _results(self) -> list[ThrowResult]:
-        target = self._rollout.target_m
-        local = to_throw_frame(self._impact, target)
-        down = local[:, 0] - np.hypot(target[:, 0], target[:, 1])
+    def results(self) -> list[ThrowResult]:
+        """What came of the throws that count."""
+        target = self.rollout.target_m
+        down, cross = throw_errors(self._impact, target)
         return [
             ThrowResult(
                 target_m=_point(target[i]),
-                outcome=Outcome(str(self._code[i])),
+                outcome=Outcome(str(self.outcome[i])),
                 impact_m=_point(self._impact[i]),
                 downrange_error_m=float(down[i]),
-                crossrange_error_m=float(local[i, 1]),
-                release_speed_m_per_s=float(self._release_speed[i]),
-                throw_duration_s=float(self._release_s[i]),
+                crossrange_error_m=float(cross[i]),
+                release_speed_m_per_s=float(self.release_speed_m_per_s[i]),
+                throw_duration_s=float(self.release_s[i]),
                 simulated_s=float(self._end_s[i]),
             )
             for i in range(self._taken)
@@ -273,6 +280,12 @@ class _Batch:
 
 def _point(row: Array) -> tuple[float, float, float]:
     return float(row[0]), float(row[1]), float(row[2])
+
+
+def throw_errors(impact_m: Array, target_m: Array) -> tuple[Array, Array]:
+    """Downrange and crossrange errors (N,) of impacts (N, 3) at targets (N, 3), frame `throw`."""
+    local = to_throw_frame(impact_m, target_m)
+    return local[:, 0] - np.hypot(target_m[:, 0], target_m[:, 1]), local[:, 1]
 
 
 def landing_ellipse(results: Sequence[ThrowResult]) -> LandingEllipse | None:

@@ -32,6 +32,8 @@ class Clearance(NamedTuple):
     """Below this the motion is refused."""
     at_s: float
     """When, from the start of the motion."""
+    unit: str
+    """``m`` or ``rad``."""
 
 
 def solid_clearances(frames_rad_m: Array, period_s: float) -> list[Clearance]:
@@ -59,7 +61,7 @@ def solid_clearances(frames_rad_m: Array, period_s: float) -> list[Clearance]:
             if distance < smallest[name][0]:
                 smallest[name] = (distance, index)
     return [
-        Clearance(name, distance, 0.0, index * period_s)
+        Clearance(name, distance, 0.0, index * period_s, "m")
         for name, (distance, index) in smallest.items()
     ]
 
@@ -73,6 +75,6 @@ def limit_clearances(
         position = frames_rad_m[:, joint]
         margin = np.minimum(position - low[joint], high[joint] - position)
         at = int(np.argmin(margin))
-        yield Clearance(
-            f"{ACTIVE_JOINTS[joint]} to its limit", float(margin[at]), 0.0, at * period_s
-        )
+        unit = "m" if ACTIVE_JOINTS[joint] == "telescope" else "rad"
+        name = f"{ACTIVE_JOINTS[joint]} to its limit"
+        yield Clearance(name, float(margin[at]), 0.0, at * period_s, unit)

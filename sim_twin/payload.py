@@ -17,8 +17,8 @@ NEVER_NS = np.iinfo(np.int64).max
 class Payload:
     """Loads of N machines; times in ns of the driver's clock, positions (N, 3) in frame `machine`."""
 
-    def __init__(self, spec: MachineSpec, profile: TwinProfile, count: int, tracked: bool) -> None:
-        self._profile, self._count, self._tracked = profile, count, tracked
+    def __init__(self, spec: MachineSpec, profile: TwinProfile, count: int) -> None:
+        self._profile, self._count = profile, count
         self._drag_nominal_per_m = (
             drag_per_m(spec.ball)
             * profile.drag_coefficient_ratio
@@ -35,9 +35,10 @@ class Payload:
         self.release_position_m = np.full((count, 3), np.nan)
         self.release_velocity_m_per_s = np.full((count, 3), np.nan)
         self.position_m = np.full((count, 3), np.nan)
+        """Of a load in the air; NaN otherwise."""
         self.impact_t_ns: IntArray = np.zeros(count, dtype=np.int64)
         self.impact_m = np.full((count, 3), np.nan)
-        """True point of impact; already known while the load flies (`impact_t_ns` then lies ahead)."""
+        """True point of the surface that the load touched."""
         self._velocity = np.full((count, 3), np.nan)
         self._delay_ns: IntArray = np.zeros(count, dtype=np.int64)
         self.drag_per_m: Array = np.full(count, self._drag_nominal_per_m)
@@ -103,47 +104,41 @@ class Payload:
         )
         velocity = v0 + share * (v1 - v0)
         self.held[rows] = False
+        self.flying[rows] = True
         self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity
-        plane = self.surface_height_m[rows] + self._radius_m
-        end = landing(position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s)
-        lands = np.isfinite(end.time_s)
-        self.flying[rows] = lands
-        where = rows[lands]
-        self.impact_m[where] = end.position_m[lands]
-        # The survey measures the mark on the surface, not the ball's centre above it.
-        self.impact_m[where, 2] = self.surface_height_m[where]
-        self.impact_t_ns[where] = self.release_t_ns[where] + np.round(
-            end.time_s[lands] * 1e9
-        ).astype(np.int64)
-        if self._tracked:
-            self.position_m[rows], self._velocity[rows] = step_flight(
-                position, velocity, self.drag_per_m[rows], self.wind_m_per_s, late_s
-            )
+        self.position_m[rows], self._velocity[rows] = position, velocity
 
-    def fly(self, now_ns: int, tick_s: float, fresh: IntArray) -> None:
-        """Move the loads in the air by one tick (`fresh` left within it and have moved already)."""
+    def fly(self, now_ns: int, tick_s: float) -> None:
+        """Move the loads in the air to `now_ns`, one tick or what is left of it since their release."""
         if not self.flying.any():
             return
-        self.flying &= self.impact_t_ns > now_ns
-        if not self._tracked:
-            return
-        self.position_m[~self.flying] = np.nan
-        moving = self.flying.copy()
-        moving[fresh] = False
-        rows = np.flatnonzero(moving)
-        if rows.size:
-            self.position_m[rows], self._velocity[rows] = step_flight(
-                self.position_m[rows],
-                self._velocity[rows],
-                self.drag_per_m[rows],
-                self.wind_m_per_s,
-                tick_s,
-            )
+        rows = np.flatnonzero(self.flying)
+        step_s = np.minimum((now_ns - self.release_t_ns[rows]) * 1e-9, tick_s)
+        p0, v0, drag = self.position_m[rows], self._velocity[rows], self.drag_per_m[rows]
+        p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s, step_s)
+        self.position_m[rows], self._velocity[rows] = p1, v1
+        plane = self.surface_height_m[rows] + self._radius_m
+        # A load that never rose above a raised surface falls beside it, to the ground.
+        plane = np.where(p0[:, 2] > plane, plane, np.minimum(plane, self._radius_m))
+        down = (p1[:, 2] <= plane) & (v1[:, 2] < 0.0)
+        if down.any():
+            begin_ns = now_ns - np.round(step_s[down] * 1e9).astype(np.int64)
+            self._touch_down(rows[down], p0[down], v0[down], plane[down], begin_ns)
 
-    def survey(self, now_ns: int) -> tuple[IntArray, Array]:
-        """Times (N,) and surveyed points (N, 3) of the impacts up to now; 0 and NaN before."""
-        landed = (self.impact_t_ns > 0) & (self.impact_t_ns <= now_ns)
-        time_ns = np.where(landed, self.impact_t_ns, 0)
-        point = np.where(landed[:, None], self.impact_m, np.nan)
+    def _touch_down(
+        self, rows: IntArray, position: Array, velocity: Array, plane: Array, begin_ns: IntArray
+    ) -> None:
+        """End the flight of `rows`, which cross their plane within a tick of `begin_ns`."""
+        end = landing(position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s)
+        self.impact_m[rows] = end.position_m
+        # The survey measures the mark on the surface, not the ball's centre above it.
+        self.impact_m[rows, 2] = plane - self._radius_m
+        self.impact_t_ns[rows] = begin_ns + np.round(end.time_s * 1e9).astype(np.int64)
+        self.flying[rows] = False
+        self.position_m[rows] = np.nan
+
+    def survey(self) -> tuple[IntArray, Array]:
+        """Times (N,) and surveyed points (N, 3) of the impacts so far; 0 and NaN before."""
+        point = self.impact_m.copy()
         point[:, :2] += self._survey_error
-        return time_ns, point
+        return self.impact_t_ns.copy(), point

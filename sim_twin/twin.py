@@ -108,7 +108,6 @@ class Twin:
         profile: TwinProfile,
         calibration: ValveCalibration,
         seed: int = 0,
-        tracker: bool = True,
         thread_count: int = 2,
     ) -> None:
         """Build the machines and put them, loaded, into the model's zero pose; call `reset` to begin.
@@ -118,7 +117,6 @@ class Twin:
             profile: effects of the machine that this twin stands for.
             calibration: its valves' steady curve (speed over command in actuator space).
             seed: of the first per-throw draw; `reset` takes new ones.
-            tracker: whether the flying load's position is reported.
             thread_count: threads of the physics.
 
         Raises:
@@ -134,7 +132,7 @@ class Twin:
         self._batch: Any = batch.Batch(model, count, threads)
         self._bind()
         self._response = VelocityResponse(self.spec, profile, calibration, count)
-        self._payload = Payload(self.spec, profile, count, tracker)
+        self._payload = Payload(self.spec, profile, count)
         self._low, self._high = self.spec.position_range_rad_m
         self._now_ns = START_NS
         self._valve = np.zeros((count, ACTIVE_COUNT))
@@ -254,7 +252,7 @@ class Twin:
         if before is not None:
             after = grip_centre(self.spec, q[due], v[due])
             self._payload.release(due, before, after, end_ns, CONTROL_PERIOD_S)
-        self._payload.fly(end_ns, CONTROL_PERIOD_S, due)
+        self._payload.fly(end_ns, CONTROL_PERIOD_S)
         self._sample = None
 
     def read(self) -> SensorSample:
@@ -268,7 +266,7 @@ class Twin:
         start = (self._noise_offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE
         noise = _noise_table()[start + np.arange(NOISE_CHANNELS)] * self._noise_sd
         load = self._payload
-        impact_t_ns, impact_m = load.survey(self._now_ns)
+        impact_t_ns, impact_m = load.survey()
         # MuJoCo's sensors describe the state in which the last step began.
         imu_t_ns = self._now_ns - CONTROL_PERIOD_NS
         count = self.count
@@ -283,7 +281,7 @@ class Twin:
             supply_pressure_pa=np.full(count, self.spec.hydraulics.supply_pressure_pa),
             local_enable=np.ones(count, dtype=np.bool_),
             emergency_stop=np.zeros(count, dtype=np.bool_),
-            ball_t_mono_ns=np.where(np.isfinite(load.position_m[:, 0]), self._now_ns, 0),
+            ball_t_mono_ns=np.where(load.flying, self._now_ns, 0),
             ball_position_m=load.position_m.copy(),
             impact_t_mono_ns=impact_t_ns,
             impact_position_m=impact_m,
@@ -316,8 +314,7 @@ class Twin:
 
     def true_impact_m(self) -> Array:
         """True impact points (N, 3), NaN before the impact."""
-        landed = (self._payload.impact_t_ns > 0) & (self._payload.impact_t_ns <= self._now_ns)
-        return np.where(landed[:, None], self._payload.impact_m, np.nan)
+        return self._payload.impact_m.copy()
 
     def set_surface_height(self, height_m: Array) -> None:
         """Height (N,) of the surface on which the loads land, from the next release on."""
