@@ -7,9 +7,16 @@ blur one joint's response with another's motion.
 import numpy as np
 
 from machine.calibration import ValveCalibration, actuator_ratio
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_NS, CONTROL_PERIOD_S, Array, IntArray
+from machine.conventions import (
+    ACTIVE_COUNT,
+    CONTROL_PERIOD_NS,
+    CONTROL_PERIOD_S,
+    JOINT_COUNT,
+    Array,
+    IntArray,
+)
+from machine.kinematics import hanging_pitch_rad
 from machine.spec import MachineSpec
-from machine.starts import safe_pose
 from runtime.driver import SimulatedDriver, ValveCommand
 from sim_twin.identify import ResponseFit, fit_response
 from sim_twin.profile import TwinProfile, nominal_profile
@@ -19,8 +26,15 @@ HOLD_S = ((0.8, 2.0), (0.2, 0.9), (0.2, 0.9), (0.2, 0.9))
 """Shortest and longest time a valve command is held, per joint: throws reverse joints this often."""
 VALVE_RATIO = (0.15, 0.85)
 """Smallest and largest command: outside the dead band, below what one joint's flow limit clips."""
-MARGIN_RAD_M = 0.25
-"""Distance from a position limit at which the command turns back."""
+START_RAD_M = (
+    (0.0, 0.8, 0.0, 0.5),
+    (0.0, 0.8, 0.3, 0.0),
+    (0.0, 0.9, 0.0, 0.0),
+    (0.0, 1.0, 0.1, 0.8),
+)
+"""Where each joint's motion starts: load clear of the ground throughout."""
+WINDOW_RAD_M = ((-np.inf, np.inf), (0.55, 1.05), (-0.6, 0.7), (0.2, 1.5))
+"""Outside it the command turns back."""
 
 
 def record_valve_response(
@@ -36,14 +50,17 @@ def record_valve_response(
     count = plant.count
     rows, joint = np.arange(count), np.arange(count) % ACTIVE_COUNT
     hold = np.asarray(HOLD_S)[joint]
-    low, high = spec.position_range_rad_m
+    low, high = np.asarray(WINDOW_RAD_M)[joint].T
     tables = [
         (np.asarray(t.valve_ratio), np.asarray(t.actuator_speed_rad_m_per_s))
         for t in calibration.tables
     ]
     ticks = round(DURATION_S / CONTROL_PERIOD_S)
     steady, measured = np.zeros((count, ticks)), np.zeros((count, ticks))
-    plant.reset(np.tile(safe_pose(), (count, 1)), seed)
+    pose = np.zeros((count, JOINT_COUNT))
+    pose[:, :ACTIVE_COUNT] = np.asarray(START_RAD_M)[joint]
+    pose[:, 4] = hanging_pitch_rad(pose[:, :ACTIVE_COUNT])
+    plant.reset(pose, seed)
     shut = np.zeros(count, dtype=np.bool_)
     level = np.zeros(count)
     until = np.zeros(count)
@@ -51,11 +68,7 @@ def record_valve_response(
     for tick in range(ticks):
         position = sample.joint_position_rad_m
         own = position[rows, joint]
-        turn = np.where(
-            own > high[joint] - MARGIN_RAD_M,
-            -1.0,
-            np.where(own < low[joint] + MARGIN_RAD_M, 1.0, 0.0),
-        )
+        turn = np.where(own > high, -1.0, np.where(own < low, 1.0, 0.0))
         due = (tick * CONTROL_PERIOD_S >= until) | (turn * level < 0.0)
         sign = np.where(turn != 0.0, turn, rng.choice([-1.0, 1.0], count))
         level = np.where(due, sign * rng.uniform(*VALVE_RATIO, count), level)
