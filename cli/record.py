@@ -1,0 +1,106 @@
+"""`downrange record`: write the throw logs of a campaign, as a machine would have written them."""
+
+import re
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cli.evaluate import open_campaign, progress_line
+from machine.conventions import Mode
+from machine.errors import UsageError
+from machine.starts import sample_starts
+from sim_twin.accuracy import outcome_counts
+from sim_twin.campaign import run_throws
+from sim_twin.profile import load_profile
+from sim_twin.throw_logs import CampaignRecorder, LogContext
+
+MAX_RECORDED_COUNT = 64
+"""Throws kept in memory side by side (a throw is about 1 MB of rows)."""
+
+
+def run(
+    *,
+    mode: Literal["2d", "3d"],
+    out: Path,
+    plant: str = "virtual",
+    throws: int = 12,
+    targets: str = "7.5:10:0.5",
+    seed: int = 0,
+    unit_seed: int = 0,
+    policies: Path = Path("policies"),
+    policy: Path | None = None,
+    calibration: Path | None = None,
+    profile: Path | None = None,
+) -> int:
+    """Throw on a simulated plant and write one throw log (MCAP) a throw.
+
+    The throws go round the targets, each from a random start pose. The logs hold what a machine's
+    sensors and its survey say, no truth of the simulator; `downrange diagnose` reads them.
+
+    Example: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
+
+    Args:
+        mode: 2d throws within the arm's plane, 3d turns the cabin as well.
+        out: folder for the logs; made if it is missing.
+        plant: twin, virtual, or package.module:Class of your own simulated machine.
+        throws: throws in all.
+        targets: ranges in metres from the slew axis, FIRST:LAST:STEP with both ends, or 8,8.5,9.
+        seed: of start poses and of everything random in the plant.
+        unit_seed: which machine of its kind the plant is; 0 is the nominal one.
+        policies: folder of policy versions; its active.json names the one of each mode.
+        policy: folder of one policy version, instead of the active one.
+        calibration: valve calibration of the machine; measured on the plant if left out.
+        profile: twin profile, for --plant twin; nominal if left out.
+    """
+    campaign = open_campaign(
+        mode=Mode(mode),
+        plant=plant,
+        targets=targets,
+        throws=throws,
+        seed=seed,
+        unit_seed=unit_seed,
+        policies=policies,
+        policy=policy,
+        calibration=calibration,
+        profile=profile,
+    )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
+    target_m = np.zeros((throws, 3))
+    target_m[:, 0] = list(islice(cycle(campaign.ranges_m), throws))
+    starts = sample_starts(campaign.spec, Mode(mode), target_m, np.random.default_rng(seed))
+    name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
+    recorder = CampaignRecorder(
+        campaign.params,
+        LogContext(
+            machine_id=f"{name}-{unit_seed}",
+            throw_prefix=f"{name}-{unit_seed}-{mode}-s{seed}",
+            twin_profile_version_count=0
+            if profile is None
+            else load_profile(profile).version_count,
+            out_dir=out,
+        ),
+    )
+    machines = campaign.make(min(throws, MAX_RECORDED_COUNT))
+    try:
+        results = run_throws(
+            machines,
+            campaign.params,
+            target_m,
+            starts,
+            seed,
+            record=recorder,
+            progress=progress_line("record"),
+        )
+    finally:
+        machines.close()
+    for stored in recorder.stored:
+        print(stored.path)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(results).items())
+    size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
+    print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
+    return 0
