@@ -145,6 +145,9 @@ class FireRequest(_Command):
     epoch_count: int = Field(ge=0)
     nonce: str
     plan_hash: str
+    seen_t_mono_ns: int | None = Field(default=None, ge=0)
+    """Newest `t_mono_ns` of the machine's own messages that the sender had seen: tells the machine, on its
+    own clock, how old this command can at most be (runtime/freshness.py)."""
 
 
 class AbortRequest(_Command):
@@ -218,6 +221,8 @@ class OperatorHeartbeat(_ToMachine):
     epoch_count: int = Field(ge=0)
     sequence_count: int = Field(ge=0)
     is_holding: bool
+    seen_t_mono_ns: int | None = Field(default=None, ge=0)
+    """As in `FireRequest`: a heartbeat that was held up on its way does not count."""
 
 
 class CheckResult(BaseModel):
