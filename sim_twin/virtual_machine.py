@@ -173,9 +173,12 @@ class VirtualMachine:
             raise PlantError(
                 f"valve commands must be {self._valve.shape} finite ratios, got shape {valve.shape}"
             )
+        opens = np.asarray(command.gripper_open, dtype=np.bool_)
+        if opens.shape != (self.count,):
+            raise PlantError(f"gripper commands must be ({self.count},), got shape {opens.shape}")
         np.clip(valve, -1.0, 1.0, out=self._valve)
         self._write_ns = self._now_ns
-        self._load.command(command.gripper_open, self._now_ns)
+        self._load.command(opens, self._now_ns)
 
     def load(self) -> None:
         """Put a load into every empty gripper."""

@@ -104,7 +104,7 @@ def test_specific_force_is_that_of_the_moving_imu():
             machine.write(ValveCommand(valve, np.zeros(1, bool)))
         machine.advance(machine.now_ns() + 2_000_000)
         grip = machine._grip_motion()
-        arm = grip.rotation[0] @ (site + [0.0, 0.0, 1.0])
+        arm = grip.rotation[0] @ (site + np.array([0.0, 0.0, 1.0]))
         points.append(grip.position_m[0] + arm)
         times.append((grip.time_ns, grip.rotation[0].copy()))
         sample = machine.read()
@@ -282,5 +282,7 @@ def test_wrong_calls_are_refused_with_the_numbers():
         machine.write(ValveCommand(np.zeros((2, 4)), np.zeros(2, bool)))
     with pytest.raises(PlantError, match="finite"):
         machine.write(ValveCommand(np.full((1, 4), np.nan), np.zeros(1, bool)))
+    with pytest.raises(PlantError, match="gripper"):
+        machine.write(ValveCommand(np.zeros((1, 4)), np.zeros(2, bool)))
     with pytest.raises(PlantError, match=r"\(1, 6\)"):
         machine.reset(np.zeros((1, 5)), 0)
