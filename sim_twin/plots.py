@@ -66,18 +66,24 @@ def plot_accuracy(
         raise UsageError(
             f"cannot write a plot to {path}: the name must end with {', '.join(SUFFIXES)}"
         )
+    figure = accuracy_figure(targets, title=title, reach_m=reach_m)
+    try:
+        figure.savefig(path, dpi=150)
+    except OSError as error:
+        raise UsageError(f"cannot write the plot {path}: {error.strerror}") from error
+
+
+def accuracy_figure(targets: Sequence[TargetScatter], *, title: str, reach_m: float) -> Figure:
+    """The figure that `plot_accuracy` writes."""
     figure = Figure(figsize=(12.0, 5.4), layout="constrained")
     FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
+    left, right = figure.subplots(1, 2)
     thrown = sum(t.throw_count for t in targets)
     landed = sum(t.downrange_error_m.size for t in targets)
     figure.suptitle(f"{title}\n{landed} of {thrown} throws landed", fontsize=11)
     _range_axes(left, targets, reach_m)
     _scatter_axes(right, targets)
-    try:
-        figure.savefig(path, dpi=150)
-    except OSError as error:
-        raise UsageError(f"cannot write the plot {path}: {error.strerror}") from error
+    return figure
 
 
 def _range_axes(axes: Any, targets: Sequence[TargetScatter], reach_m: float) -> None:
@@ -104,7 +110,6 @@ def _range_axes(axes: Any, targets: Sequence[TargetScatter], reach_m: float) -> 
             ha="center",
             fontsize=7,
         )
-    axes.set_xlim(*ends)
     axes.set_xlabel("target range / m")
     axes.set_ylabel("impact range / m (mean and 1 σ)")
     axes.set_aspect("equal", adjustable="datalim")
