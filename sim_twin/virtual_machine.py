@@ -232,6 +232,14 @@ class VirtualMachine:
         """Press or release the emergency stops (N,); valves stay closed while pressed."""
         self._stopped[:] = pressed
 
+    def set_surface_height(self, height_m: Array) -> None:
+        """Height (N,) above ground of the surface on which loads touch down, from now on."""
+        self.target_height_m[:] = height_m
+
+    def true_impact_m(self) -> Array:
+        """Points (N, 3) of the surface that the loads touched, NaN before; without survey error."""
+        return self._load.impact_m.copy()
+
     def truth(self) -> PlantTruth:
         """What really is and was."""
         load = self._load

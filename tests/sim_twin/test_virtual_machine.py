@@ -135,7 +135,7 @@ def throw(machine, wait=0):
 
 def test_release_flight_and_survey():
     machine = make(count=40)
-    machine.target_height_m[:20] = 0.5
+    machine.set_surface_height(np.repeat([0.5, 0.0], 20))
     opened_ns, samples = throw(machine)
     truth, last = machine.truth(), samples[-1]
     assert not machine.collided().any()
@@ -153,6 +153,7 @@ def test_release_flight_and_survey():
     flight_s = (truth.impact_t_mono_ns - truth.release_t_mono_ns) * 1e-9
     np.testing.assert_allclose(flight_s, fall.time_s, atol=1e-4)
     np.testing.assert_array_equal(last.impact_t_mono_ns, truth.impact_t_mono_ns)
+    np.testing.assert_array_equal(machine.true_impact_m(), truth.impact_position_m)
     error = last.impact_position_m - truth.impact_position_m
     assert 0.01 < error[:, :2].std() < 0.03
     np.testing.assert_allclose(last.impact_sd_m, 0.02)
