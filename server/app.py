@@ -1,23 +1,54 @@
-"""The web service: puts the routers together."""
+"""The web service on one port: HTTP interface, event streams, 3D view and console.
+
+`create_app` opens nothing; everything long-lived is opened when the application starts.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 from fastapi import APIRouter, FastAPI
+from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.routing import APIRoute
+from pydantic.json_schema import models_json_schema
+from starlette.requests import HTTPConnection
 
+from machine.errors import DownrangeError
+from machine.spec import load_spec
+from server.auth import COOKIE, Session
+from server.error_shape import add_error_handlers
+from server.errors import NotFoundError
+from server.instance_lock import instance_lock
+from server.middleware import RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
     auth,
     events,
     health,
     history,
+    hold,
     leases,
+    logs,
     machines,
     plans,
     policies,
-    throws,
+    view,
 )
-from server.schemas import ErrorBody
+from server.schemas import ErrorBody, HoldMessage, HoldReply
+from server.services import Services, open_services
+from server.settings import Settings
+from server.version import SOFTWARE
+from server.viewer_pick import PickRefusedError
+from server.viewer_proxy import ViewerProxy
+from server.viewer_scene import ViewerScene
+
+logger = logging.getLogger(__name__)
 
 API_PREFIX = "/api/v1"
+MAX_BODY_BYTES = 64 * 1024
+TICK_S = 0.5
 
 
 def _operation_id(route: APIRoute) -> str:
@@ -26,32 +57,132 @@ def _operation_id(route: APIRoute) -> str:
 
 def _api_router() -> APIRouter:
     responses: dict[int | str, dict[str, object]] = {
-        status: {"model": ErrorBody} for status in (401, 403, 404, 409, 422, 503)
+        status: {"model": ErrorBody}
+        for status in (400, 401, 403, 404, 409, 413, 422, 429, 503, 504)
     }
-    api = APIRouter(prefix=API_PREFIX, responses=responses)
+    api = APIRouter(prefix=API_PREFIX, responses=responses, max_body_size=MAX_BODY_BYTES)
     for module in (
         auth,
         machines,
         leases,
         plans,
-        throws,
+        hold,
         history,
+        view,
         policies,
         audit,
         events,
         health,
     ):
         api.include_router(module.router)
+    api.include_router(logs.router, max_body_size=logs.MAX_BODY_BYTES)
     return api
 
 
-def create_app() -> FastAPI:
-    """Build the service."""
+async def _no_such_api(path: str) -> None:
+    # Without this the console's page would answer for every mistyped address of the interface.
+    raise NotFoundError("not_found", f"There is nothing at /api/{path[:100]}.")
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Build the service.
+
+    Args:
+        settings: where everything lies; nothing is touched before the application starts.
+    """
+
+    def pick(session_id: str, point_m: tuple[float, float, float]) -> None:
+        services: Services = app.state.services
+        services.targets.take_pick(session_id, point_m)
+
+    def refused_pick(session_id: str, error: PickRefusedError) -> None:
+        services: Services = app.state.services
+        services.targets.take_refused_pick(session_id, error)
+
+    async def session_of(connection: HTTPConnection) -> Session | None:
+        services: Services = app.state.services
+        return await asyncio.to_thread(services.accounts.session_of, connection.cookies.get(COOKIE))
+
+    scene = ViewerScene(load_spec(), pick, on_pick_refused=refused_pick)
+    proxy = ViewerProxy(scene, session_of, allowed_origins=settings.allowed_origins)
     app = FastAPI(
         title="Downrange",
-        version="0.1.0",
+        version=SOFTWARE,
         openapi_url=f"{API_PREFIX}/openapi.json",
+        docs_url=None,
+        redoc_url=None,
         generate_unique_id_function=_operation_id,
+        lifespan=_lifespan(settings, scene, proxy),
+        max_body_size=MAX_BODY_BYTES,
     )
     app.include_router(_api_router())
+    app.include_router(health.metrics_router)
+    app.include_router(proxy.router)
+    app.add_api_route(
+        "/api/{path:path}",
+        _no_such_api,
+        methods=["GET", "POST", "PUT", "PATCH", "DELETE"],
+        include_in_schema=False,
+    )
+    if settings.web_dir.is_dir():
+        app.frontend("/", directory=settings.web_dir, fallback="index.html")
+    add_error_handlers(app)
+    app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
+    app.add_middleware(SecurityHeaders)
+    app.add_middleware(RequestTimes)
     return app
+
+
+def openapi_document(app: FastAPI) -> dict[str, object]:
+    """The interface's description, with the WebSocket messages that OpenAPI itself has no place for."""
+    document = app.openapi()
+    _, extra = models_json_schema(
+        [(HoldMessage, "validation"), (HoldReply, "serialization")],
+        ref_template="#/components/schemas/{model}",
+    )
+    document["components"]["schemas"].update(extra["$defs"])
+    return document
+
+
+def _lifespan(settings: Settings, scene: ViewerScene, proxy: ViewerProxy):  # noqa: ANN202  FastAPI's type
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with AsyncExitStack() as stack:
+            try:
+                stack.enter_context(instance_lock(settings.data_dir))
+                opened = open_services(settings, scene)
+                services = await asyncio.to_thread(opened.__enter__)
+            except DownrangeError as error:
+                app.state.startup_error = error
+                raise
+            stack.push_async_callback(asyncio.to_thread, opened.__exit__, None, None, None)
+            app.state.services = services
+            loop = asyncio.get_running_loop()
+
+            def close_view(session: Session) -> None:
+                asyncio.run_coroutine_threadsafe(proxy.close_session(session.session_id), loop)
+
+            services.accounts.on_session_end(close_view)
+            ticking = asyncio.create_task(_tick(services))
+            stack.push_async_callback(_cancel, ticking)
+            yield
+
+    return lifespan
+
+
+async def _tick(services: Services) -> None:
+    """What is due a few times a second: leases that run out, and how late this loop wakes."""
+    while True:
+        began_s = time.monotonic()
+        await asyncio.sleep(TICK_S)
+        services.metrics.loop_lag_s.set(max(time.monotonic() - began_s - TICK_S, 0.0))
+        try:
+            await asyncio.to_thread(services.leases.expire_due)
+        except Exception:
+            logger.exception("leases could not be looked through")
+
+
+async def _cancel(task: "asyncio.Task[None]") -> None:
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task

@@ -8,6 +8,7 @@ import asyncio
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 from server.schemas_history import (
@@ -20,9 +21,8 @@ from server.schemas_history import (
     ThrowUpdatedEvent,
 )
 
-AnyEvent = (
-    MachineStateEvent
-    | MachineLostEvent
+DiscreteEvent = (
+    MachineLostEvent
     | LeaseChangedEvent
     | TargetProposedEvent
     | PlanUpdatedEvent
@@ -57,27 +57,28 @@ class HubClient:
         self._states: dict[str, Frame] = {}
         self._sent_s: dict[str, float] = {}
 
-    def push(self, frame: Frame, state_of: str | None) -> None:
-        """Queue an event; `state_of` names the machine whose older state it replaces."""
+    def push(self, frame: Frame) -> None:
+        """Queue an event that must not be left out."""
+        with self._lock:
+            if len(self._frames) >= QUEUE_LENGTH:
+                self.is_closed = True
+            elif not self.is_closed:
+                self._frames.append(frame)
+        self._wake()
+
+    def is_due(self, machine_id: str, now_s: float) -> bool:
+        """Whether this browser should get another state of a machine by now."""
+        period_s = WATCHED_PERIOD_S if machine_id == self.machine_id else OTHER_PERIOD_S
+        with self._lock:
+            return now_s - self._sent_s.get(machine_id, -1e9) >= period_s
+
+    def push_state(self, machine_id: str, frame: Frame, now_s: float) -> None:
+        """Queue a machine's state in place of an older one that was not sent yet."""
         with self._lock:
             if self.is_closed:
                 return
-            if state_of is not None:
-                now_s = time.monotonic()
-                period = WATCHED_PERIOD_S if state_of == self.machine_id else OTHER_PERIOD_S
-                if (
-                    state_of not in self._states
-                    and now_s - self._sent_s.get(state_of, -1e9) < period
-                ):
-                    return
-                self._sent_s.setdefault(state_of, now_s)
-                if state_of not in self._states:
-                    self._sent_s[state_of] = now_s
-                self._states[state_of] = frame
-            elif len(self._frames) >= QUEUE_LENGTH:
-                self.is_closed = True
-            else:
-                self._frames.append(frame)
+            self._sent_s[machine_id] = now_s
+            self._states[machine_id] = frame
         self._wake()
 
     def close(self) -> None:
@@ -130,16 +131,29 @@ class EventHub:
         with self._lock:
             self._clients.discard(client)
 
-    def publish(self, event: AnyEvent, session_id: str | None = None) -> None:
+    def publish(self, event: DiscreteEvent, session_id: str | None = None) -> None:
         """Queue an event for all browsers, or for those of one session; from any thread."""
         with self._lock:
             clients = [c for c in self._clients if session_id in (None, c.session_id)]
         if not clients:
             return
         frame = Frame(event.kind, event.model_dump_json())
-        state_of = event.machine.machine_id if isinstance(event, MachineStateEvent) else None
         for client in clients:
-            client.push(frame, state_of)
+            client.push(frame)
+
+    def publish_state(
+        self, machine_id: str, make: Callable[[], MachineStateEvent], *, is_urgent: bool = False
+    ) -> None:
+        """Send a machine's state to the browsers that are due; it is made only if there is one."""
+        now_s = time.monotonic()
+        with self._lock:
+            clients = [c for c in self._clients if is_urgent or c.is_due(machine_id, now_s)]
+        if not clients:
+            return
+        event = make()
+        frame = Frame(event.kind, event.model_dump_json())
+        for client in clients:
+            client.push_state(machine_id, frame, now_s)
 
     def alert(
         self, code: str, text: str, *, severity: str = "warning", machine_id: str | None = None

@@ -280,6 +280,8 @@ class ClearanceView(View):
     limit_m: float | None
     value_rad: float | None
     limit_rad: float | None
+    at_s: float
+    """When, from the first frame of the plan."""
 
 
 class PredictionView(View):
@@ -329,8 +331,11 @@ class PlanFrames(View):
     frame_period_s: float
     frames_rad_m: tuple[tuple[float, ...], ...]
     """Joint positions, joint order, 50 Hz."""
-    release_s: float
+    release_s: float | None
+    """From the first frame; null when nothing is released."""
+    flight_s: float | None
     ball_path_m: tuple[tuple[float, float, float], ...]
+    """Equal times from release to impact."""
 
 
 class ArmBody(Request):
@@ -372,6 +377,21 @@ class HoldReply(View):
     throw_id: str
     is_relayed: bool
     detail: str
+
+
+class ViewRequest(Request):
+    """What this session's 3D view shows; what is left out stays."""
+
+    machine_id: str | None = Field(default=None, max_length=32)
+    mode: Mode | None = None
+    """Ground out of this mode's reach is dimmed."""
+    theme: Literal["light", "dark"] | None = None
+    camera: Literal["3d", "top", "side"] | None = None
+    is_picking: bool | None = None
+    """Whether a click places the target."""
+    pick_height_m: float | None = Field(default=None, ge=-5.0, le=10.0)
+    play_preview: bool = False
+    """Play the plan's ghost once more."""
 
 
 class MachineEnrolRequest(Request):

@@ -4,6 +4,7 @@ Errors are in frame `throw`: downrange positive when long, crossrange positive t
 from the slew axis to the target.
 """
 
+from collections.abc import Sequence
 from datetime import datetime
 from enum import StrEnum
 from typing import Annotated, Literal, Self
@@ -156,7 +157,7 @@ class ThrowSeries(View):
     throw_id: str
     t_s: tuple[float, ...]
     """Since the first control tick of the log."""
-    columns: dict[str, tuple[float | None, ...]]
+    columns: dict[str, Sequence[float | None]]
     phases: tuple[PhaseBand, ...]
     release_s: float | None
     impact_s: float | None

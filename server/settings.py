@@ -21,7 +21,9 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 class Settings(BaseSettings):
     """Each field is the environment variable DOWNRANGE_ + its name in capitals."""
 
-    model_config = SettingsConfigDict(env_prefix=PREFIX, extra="forbid", frozen=True, populate_by_name=True)
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, extra="forbid", frozen=True, populate_by_name=True
+    )
 
     data_dir: Path = Path("data")
     """Database, throw logs, machine secrets, lock file."""
@@ -80,9 +82,7 @@ class Settings(BaseSettings):
 
     def lines(self) -> list[str]:
         """The settings for people, secrets hidden."""
-        return [
-            f"{variable_name(name)}={getattr(self, name)}" for name in type(self).model_fields
-        ]
+        return [f"{variable_name(name)}={getattr(self, name)}" for name in type(self).model_fields]
 
 
 def variable_name(field: str) -> str:
@@ -90,9 +90,7 @@ def variable_name(field: str) -> str:
     return Settings.model_fields[field].alias or PREFIX + field.upper()
 
 
-def load_settings(
-    environment: Mapping[str, str] | None = None, **overrides: Any
-) -> Settings:
+def load_settings(environment: Mapping[str, str] | None = None, **overrides: Any) -> Settings:
     """Read the settings.
 
     Args:

@@ -14,7 +14,7 @@ HAZE_FAR_M = 190.0
 class GroundNodes:
     """Everything that lies still under the machine."""
 
-    def __init__(self, scene: viser.SceneApi, theme: Theme) -> None:
+    def __init__(self, scene: viser.SceneApi, theme: Theme, *, shadows: bool) -> None:
         self._scene = scene
         self._theme = theme
         scene.configure_default_lights(enabled=False)
@@ -24,7 +24,7 @@ class GroundNodes:
             scene.add_light_directional(
                 "/sun",
                 intensity=theme.light_intensity_ratio,
-                cast_shadow=True,
+                cast_shadow=shadows,
                 position=(-6.0, -9.0, 14.0),
             ),
             scene.add_light_hemisphere(
@@ -38,7 +38,7 @@ class GroundNodes:
                 *shapes.disc(GROUND_RADIUS_M, 96),
                 color=theme.ground,
                 cast_shadow=False,
-                receive_shadow=theme.shadow_ratio,
+                receive_shadow=theme.shadow_ratio if shadows else False,
                 position=(0.0, 0.0, -0.02),
             ),
             scene.add_grid(
@@ -59,20 +59,22 @@ class GroundNodes:
 
     def dim_outside(self, inner_m: float, outer_m: float) -> list[viser.SceneNodeHandle]:
         """Dim the ground nearer than `inner_m` and beyond `outer_m`; returns the new nodes."""
-        meshes = {"beyond": shapes.annulus(outer_m, GROUND_RADIUS_M)}
+        full = self._theme.dim_ratio
+        meshes = {"beyond": (shapes.annulus(outer_m, GROUND_RADIUS_M), full)}
         if inner_m > 0.0:
-            meshes["near"] = shapes.disc(inner_m)
+            # Weaker: the machine stands there, and nobody takes that ground for a target.
+            meshes["near"] = (shapes.disc(inner_m), 0.4 * full)
         return [
             self._scene.add_mesh_simple(
                 f"/dim/{name}",
                 *mesh,
                 color=self._theme.dim,
-                opacity=self._theme.dim_ratio,
+                opacity=opacity,
                 cast_shadow=False,
                 receive_shadow=False,
                 position=(0.0, 0.0, 0.004),
             )
-            for name, mesh in meshes.items()
+            for name, (mesh, opacity) in meshes.items()
         ]
 
     def remove(self) -> None:

@@ -23,7 +23,8 @@ VISUAL_GROUP = 2
 SMOOTH_ANGLE_RAD = math.radians(35.0)
 CHAMFER_M = 0.018
 """Chamfer of box edges: sheet steel is welded, not razor sharp, and the edge catches light."""
-ROUND_SECTIONS = 36
+ROUND_SECTIONS = 32
+LUG_PAIRS = 15
 
 
 class Surface(NamedTuple):
@@ -142,9 +143,9 @@ def _geom_shape(model: mujoco.MjModel, geom_id: int) -> trimesh.Trimesh:
     if kind == int(geoms.mjGEOM_BOX):
         return _chamfered_box(x, y, z)
     if kind == int(geoms.mjGEOM_CYLINDER):
-        return _chamfered_cylinder(x, y)
+        return _tyre(x, y) if _is_rubber(model, geom_id) else _chamfered_cylinder(x, y)
     if kind == int(geoms.mjGEOM_CAPSULE):
-        return trimesh.creation.capsule(height=2 * y, radius=x, count=(16, 16), transform=_down(y))
+        return trimesh.creation.capsule(height=2 * y, radius=x, count=(12, 12))
     if kind == int(geoms.mjGEOM_SPHERE):
         return trimesh.creation.icosphere(subdivisions=3, radius=x)
     if kind == int(geoms.mjGEOM_ELLIPSOID):
@@ -157,10 +158,47 @@ def _geom_shape(model: mujoco.MjModel, geom_id: int) -> trimesh.Trimesh:
     )
 
 
-def _down(half_length: float) -> Array:
-    transform = np.eye(4)
-    transform[2, 3] = -half_length
-    return transform
+def _is_rubber(model: mujoco.MjModel, geom_id: int) -> bool:
+    material_id = int(model.geom_matid[geom_id])
+    return material_id >= 0 and model.material(material_id).name == "rubber"
+
+
+def _tyre(radius: float, half_width: float) -> trimesh.Trimesh:
+    """A lugged tyre round the z axis in place of a rubber cylinder; hollow, so that the rim shows."""
+    tread, bead = 0.94 * radius, 0.53 * radius
+    profile = np.array(
+        [
+            (bead, -0.72 * half_width),
+            (0.62 * radius, -0.92 * half_width),
+            (0.80 * radius, -half_width),
+            (tread, -0.84 * half_width),
+            (tread + 0.012, 0.0),
+            (tread, 0.84 * half_width),
+            (0.80 * radius, half_width),
+            (0.62 * radius, 0.92 * half_width),
+            (bead, 0.72 * half_width),
+            (bead, -0.72 * half_width),
+        ]
+    )
+    shapes = [trimesh.creation.revolve(profile, sections=48)]
+    lug = np.array(
+        [
+            (height, across * half_width, along + slant)
+            for height, spread in ((tread - 0.02, 1.25), (radius, 1.0))
+            for across, slant in ((0.04, 0.07), (0.96, -0.07))
+            for along in (-0.034 * spread, 0.034 * spread)
+        ]
+    )
+    for index in range(2 * LUG_PAIRS):
+        # Left and right lugs alternate, so that the tread reads as a chevron.
+        side = 1.0 if index % 2 else -1.0
+        corners = lug * (1.0, side, 1.0)
+        shape = trimesh.convex.convex_hull(corners[:, (0, 2, 1)])
+        angle = index * math.pi / LUG_PAIRS
+        shape.apply_transform(trimesh.transformations.rotation_matrix(angle, (0, 0, 1)))
+        shapes.append(shape)
+    merged: Any = trimesh.util.concatenate(shapes)
+    return merged
 
 
 def _asset_mesh(model: mujoco.MjModel, mesh_id: int) -> trimesh.Trimesh:

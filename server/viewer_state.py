@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,11 +55,10 @@ class ImpactMarks:
     """For people, with signs: ``+0.12 m long, 0.05 m left``."""
 
 
-@dataclass(frozen=True)
-class LiveSample:
+class LiveSample(NamedTuple):
     """The newest pose of a machine."""
 
-    count: int
+    number: int
     """Grows with every sample."""
     joints_rad_m: Array
     ball_m: Point | None

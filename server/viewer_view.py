@@ -8,7 +8,7 @@ import viser
 from machine.conventions import Array
 from server import viewer_shapes as shapes
 from server.viewer_ground import GroundNodes
-from server.viewer_nodes import MachineKit, MachineNodes, Tint
+from server.viewer_nodes import PAYLOAD, MachineKit, MachineNodes, Tint
 from server.viewer_replay import Moment
 from server.viewer_state import ImpactMarks, LiveSample, PlanView, Point, SessionView
 from server.viewer_theme import MAX_ORBIT_M, MIN_ORBIT_M, THEMES, VIEWPOINTS, Rgb, Theme
@@ -18,13 +18,16 @@ LIFT_M = 0.03
 """Marks lie this much above the ground they mark, so that neither hides the other."""
 GHOST_RATIO = 0.34
 LOST_RATIO = 0.45
-LABEL_SCALE = 1.25
+LABEL_SCALE = 1.2
 
 
 class ClientView:
     """The nodes of one connected browser."""
 
-    def __init__(self, client: viser.ClientHandle, kit: MachineKit, state: SessionView) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, kit: MachineKit, state: SessionView, *, shadows: bool
+    ) -> None:
+        self._shadows = shadows
         self.client = client
         self._scene = client.scene
         self._kit = kit
@@ -32,9 +35,9 @@ class ClientView:
         self._live: MachineNodes | None = None
         self._ghost: MachineNodes | None = None
         self._replay: MachineNodes | None = None
-        self._balls: dict[str, viser.IcosphereHandle] = {}
+        self._balls: dict[str, viser.GlbHandle] = {}
         self._ground: GroundNodes | None = None
-        self._sample_count = -1
+        self._sample_number = -1
         self._camera_count = 0
         self._lost_text: str | None = None
         self._apply_theme(state)
@@ -51,13 +54,14 @@ class ClientView:
         )
         if self._ground is not None:
             self._ground.remove()
-        self._ground = GroundNodes(self._scene, theme)
+        self._ground = GroundNodes(self._scene, theme, shadows=self._shadows)
         self.client.camera.min_orbit_distance = MIN_ORBIT_M
         self.client.camera.max_orbit_distance = MAX_ORBIT_M
 
     def rebuild(self, state: SessionView) -> None:
         """Draw everything anew in the session's theme."""
         self._apply_theme(state)
+        self._clear("target")
         self.draw_all(state)
 
     def draw_all(self, state: SessionView) -> None:
@@ -186,7 +190,7 @@ class ClientView:
             self._lines("/target/ticks", shapes.target_cross(0.36, 0.62), theme.accent, 2.5)
             post = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.05]]])
             self._lines("/target/post", post, theme.accent, 1.6)
-            label = self._label("/target/label", text, (0.0, 0.0, 1.05), 1.35)
+            label = self._label("/target/label", text, (0.0, 0.0, 1.05), 1.3)
             self._groups["target"] = [frame, label]
         if flush:
             self.client.flush()
@@ -228,15 +232,15 @@ class ClientView:
             if self._live is not None:
                 self._live.remove()
                 self._live = None
-            self._sample_count = -1
+            self._sample_number = -1
             self._show_ball("live", None)
             return
         if self._live is None:
             self._live = MachineNodes(self._scene, "/live", self._kit)
         self._live.set_visible(not is_hidden)
-        if sample.count == self._sample_count and not is_hidden:
+        if sample.number == self._sample_number and not is_hidden:
             return
-        self._sample_count = sample.count
+        self._sample_number = sample.number
         with self.client.atomic():
             self._live.pose(sample.joints_rad_m)
             self._live.show_load(sample.is_load_held)
@@ -299,9 +303,8 @@ class ClientView:
                 node.visible = False
             return
         if node is None:
-            node = self._scene.add_icosphere(
-                f"/ball_{owner}", self._kit.ball_radius_m, color=(217, 89, 26), position=at
-            )
+            ball = self._kit.glb[PAYLOAD]
+            node = self._scene.add_glb(f"/ball_{owner}", ball, position=at)
             self._balls[owner] = node
         node.position = at
         node.visible = True

@@ -1,33 +1,75 @@
-"""Audit."""
+"""The audit, for those who may read it."""
 
-from typing import NoReturn
+import json
+from typing import Annotated
 
 from fastapi import APIRouter, Query
+from sqlalchemy import select
 
-from server.errors import UnavailableError
-from server.schemas_history import AuditPage, AuditVerdict
+from server.access import Auditor
+from server.errors import ApiError
+from server.models import Audit
+from server.schemas_history import AuditPage, AuditRow, AuditVerdict
+from server.services import ServicesDep
 
 router = APIRouter(tags=["audit"])
 
-
-def _later() -> NoReturn:
-    raise UnavailableError("not_ready", "this part of the service is not there yet")
+Name = Annotated[str | None, Query(max_length=64)]
 
 
 @router.get("/audit")
 def list_audit(
-    machine_id: str | None = None,
-    throw_id: str | None = None,
-    actor: str | None = None,
-    action: str | None = None,
-    cursor: str | None = None,
-    limit: int = Query(default=100, ge=1, le=500),
+    session: Auditor,
+    services: ServicesDep,
+    machine_id: Name = None,
+    throw_id: Name = None,
+    actor: Name = None,
+    action: Name = None,
+    cursor: Annotated[str | None, Query(max_length=20)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> AuditPage:
     """Who did what, newest first."""
-    _later()
+    query = select(Audit).order_by(Audit.sequence_count.desc()).limit(limit + 1)
+    for column, value in (
+        (Audit.machine_id, machine_id),
+        (Audit.throw_id, throw_id),
+        (Audit.actor, actor),
+        (Audit.action, action),
+    ):
+        if value is not None:
+            query = query.where(column == value)
+    if cursor is not None:
+        if not cursor.isdecimal():
+            raise ApiError("bad_cursor", f"'{cursor}' is no cursor of the audit.")
+        query = query.where(Audit.sequence_count < int(cursor[:18]))
+    with services.database.read() as database:
+        rows = database.scalars(query).all()
+    return AuditPage(
+        rows=tuple(_view(row) for row in rows[:limit]),
+        next_cursor=str(rows[limit - 1].sequence_count) if len(rows) > limit else None,
+    )
 
 
 @router.get("/audit/verify")
-def verify_audit() -> AuditVerdict:
+def verify_audit(session: Auditor, services: ServicesDep) -> AuditVerdict:
     """Check the whole chain."""
-    _later()
+    return services.audit.verify()
+
+
+def _view(row: Audit) -> AuditRow:
+    phase = row.phase if row.phase in ("intent", "outcome", "denied") else "fact"
+    return AuditRow.model_validate(
+        {
+            "sequence_count": row.sequence_count,
+            "t_utc": row.t_utc,
+            "actor": row.actor,
+            "session_id": row.session_id,
+            "machine_id": row.machine_id,
+            "throw_id": row.throw_id,
+            "action": row.action,
+            "phase": phase,
+            "detail": json.loads(row.detail_json),
+            "previous_sha256": row.previous_sha256,
+            "row_sha256": row.row_sha256,
+        }
+    )

@@ -1,32 +1,43 @@
-"""Accounts and sessions."""
+"""Sign in and out."""
 
-from typing import NoReturn
+from fastapi import APIRouter, Request, Response
 
-from fastapi import APIRouter
-
-from server.errors import UnavailableError
+from server.access import SessionDep, check_write
+from server.auth import COOKIE
 from server.schemas import LoginRequest, SessionView
+from server.services import ServicesDep
 
 router = APIRouter(tags=["auth"])
 
 
-def _later() -> NoReturn:
-    raise UnavailableError("not_ready", "this part of the service is not there yet")
-
-
 @router.post("/auth/login")
-def login(body: LoginRequest) -> SessionView:
+def login(
+    body: LoginRequest, request: Request, response: Response, services: ServicesDep
+) -> SessionView:
     """Sign in; sets the session cookie."""
-    _later()
+    check_write(request, services)
+    address = request.client.host if request.client else "unknown"
+    token, session = services.accounts.login(body.username, body.password, address)
+    response.set_cookie(
+        COOKIE,
+        token,
+        max_age=int(services.settings.session_s),
+        httponly=True,
+        samesite="strict",
+        secure=services.settings.secure_cookie,
+        path="/",
+    )
+    return session.view()
 
 
 @router.post("/auth/logout", status_code=204)
-def logout() -> None:
-    """Sign out; gives leases back."""
-    _later()
+def logout(response: Response, session: SessionDep, services: ServicesDep) -> None:
+    """Sign out; leases are given back and streams end."""
+    services.accounts.logout(session)
+    response.delete_cookie(COOKIE, path="/")
 
 
 @router.get("/auth/me")
-def read_me() -> SessionView:
+def read_me(session: SessionDep) -> SessionView:
     """Who is signed in."""
-    _later()
+    return session.view()

@@ -1,13 +1,16 @@
-"""History."""
+"""Throws: pages, statistics, export, details, series, logs, marks, replays."""
 
-from datetime import datetime
-from typing import NoReturn
+from datetime import UTC, datetime
+from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from fastapi.responses import FileResponse, StreamingResponse
 
 from machine.conventions import Mode
-from server.errors import UnavailableError
+from server.access import ImpactMarker, Viewer
+from server.audit import Entry
+from server.history import ThrowFilter
+from server.impacts import add_impact, impact_view, impact_views, point_of, target_of
 from server.schemas_history import (
     GroupBy,
     ImpactRequest,
@@ -20,90 +23,149 @@ from server.schemas_history import (
     ThrowSeries,
     ThrowStats,
 )
+from server.services import ServicesDep
+from server.throw_details import throw_detail
+from server.throw_series import series_of
 
 router = APIRouter(tags=["history"])
 
+Name = Annotated[str | None, Query(max_length=64)]
+Range = Annotated[float | None, Query(ge=0.0, le=100.0, allow_inf_nan=False)]
 
-def _later() -> NoReturn:
-    raise UnavailableError("not_ready", "this part of the service is not there yet")
+
+def throw_filter(
+    machine_id: Name = None,
+    mode: Mode | None = None,
+    policy_sha256: Name = None,
+    operator: Name = None,
+    outcome: Outcome | None = None,
+    min_range_m: Range = None,
+    max_range_m: Range = None,
+    since: datetime | None = None,
+    until: datetime | None = None,
+) -> ThrowFilter:
+    """The filter that pages, statistics and export share; times without a zone are UTC."""
+    return ThrowFilter(
+        machine_id=machine_id,
+        mode=mode,
+        policy_sha256=policy_sha256,
+        operator=operator,
+        outcome=outcome,
+        min_range_m=min_range_m,
+        max_range_m=max_range_m,
+        since=_aware(since),
+        until=_aware(until),
+    )
+
+
+FilterDep = Annotated[ThrowFilter, Depends(throw_filter)]
+
+
+def _aware(moment: datetime | None) -> datetime | None:
+    return moment.replace(tzinfo=UTC) if moment is not None and moment.tzinfo is None else moment
 
 
 @router.get("/throws")
 def list_throws(
-    machine_id: str | None = None,
-    mode: Mode | None = None,
-    policy_sha256: str | None = None,
-    operator: str | None = None,
-    outcome: Outcome | None = None,
-    min_range_m: float | None = None,
-    max_range_m: float | None = None,
-    since: datetime | None = None,
-    until: datetime | None = None,
-    cursor: str | None = None,
-    limit: int = Query(default=50, ge=1, le=500),
+    session: Viewer,
+    services: ServicesDep,
+    wanted: FilterDep,
+    cursor: Annotated[str | None, Query(max_length=36)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> ThrowPage:
     """A page of throws, newest first."""
-    _later()
+    return services.history.page(wanted, cursor, limit)
 
 
 @router.get("/throws/stats")
 def read_throw_stats(
-    machine_id: str | None = None,
-    mode: Mode | None = None,
-    policy_sha256: str | None = None,
-    operator: str | None = None,
-    outcome: Outcome | None = None,
-    min_range_m: float | None = None,
-    max_range_m: float | None = None,
-    since: datetime | None = None,
-    until: datetime | None = None,
+    session: Viewer,
+    services: ServicesDep,
+    wanted: FilterDep,
     group_by: GroupBy = GroupBy.POLICY,
 ) -> ThrowStats:
-    """Accuracy of the throws that match."""
-    _later()
+    """Accuracy of the newest throws that match."""
+    return services.statistics.of(wanted, group_by)
 
 
 @router.get("/throws/export.csv", response_class=StreamingResponse)
-def export_throws(
-    machine_id: str | None = None,
-    mode: Mode | None = None,
-    policy_sha256: str | None = None,
-    operator: str | None = None,
-    outcome: Outcome | None = None,
-    min_range_m: float | None = None,
-    max_range_m: float | None = None,
-    since: datetime | None = None,
-    until: datetime | None = None,
-) -> StreamingResponse:
+def export_throws(session: Viewer, services: ServicesDep, wanted: FilterDep) -> StreamingResponse:
     """The throws that match, as CSV."""
-    _later()
+    services.audit.record(Entry(session.actor, "throws.export", "fact"))
+    return StreamingResponse(
+        services.history.export(wanted),
+        media_type="text/csv; charset=utf-8",
+        headers={"Content-Disposition": 'attachment; filename="throws.csv"'},
+    )
 
 
 @router.get("/throws/{throw_id}")
-def read_throw(throw_id: str) -> ThrowDetail:
-    """One throw."""
-    _later()
+def read_throw(throw_id: str, session: Viewer, services: ServicesDep) -> ThrowDetail:
+    """Everything about one throw."""
+    return throw_detail(services.database, services.plans, services.logs, throw_id)
 
 
 @router.get("/throws/{throw_id}/series")
-def read_throw_series(throw_id: str) -> ThrowSeries:
+def read_throw_series(throw_id: str, session: Viewer, services: ServicesDep) -> ThrowSeries:
     """Time series from the throw's log."""
-    _later()
+    return series_of(throw_id, services.logs.read(throw_id))
 
 
 @router.get("/throws/{throw_id}/log", response_class=FileResponse)
-def read_throw_log(throw_id: str) -> FileResponse:
+def read_throw_log(throw_id: str, session: Viewer, services: ServicesDep) -> FileResponse:
     """The throw's log file (MCAP)."""
-    _later()
+    return FileResponse(
+        services.logs.path(throw_id),
+        media_type="application/octet-stream",
+        filename=f"{throw_id}.mcap",
+    )
 
 
 @router.post("/throws/{throw_id}/impacts", status_code=201)
-def mark_impact(throw_id: str, body: ImpactRequest) -> ImpactView:
-    """Add a record of where the load came down."""
-    _later()
+def mark_impact(
+    throw_id: str, body: ImpactRequest, session: ImpactMarker, services: ServicesDep
+) -> ImpactView:
+    """Add a record of where the load came down; nothing is overwritten."""
+    with services.database.write() as database:
+        throw = services.throws.get(database, throw_id)
+        target = target_of(throw)
+        if body.x_m is not None and body.y_m is not None:
+            x_m, y_m = body.x_m, body.y_m
+        else:
+            x_m, y_m = point_of(
+                target, body.downrange_error_m or 0.0, body.crossrange_error_m or 0.0
+            )
+        impact = add_impact(
+            database,
+            throw,
+            (x_m, y_m, target.z_m),
+            "manual",
+            sd_m=None,
+            recorded_by=session.username,
+            note=body.note.replace("\x00", ""),
+        )
+        services.audit.append(
+            database,
+            Entry(
+                session.actor,
+                "impact.mark",
+                "fact",
+                machine_id=throw.machine_id,
+                throw_id=throw_id,
+                detail={"x_m": x_m, "y_m": y_m, "note": impact.note},
+            ),
+        )
+        database.flush()
+        view = impact_view(impact, is_current=impact_views(database, throw_id)[-1].is_current)
+    services.throws.publish(throw_id)
+    return view
 
 
 @router.post("/throws/{throw_id}/replay")
-def replay_throw(throw_id: str, body: ReplayRequest) -> ReplayView:
+def replay_throw(
+    throw_id: str, body: ReplayRequest, session: Viewer, services: ServicesDep
+) -> ReplayView:
     """Show the throw in this session's 3D view."""
-    _later()
+    with services.database.read() as database:
+        plan_id = services.throws.get(database, throw_id).plan_id
+    return services.replays.control(throw_id, plan_id, body, session)

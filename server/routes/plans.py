@@ -1,38 +1,41 @@
-"""Plans."""
-
-from typing import NoReturn
+"""Plans: preview, arm, fire."""
 
 from fastapi import APIRouter
 
-from server.errors import UnavailableError
-from server.schemas import ArmBody, ArmView, PlanFrames, PlanRequest, PlanView
+from server.access import Thrower, Viewer
+from server.schemas import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
+from server.services import ServicesDep
 
 router = APIRouter(tags=["plans"])
 
 
-def _later() -> NoReturn:
-    raise UnavailableError("not_ready", "this part of the service is not there yet")
-
-
 @router.post("/machines/{machine_id}/plans", status_code=201)
-def create_plan(machine_id: str, body: PlanRequest) -> PlanView:
+def create_plan(
+    machine_id: str, body: PlanRequest, session: Thrower, services: ServicesDep
+) -> PlanView:
     """Preview a throw: first numbers at once, the ellipse by events."""
-    _later()
+    return services.planner.create(machine_id, body, session)
 
 
 @router.get("/plans/{plan_id}")
-def read_plan(plan_id: str) -> PlanView:
+def read_plan(plan_id: str, session: Viewer, services: ServicesDep) -> PlanView:
     """One plan."""
-    _later()
+    return services.plans.view(plan_id)
 
 
 @router.get("/plans/{plan_id}/frames")
-def read_plan_frames(plan_id: str) -> PlanFrames:
+def read_plan_frames(plan_id: str, session: Viewer, services: ServicesDep) -> PlanFrames:
     """The predicted motion."""
-    _later()
+    return services.plans.frames(plan_id)
 
 
 @router.post("/plans/{plan_id}/arm")
-def arm_plan(plan_id: str, body: ArmBody) -> ArmView:
+def arm_plan(plan_id: str, body: ArmBody, session: Thrower, services: ServicesDep) -> ArmView:
     """Arm the machine for this plan."""
-    _later()
+    return services.throw_desk.arm(plan_id, body.plan_hash, session)
+
+
+@router.post("/plans/{plan_id}/fire")
+def fire_plan(plan_id: str, session: Thrower, services: ServicesDep) -> FireView:
+    """Fire the armed plan, once; then hold on the WebSocket until the machine is committed."""
+    return services.throw_desk.fire(plan_id, session)

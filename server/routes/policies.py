@@ -1,26 +1,21 @@
-"""Policies."""
-
-from typing import NoReturn
+"""Policy versions."""
 
 from fastapi import APIRouter
 
-from server.errors import UnavailableError
+from server.access import Viewer
 from server.schemas_history import PolicyView
+from server.services import ServicesDep
 
 router = APIRouter(tags=["policies"])
 
 
-def _later() -> NoReturn:
-    raise UnavailableError("not_ready", "this part of the service is not there yet")
-
-
 @router.get("/policies")
-def list_policies() -> list[PolicyView]:
-    """All policy versions."""
-    _later()
+def list_policies(session: Viewer, services: ServicesDep) -> list[PolicyView]:
+    """All policy versions ever seen, the active ones first."""
+    return services.policies.views()
 
 
 @router.get("/policies/{policy_sha256}")
-def read_policy(policy_sha256: str) -> PolicyView:
+def read_policy(policy_sha256: str, session: Viewer, services: ServicesDep) -> PolicyView:
     """One policy version."""
-    _later()
+    return services.policies.view(policy_sha256)

@@ -1,0 +1,50 @@
+"""Throw logs from machines, with the machine's own token in place of a person's session."""
+
+import asyncio
+import re
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response
+
+from server.errors import ApiError, NotSignedInError
+from server.services import ServicesDep
+
+router = APIRouter(tags=["logs"])
+
+MAX_BODY_BYTES = 512 * 1024 * 1024
+"""Outer bound; the limit that counts is a setting (DOWNRANGE_LOG_MAX_BYTES)."""
+_SHA256 = re.compile(r"^[0-9a-f]{64}$")
+_THROW_ID = re.compile(r"^[A-Za-z0-9_-]{1,64}$")
+
+
+@router.put(
+    "/machines/{machine_id}/throw-logs/{throw_id}",
+    status_code=204,
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"application/octet-stream": {"schema": {"type": "string"}}},
+        }
+    },
+)
+async def put_throw_log(
+    machine_id: str,
+    throw_id: str,
+    request: Request,
+    services: ServicesDep,
+    authorization: Annotated[str, Header()] = "",
+    x_content_sha256: Annotated[str, Header()] = "",
+) -> Response:
+    """Store a throw's log; the same upload again changes nothing."""
+    token = authorization.removeprefix("Bearer ")
+    if token == authorization or not services.registry.is_token_of(machine_id, token):
+        raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
+    if not _SHA256.match(x_content_sha256) or not _THROW_ID.match(throw_id):
+        raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
+    scratch, size_bytes = await services.logs.receive(request.stream(), x_content_sha256)
+    is_new = await asyncio.to_thread(
+        services.logs.keep, scratch, machine_id, throw_id, x_content_sha256, size_bytes
+    )
+    if is_new:
+        await asyncio.to_thread(services.throws.publish, throw_id)
+    return Response(status_code=204)

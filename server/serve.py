@@ -1,0 +1,108 @@
+"""Runs the web service until it is told to stop: socket, uvicorn, clear errors at the start."""
+
+import contextlib
+import logging
+import socket
+from collections.abc import Callable
+
+import uvicorn
+from fastapi import FastAPI
+
+from machine.errors import DownrangeError, UsageError
+from server.app import create_app
+from server.settings import Settings
+
+logger = logging.getLogger(__name__)
+
+WEBSOCKET_MAX_BYTES = 64 * 1024 * 1024
+"""The 3D view's own limit is 50 MiB."""
+SHUTDOWN_S = 3
+
+
+class Server(uvicorn.Server):
+    """uvicorn that ends event streams first, and says when it is ready."""
+
+    def __init__(
+        self, config: uvicorn.Config, app: FastAPI, on_ready: Callable[[], None] | None
+    ) -> None:
+        super().__init__(config)
+        self._app = app
+        self._on_ready = on_ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then tell."""
+        await super().startup(sockets)
+        if self.started and self._on_ready is not None:
+            self._on_ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Streams never end by themselves; a browser that listens must not hold the server up."""
+        services = getattr(self._app.state, "services", None)
+        if services is not None:
+            services.hub.close()
+        await super().shutdown(sockets)
+
+
+def open_socket(host: str, port: int) -> socket.socket:
+    """Bind the server's address.
+
+    Raises:
+        UsageError: in use or not ours.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise UsageError(
+            f"port {port} on {host} cannot be used ({error.strerror}); another server may be "
+            "running: stop it, or choose another port with DOWNRANGE_PORT"
+        ) from error
+    return listener
+
+
+def make_server(
+    settings: Settings, on_ready: Callable[[], None] | None = None
+) -> tuple[Server, FastAPI]:
+    """Application and server for these settings; nothing is opened yet."""
+    app = create_app(settings)
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        ws_max_size=WEBSOCKET_MAX_BYTES,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=SHUTDOWN_S,
+        server_header=False,
+        lifespan="on",
+    )
+    return Server(config, app, on_ready), app
+
+
+def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> None:
+    """Serve until interrupted.
+
+    Args:
+        settings: of the service.
+        on_ready: called once when requests are answered.
+
+    Raises:
+        DownrangeError: it cannot start; with the remedy.
+    """
+    logging.getLogger("uvicorn.error").addFilter(_without_traceback)
+    with open_socket(settings.host, settings.port_count) as listener:
+        server, app = make_server(settings, on_ready)
+        with contextlib.suppress(SystemExit):  # how uvicorn says that the start failed
+            server.run(sockets=[listener])
+        error = getattr(app.state, "startup_error", None)
+        if isinstance(error, DownrangeError):
+            raise error
+        if not server.started:
+            raise UsageError("the service could not start; its log says why")
+
+
+def _without_traceback(record: logging.LogRecord) -> bool:
+    # A failed start is told in one line by the caller.
+    return not str(record.msg).startswith("Traceback")

@@ -1,0 +1,232 @@
+"""The long-lived parts of the service, put together and opened once; routes get them from here."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Annotated
+
+import zenoh
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from machine.errors import DownrangeError
+from machine.spec import load_spec
+from runtime.zenoh_config import router_config
+from server.audit import AuditChain
+from server.auth import Accounts, Session
+from server.commands import CommandDesk
+from server.database import Database, DatabaseStanding, upgrade
+from server.events import EventHub
+from server.history import History
+from server.hold import HoldDesk
+from server.ingest import EventIngest
+from server.lease_notices import LeaseNotices
+from server.leases import LeaseBook
+from server.machine_link import MachineLink
+from server.machine_views import MachineViews
+from server.machines import Registry
+from server.metrics import Metrics
+from server.plan_store import PlanStore
+from server.plans import Planner
+from server.policies import PolicyShelf
+from server.preview_pool import PreviewPool
+from server.replays import Replays
+from server.settings import Settings
+from server.stats import Statistics
+from server.stops import StopDesk
+from server.targets import TargetDesk
+from server.throw_desk import ThrowDesk
+from server.throw_logs import LogStore
+from server.throws import ThrowBook
+from server.twins import TwinFiles
+from server.viewer_scene import ViewerScene
+
+logger = logging.getLogger(__name__)
+
+
+class LinkError(DownrangeError):
+    """The machines' endpoint cannot be opened."""
+
+    code = "link"
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """What routes work with."""
+
+    settings: Settings
+    database: Database
+    audit: AuditChain
+    accounts: Accounts
+    metrics: Metrics
+    hub: EventHub
+    registry: Registry
+    link: MachineLink
+    commands: CommandDesk
+    leases: LeaseBook
+    policies: PolicyShelf
+    throws: ThrowBook
+    stops: StopDesk
+    plans: PlanStore
+    pool: PreviewPool
+    planner: Planner
+    holds: HoldDesk
+    throw_desk: ThrowDesk
+    history: History
+    statistics: Statistics
+    logs: LogStore
+    replays: Replays
+    views: MachineViews
+    targets: TargetDesk
+    scene: ViewerScene
+
+
+def get_services(connection: HTTPConnection) -> Services:
+    """The services of the application that serves this connection."""
+    services = connection.app.state.services
+    assert isinstance(services, Services)
+    return services
+
+
+ServicesDep = Annotated[Services, Depends(get_services)]
+
+
+def prepare_database(settings: Settings) -> Database:
+    """Open the database; an empty one gets its schema, an older one only if the settings say so.
+
+    Raises:
+        DatabaseError: not reachable, older or newer than this software.
+    """
+    database = Database(settings.resolved_database_url)
+    try:
+        standing = database.standing()
+        is_upgrade = standing is DatabaseStanding.EMPTY or (
+            standing is DatabaseStanding.OLDER and settings.database_upgrade
+        )
+        if is_upgrade:
+            logger.info("bringing %s to the newest schema", database.shown_url)
+            upgrade(database.url)
+        database.require_current()
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def link_config(settings: Settings, registry: Registry) -> zenoh.Config:
+    """The router's configuration for all machine accounts of the site."""
+    passwords = registry.passwords()
+    return router_config(
+        listen=(settings.link_listen,),
+        users=passwords,
+        machines=sorted(passwords),
+        site=settings.site,
+        dictionary_file=settings.data_dir / "link" / "users.txt",
+    )
+
+
+@contextmanager
+def open_services(settings: Settings, scene: ViewerScene) -> Iterator[Services]:
+    """Open everything, in the order of need; close it in reverse.
+
+    Raises:
+        DownrangeError: what cannot be opened, and what to do.
+    """
+    with ExitStack() as stack:
+        database = prepare_database(settings)
+        stack.callback(database.close)
+        services, notices = _assemble(settings, database, scene)
+        services.accounts.create_first_users(settings.data_dir)
+        services.registry.provision(settings.machine_slot_count)
+        services.plans.start()
+        services.throws.start()
+        services.leases.free_all()
+        services.audit.anchor()
+        stack.callback(services.audit.anchor)
+        scene.start()
+        stack.callback(scene.close)
+        services.pool.start()
+        stack.callback(services.pool.close)
+        stack.callback(services.hub.close)
+        stack.callback(notices.close)
+        stack.callback(services.link.close)
+        try:
+            services.link.open(link_config(settings, services.registry))
+        except zenoh.ZError as error:
+            raise LinkError(
+                f"machines cannot call in at {settings.link_listen} ({error}); is another server "
+                "running? Set DOWNRANGE_LINK_LISTEN to a free endpoint"
+            ) from error
+        services.stops.start()
+        stack.callback(services.stops.close)
+        yield services
+
+
+def _assemble(
+    settings: Settings, database: Database, scene: ViewerScene
+) -> tuple[Services, LeaseNotices]:
+    spec = load_spec()
+    metrics, hub = Metrics(), EventHub()
+    audit = AuditChain(database, settings.data_dir / "audit-anchors.jsonl")
+    accounts = Accounts(database, audit, settings.session_s)
+    registry = Registry(database, audit, settings.site, settings.data_dir)
+    policies = PolicyShelf(database, settings.policies_dir, spec)
+    throws = ThrowBook(database, audit, registry, policies, hub)
+    ingest = EventIngest(database, throws, hub, metrics)
+    link = MachineLink(settings.site, registry, ingest.take, metrics)
+    commands = CommandDesk(audit, link, registry, metrics)
+    leases = LeaseBook(
+        database, audit, registry, hub, ttl_s=settings.lease_ttl_s, idle_s=settings.lease_idle_s
+    )
+    notices = LeaseNotices(leases, registry, commands)
+    stops = StopDesk(database, audit, link, registry, hub)
+    plans = PlanStore(database)
+    pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
+    twins = TwinFiles(settings.data_dir)
+    planner = Planner(plans, registry, policies, pool, twins, hub, scene, spec, settings.plan_ttl_s)
+    holds = HoldDesk(link, metrics)
+    throw_desk = ThrowDesk(database, audit, registry, leases, plans, throws, commands, holds)
+    logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
+    replays = Replays(logs, plans, scene)
+    views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
+    targets = TargetDesk(scene, policies, hub)
+    leases.on_new_epoch.append(lambda machine_id, _: holds.revoke(machine_id))
+    leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
+    ingest.on_throw_end.append(holds.end)
+
+    def end_session(session: Session) -> None:
+        leases.end_session(session)
+        hub.end_session(session.session_id)
+        targets.end_session(session.session_id)
+        replays.end_session(session.session_id)
+
+    accounts.on_session_end(end_session)
+    services = Services(
+        settings=settings,
+        database=database,
+        audit=audit,
+        accounts=accounts,
+        metrics=metrics,
+        hub=hub,
+        registry=registry,
+        link=link,
+        commands=commands,
+        leases=leases,
+        policies=policies,
+        throws=throws,
+        stops=stops,
+        plans=plans,
+        pool=pool,
+        planner=planner,
+        holds=holds,
+        throw_desk=throw_desk,
+        history=History(database),
+        statistics=Statistics(database),
+        logs=logs,
+        replays=replays,
+        views=views,
+        targets=targets,
+        scene=scene,
+    )
+    return services, notices
