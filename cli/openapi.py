@@ -3,7 +3,8 @@
 import json
 from pathlib import Path
 
-from server.app import create_app
+from server.app import create_app, openapi_document
+from server.settings import Settings
 
 
 def run(*, out: Path) -> int:
@@ -12,7 +13,8 @@ def run(*, out: Path) -> int:
     Args:
         out: the file to write, as in web/openapi.json.
     """
-    text = json.dumps(create_app().openapi(), indent=1, sort_keys=True) + "\n"
+    document = openapi_document(create_app(Settings()))
+    text = json.dumps(document, indent=1, sort_keys=True) + "\n"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
     print(f"wrote {out}")
