@@ -1,0 +1,193 @@
+"""`downrange demo`: server, router, console and one virtual machine on this computer, ready to throw."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import httpx
+
+from cli.calibrate import run as calibrate_machine
+from machine.errors import UsageError
+from server.auth import FIRST_LOGIN_FILE
+from server.serve import open_socket
+
+MACHINE_ID = "m001"
+READY_TIMEOUT_S = 90.0
+STOP_TIMEOUT_S = 8.0
+RESTART_PAUSE_S = 1.0
+
+
+@dataclass
+class Child:
+    """One process of the demo, with its log file."""
+
+    name: str
+    command: list[str]
+    environment: dict[str, str]
+    log: IO[bytes]
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it, or start it again; a Ctrl-C of the terminal reaches only us."""
+        self.process = subprocess.Popen(
+            self.command,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=self.log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    def has_ended(self) -> bool:
+        """Whether it has been started and is no longer there."""
+        return self.process is not None and self.process.poll() is not None
+
+    def stop(self) -> None:
+        """Ask it to end, and end it if it does not."""
+        if self.process is None or self.process.poll() is not None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _child(name: str, data: Path, arguments: list[str], environment: dict[str, str]) -> Child:
+    folder = data / "logs"
+    folder.mkdir(parents=True, exist_ok=True)
+    return Child(
+        name,
+        [sys.executable, "-m", "cli.main", *arguments],
+        {**os.environ, **environment, "PYTHONUNBUFFERED": "1"},
+        (folder / f"{name}.log").open("ab"),
+    )
+
+
+def _log_tail(data: Path, name: str) -> str:
+    text = (data / "logs" / f"{name}.log").read_text(encoding="utf-8", errors="replace")
+    return "\n".join(text.splitlines()[-12:])
+
+
+def _wait_for(server: Child, data: Path, what: str, is_there: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + READY_TIMEOUT_S
+    while not is_there():
+        if server.has_ended():
+            raise UsageError(
+                f"the server ended at its start; its log says:\n{_log_tail(data, 'server')}"
+            )
+        if time.monotonic() > deadline_s:
+            raise UsageError(
+                f"{what} did not come up within {READY_TIMEOUT_S:.0f} s; see {data / 'logs'}"
+            )
+        time.sleep(0.1)
+
+
+def _connected_count(health_url: str) -> int:
+    """Machines that the server sees; -1 while it does not answer."""
+    try:
+        answer = httpx.get(health_url, timeout=1.0)
+        return int(answer.json()["connected_count"]) if answer.status_code == 200 else -1
+    except (httpx.HTTPError, ValueError, KeyError):
+        return -1
+
+
+def _machine_arguments(
+    data: Path, policies: Path, port: int, link_port: int, unit_seed: int
+) -> list[str]:
+    machines = data / "machines"
+    return [
+        *(
+            "machine",
+            "--driver",
+            "virtual",
+            "--machine-id",
+            MACHINE_ID,
+            "--unit-seed",
+            str(unit_seed),
+        ),
+        *("--connect", f"tcp/127.0.0.1:{link_port}", "--data", str(data / MACHINE_ID)),
+        *("--password-file", str(machines / f"{MACHINE_ID}.password")),
+        *("--calibration", str(machines / f"{MACHINE_ID}.calibration.json")),
+        *("--policies", str(policies), "--server-url", f"http://127.0.0.1:{port}"),
+    ]
+
+
+def _watch(server: Child, machine: Child, data: Path) -> int:
+    """Run until the server ends; a machine that ends is started again, as its supervisor would."""
+    while True:
+        time.sleep(0.3)
+        if server.has_ended():
+            print(f"the server ended; its log says:\n{_log_tail(data, 'server')}", file=sys.stderr)
+            return 1
+        if machine.has_ended():
+            print("the virtual machine ended; starting it again", file=sys.stderr, flush=True)
+            time.sleep(RESTART_PAUSE_S)
+            machine.start()
+
+
+def run(
+    *,
+    port: int = 8000,
+    data: Path = Path("data"),
+    policies: Path = Path("policies"),
+    unit_seed: int = 1,
+) -> int:
+    """Run everything on this computer and print the address and the login; Ctrl-C ends it.
+
+    The first start measures the virtual machine's valves and response, as one would on a new machine.
+
+    Args:
+        port: of the console; 0 takes a free one.
+        data: folder of database, throw logs, secrets and logs; kept between runs.
+        policies: folder of policy versions.
+        unit_seed: which machine of its kind the virtual machine is; 0 is the nominal one.
+    """
+    port = port or _free_port()
+    open_socket("127.0.0.1", port).close()
+    data, policies = data.resolve(), policies.resolve()
+    link_port = _free_port()
+    server = _child(
+        "server",
+        data,
+        [
+            *("server", "--host", "127.0.0.1", "--port", str(port)),
+            *("--data", str(data), "--policies", str(policies)),
+        ],
+        {"DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{link_port}", "DOWNRANGE_DATABASE_UPGRADE": "1"},
+    )
+    machine = _child(
+        "machine", data, _machine_arguments(data, policies, port, link_port, unit_seed), {}
+    )
+    signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
+    try:
+        if not (data / "machines" / f"{MACHINE_ID}.profile.json").is_file():
+            print("first start: measuring the virtual machine", flush=True)
+            calibrate_machine(out=data / "machines", unit_seed=unit_seed, machine_id=MACHINE_ID)
+        server.start()
+        password = data / "machines" / f"{MACHINE_ID}.password"
+        _wait_for(server, data, "the machine's account", password.is_file)
+        machine.start()
+        health_url = f"http://127.0.0.1:{port}/api/v1/health"
+        _wait_for(server, data, "the virtual machine", lambda: _connected_count(health_url) > 0)
+        print(f"\nDownrange is at http://127.0.0.1:{port}\n")
+        print((data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
+        print(f"\nlogs: {data / 'logs'}   Ctrl-C ends it", flush=True)
+        return _watch(server, machine, data)
+    finally:
+        machine.stop()
+        server.stop()
