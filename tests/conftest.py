@@ -11,35 +11,39 @@ from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingReco
 from machine.spec import load_spec
 from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
 
-RELEASE_SPEED_M_PER_S = {Mode.PLANAR: 1.9, Mode.SPATIAL: 1.9}
+RELEASE_SPEED_M_PER_S = 0.6
+"""The 2D throw from the safe pose then takes 1.2 s and lands 6.0 m away."""
 
 
-def _weights(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+def _weights(mode: Mode, throws: bool) -> tuple[np.ndarray, np.ndarray]:
     """Linear map of a hand-made policy: the dipper pumps the swing, the load goes when it flies fast.
 
     A pin that moves against the swing angle accelerates with the swing, which feeds it.
     """
     names, actions = OBSERVATION_NAMES[mode], ACTION_NAMES[mode]
     weights, bias = np.zeros((len(names), len(actions))), np.zeros(len(actions))
+    bias[-1] = -1.0
+    if not throws:
+        return weights, bias
     dipper, release = actions.index("dipper_velocity"), actions.index("release")
     for joint in ("boom", "dipper", "pitch"):
         weights[names.index(f"{joint}_position_k"), dipper] = -5.0
         weights[names.index(f"{joint}_velocity_k"), dipper] = 0.6
     bias[dipper] = 0.25
     weights[names.index("grip_velocity_x"), release] = 6.0
-    bias[release] = -6.0 * RELEASE_SPEED_M_PER_S[mode] + 1.5
+    bias[release] = -6.0 * RELEASE_SPEED_M_PER_S + 1.5
     if mode is Mode.SPATIAL:
         slew = actions.index("slew_velocity")
         weights[names.index("slew_position_k"), slew] = -1.0
     return weights, bias
 
 
-def write_swing_policy(folder: Path, mode: Mode) -> None:
+def write_swing_policy(folder: Path, mode: Mode, throws: bool = True) -> None:
     """A policy folder whose ONNX file is tanh(observation @ W + b)."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    weights, bias = _weights(mode)
+    weights, bias = _weights(mode, throws)
     graph = helper.make_graph(
         [
             helper.make_node("Gemm", ["observation", "W", "b"], ["raw"]),
@@ -88,10 +92,14 @@ def write_swing_policy(folder: Path, mode: Mode) -> None:
 
 @pytest.fixture(scope="session")
 def swing_policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A policies folder with a hand-made policy of each mode: it throws, but aims at nothing."""
+    """A policies folder with a hand-made policy of each mode: it throws, but aims at nothing.
+
+    Beside them ``waits-2d`` and ``waits-3d``, which stand still.
+    """
     root = tmp_path_factory.mktemp("policies")
     for mode in Mode:
         write_swing_policy(root / f"swing-{mode.value}", mode)
+        write_swing_policy(root / f"waits-{mode.value}", mode, throws=False)
     active = {mode.value: f"swing-{mode.value}" for mode in Mode}
     (root / "active.json").write_text(json.dumps(active), encoding="utf-8")
     return root
