@@ -1,0 +1,15 @@
+/** Round steps for axes and scale bars. */
+
+const STEPS = [1, 2, 5];
+
+/** The largest 1, 2 or 5 times a power of ten that is not above `limit`. */
+export function niceStep(limit: number): number {
+  const power = 10 ** Math.floor(Math.log10(limit));
+  const fitting = STEPS.filter((step) => step * power <= limit * (1 + 1e-9));
+  return (fitting.at(-1) ?? 1) * power;
+}
+
+/** Symmetric limits around zero that hold all values, with room. */
+export function symmetricLimit(values: readonly number[], least: number): number {
+  return values.reduce((limit, value) => Math.max(limit, Math.abs(value)), least) * 1.12;
+}

@@ -1,0 +1,24 @@
+import { staleSeconds, useConnection } from "../session/connection";
+import { useNow } from "../session/useNow";
+import { age } from "../words/format";
+import classes from "./Banner.module.css";
+
+/** Says that what is shown is not live, and since when. */
+export function OfflineBanner() {
+  const connection = useConnection();
+  const stale_s = staleSeconds(connection, useNow());
+  if (stale_s === null) return null;
+  if (connection.lastDataMs === null) {
+    return (
+      <div className={classes.banner} role="status">
+        Connecting to the server
+      </div>
+    );
+  }
+  return (
+    <div className={classes.banner} role="alert" data-testid="offline">
+      <strong>Not live: last data {age(stale_s)} ago.</strong> The console reconnects by itself. A
+      throw before its commit point is aborted by the machine.
+    </div>
+  );
+}

@@ -1,0 +1,35 @@
+import {
+  IconArrowBounce,
+  IconBackhoe,
+  IconBrain,
+  IconClipboardList,
+  IconTable,
+} from "@tabler/icons-react";
+import { Link } from "@tanstack/react-router";
+import { useMay } from "../session/useSession";
+import classes from "./Rail.module.css";
+
+const PAGES = [
+  { to: "/operate", label: "Operate", icon: IconArrowBounce },
+  { to: "/throws", label: "Throws", icon: IconTable },
+  { to: "/policies", label: "Policies", icon: IconBrain },
+  { to: "/fleet", label: "Fleet", icon: IconBackhoe },
+] as const;
+
+/** The pages of the console. */
+export function Rail() {
+  const mayAudit = useMay("audit.read");
+  const pages = mayAudit
+    ? [...PAGES, { to: "/admin", label: "Admin", icon: IconClipboardList } as const]
+    : PAGES;
+  return (
+    <nav className={classes.rail} aria-label="Pages">
+      {pages.map(({ to, label, icon: Icon }) => (
+        <Link key={to} to={to} className={classes.page} activeProps={{ "aria-current": "page" }}>
+          <Icon size={24} stroke={1.6} aria-hidden />
+          <span>{label}</span>
+        </Link>
+      ))}
+    </nav>
+  );
+}

@@ -1,0 +1,46 @@
+import { Button } from "@mantine/core";
+import type { Machine } from "../session/live";
+import { useNow } from "../session/useNow";
+import { useMay } from "../session/useSession";
+import classes from "./LeaseControl.module.css";
+import { leaseWords } from "./leaseWords";
+import { TakeOver } from "./TakeOver";
+import { useIsHolder, useLeaseActions } from "./useLease";
+
+/** Who holds the machine, and the one thing to do about it. */
+export function LeaseControl({ machine }: { machine: Machine }) {
+  const isHolder = useIsHolder(machine);
+  const mayLease = useMay("lease");
+  const mayTake = useMay("lease.take");
+  const { acquire, release } = useLeaseActions(machine.machine_id);
+  const now = useNow();
+  const { holder } = machine.lease;
+  return (
+    <div className={classes.lease}>
+      <span className={classes.words} data-testid="lease-words">
+        {leaseWords(machine.lease, isHolder, now)}
+      </span>
+      {isHolder && (
+        <Button
+          variant="default"
+          size="sm"
+          loading={release.isPending}
+          onClick={() => release.mutate()}
+        >
+          Release
+        </Button>
+      )}
+      {!holder && mayLease && (
+        <Button
+          variant="default"
+          size="sm"
+          loading={acquire.isPending}
+          onClick={() => acquire.mutate()}
+        >
+          Take control
+        </Button>
+      )}
+      {holder && !isHolder && mayTake && <TakeOver machine={machine} />}
+    </div>
+  );
+}

@@ -1,0 +1,16 @@
+import type { Schema } from "../session/client";
+import { age } from "../words/format";
+
+const IDLE_WARNING_S = 60;
+
+/** "You are in control", "In control: anna", "Nobody in control". */
+export function leaseWords(lease: Schema["LeaseView"], isHolder: boolean, nowMs: number): string {
+  if (!lease.holder) return "Nobody in control";
+  if (!isHolder) return `In control: ${lease.holder}`;
+  const idle_s = lease.idle_release_utc
+    ? (Date.parse(lease.idle_release_utc) - nowMs) / 1000
+    : null;
+  if (idle_s !== null && idle_s < IDLE_WARNING_S)
+    return `Control ends in ${age(idle_s)} without activity`;
+  return "You are in control";
+}

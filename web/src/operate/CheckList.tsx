@@ -1,0 +1,55 @@
+import { IconAlertTriangle, IconCheck, IconX } from "@tabler/icons-react";
+import { useState } from "react";
+import type { Schema } from "../session/client";
+import classes from "./CheckList.module.css";
+
+type Check = Schema["CheckResult"];
+
+const ICONS = { passed: IconCheck, warning: IconAlertTriangle, refused: IconX };
+
+function verdict(check: Check): keyof typeof ICONS {
+  if (check.passed) return "passed";
+  return check.severity === "error" ? "refused" : "warning";
+}
+
+/** The machine's arming checks: refused first, each with its number and remedy; passed ones folded. */
+export function CheckList({ checks }: { checks: readonly Check[] }) {
+  const [isOpen, setOpen] = useState(false);
+  const open = checks.filter((check) => !check.passed);
+  const passed = checks.filter((check) => check.passed);
+  if (checks.length === 0) return null;
+  return (
+    <div className={classes.checks}>
+      <ul className={classes.list}>
+        {open.map((check) => (
+          <CheckRow key={check.check_id} check={check} />
+        ))}
+        {isOpen && passed.map((check) => <CheckRow key={check.check_id} check={check} />)}
+      </ul>
+      <button
+        type="button"
+        className={classes.fold}
+        aria-expanded={isOpen}
+        onClick={() => setOpen(!isOpen)}
+      >
+        <IconCheck size={14} aria-hidden /> {passed.length} of {checks.length} checks passed
+        <span className={classes.more}>{isOpen ? "Hide" : "Show"}</span>
+      </button>
+    </div>
+  );
+}
+
+function CheckRow({ check }: { check: Check }) {
+  const kind = verdict(check);
+  const Icon = ICONS[kind];
+  return (
+    <li className={classes.check} data-kind={kind}>
+      <Icon size={15} stroke={2.2} aria-hidden />
+      <span>
+        <span className="visually-hidden">{kind}: </span>
+        {check.text}
+        {!check.passed && check.remedy && <span className={classes.remedy}> {check.remedy}</span>}
+      </span>
+    </li>
+  );
+}

@@ -1,0 +1,68 @@
+import { Button } from "@mantine/core";
+import { useMutation } from "@tanstack/react-query";
+import { useNavigate } from "@tanstack/react-router";
+import { useLeaseActions } from "../machine/useLease";
+import { api, take } from "../session/client";
+import { errorWords } from "../words/errors";
+import type { Gate, GateAction } from "./gate";
+import classes from "./Panel.module.css";
+
+const LABELS: Record<NonNullable<GateAction>, string> = {
+  take_control: "Take control",
+  load: "Load",
+  clear_stop: "Clear STOP",
+  disarm: "Disarm",
+  preview_again: "Preview again",
+  other_mode: "Switch mode",
+  open_policies: "Open Policies",
+};
+
+type Props = {
+  machineId: string;
+  gate: Gate;
+  onPreviewAgain: () => void;
+  onOtherMode: () => void;
+};
+
+/** What stands in the way, and the one thing to do about it. */
+export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode }: Props) {
+  const navigate = useNavigate();
+  const { acquire } = useLeaseActions(machineId);
+  const params = { path: { machine_id: machineId } };
+  const command = useMutation({
+    mutationFn: (what: "load" | "disarm" | "stop/clear") =>
+      take(api.POST(`/api/v1/machines/{machine_id}/${what}` as const, { params })),
+  });
+  const run: Record<NonNullable<GateAction>, () => void> = {
+    take_control: () => acquire.mutate(),
+    load: () => command.mutate("load"),
+    clear_stop: () => command.mutate("stop/clear"),
+    disarm: () => command.mutate("disarm"),
+    preview_again: onPreviewAgain,
+    other_mode: onOtherMode,
+    open_policies: () => void navigate({ to: "/policies" }),
+  };
+  const error = command.error ?? acquire.error;
+  return (
+    <div data-testid="gate" data-gate={gate.id}>
+      <p className={classes.gate} data-alarm={gate.isAlarm || undefined} role="status">
+        {gate.sentence}
+      </p>
+      {gate.action && (
+        <Button
+          fullWidth
+          size="md"
+          loading={command.isPending || acquire.isPending}
+          onClick={run[gate.action]}
+        >
+          {LABELS[gate.action]}
+        </Button>
+      )}
+      {error && (
+        <p className={classes.refusal} role="alert">
+          {errorWords(error)}
+        </p>
+      )}
+    </div>
+  );
+}

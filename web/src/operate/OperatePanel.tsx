@@ -1,0 +1,97 @@
+import { useEffect, useState } from "react";
+import { bearingWords, fixed, metres } from "../words/format";
+import { ActionFooter } from "./ActionFooter";
+import classes from "./Panel.module.css";
+import { PreviewStep } from "./PreviewStep";
+import { ResultStep } from "./ResultStep";
+import { Step } from "./Step";
+import { STEPS, type StepName } from "./steps";
+import { TargetStep } from "./TargetStep";
+import { ThrowStep } from "./ThrowStep";
+import type { Operate } from "./useOperate";
+
+/** Target, Preview, Throw, Result: the present step open, the others as one line. */
+export function OperatePanel({ operate }: { operate: Operate }) {
+  const { machine, mode, target, plan, step } = operate;
+  // Steps opened by hand stay open until the throw moves on.
+  const [opened, setOpened] = useState<readonly StepName[]>([]);
+  // biome-ignore lint/correctness/useExhaustiveDependencies: a new present step closes the others
+  useEffect(() => setOpened([]), [step]);
+  if (!machine) return null;
+
+  const isOpen = (name: StepName) => (name === step) !== opened.includes(name);
+  const toggle = (name: StepName) =>
+    setOpened(opened.includes(name) ? opened.filter((n) => n !== name) : [...opened, name]);
+  const summaries = summariesOf(operate);
+  const contents: Record<StepName, React.ReactNode> = {
+    target: (
+      <TargetStep
+        machine={machine}
+        mode={mode}
+        onMode={operate.setMode}
+        target={target}
+        onTarget={operate.setTarget}
+        problem={operate.problem}
+      />
+    ),
+    preview: <PreviewStep machine={machine} plan={plan} />,
+    throw: <ThrowStep operate={operate} />,
+    result: operate.result ? (
+      <ResultStep thrown={operate.result} plan={plan} />
+    ) : (
+      <p className={classes.note}>No throw yet.</p>
+    ),
+  };
+  return (
+    <aside className={classes.panel} aria-label="Throw">
+      <div className={classes.card}>
+        <div className={classes.steps}>
+          {STEPS.map((name, index) => (
+            <Step
+              key={name}
+              number={index + 1}
+              title={TITLES[name]}
+              summary={summaries[name]}
+              isOpen={isOpen(name)}
+              isPresent={name === step}
+              onToggle={() => toggle(name)}
+            >
+              {contents[name]}
+            </Step>
+          ))}
+        </div>
+        <ActionFooter
+          machine={machine}
+          gate={operate.gate}
+          control={operate.control}
+          hasResult={operate.result !== null}
+          onAgain={operate.throwAgain}
+          onPreviewAgain={operate.previewAgain}
+          onOtherMode={() => operate.setMode(mode === "2d" ? "3d" : "2d")}
+        />
+      </div>
+    </aside>
+  );
+}
+
+const TITLES: Record<StepName, string> = {
+  target: "Target",
+  preview: "Preview",
+  throw: "Throw",
+  result: "Result",
+};
+
+function summariesOf({ mode, target, plan, result }: Operate): Record<StepName, string> {
+  const ellipse = plan?.prediction?.ellipse;
+  const preview = ellipse
+    ? `${fixed(ellipse.sd_downrange_m)} × ${fixed(ellipse.sd_crossrange_m)} m, 1σ`
+    : (plan?.state ?? "");
+  return {
+    target: target
+      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}`
+      : mode.toUpperCase(),
+    preview,
+    throw: "",
+    result: result ? (result.outcome ?? "") : "",
+  };
+}

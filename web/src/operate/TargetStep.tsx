@@ -1,0 +1,95 @@
+import { NumberInput, SegmentedControl } from "@mantine/core";
+import type { Machine } from "../session/live";
+import { metres } from "../words/format";
+import classes from "./Panel.module.css";
+import { fromPolar, NUDGE_M, type Target } from "./target";
+
+type Props = {
+  machine: Machine;
+  mode: "2d" | "3d";
+  onMode: (mode: "2d" | "3d") => void;
+  target: Target | null;
+  onTarget: (target: Target) => void;
+  problem: string | null;
+};
+
+const MODES = [
+  { value: "2d", label: "2D arm plane" },
+  { value: "3d", label: "3D with cabin" },
+];
+
+const DEGREES = 180 / Math.PI;
+const FIRST_RANGE_M = 9;
+
+/** Where to throw: by a click in the view, by numbers, or by arrow keys. */
+export function TargetStep({ machine, mode, onMode, target, onTarget, problem }: Props) {
+  const reach = machine.reach.modes.find((other) => other.mode === mode);
+  const range_m = target?.range_m ?? FIRST_RANGE_M;
+  const azimuth_rad = target?.azimuth_rad ?? 0;
+  const z_m = target?.z_m ?? 0;
+  const common = { size: "sm" as const, decimalScale: 2, allowedDecimalSeparators: [".", ","] };
+  return (
+    <>
+      <SegmentedControl
+        fullWidth
+        aria-label="How to throw"
+        data={MODES}
+        value={mode}
+        onChange={(value) => onMode(value as "2d" | "3d")}
+        mb={10}
+      />
+      <div className={classes.fields}>
+        <NumberInput
+          {...common}
+          label="Range, m"
+          value={target ? round(range_m, 2) : ""}
+          placeholder="click"
+          min={0.5}
+          max={60}
+          step={NUDGE_M}
+          onChange={(value) => isNumber(value) && onTarget(fromPolar(value, azimuth_rad, z_m))}
+        />
+        <NumberInput
+          {...common}
+          label="Azimuth, °"
+          value={target ? round(azimuth_rad * DEGREES, 2) : ""}
+          placeholder="left +"
+          min={-180}
+          max={180}
+          step={0.5}
+          onChange={(value) =>
+            isNumber(value) && onTarget(fromPolar(range_m, value / DEGREES, z_m))
+          }
+        />
+        <NumberInput
+          {...common}
+          label="Height, m"
+          value={target ? round(z_m, 2) : ""}
+          placeholder="0.00"
+          min={-5}
+          max={10}
+          step={NUDGE_M}
+          onChange={(value) => isNumber(value) && onTarget(fromPolar(range_m, azimuth_rad, value))}
+        />
+      </div>
+      {problem && (
+        <p className={classes.refusal} role="alert">
+          {problem}
+        </p>
+      )}
+      <p className={classes.note}>
+        Click the ground, or type. Arrow keys move the target by 5 cm.
+        {reach &&
+          ` ${mode.toUpperCase()} reaches ${metres(reach.range_min_m)} to ${metres(reach.range_max_m)}.`}
+      </p>
+    </>
+  );
+}
+
+function isNumber(value: number | string): value is number {
+  return typeof value === "number" && Number.isFinite(value);
+}
+
+function round(value: number, digits: number): number {
+  return Number(value.toFixed(digits));
+}

@@ -1,0 +1,169 @@
+/**
+ * What stands between the operator and a throw, most urgent first: one sentence and one next action
+ * for each state. `null` means: nothing, hold to throw.
+ */
+
+import { isMoving } from "../machine/phase";
+import type { Machine, Plan } from "../session/live";
+import type { Permission } from "../session/useSession";
+import { age, metres } from "../words/format";
+import type { Target } from "./target";
+
+export type GateAction =
+  | "take_control"
+  | "load"
+  | "clear_stop"
+  | "disarm"
+  | "preview_again"
+  | "other_mode"
+  | "open_policies"
+  | null;
+
+export type Gate = { id: string; sentence: string; action: GateAction; isAlarm?: boolean };
+
+export type GateFacts = {
+  stale_s: number | null;
+  isLoaded: boolean;
+  machine: Machine | null;
+  isHolder: boolean;
+  permissions: readonly Permission[];
+  mode: "2d" | "3d";
+  target: Target | null;
+  plan: Plan | null;
+  planError: string | null;
+};
+
+type Rule = (facts: GateFacts) => Gate | null;
+
+export function operateGate(facts: GateFacts): Gate | null {
+  for (const rule of [connection, presence, stop, control, policy, aim, preview, load]) {
+    const gate = rule(facts);
+    if (gate) return gate;
+  }
+  return null;
+}
+
+const connection: Rule = ({ stale_s, isLoaded }) => {
+  if (!isLoaded) return { id: "connecting", sentence: "Connecting to the server.", action: null };
+  if (stale_s === null) return null;
+  const sentence = `Not live: last data ${age(stale_s)} ago. Throwing is blocked until the link is back.`;
+  return { id: "offline", sentence, action: null };
+};
+
+const presence: Rule = ({ machine }) => {
+  if (!machine) {
+    const sentence = "No machine has connected to this server yet. Start one: downrange machine.";
+    return { id: "empty", sentence, action: null };
+  }
+  const name = machine.machine_id;
+  if (machine.lamp === "never_seen")
+    return { id: "never_seen", sentence: `${name} has never connected. Start it.`, action: null };
+  if (machine.lamp === "lost")
+    return {
+      id: "lost",
+      sentence: `${name} is lost. It holds by itself; control returns with the link.`,
+      action: null,
+    };
+  if (machine.unknown_throw_id) {
+    const sentence = `${name} has not said whether it started. Blocked until it reports; nothing is sent twice.`;
+    return { id: "unknown", sentence, action: null };
+  }
+  return null;
+};
+
+const stop: Rule = ({ machine, isHolder, permissions }) => {
+  const isStopped = machine?.lamp === "stopped" || machine?.state?.stop_latched;
+  if (!machine || (!isStopped && machine.lamp !== "fault")) return null;
+  const what = isStopped
+    ? `STOP is latched on ${machine.machine_id}.`
+    : `Fault: ${machine.state?.fault || "the machine gives no detail"}.`;
+  const id = isStopped ? "stopped" : "fault";
+  if (!permissions.includes("stop.clear"))
+    return { id, sentence: `${what} A supervisor clears it.`, action: null, isAlarm: true };
+  if (!isHolder)
+    return {
+      id,
+      sentence: `${what} Take control to clear it.`,
+      action: "take_control",
+      isAlarm: true,
+    };
+  return { id, sentence: what, action: "clear_stop", isAlarm: true };
+};
+
+const control: Rule = ({ machine, isHolder, permissions }) => {
+  if (!machine || isHolder) return null;
+  const { holder } = machine.lease;
+  if (!permissions.includes("throw")) {
+    const sentence = "You may watch. Throwing needs the operator role.";
+    return { id: "may_not", sentence, action: null };
+  }
+  if (holder) {
+    const sentence = `${holder} is in control of ${machine.machine_id}. You watch until it is released.`;
+    return { id: "busy", sentence, action: null };
+  }
+  const sentence = `Nobody is in control of ${machine.machine_id}.`;
+  return { id: "no_lease", sentence, action: "take_control" };
+};
+
+const policy: Rule = ({ machine, mode }) => {
+  const modes = machine?.reach.modes ?? [];
+  const label = mode.toUpperCase();
+  const active = modes.find((other) => other.mode === mode);
+  if (!active) {
+    const other = modes[0];
+    if (!other)
+      return { id: "no_policy", sentence: "No policy is active.", action: "open_policies" };
+    const sentence = `No ${label} policy is active. ${other.mode.toUpperCase()} is.`;
+    return { id: "no_policy", sentence, action: "other_mode" };
+  }
+  const onBoard = machine?.state?.policy_sha256?.[mode];
+  if (machine?.state && onBoard !== active.policy_sha256) {
+    const has = onBoard
+      ? `has another ${label} policy on board`
+      : `has no ${label} policy on board`;
+    const sentence = `${machine.machine_id} ${has} than the server previews with.`;
+    return {
+      id: "wrong_policy",
+      sentence: onBoard ? sentence : `${machine.machine_id} ${has}.`,
+      action: "open_policies",
+    };
+  }
+  return null;
+};
+
+const aim: Rule = ({ target }) =>
+  target
+    ? null
+    : { id: "no_target", sentence: "No target. Click the ground, or type a range.", action: null };
+
+const preview: Rule = ({ machine, plan, planError, target }) => {
+  if (planError) return { id: "plan_error", sentence: planError, action: "preview_again" };
+  if (machine && isMoving(machine.lamp)) {
+    const sentence = `${machine.machine_id} is moving. Wait until it has settled.`;
+    return { id: "moving", sentence, action: null };
+  }
+  if (machine?.lamp === "armed") {
+    const sentence = `${machine.machine_id} is armed. Disarm it before the next throw.`;
+    return { id: "armed", sentence, action: "disarm" };
+  }
+  if (!plan) return { id: "previewing", sentence: "Previewing.", action: null };
+  if (plan.state === "refused") {
+    const detail = plan.refusals[0]?.detail ?? `Refused: target ${metres(target?.range_m)}.`;
+    return { id: "refused", sentence: detail, action: null };
+  }
+  if (plan.state === "failed")
+    return { id: "failed", sentence: "The preview failed.", action: "preview_again" };
+  if (!plan.is_complete) return { id: "previewing", sentence: "Previewing.", action: null };
+  return null;
+};
+
+const load: Rule = ({ machine }) => {
+  if (!machine?.state || machine.state.payload_held) return checks(machine);
+  return { id: "no_payload", sentence: "The gripper is empty.", action: "load" };
+};
+
+function checks(machine: Machine | null): Gate | null {
+  const failed = machine?.state?.checks?.find((c) => !c.passed && c.severity === "error");
+  if (!failed) return null;
+  return { id: "check", sentence: `${failed.text} ${failed.remedy}`.trim(), action: null };
+}

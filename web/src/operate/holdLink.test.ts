@@ -1,0 +1,74 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import { HoldLink, holdUrl, type Socket } from "./holdLink";
+
+class FakeSocket implements Socket {
+  readyState = 1;
+  sent: { throw_id: string; holding: boolean }[] = [];
+  listeners: Record<string, () => void> = {};
+  isClosed = false;
+  send(text: string): void {
+    this.sent.push(JSON.parse(text));
+  }
+  close(): void {
+    this.isClosed = true;
+  }
+  addEventListener(kind: string, listener: unknown): void {
+    this.listeners[kind] = listener as () => void;
+  }
+}
+
+describe("HoldLink", () => {
+  beforeEach(() => void vi.useFakeTimers());
+  afterEach(() => void vi.useRealTimers());
+
+  it("speaks 20 times a second while it beats, and once that it rests", () => {
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, vi.fn());
+    link.beat("t1");
+    vi.advanceTimersByTime(1000);
+    expect(socket.sent).toHaveLength(21);
+    link.rest();
+    vi.advanceTimersByTime(1000);
+    expect(socket.sent).toHaveLength(22);
+    expect(socket.sent.at(-1)).toEqual({ throw_id: "t1", holding: false });
+  });
+
+  it("never queues what cannot be sent", () => {
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, vi.fn());
+    socket.readyState = 0;
+    link.beat("t1");
+    vi.advanceTimersByTime(200);
+    expect(socket.sent).toHaveLength(0);
+    socket.readyState = 1;
+    vi.advanceTimersByTime(50);
+    expect(socket.sent).toHaveLength(1);
+  });
+
+  it("reports a break once, and only while it matters", () => {
+    const onLost = vi.fn();
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, onLost);
+    socket.listeners.close?.();
+    expect(onLost).not.toHaveBeenCalled();
+    link.beat("t1");
+    socket.listeners.error?.();
+    socket.listeners.close?.();
+    expect(onLost).toHaveBeenCalledTimes(1);
+  });
+
+  it("says that it let go before it closes", () => {
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, vi.fn());
+    link.beat("t1");
+    link.close();
+    expect(socket.sent.at(-1)?.holding).toBe(false);
+    expect(socket.isClosed).toBe(true);
+  });
+
+  it("follows the page's scheme", () => {
+    const at = (href: string) => holdUrl("m 1", new URL(href) as unknown as Location);
+    expect(at("https://yard:8443/operate")).toBe("wss://yard:8443/api/v1/machines/m%201/hold");
+    expect(at("http://127.0.0.1:8000/")).toBe("ws://127.0.0.1:8000/api/v1/machines/m%201/hold");
+  });
+});

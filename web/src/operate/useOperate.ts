@@ -1,0 +1,93 @@
+/** Everything the Operate page knows, put together: machine, target, plan, hold, result, gate. */
+
+import { useLocalStorage } from "@mantine/hooks";
+import { useEffect, useState } from "react";
+import { isMoving } from "../machine/phase";
+import { useIsHolder } from "../machine/useLease";
+import { useMachine } from "../machine/useMachine";
+import { staleSeconds, useConnection } from "../session/connection";
+import { useLive } from "../session/liveStore";
+import { useNow } from "../session/useNow";
+import { useSession } from "../session/useSession";
+import { operateGate } from "./gate";
+import { isAbortable } from "./hold";
+import { presentStep } from "./steps";
+import { useHold } from "./useHold";
+import { usePlan } from "./usePlan";
+import { useTarget } from "./useTarget";
+
+export function useOperate() {
+  const machine = useMachine();
+  const machineId = machine?.machine_id ?? null;
+  const [mode, setMode] = useLocalStorage<"2d" | "3d">({
+    key: "downrange.mode",
+    defaultValue: "2d",
+  });
+  const [throwId, setThrowId] = useState<string | null>(null);
+  const thrown = useLive((live) => (throwId === null ? null : (live.throws[throwId] ?? null)));
+  const refusal = useLive((live) => (machineId ? (live.targetRefusals[machineId] ?? "") : ""));
+  const aim = useTarget(machineId);
+  const target = machine?.target ?? null;
+
+  const isOver = thrown?.phase === "ended";
+  const isRunning = (machine !== null && isMoving(machine.lamp)) || (throwId !== null && !isOver);
+  const { plan, error, again } = usePlan(machine, mode, target, !isRunning && throwId === null);
+  const control = useHold({ machine, plan }, thrown, setThrowId);
+  const { hold, release } = control;
+
+  const isHolder = useIsHolder(machine);
+  useEffect(() => {
+    if (!isHolder && isAbortable(hold)) release("disabled");
+  }, [isHolder, hold, release]);
+
+  // A result belongs to the machine and the target it was thrown at.
+  const throwTargetKey = target ? `${target.x_m} ${target.y_m} ${target.z_m}` : "";
+  const isIdle = hold.phase === "idle";
+  useResetResult(`${machineId} ${mode} ${throwTargetKey}`, isIdle && isOver, () =>
+    setThrowId(null),
+  );
+
+  const session = useSession();
+  const stale_s = staleSeconds(useConnection(), useNow());
+  const isLoaded = useLive((live) => live.isLoaded);
+  const gate = operateGate({
+    stale_s,
+    isLoaded,
+    machine,
+    isHolder,
+    permissions: session?.permissions ?? [],
+    mode,
+    target,
+    plan,
+    planError: error,
+  });
+  const result = isOver && isIdle ? thrown : null;
+  return {
+    machine,
+    mode,
+    setMode,
+    target,
+    problem: refusal || aim.error || null,
+    setTarget: (next: NonNullable<typeof target>) => void aim.set(next, mode),
+    plan,
+    previewAgain: again,
+    control,
+    thrown,
+    result,
+    throwAgain: () => setThrowId(null),
+    gate,
+    step: presentStep({ machine, target, plan, hold, result }),
+  };
+}
+
+export type Operate = ReturnType<typeof useOperate>;
+
+/** Calls `reset` when the key changes while `isShown`. */
+function useResetResult(key: string, isShown: boolean, reset: () => void): void {
+  const [shownKey, setShownKey] = useState(key);
+  useEffect(() => {
+    if (key === shownKey) return;
+    setShownKey(key);
+    if (isShown) reset();
+  }, [key, shownKey, isShown, reset]);
+}

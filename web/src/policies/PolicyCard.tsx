@@ -1,0 +1,58 @@
+import { Link } from "@tanstack/react-router";
+import type { Schema } from "../session/client";
+import { count, fixed, metres, shortHash } from "../words/format";
+import { localStamp } from "../words/time";
+import { EvaluationTable } from "./EvaluationTable";
+import classes from "./PolicyCard.module.css";
+
+type Policy = Schema["PolicyView"];
+
+/** One version: what it is for, where it comes from, how well it throws. */
+export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: boolean }) {
+  const { card } = policy;
+  const { training } = card;
+  return (
+    <article className={classes.card} aria-label={policy.policy_id}>
+      <header className={classes.head}>
+        <span className={classes.mode}>{policy.mode.toUpperCase()}</span>
+        <h2>{policy.policy_id}</h2>
+        <span className={classes.tags}>
+          {policy.is_active && <span className={classes.tag}>active</span>}
+          {isOnBoard && <span className={classes.tag}>on board</span>}
+        </span>
+      </header>
+      {policy.problem && (
+        <p className={classes.problem} role="alert">
+          {policy.problem}
+        </p>
+      )}
+      <dl className={classes.facts}>
+        <dt>Targets</dt>
+        <dd>
+          {metres(card.target_range_min_m)} to {metres(card.target_range_max_m)}, height{" "}
+          {fixed(card.target_height_min_m)} to {metres(card.target_height_max_m)}
+        </dd>
+        <dt>Version</dt>
+        <dd title={policy.policy_sha256}>{shortHash(policy.policy_sha256)}</dd>
+        <dt>Machine model</dt>
+        <dd title={card.model_sha256}>{shortHash(card.model_sha256)}</dd>
+        <dt>Trained</dt>
+        <dd>
+          {training.environment_step_count.toExponential(1).replace("e+", "e")} steps in{" "}
+          {fixed(training.wall_s / 60, 1)} min on {training.device}
+        </dd>
+        <dt>Commit</dt>
+        <dd>{shortHash(training.commit)}</dd>
+        <dt>First seen</dt>
+        <dd>{localStamp(policy.first_seen_utc)}</dd>
+        <dt>Thrown</dt>
+        <dd>
+          <Link to="/throws" search={{ policy: policy.policy_sha256 }}>
+            {count(policy.throw_count, "throw")}
+          </Link>
+        </dd>
+      </dl>
+      <EvaluationTable evaluations={card.evaluation ?? []} />
+    </article>
+  );
+}

@@ -1,0 +1,51 @@
+/** Evaluations on a policy card, read with care: cards of other versions may say more or less. */
+
+export type EvaluationRow = {
+  range_m: number;
+  throw_count: number | null;
+  success_ratio: number | null;
+  mean_downrange_error_m: number | null;
+  sd_downrange_m: number | null;
+  mean_crossrange_error_m: number | null;
+  sd_crossrange_m: number | null;
+};
+
+export type Evaluation = { plant: string; rows: EvaluationRow[] };
+
+type Loose = Record<string, unknown>;
+
+function number(row: Loose, ...names: string[]): number | null {
+  for (const name of names) {
+    const value = row[name];
+    if (typeof value === "number" && Number.isFinite(value)) return value;
+  }
+  return null;
+}
+
+function isRecord(value: unknown): value is Loose {
+  return typeof value === "object" && value !== null && !Array.isArray(value);
+}
+
+function readRow(row: Loose): EvaluationRow | null {
+  const range_m = number(row, "range_m");
+  if (range_m === null) return null;
+  return {
+    range_m,
+    throw_count: number(row, "throws", "throw_count"),
+    success_ratio: number(row, "success_ratio"),
+    mean_downrange_error_m: number(row, "mean_downrange_error_m", "downrange_mean_m"),
+    sd_downrange_m: number(row, "sd_downrange_m", "downrange_sd_m"),
+    mean_crossrange_error_m: number(row, "mean_crossrange_error_m", "crossrange_mean_m"),
+    sd_crossrange_m: number(row, "sd_crossrange_m", "crossrange_sd_m"),
+  };
+}
+
+export function readEvaluations(evaluations: readonly unknown[]): Evaluation[] {
+  return evaluations.filter(isRecord).flatMap((evaluation) => {
+    const list = evaluation.targets ?? evaluation.throws;
+    if (!Array.isArray(list)) return [];
+    const rows = list.filter(isRecord).flatMap((row) => readRow(row) ?? []);
+    const plant = typeof evaluation.plant === "string" ? evaluation.plant : "unnamed plant";
+    return rows.length > 0 ? [{ plant, rows }] : [];
+  });
+}

@@ -1,0 +1,61 @@
+import { Button } from "@mantine/core";
+import { IconDownload } from "@tabler/icons-react";
+import type { Schema } from "../session/client";
+import { outcomeSentence } from "../throws/outcome";
+import { bytes, seconds, shortHash, speed } from "../words/format";
+import { localStamp, zoneName } from "../words/time";
+import classes from "./Facts.module.css";
+
+type Detail = Schema["ThrowDetail"];
+
+/** People and versions: who threw what, with which policy, twin and model. */
+export function Facts({ detail }: { detail: Detail }) {
+  const { row, plan } = detail;
+  const facts: [string, React.ReactNode, string?][] = [
+    ["Outcome", outcomeSentence(row)],
+    ["Person", row.operator],
+    ["Machine", row.machine_id],
+    [`Time, ${zoneName(new Date(row.created_utc))}`, localStamp(row.created_utc)],
+    ["Release speed", speed(row.release_speed_m_per_s)],
+    ["Duration", seconds(row.throw_duration_s, 1)],
+    ["Policy", `${row.policy_id} ${shortHash(row.policy_sha256)}`, row.policy_sha256],
+    ["Machine model", shortHash(plan?.model_sha256), plan?.model_sha256],
+    ["Twin profile", plan ? `version ${plan.twin_profile_version}` : "–"],
+    ["Plan", shortHash(plan?.plan_hash), plan?.plan_hash ?? undefined],
+    ["Control epoch", detail.epoch_count],
+    ["Throw", row.throw_id],
+  ];
+  return (
+    <dl className={classes.facts}>
+      {facts.map(([name, value, title]) => (
+        <div key={name}>
+          <dt>{name}</dt>
+          <dd title={title}>{value}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}
+
+/** The machine's own recording, to keep or to open elsewhere. */
+export function Files({ detail }: { detail: Detail }) {
+  const { log, row } = detail;
+  if (!log) return <p className={classes.note}>The machine has not sent its log yet.</p>;
+  return (
+    <>
+      <Button
+        variant="default"
+        fullWidth
+        component="a"
+        href={`/api/v1/throws/${encodeURIComponent(row.throw_id)}/log`}
+        download
+        leftSection={<IconDownload size={16} aria-hidden />}
+      >
+        Throw log, MCAP, {bytes(log.size_bytes)}
+      </Button>
+      <p className={classes.note} title={log.log_sha256}>
+        sha256 {shortHash(log.log_sha256)}, received {localStamp(log.received_utc)}
+      </p>
+    </>
+  );
+}

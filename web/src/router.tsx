@@ -1,0 +1,88 @@
+/** Addresses of the console; pages with charts are loaded when first opened. */
+
+import {
+  createRootRoute,
+  createRoute,
+  createRouter,
+  lazyRouteComponent,
+  Outlet,
+  redirect,
+} from "@tanstack/react-router";
+import { Frame } from "./frame/Frame";
+import { GateSentence } from "./operate/GateSentence";
+import { LoginPage } from "./routes/login";
+import { OperatePage } from "./routes/operate";
+import { parseSearch } from "./throws/filters";
+
+const root = createRootRoute({
+  component: Outlet,
+  notFoundComponent: () => <GateSentence sentence="There is no such page. Open Operate." />,
+});
+
+const login = createRoute({
+  getParentRoute: () => root,
+  path: "/login",
+  component: LoginPage,
+  validateSearch: (search: Record<string, unknown>): { back?: string } =>
+    typeof search.back === "string" ? { back: search.back } : {},
+});
+
+const frame = createRoute({ getParentRoute: () => root, id: "frame", component: Frame });
+
+const home = createRoute({
+  getParentRoute: () => frame,
+  path: "/",
+  beforeLoad: () => {
+    throw redirect({ to: "/operate" });
+  },
+});
+
+const operate = createRoute({
+  getParentRoute: () => frame,
+  path: "/operate",
+  component: OperatePage,
+});
+
+const throws = createRoute({
+  getParentRoute: () => frame,
+  path: "/throws",
+  validateSearch: parseSearch,
+  component: lazyRouteComponent(() => import("./routes/throws"), "ThrowsPage"),
+});
+
+const oneThrow = createRoute({
+  getParentRoute: () => frame,
+  path: "/throws/$throwId",
+  component: lazyRouteComponent(() => import("./routes/throw"), "ThrowPage"),
+});
+
+const policies = createRoute({
+  getParentRoute: () => frame,
+  path: "/policies",
+  component: lazyRouteComponent(() => import("./routes/policies"), "PoliciesPage"),
+});
+
+const fleet = createRoute({
+  getParentRoute: () => frame,
+  path: "/fleet",
+  component: lazyRouteComponent(() => import("./routes/fleet"), "FleetPage"),
+});
+
+const admin = createRoute({
+  getParentRoute: () => frame,
+  path: "/admin",
+  component: lazyRouteComponent(() => import("./routes/admin"), "AdminPage"),
+});
+
+const tree = root.addChildren([
+  login,
+  frame.addChildren([home, operate, throws, oneThrow, policies, fleet, admin]),
+]);
+
+export const router = createRouter({ routeTree: tree, defaultPreload: "intent" });
+
+declare module "@tanstack/react-router" {
+  interface Register {
+    router: typeof router;
+  }
+}

@@ -1,0 +1,38 @@
+import { useMachine } from "../machine/useMachine";
+import { GateSentence } from "../operate/GateSentence";
+import { PolicyCard } from "../policies/PolicyCard";
+import { usePolicies } from "../throws/useThrows";
+import { errorWords } from "../words/errors";
+import classes from "./policies.module.css";
+
+/** Policies: the versions this server knows, what is active and what is on board. */
+export function PoliciesPage() {
+  const policies = usePolicies();
+  const onBoard = useMachine()?.state?.policy_sha256 ?? {};
+  if (policies.isError) return <GateSentence sentence={errorWords(policies.error)} />;
+  const all = policies.data ?? [];
+  const rank = (isActive: boolean) => (isActive ? 0 : 1);
+  const sorted = [...all].sort(
+    (a, b) =>
+      rank(a.is_active) - rank(b.is_active) ||
+      a.mode.localeCompare(b.mode) ||
+      b.first_seen_utc.localeCompare(a.first_seen_utc),
+  );
+  return (
+    <div className={classes.page}>
+      <h1>Policies</h1>
+      {policies.data && all.length === 0 && (
+        <GateSentence sentence="No policy version is known. Put one into the server's policies folder." />
+      )}
+      <div className={classes.cards}>
+        {sorted.map((policy) => (
+          <PolicyCard
+            key={policy.policy_sha256}
+            policy={policy}
+            isOnBoard={onBoard[policy.mode] === policy.policy_sha256}
+          />
+        ))}
+      </div>
+    </div>
+  );
+}

@@ -1,0 +1,140 @@
+/** What the server tells by itself, kept in one place: a pure reducer over events and a tiny store. */
+
+import type { Schema } from "./client";
+
+export type Machine = Schema["MachineView"];
+export type Plan = Schema["PlanView"];
+export type Throw = Schema["ThrowRow"];
+export type Alert = Schema["AlertEvent"] & { id: number };
+export type ServerEvent =
+  | Schema["MachineStateEvent"]
+  | Schema["MachineLostEvent"]
+  | Schema["LeaseChangedEvent"]
+  | Schema["TargetProposedEvent"]
+  | Schema["PlanUpdatedEvent"]
+  | Schema["ThrowUpdatedEvent"]
+  | Schema["AlertEvent"];
+
+export type Live = {
+  machines: Readonly<Record<string, Machine>>;
+  plans: Readonly<Record<string, Plan>>;
+  throws: Readonly<Record<string, Throw>>;
+  /** Why a picked point cannot be a target, by machine. */
+  targetRefusals: Readonly<Record<string, string>>;
+  /** Last lease change by machine, to tell why control was lost. */
+  leaseNews: Readonly<Record<string, Schema["LeaseChangedEvent"]>>;
+  alerts: readonly Alert[];
+  isLoaded: boolean;
+};
+
+export type LiveAction =
+  | { kind: "resync"; machines: readonly Machine[] }
+  | { kind: "event"; event: ServerEvent; sessionId: string | null }
+  | { kind: "plan"; plan: Plan }
+  | { kind: "target"; machineId: string; target: Schema["TargetView"] | null }
+  | { kind: "dismiss"; id: number };
+
+export const EMPTY_LIVE: Live = {
+  machines: {},
+  plans: {},
+  throws: {},
+  targetRefusals: {},
+  leaseNews: {},
+  alerts: [],
+  isLoaded: false,
+};
+
+const ALERT_LIMIT = 20;
+const KEPT_LIMIT = 50;
+
+/** Put an entry in and forget the oldest beyond the limit, so that days of events stay small. */
+function put<T>(record: Readonly<Record<string, T>>, key: string, value: T): Record<string, T> {
+  const rest = Object.entries(record).filter(([other]) => other !== key);
+  return Object.fromEntries([...rest.slice(-(KEPT_LIMIT - 1)), [key, value]]);
+}
+
+function putPlan(live: Live, plan: Plan): Live {
+  return { ...live, plans: put(live.plans, plan.plan_id, plan) };
+}
+
+function patch(live: Live, id: string, change: (machine: Machine) => Machine): Live {
+  const machine = live.machines[id];
+  if (!machine) return live;
+  return { ...live, machines: { ...live.machines, [id]: change(machine) } };
+}
+
+export function reduceLive(live: Live, action: LiveAction): Live {
+  switch (action.kind) {
+    case "resync":
+      return {
+        ...live,
+        isLoaded: true,
+        machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, m])),
+      };
+    case "plan":
+      // The answer to a request may arrive after newer news of the same plan.
+      return action.plan.plan_id in live.plans ? live : putPlan(live, action.plan);
+    case "target":
+      return patch(
+        { ...live, targetRefusals: { ...live.targetRefusals, [action.machineId]: "" } },
+        action.machineId,
+        (machine) => ({ ...machine, target: action.target }),
+      );
+    case "dismiss":
+      return { ...live, alerts: live.alerts.filter((alert) => alert.id !== action.id) };
+    case "event":
+      return onEvent(live, action.event, action.sessionId);
+  }
+}
+
+function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live {
+  switch (event.kind) {
+    case "machine.state":
+      return onMachine(live, event.machine);
+    case "machine.lost":
+      return patch(live, event.machine_id, (machine) => ({
+        ...machine,
+        lamp: "lost",
+        lamp_text: "lost",
+        link: { ...machine.link, is_connected: false, last_seen_utc: event.last_seen_utc },
+      }));
+    case "lease.changed":
+      return patch(
+        { ...live, leaseNews: { ...live.leaseNews, [event.lease.machine_id]: event } },
+        event.lease.machine_id,
+        (machine) => ({ ...machine, lease: event.lease }),
+      );
+    case "target.proposed":
+      return event.session_id === sessionId ? onTarget(live, event) : live;
+    case "plan.updated":
+      return putPlan(live, event.plan);
+    case "throw.updated":
+      return { ...live, throws: put(live.throws, event.throw.throw_id, event.throw) };
+    case "alert":
+      return { ...live, alerts: addAlert(live.alerts, event) };
+  }
+}
+
+/** Broadcasts carry no target: it belongs to one session, so ours is kept. */
+function onMachine(live: Live, machine: Machine): Live {
+  const target = machine.target ?? live.machines[machine.machine_id]?.target ?? null;
+  return {
+    ...live,
+    machines: { ...live.machines, [machine.machine_id]: { ...machine, target } },
+  };
+}
+
+function onTarget(live: Live, event: Schema["TargetProposedEvent"]): Live {
+  const refusals = { ...live.targetRefusals, [event.machine_id]: event.refusal };
+  if (event.refusal && !event.target) return { ...live, targetRefusals: refusals };
+  return patch({ ...live, targetRefusals: refusals }, event.machine_id, (machine) => ({
+    ...machine,
+    target: event.target,
+  }));
+}
+
+function addAlert(alerts: readonly Alert[], event: Schema["AlertEvent"]): readonly Alert[] {
+  const id = (alerts.at(-1)?.id ?? 0) + 1;
+  const others = alerts.filter((a) => a.code !== event.code || a.machine_id !== event.machine_id);
+  return [...others, { ...event, id }].slice(-ALERT_LIMIT);
+}

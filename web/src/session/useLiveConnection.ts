@@ -1,0 +1,54 @@
+/** Keeps the event stream open while somebody is signed in. */
+
+import { useQueryClient } from "@tanstack/react-query";
+import { useEffect } from "react";
+import { api, take } from "./client";
+import { markData, markOpen } from "./connection";
+import { EventStream } from "./eventStream";
+import type { ServerEvent } from "./live";
+import { dispatchLive } from "./liveStore";
+import { ME } from "./queries";
+
+async function resync(): Promise<void> {
+  dispatchLive({ kind: "resync", machines: await take(api.GET("/api/v1/machines")) });
+}
+
+/** The watched machine is told to the server: it sends that one's state at its full rate. */
+function eventsUrl(machineId: string | null): string {
+  const path = "/api/v1/events";
+  return machineId === null ? path : `${path}?machine_id=${encodeURIComponent(machineId)}`;
+}
+
+export function useLiveConnection(sessionId: string | null, machineId: string | null): void {
+  const client = useQueryClient();
+  useEffect(() => {
+    if (sessionId === null) return;
+    const onEvent = (event: ServerEvent) => {
+      dispatchLive({ kind: "event", event, sessionId });
+      if (event.kind === "throw.updated" && event.throw.phase === "ended") {
+        void client.invalidateQueries({ queryKey: ["throws"] });
+        void client.invalidateQueries({ queryKey: ["throw", event.throw.throw_id] });
+      }
+    };
+    const stream = new EventStream(() => new EventSource(eventsUrl(machineId)), {
+      resync: async () => {
+        await resync();
+        await client.invalidateQueries({ predicate: (query) => query.queryKey[0] !== ME[0] });
+      },
+      onEvent,
+      onData: () => markData(Date.now()),
+      onOpen: (isOpen) => {
+        markOpen(isOpen);
+        if (!isOpen) void client.invalidateQueries({ queryKey: ME });
+      },
+    });
+    const kick = () => stream.kick();
+    stream.start();
+    window.addEventListener("online", kick);
+    return () => {
+      window.removeEventListener("online", kick);
+      stream.close();
+      markOpen(false);
+    };
+  }, [client, sessionId, machineId]);
+}

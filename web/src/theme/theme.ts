@@ -1,0 +1,35 @@
+/** Mantine theme: one accent, square corners, large enough to touch; colours live in tokens.css. */
+
+import {
+  ActionIcon,
+  Button,
+  createTheme,
+  Menu,
+  NumberInput,
+  Paper,
+  SegmentedControl,
+  Select,
+  TextInput,
+} from "@mantine/core";
+
+export const theme = createTheme({
+  fontFamily: '"Inter Variable", system-ui, "Segoe UI", Roboto, sans-serif',
+  fontFamilyMonospace: 'ui-monospace, "Cascadia Mono", "DejaVu Sans Mono", monospace',
+  primaryColor: "blue",
+  primaryShade: { light: 8, dark: 8 },
+  defaultRadius: "sm",
+  fontWeights: { medium: "500" },
+  cursorType: "pointer",
+  focusRing: "auto",
+  respectReducedMotion: true,
+  components: {
+    ActionIcon: ActionIcon.extend({ defaultProps: { variant: "subtle", color: "gray", size: 36 } }),
+    Button: Button.extend({ defaultProps: { radius: "sm" } }),
+    NumberInput: NumberInput.extend({ defaultProps: { radius: "sm" } }),
+    TextInput: TextInput.extend({ defaultProps: { radius: "sm" } }),
+    Select: Select.extend({ defaultProps: { radius: "sm", checkIconPosition: "right" } }),
+    Paper: Paper.extend({ defaultProps: { radius: "sm", shadow: "none" } }),
+    Menu: Menu.extend({ defaultProps: { radius: "sm", shadow: "md" } }),
+    SegmentedControl: SegmentedControl.extend({ defaultProps: { radius: "sm" } }),
+  },
+});

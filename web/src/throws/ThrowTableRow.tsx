@@ -1,0 +1,94 @@
+import { Link } from "@tanstack/react-router";
+import { memo } from "react";
+import type { Throw } from "../session/live";
+import { crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
+import { localStamp, shortStamp } from "../words/time";
+import { MissBar } from "./MissBar";
+import { outcomeSentence, statusWord } from "./outcome";
+import classes from "./ThrowTable.module.css";
+
+type Props = {
+  row: Throw;
+  limit_m: number;
+  isSelected: boolean;
+  onSelect: (throwId: string) => void;
+  onOpen: (throwId: string) => void;
+};
+
+export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
+  const { row, limit_m, isSelected, onSelect, onOpen } = props;
+  return (
+    <tr
+      id={`throw-${row.throw_id}`}
+      data-throw={row.throw_id}
+      aria-selected={isSelected}
+      className={classes.row}
+      onClick={() => onSelect(row.throw_id)}
+      onDoubleClick={() => onOpen(row.throw_id)}
+    >
+      <td>
+        <Link
+          to="/throws/$throwId"
+          params={{ throwId: row.throw_id }}
+          className={classes.link}
+          title={localStamp(row.created_utc)}
+        >
+          {shortStamp(row.created_utc)}
+        </Link>
+      </td>
+      <td>{row.machine_id}</td>
+      <td>{row.mode.toUpperCase()}</td>
+      <td className={classes.right}>{fixed(row.target.range_m)}</td>
+      <td>
+        <Miss
+          measured_m={row.measured_downrange_error_m}
+          predicted_m={row.predicted_downrange_error_m}
+          limit_m={limit_m}
+          words={downrangeWords}
+        />
+      </td>
+      <td>
+        <Miss
+          measured_m={row.measured_crossrange_error_m}
+          predicted_m={row.predicted_crossrange_error_m}
+          limit_m={limit_m}
+          words={crossrangeWords}
+        />
+      </td>
+      <td
+        title={outcomeSentence(row)}
+        data-outcome={row.outcome ?? row.phase}
+        className={classes.outcome}
+      >
+        {statusWord(row)}
+      </td>
+      <td className={classes.policy} title={row.policy_sha256}>
+        {row.policy_id}
+      </td>
+      <td>{row.operator}</td>
+    </tr>
+  );
+});
+
+type MissProps = {
+  measured_m: number | null;
+  predicted_m: number | null;
+  limit_m: number;
+  words: (error_m: number | null) => string;
+};
+
+function Miss({ measured_m, predicted_m, limit_m, words }: MissProps) {
+  return (
+    <span className={classes.miss}>
+      <MissBar
+        measured_m={measured_m}
+        predicted_m={predicted_m}
+        limit_m={limit_m}
+        words={words(measured_m)}
+      />
+      <span className={classes.missText} aria-hidden>
+        {signed(measured_m)}
+      </span>
+    </span>
+  );
+}

@@ -1,0 +1,51 @@
+import { useComputedColorScheme } from "@mantine/core";
+import { useEffect, useState } from "react";
+import { useSlot, useWasWanted } from "./slot";
+import classes from "./ViewerHost.module.css";
+import { readNews, type ViewerNews, viewerSentence } from "./viewerMessages";
+
+const LOADING: ViewerNews = { state: "loading", detail: "" };
+
+/**
+ * The 3D view, once for all pages: moving an iframe in the document reloads it, so it stays where it is
+ * and is laid over the slot of the page that wants it.
+ */
+export function ViewerHost() {
+  const slot = useSlot();
+  const wasWanted = useWasWanted();
+  const scheme = useComputedColorScheme("dark");
+  const [news, setNews] = useState<ViewerNews>(LOADING);
+
+  useEffect(() => {
+    const onMessage = (event: MessageEvent) => {
+      const fresh = readNews(event.data, event.origin, window.location.origin);
+      if (fresh) setNews(fresh);
+    };
+    window.addEventListener("message", onMessage);
+    return () => window.removeEventListener("message", onMessage);
+  }, []);
+
+  if (!wasWanted) return null;
+  const sentence = viewerSentence(news);
+  return (
+    <div
+      className={classes.host}
+      style={slot ? { ...slot } : undefined}
+      hidden={!slot}
+      data-testid="viewer"
+      data-state={news.state}
+    >
+      <iframe
+        key={scheme}
+        title="3D view of the machine: click the ground to set the target"
+        src={`/viewer/?theme=${scheme}`}
+        className={classes.view}
+      />
+      {sentence && (
+        <p className={classes.sentence} role="status">
+          {sentence}
+        </p>
+      )}
+    </div>
+  );
+}

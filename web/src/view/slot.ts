@@ -1,0 +1,49 @@
+/** Where the one 3D view of this page is shown: the rectangle of the page that wants it. */
+
+import { useEffect, useRef, useSyncExternalStore } from "react";
+
+export type Slot = { left: number; top: number; width: number; height: number };
+
+let slot: Slot | null = null;
+let wasWanted = false;
+const listeners = new Set<() => void>();
+
+function set(next: Slot | null): void {
+  slot = next;
+  wasWanted ||= next !== null;
+  for (const listener of listeners) listener();
+}
+
+function subscribe(listener: () => void): () => void {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
+export const useSlot = (): Slot | null => useSyncExternalStore(subscribe, () => slot);
+
+/** The view is loaded when first wanted, and stays loaded from then on. */
+export const useWasWanted = (): boolean => useSyncExternalStore(subscribe, () => wasWanted);
+
+/** Put the view over this element for as long as it is on the page. */
+export function useViewSlot<T extends HTMLElement>() {
+  const ref = useRef<T>(null);
+  useEffect(() => {
+    const element = ref.current;
+    if (!element) return;
+    const measure = () => {
+      const { left, top, width, height } = element.getBoundingClientRect();
+      set({ left, top, width, height });
+    };
+    const observer = new ResizeObserver(measure);
+    observer.observe(element);
+    observer.observe(document.body);
+    window.addEventListener("scroll", measure, { capture: true, passive: true });
+    measure();
+    return () => {
+      observer.disconnect();
+      window.removeEventListener("scroll", measure, { capture: true });
+      set(null);
+    };
+  }, []);
+  return ref;
+}

@@ -1,0 +1,45 @@
+/** What the 3D view in its iframe tells the console around it (docs/viewer.md). */
+
+export type ViewerState =
+  | "loading"
+  | "connected"
+  | "drawn"
+  | "disconnected"
+  | "signed_out"
+  | "unsupported";
+
+export type ViewerNews = { state: ViewerState; detail: string };
+
+const STATES: readonly string[] = [
+  "connected",
+  "drawn",
+  "disconnected",
+  "signed_out",
+  "unsupported",
+];
+
+/** The news in a window message; null for messages of anybody else. */
+export function readNews(data: unknown, origin: string, ownOrigin: string): ViewerNews | null {
+  if (origin !== ownOrigin || typeof data !== "object" || data === null) return null;
+  const { source, state, detail } = data as Record<string, unknown>;
+  if (source !== "downrange-viewer" || typeof state !== "string" || !STATES.includes(state))
+    return null;
+  return { state: state as ViewerState, detail: typeof detail === "string" ? detail : "" };
+}
+
+/** One sentence over the view where it shows nothing true; empty when it does. */
+export function viewerSentence({ state, detail }: ViewerNews): string {
+  switch (state) {
+    case "loading":
+    case "connected":
+      return "Loading the 3D view";
+    case "disconnected":
+      return "The 3D view is not live. It reconnects by itself.";
+    case "signed_out":
+      return "The 3D view needs a new sign-in.";
+    case "unsupported":
+      return `${detail || "This browser cannot show the 3D view."} Use the fields at the right.`;
+    case "drawn":
+      return "";
+  }
+}

@@ -1,0 +1,67 @@
+import { describe, expect, it } from "vitest";
+import {
+  age,
+  bearingWords,
+  bytes,
+  count,
+  crossrangeWords,
+  degrees,
+  downrangeWords,
+  fixed,
+  metres,
+  signed,
+} from "./format";
+
+describe("errors carry a sign and a word", () => {
+  it("says long and short along the target line", () => {
+    expect(downrangeWords(0.124)).toBe("+0.12 m long");
+    expect(downrangeWords(-0.076)).toBe("−0.08 m short");
+    expect(downrangeWords(0.004)).toBe("0.00 m on range");
+    expect(downrangeWords(-0.004)).toBe("0.00 m on range");
+  });
+
+  it("says left for positive crossrange, as frame throw does", () => {
+    expect(crossrangeWords(0.05)).toBe("+0.05 m left");
+    expect(crossrangeWords(-0.05)).toBe("−0.05 m right");
+    expect(crossrangeWords(0)).toBe("0.00 m on line");
+  });
+
+  it("never rounds a word away from its number", () => {
+    expect(downrangeWords(0.005)).toMatch(/long$/);
+    expect(downrangeWords(0.0049)).toBe("0.00 m on range");
+  });
+});
+
+describe("numbers", () => {
+  it("has no negative zero", () => {
+    expect(fixed(-0.001)).toBe("0.00");
+    expect(signed(0.001)).toBe("0.00");
+  });
+
+  it("shows a dash for what is unknown", () => {
+    for (const value of [null, undefined, Number.NaN, Number.POSITIVE_INFINITY]) {
+      expect(metres(value)).toBe("–");
+      expect(downrangeWords(value)).toBe("–");
+    }
+  });
+
+  it("turns radians into degrees and bearings", () => {
+    expect(degrees(Math.PI / 2)).toBe("90.0°");
+    expect(bearingWords(-Math.PI / 6)).toBe("30.0° right");
+    expect(bearingWords(0)).toBe("0.0° ahead");
+  });
+
+  it("keeps ages coarse", () => {
+    expect(age(14.9)).toBe("14 s");
+    expect(age(-2)).toBe("0 s");
+    expect(age(600)).toBe("10 min");
+    expect(age(7200)).toBe("2 h");
+    expect(age(200_000)).toBe("2 d");
+  });
+
+  it("counts with the noun", () => {
+    expect(count(1, "throw")).toBe("1 throw");
+    expect(count(12345, "throw")).toBe("12,345 throws");
+    expect(bytes(1_234_567)).toBe("1.2 MB");
+  });
+});

@@ -1,0 +1,17 @@
+import react from "@vitejs/plugin-react";
+import { defineConfig } from "vitest/config";
+
+/** Development only: where `npm run dev` finds a running `downrange server`. */
+const server = process.env.DOWNRANGE_DEV_SERVER ?? "http://127.0.0.1:8000";
+
+export default defineConfig({
+  plugins: [react()],
+  server: {
+    proxy: {
+      "/api": { target: server, ws: true },
+      "/viewer": { target: server, ws: true },
+    },
+  },
+  build: { target: "es2023", chunkSizeWarningLimit: 900 },
+  test: { environment: "happy-dom", include: ["src/**/*.test.{ts,tsx}"] },
+});
