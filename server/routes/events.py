@@ -15,7 +15,8 @@ from server.services import Services, ServicesDep
 
 router = APIRouter(tags=["events"])
 
-KEEP_ALIVE_S = 10.0
+KEEP_ALIVE_S = 2.0
+"""A browser that hears nothing for longer calls itself not live (web/src/session/connection.ts)."""
 
 
 @router.get(
@@ -48,7 +49,7 @@ async def _frames(client: HubClient, services: Services, token: str | None) -> A
                 continue
             if await asyncio.to_thread(services.accounts.session_of, token) is None:
                 return
-            yield b": keep-alive\n\n"
+            yield b"event: ping\ndata: {}\n\n"
     finally:
         services.hub.unsubscribe(client)
 
