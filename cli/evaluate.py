@@ -28,7 +28,7 @@ from sim_twin.accuracy import (
 )
 from sim_twin.campaign import Outcome, ThrowResult, run_throws
 from sim_twin.plants import PlantMaker, plant_calibration, plant_maker
-from sim_twin.plots import TargetScatter, plot_accuracy
+from sim_twin.plots import TargetScatter, check_plot_path, plot_accuracy
 from sim_twin.profile import load_profile
 
 MAX_TARGET_COUNT = 200
@@ -84,6 +84,10 @@ def run(
         calibration: valve calibration of the machine; measured on the plant if left out.
         profile: twin profile, for --plant twin; nominal if left out.
     """
+    if plot is not None:
+        check_plot_path(plot)
+    if json is not None and not json.parent.is_dir():
+        raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
     campaign = open_campaign(
         mode=Mode(mode),
         plant=plant,
@@ -96,10 +100,6 @@ def run(
         calibration=calibration,
         profile=profile,
     )
-    if plot is not None:
-        _check_writable(plot)
-    if json is not None:
-        _check_writable(json)
     started = perf_counter()
     results = _throw(campaign, throws, seed)
     seconds = perf_counter() - started
@@ -225,11 +225,6 @@ def _checked_ranges(ranges_m: tuple[float, ...], text: str) -> tuple[float, ...]
     if any(range_m <= 0.0 or range_m > 60.0 for range_m in ranges_m):
         raise UsageError(f"--targets '{text}': ranges lie between 0 and 60 m")
     return ranges_m
-
-
-def _check_writable(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise UsageError(f"cannot write {path}: the folder {path.parent} does not exist")
 
 
 def progress_line(what: str) -> Callable[[int, int], None]:

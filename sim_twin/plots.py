@@ -45,6 +45,20 @@ def ellipse_points(x: Array, y: Array, sigma_ratio: float = 1.0) -> Array:
     return outline + np.array([x.mean(), y.mean()])
 
 
+def check_plot_path(path: Path) -> None:
+    """Refuse, before the work is done, a file that a plot cannot be written to.
+
+    Raises:
+        UsageError: the suffix is not png, svg or pdf, or the folder does not exist.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(
+            f"cannot write a plot to {path}: the name must end with {', '.join(SUFFIXES)}"
+        )
+    if not path.parent.is_dir():
+        raise UsageError(f"cannot write the plot {path}: the folder {path.parent} does not exist")
+
+
 def plot_accuracy(
     path: Path, targets: Sequence[TargetScatter], *, title: str, reach_m: float
 ) -> None:
@@ -62,10 +76,7 @@ def plot_accuracy(
     Raises:
         UsageError: the suffix is none of these, or the folder cannot be written.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(
-            f"cannot write a plot to {path}: the name must end with {', '.join(SUFFIXES)}"
-        )
+    check_plot_path(path)
     figure = accuracy_figure(targets, title=title, reach_m=reach_m)
     try:
         figure.savefig(path, dpi=150)
