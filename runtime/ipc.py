@@ -13,32 +13,57 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW, POLICY_ROW
+
 BUFFER_BYTES: Final = 2 * 1024 * 1024
 """Asked-for socket buffer; the kernel grants at least its default (about 170 ticks) unprivileged."""
 PACKET_LIMIT_BYTES: Final = 64 * 1024
+
+TICK_ROW: Final = np.dtype(
+    [
+        ("t_mono_ns", np.int64),
+        ("packet_count", np.int64),  # tick packets tried so far: gaps show what was dropped
+        ("state_code_count", np.int8),  # index in list(ThrowState)
+        ("is_logged", np.bool_),  # belongs to the open log
+    ]
+)
+TICK_TAGS: Final = {"tick": 0, "control": 1, "policy": 2, "imu": 3, "ball": 4}
+TICK_DTYPES: Final[dict[int, np.dtype[np.void]]] = {
+    0: TICK_ROW,
+    1: CONTROL_ROW,
+    2: POLICY_ROW,
+    3: IMU_ROW,
+    4: BALL_ROW,
+}
 
 
 class Kind(IntEnum):
     """First byte of a packet. Values are never reused."""
 
     JOURNAL = 1
-    """link -> control: what must outlive a restart; the first packet."""
+    """link -> control: {epoch_count, throw_ids}, what must outlive a restart; the first packet."""
     COMMAND = 2
     """link -> control: {request, command}"""
     HEARTBEAT = 3
     """link -> control: OperatorHeartbeat"""
     EVENT_ACK = 4
     """link -> control: {number}: events up to this one are on disk"""
-    HELLO = 5
-    """control -> link: boot and what runs here; the first packet."""
-    STATUS = 6
+    LINK = 5
+    """link -> control: {is_connected, outbox_count, recorder_dropped_count}"""
+    HELLO = 6
+    """control -> link: {state, log}: the boot, and the context of a log that is open; the first packet."""
+    STATUS = 7
     """control -> link: MachineState without what only the link knows."""
-    REPLY = 7
-    """control -> link: {request, reply, epoch}"""
-    EVENT = 8
-    """control -> link: {number, event}"""
-    TICK = 9
+    REPLY = 8
+    """control -> link: {request, reply}"""
+    EVENT = 9
+    """control -> link: {number, kind, t_mono_ns, t_utc, throw_id, plan_id, data}"""
+    TICK = 10
     """control -> link: rows of one control tick, see `pack_rows`"""
+    LOG_BEGIN = 11
+    """control -> link: context of the log that the following ticks belong to"""
+    LOG_END = 12
+    """control -> link: result of the log"""
 
 
 class Packet(NamedTuple):

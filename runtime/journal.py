@@ -147,6 +147,14 @@ class Journal:
             draft = EventDraft(EventKind.LOG_STORED, t_mono_ns, log.throw_id, None, data, utc_now())
             return self._outbox.add(boot_id, draft)
 
+    def without_log(self) -> tuple[str, ...]:
+        """Ended throws of which no log was reported, oldest first."""
+        with self._outbox.transaction() as database:
+            rows = database.execute(
+                "SELECT throw_id FROM throws WHERE has_log=0 AND state=? ORDER BY id", (ENDED,)
+            ).fetchall()
+        return tuple(str(row[0]) for row in rows)
+
     def next_upload(self) -> str | None:
         """The oldest throw whose log the server does not have."""
         with self._outbox.transaction() as database:

@@ -167,6 +167,7 @@ def publish_log(part: Path, path: Path, throw_id: str) -> StoredLog:
 class _Begin:
     throw_id: str
     metadata: dict[str, Any]
+    earlier: ThrowLog | None
 
 
 @dataclass(slots=True)
@@ -208,6 +209,7 @@ class ThrowRecorder:
         self._throw_id = ""
         self._synced_s = 0.0
         self._dropped_at_begin_count = 0
+        self._has_gap = False
         self.dropped_count = 0
         """Items that found the queue full, or that the disk refused, since the start."""
         self.failure = ""
@@ -216,9 +218,17 @@ class ThrowRecorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def begin(self, throw_id: str, metadata: Mapping[str, Any]) -> None:
-        """Start the log of a throw; an open one is closed as it is."""
-        self._put(_Begin(throw_id, dict(metadata)))
+    def begin(
+        self, throw_id: str, metadata: Mapping[str, Any], earlier: ThrowLog | None = None
+    ) -> None:
+        """Start the log of a throw; an open one is closed as it is.
+
+        Args:
+            throw_id: names the file.
+            metadata: context of the throw.
+            earlier: what a recorder that died had written of this throw; it comes first.
+        """
+        self._put(_Begin(throw_id, dict(metadata), earlier))
 
     def add_rows(
         self, name: str, rows: np.ndarray[Any, np.dtype[np.void]], log_t_mono_ns: int
@@ -289,13 +299,17 @@ class ThrowRecorder:
         self._dropped_at_begin_count = self.dropped_count
         self._stream = part_path(self._folder, item.throw_id).open("wb")
         self._writer = LogWriter(self._stream, item.metadata)
+        self._has_gap = item.earlier is not None
+        if item.earlier is not None:
+            _write_rows(self._writer, item.earlier)
         self._sync()
 
     def _end(self, result: dict[str, Any]) -> None:
         if self._writer is None or self._stream is None:
             return
         dropped = self.dropped_count - self._dropped_at_begin_count
-        self._writer.close({**result, "is_complete": dropped == 0, "dropped_count": dropped})
+        is_complete = dropped == 0 and not self._has_gap and result.get("is_complete", True)
+        self._writer.close({**result, "is_complete": is_complete, "dropped_count": dropped})
         self._stream.close()
         self._writer = self._stream = None
         part = part_path(self._folder, self._throw_id)
