@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from machine.calibration import ValveCalibration, ValveTable, actuator_ratio
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray, IntArray
 from machine.kinematics import namespace
 from machine.spec import MachineSpec
 
@@ -141,13 +141,18 @@ def _approach(k: _ShapeConstants, distance: Array) -> Array:
     return a * (xp.sqrt(delay * delay + 2.0 * room / a) - delay)
 
 
-LEAD_TIME_S = (0.35, 0.0, 0.0, 0.0)
-"""Share of the slew's lag that the feed-forward leads by: its reference has a known acceleration."""
-RESPONSE_LAG_S = (0.20, 0.10, 0.10, 0.10)
-"""First-order lag that is left after dead time and lead: what feedback expects the machine to do."""
-PROPORTIONAL_RATIO = (0.30, 0.25, 0.25, 0.25)
-INTEGRAL_PER_S = (0.8, 1.2, 1.2, 1.2)
-"""Gains for loops with 60 to 90 ms dead time (slew 0.15 s): crossover near 1 rad/s, phase margin 70 deg."""
+ECHO_RATIO = (0.25, 0.35, 0.0, 0.0)
+ECHO_DELAY_S = (0.30, 0.16, 0.0, 0.0)
+"""Slew and boom ring at 1.5 to 2 Hz and 3 to 4 Hz. This share of the reference is sent half a period
+later and cancels most of the ringing it would start (zero-vibration shaping); measured on the virtual
+machine, as is everything below (docs/control.md)."""
+LEAD_TIME_S = (0.05, 0.0, 0.0, 0.0)
+"""Takes back some of the slew's delay by the known acceleration of its reference."""
+RESPONSE_LAG_S = (0.19, 0.12, 0.08, 0.07)
+"""First-order lag that is left after the dead time: what feedback expects the machine to do."""
+INTEGRAL_PER_S = (0.3, 0.3, 0.3, 0.3)
+"""Feedback is slow on purpose: at the ringing frequencies dead time turns a proportional term into
+negative damping (gain 0.25 doubled the tracking error of slew and boom). Speed comes from the tables."""
 INTEGRAL_LIMIT_RATIO = 0.20
 """The integrator may correct a table that is wrong by this share of the speed limit, not more."""
 THRESHOLD_RAD_M_PER_S = (0.012, 0.006, 0.006, 0.006)
@@ -173,7 +178,7 @@ class ControllerState(NamedTuple):
 
 
 class VelocityController:
-    """Feed-forward by the inverse valve tables of one machine, PI on the difference from the expected."""
+    """Feed-forward by the inverse valve tables of one machine, slow I on the difference from the expected."""
 
     def __init__(self, spec: MachineSpec, calibration: ValveCalibration) -> None:
         """Invert the tables once; the object holds constants only."""
@@ -182,12 +187,11 @@ class VelocityController:
             _inverse_table(table, THRESHOLD_RAD_M_PER_S[joint])
             for joint, table in enumerate(calibration.tables)
         ]
-        self._delay_ticks = np.rint(
-            np.asarray(spec.response.dead_time_s) / CONTROL_PERIOD_S
-        ).astype(np.int64)
+        self._delay_ticks = _ticks(spec.response.dead_time_s)
         self._blend = 1.0 - np.exp(-CONTROL_PERIOD_S / np.asarray(RESPONSE_LAG_S))
+        self._echo = np.asarray(ECHO_RATIO)
+        self._echo_ticks = _ticks(ECHO_DELAY_S)
         self._lead = np.asarray(LEAD_TIME_S) / CONTROL_PERIOD_S
-        self._proportional = np.asarray(PROPORTIONAL_RATIO)
         self._integral_step = np.asarray(INTEGRAL_PER_S) * CONTROL_PERIOD_S
         self._integral_limit = INTEGRAL_LIMIT_RATIO * np.minimum(
             limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s
@@ -196,7 +200,8 @@ class VelocityController:
     def initial(self, count: int) -> ControllerState:
         """Memory of `count` machines that stand still."""
         still = np.zeros((count, ACTIVE_COUNT))
-        line = np.zeros((int(self._delay_ticks.max()) + 1, count, ACTIVE_COUNT))
+        longest = max(self._delay_ticks.max(), self._echo_ticks.max())
+        line = np.zeros((int(longest) + 1, count, ACTIVE_COUNT))
         return ControllerState(line, still, still)
 
     def update(
@@ -209,15 +214,21 @@ class VelocityController:
         """One tick: references, measured velocities, |actuator_ratio|, all (N, 4), to valves (N, 4)."""
         reference = reference_rad_m_per_s
         line = np.concatenate([reference[None], state.delay_line[:-1]])
-        delayed = line[self._delay_ticks, :, np.arange(ACTIVE_COUNT)].T
+        joints = np.arange(ACTIVE_COUNT)
+        echo = line[self._echo_ticks, :, joints].T
+        delayed = line[self._delay_ticks, :, joints].T
         expected = state.expected + self._blend * (delayed - state.expected)
         error = expected - velocity_rad_m_per_s
         moves = (np.abs(reference) > STANDSTILL_RAD_M_PER_S) | (
             np.abs(expected) > STANDSTILL_RAD_M_PER_S
         )
-        lead = self._lead * (reference - state.delay_line[0])
-        correction = np.where(moves, self._proportional * error + state.integral, 0.0)
-        valve = self._valve((reference + lead + correction) * ratio_magnitude)
+        speed = (
+            reference
+            + self._echo * (echo - reference)
+            + self._lead * (reference - state.delay_line[0])
+            + np.where(moves, state.integral, 0.0)
+        )
+        valve = self._valve(speed * ratio_magnitude)
         # Anti-windup: a saturated valve takes no more of the same sign; a standing joint forgets.
         grows = moves & ((np.abs(valve) < 1.0) | (error * valve < 0.0))
         integral = np.where(grows, state.integral + self._integral_step * error, state.integral)
@@ -231,6 +242,10 @@ class VelocityController:
             for joint, (speeds, valves) in enumerate(self._inverse)
         ]
         return np.stack(columns, axis=1)
+
+
+def _ticks(delays_s: tuple[float, ...]) -> IntArray:
+    return np.rint(np.asarray(delays_s) / CONTROL_PERIOD_S).astype(np.int64)
 
 
 def _inverse_table(table: ValveTable, threshold: float) -> tuple[Array, Array]:
