@@ -1,0 +1,75 @@
+"""`downrange train`: learn a throwing policy and export it."""
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from machine.conventions import Mode
+from machine.spec import load_spec
+
+
+def run(
+    *,
+    mode: Literal["2d", "3d"],
+    out: Path,
+    iterations: int | None = None,
+    environments: int | None = None,
+    device: Literal["cpu", "gpu", "any"] = "any",
+    reward: Literal["impact", "paper"] = "impact",
+    seed: int = 0,
+    policy_id: str | None = None,
+    commit: str = "",
+    throws: int = 1024,
+    seconds: float = float("inf"),
+    unroll: int = 1,
+    warm_start: Path | None = None,
+) -> int:
+    """Train a policy; run the same line again to go on after an interruption.
+
+    Args:
+        mode: within the arm plane, or with the cabin turning.
+        out: folder for checkpoint, metrics.csv, learning_curve.png and the exported policy.
+        iterations: learning iterations (default 4000, the paper's).
+        environments: parallel machines (default 8192, the paper's).
+        device: where to compute; `any` takes a GPU if JAX finds one.
+        reward: ours, or the paper's terms.
+        seed: of everything random.
+        policy_id: name of the exported version (default m545-MODE-local).
+        commit: recorded in the card where git cannot be asked.
+        throws: measured a distance after training.
+        seconds: learning ends here even if iterations are left.
+        unroll: physics ticks unrolled when compiling (8 compiles longest).
+        warm_start: checkpoint.npz of another run whose networks this one starts from.
+    """
+    if device != "any":
+        os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
+    from dataclasses import replace
+
+    from training.task import PpoConfig, task_for
+    from training.train import RunOptions, train
+
+    chosen = Mode(mode)
+    config = PpoConfig()
+    config = replace(
+        config,
+        iteration_count=iterations or config.iteration_count,
+        environment_count=environments or config.environment_count,
+    )
+    options = RunOptions(
+        out=out,
+        policy_id=policy_id or f"m545-{mode}-local",
+        seed_count=seed,
+        commit=commit,
+        measured_throw_count=throws,
+        time_limit_s=seconds,
+        unroll_count=unroll,
+        warm_start=warm_start,
+    )
+    card = train(load_spec(), task_for(chosen, reward), config, options, print_line)
+    print_line(f"wrote {out / card.policy_id}")
+    return 0
+
+
+def print_line(text: str) -> None:
+    """Print at once: progress must be seen while it happens."""
+    print(text, flush=True)

@@ -1,0 +1,86 @@
+"""Checkpoints that survive a kill: the whole learner in one file, replaced atomically.
+
+A resumed run goes on exactly as an uninterrupted one would on the same device (tested).
+"""
+
+import os
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from machine.errors import UsageError
+from training.ppo import Learner
+
+CHECKPOINT_FILE = "checkpoint.npz"
+
+
+def save_checkpoint(path: Path, learner: Learner, fingerprint: str) -> None:
+    """Write every leaf of the learner and the configuration's fingerprint; never leaves half a file."""
+    arrays = {name: _to_numpy(leaf) for name, leaf in _named(learner)}
+    partial = path.with_suffix(".partial.npz")
+    with partial.open("wb") as stream:
+        np.savez(stream, fingerprint=np.asarray(fingerprint), **arrays)
+        stream.flush()
+        os.fsync(stream.fileno())
+    os.replace(partial, path)
+
+
+def load_checkpoint(path: Path, like: Learner, fingerprint: str) -> Learner:
+    """Read a learner of the same structure as `like`.
+
+    Raises:
+        UsageError: the file belongs to another configuration.
+    """
+    with np.load(path) as stored:
+        if str(stored["fingerprint"]) != fingerprint:
+            raise UsageError(
+                f"{path} was written under another configuration; train into another --out folder, "
+                "or give the options of the interrupted run"
+            )
+        leaves = [_from_numpy(stored[name], leaf) for name, leaf in _named(like)]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def load_weights(path: Path, like: Learner) -> Learner:
+    """`like` with the networks and the normaliser of another run's checkpoint: a warm start.
+
+    The spread of the actions stays that of `like`, so that the new run explores again.
+
+    Raises:
+        UsageError: the other run had networks of other sizes.
+    """
+    wanted = (".networks.actor", ".networks.critic", ".normaliser")
+    with np.load(path) as stored:
+        leaves: list[jax.Array] = []
+        for name, leaf in _named(like):
+            if name.startswith(wanted) and stored[name].shape != leaf.shape:
+                raise UsageError(
+                    f"{path}: {name} has shape {stored[name].shape}, this run needs {leaf.shape}; "
+                    "start from a run of the same mode and network"
+                )
+            leaves.append(_from_numpy(stored[name], leaf) if name.startswith(wanted) else leaf)
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def _named(learner: Learner) -> list[tuple[str, jax.Array]]:
+    """Leaves with their paths, such as ``.networks.actor[0][0]``."""
+    return [
+        (jax.tree_util.keystr(path), leaf)
+        for path, leaf in jax.tree_util.tree_flatten_with_path(learner)[0]
+    ]
+
+
+def _to_numpy(leaf: jax.Array) -> np.ndarray:
+    if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        leaf = jax.random.key_data(leaf)
+    return np.asarray(leaf)
+
+
+def _from_numpy(stored: np.ndarray, template: jax.Array) -> jax.Array:
+    if jax.dtypes.issubdtype(template.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(
+            jnp.asarray(stored), impl=jax.random.key_impl(template)
+        )
+    return jnp.asarray(stored)

@@ -1,0 +1,148 @@
+"""What is drawn at the start of an episode, how an episode ends, and what only the critic may know."""
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from machine.spec import MachineSpec
+from training.dynamics import Response
+from training.task import TaskConfig
+
+if TYPE_CHECKING:
+    from training.environment import EnvironmentState
+
+Field = Any
+
+
+class Failure(IntEnum):
+    """Why an episode ended badly; 0 = it did not."""
+
+    NONE = 0
+    NUMERIC = 1
+    """A state that is not finite or beyond reason: the episode is thrown away with a loss."""
+    COLLISION = 2
+    LIMIT = 3
+    SWING = 4
+    TIMEOUT = 5
+
+
+class StepInfo(NamedTuple):
+    """How a step ended; leading axis N."""
+
+    done: Field
+    """Bool: the episode is over."""
+    landed: Field
+    """Bool: it ended with a landing."""
+    failure: Field
+    """Failure code."""
+    miss_m: Field
+    """(N, 2) landing less target, frame `throw`: downrange, crossrange left. Hypothetical before the end."""
+    duration_s: Field
+    """Since the start."""
+    closest_m: Field
+    """Smallest clearance in this step."""
+
+
+class EpisodeDraw(NamedTuple):
+    """Randomised parameters of one episode; leading axis N."""
+
+    target_m: Field
+    """(N, 3) frame `throw`."""
+    plane_m: Field
+    """(N,) height of the load's centre at the impact."""
+    response: Response
+    """Each (N, 4)."""
+    friction_scale_ratio: Field
+    com_scale_ratio: Field
+    inertia_scale_ratio: Field
+    payload_mass_kg: Field
+    drag_per_m: Field
+    release_delay_s: Field
+    """(N,) of this opening."""
+    release_mean_s: Field
+    """(N,) of this machine."""
+    swing_bias_rad: Field
+    """(N, 2) error of the estimated passive angles."""
+    latency_s: Field
+    """(N,) age of what the policy sees."""
+
+
+def draw_episode(
+    key: Field, spec: MachineSpec, task: TaskConfig, target_m: Field, drag_per_m: float
+) -> EpisodeDraw:
+    """Draw the parameters of one episode a target (N, 3)."""
+    count = target_m.shape[0]
+    keys = jax.random.split(key, 3)
+    shares = jax.random.uniform(keys[0], (16, count))
+    scalars = jax.random.uniform(keys[1], (7, count))
+    normals = jax.random.normal(keys[2], (3, count))
+    response, passive, sensor = task.response, task.passive, task.sensor
+
+    def joints(first: int, low: tuple[float, ...], high: tuple[float, ...]) -> Field:
+        lower, upper = jnp.asarray(low), jnp.asarray(high)
+        return lower + (upper - lower) * shares[first : first + 4].T
+
+    def scalar(index: int, limits: tuple[float, float]) -> Field:
+        return limits[0] + (limits[1] - limits[0]) * scalars[index]
+
+    mass = scalar(3, passive.payload_mass_kg)
+    delay_mean = scalar(5, passive.release_delay_mean_s)
+    delay = delay_mean + passive.release_delay_sd_s * jnp.clip(normals[0], -3.0, 3.0)
+    return EpisodeDraw(
+        target_m=target_m,
+        plane_m=target_m[:, 2] + spec.ball.radius_m,
+        response=Response(
+            dead_time_s=joints(0, response.dead_time_min_s, response.dead_time_max_s),
+            natural_frequency_rad_per_s=joints(
+                4,
+                response.natural_frequency_min_rad_per_s,
+                response.natural_frequency_max_rad_per_s,
+            ),
+            damping_ratio=joints(8, response.damping_min_ratio, response.damping_max_ratio),
+            gain_ratio=joints(12, response.gain_min_ratio, response.gain_max_ratio),
+        ),
+        friction_scale_ratio=scalar(0, passive.friction_scale_ratio),
+        com_scale_ratio=scalar(1, passive.gripper_com_scale_ratio),
+        inertia_scale_ratio=scalar(2, passive.gripper_inertia_scale_ratio),
+        payload_mass_kg=mass,
+        drag_per_m=drag_per_m * scalar(4, passive.drag_scale_ratio) * spec.ball.mass_kg / mass,
+        release_delay_s=delay,
+        release_mean_s=delay_mean,
+        swing_bias_rad=sensor.swing_bias_sd_rad * normals[1:3].T,
+        latency_s=scalar(6, sensor.latency_s),
+    )
+
+
+def privileged_values(state: "EnvironmentState") -> Field:
+    """True state and drawn parameters (N, P), scaled to order one: for the critic alone."""
+    draw = state.draw
+    response = draw.response
+    slots = [
+        10.0 * response.dead_time_s,
+        0.1 * response.natural_frequency_rad_per_s,
+        response.damping_ratio,
+        10.0 * (response.gain_ratio - 1.0),
+        state.acceleration,
+        10.0 * state.disturbance,
+        state.reference,
+        state.position,
+        state.velocity,
+        state.landing_m - draw.target_m[:, :2],
+        10.0 * draw.swing_bias_rad,
+    ]
+    columns = [
+        draw.friction_scale_ratio,
+        10.0 * (draw.com_scale_ratio - 1.0),
+        10.0 * (draw.inertia_scale_ratio - 1.0),
+        draw.payload_mass_kg,
+        30.0 * draw.drag_per_m,
+        10.0 * (draw.release_mean_s - 0.258),
+        10.0 * state.leave_in_s * state.opened,
+        state.opened,
+        state.time_s,
+        jnp.where(jnp.isfinite(state.flight_left_s), state.flight_left_s, -1.0),
+        jnp.minimum(state.impact_distance_m, 15.0),
+    ]
+    return jnp.concatenate([*slots, jnp.stack(columns, axis=-1)], axis=-1).astype(jnp.float32)

@@ -1,0 +1,284 @@
+"""Proximal policy optimisation with generalised advantage estimation; a whole iteration is one jitted scan.
+
+Loss and bookkeeping follow Schulman et al. 2017 (PPO) and 2016 (GAE); the learning rate follows the
+Kullback-Leibler divergence of each update, as in the paper's implementation.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from training.environment import EnvironmentState, StartTable, ThrowEnvironment
+from training.episode import Failure, StepInfo
+from training.networks import (
+    Networks,
+    Normaliser,
+    apply_layers,
+    make_networks,
+    make_normaliser,
+    normalise,
+    update_normaliser,
+)
+from training.task import PpoConfig
+
+Field = Any
+
+
+class Learner(NamedTuple):
+    """Everything that a run carries from iteration to iteration: the checkpoint."""
+
+    networks: Networks
+    optimiser: Any
+    normaliser: Normaliser
+    learning_rate: Field
+    environment: EnvironmentState
+    key: Field
+    iteration: Field
+    """Iterations done."""
+
+
+class Batch(NamedTuple):
+    """What one iteration collected; (T, N, ...) before, (M, ...) inside the update."""
+
+    observation: Field
+    """Observation and privileged values, not normalised."""
+    action: Field
+    log_probability: Field
+    mean: Field
+    value: Field
+    reward: Field
+    done: Field
+    advantage: Field
+    target: Field
+
+
+class Metrics(NamedTuple):
+    """Sums over one iteration's steps; `progress` turns them into rates and moments."""
+
+    reward: Field
+    done: Field
+    landed: Field
+    failure: Field
+    """(F,) episodes by failure code."""
+    miss: Field
+    miss_squared: Field
+    within_quarter: Field
+    """Landings within 0.25 m."""
+    duration: Field
+    learning_rate: Field
+    divergence: Field
+    entropy: Field
+    value_loss: Field
+    deviation: Field
+
+
+class Trainer:
+    """Binds an environment, a start table and a configuration to pure functions of the learner."""
+
+    def __init__(self, environment: ThrowEnvironment, table: StartTable, config: PpoConfig) -> None:
+        self.environment = environment
+        self.table = table
+        self.config = config
+        self._optimiser = optax.chain(
+            optax.clip_by_global_norm(config.gradient_norm_ratio), optax.scale_by_adam(eps=1e-5)
+        )
+
+    @partial(jax.jit, static_argnums=0)
+    def start(self, key: Field) -> Learner:
+        """Fresh networks and environments."""
+        keys = jax.random.split(key, 4)
+        count, env = self.config.environment_count, self.environment
+        rows = jax.random.randint(keys[0], (count,), 0, self.table.start_rad_m.shape[0])
+        state = env.reset(keys[1], self.table, rows)
+        observation, hidden = env.observe(state)
+        networks = make_networks(
+            keys[2],
+            observation.shape[1],
+            hidden.shape[1],
+            env.action_count,
+            self.config.hidden_count,
+            self.config.log_deviation_start_ratio,
+        )
+        learner = Learner(
+            networks=networks,
+            optimiser=self._optimiser.init(networks),
+            normaliser=make_normaliser(observation.shape[1] + hidden.shape[1]),
+            learning_rate=jnp.asarray(self.config.learning_rate_ratio, jnp.float32),
+            environment=state,
+            key=keys[3],
+            iteration=jnp.asarray(0, jnp.int32),
+        )
+        # Weakly typed leaves would make the second call of `advance` compile again.
+        return jax.tree.map(lambda x: jax.lax.convert_element_type(x, x.dtype), learner)
+
+    @partial(jax.jit, static_argnums=(0, 2), donate_argnums=1)
+    def advance(self, learner: Learner, iterations: int) -> tuple[Learner, Metrics]:
+        """Several whole iterations; metrics have a leading axis of that length."""
+        return jax.lax.scan(lambda carry, _: self._iterate(carry), learner, length=iterations)
+
+    def _iterate(self, learner: Learner) -> tuple[Learner, Metrics]:
+        key, roll_key, update_key = jax.random.split(learner.key, 3)
+        state, batch, collected = self._collect(roll_key, learner)
+        normaliser = update_normaliser(learner.normaliser, batch.observation)
+        # The batch was collected with the old moments; the update must see what the actor saw.
+        observation = normalise(learner.normaliser, batch.observation)
+        batch = batch._replace(observation=observation)
+        learner = learner._replace(environment=state)
+        learner, losses = self._update(update_key, learner, batch)
+        learner = learner._replace(normaliser=normaliser, key=key, iteration=learner.iteration + 1)
+        deviation = jnp.exp(learner.networks.log_deviation).mean()
+        metrics = collected._replace(
+            learning_rate=learner.learning_rate,
+            divergence=losses[0],
+            value_loss=losses[1],
+            entropy=losses[2],
+            deviation=deviation,
+        )
+        return learner, metrics
+
+    def _collect(
+        self, key: Field, learner: Learner
+    ) -> tuple[EnvironmentState, Batch, Metrics]:
+        """Run the policy for `step_count` steps in every environment, then estimate advantages."""
+        env, config = self.environment, self.config
+        networks, normaliser = learner.networks, learner.normaliser
+        deviation = jnp.exp(networks.log_deviation)
+
+        def step(state: EnvironmentState, step_key: Field) -> tuple[EnvironmentState, Any]:
+            keys = jax.random.split(step_key, 4)
+            seen, hidden = env.observe(state)
+            full = jnp.concatenate([seen, hidden], axis=-1)
+            scaled = normalise(normaliser, full)
+            mean = apply_layers(networks.actor, scaled[:, : seen.shape[1]])
+            value = apply_layers(networks.critic, scaled)[:, 0]
+            action = mean + deviation * jax.random.normal(keys[0], mean.shape)
+            after, reward, info = env.step(keys[1], state, action)
+            rows = jax.random.randint(
+                keys[2], info.done.shape, 0, self.table.start_rad_m.shape[0]
+            )
+            fresh = env.reset(keys[3], self.table, rows)
+            after = _select(info.done, fresh, after)
+            log_probability = log_density(mean, networks.log_deviation, action)
+            row = Batch(
+                full, action, log_probability, mean, value, reward, info.done, value, value
+            )
+            return after, (row, _count(reward, info))
+
+        keys = jax.random.split(key, config.step_count)
+        state, (batch, sums) = jax.lax.scan(step, learner.environment, keys)
+        seen, hidden = env.observe(state)
+        scaled = normalise(normaliser, jnp.concatenate([seen, hidden], axis=-1))
+        last_value = apply_layers(networks.critic, scaled)[:, 0]
+        advantage = self._advantages(batch, last_value)
+        batch = batch._replace(advantage=advantage, target=advantage + batch.value)
+        return state, batch, jax.tree.map(lambda x: x.sum(0), sums)
+
+    def _advantages(self, batch: Batch, last_value: Field) -> Field:
+        gamma, trace = self.config.discount_ratio, self.config.trace_ratio
+
+        def back(carry: tuple[Field, Field], row: tuple[Field, Field, Field]) -> tuple[Any, Field]:
+            advantage, next_value = carry
+            reward, done, value = row
+            alive = 1.0 - done.astype(jnp.float32)
+            # TD error: r_t + gamma V(s_{t+1}) - V(s_t), no value after an end
+            delta = reward + gamma * alive * next_value - value
+            advantage = delta + gamma * trace * alive * advantage
+            return (advantage, value), advantage
+
+        first = (jnp.zeros_like(last_value), last_value)
+        rows = (batch.reward, batch.done, batch.value)
+        return jax.lax.scan(back, first, rows, reverse=True)[1]
+
+    def _update(self, key: Field, learner: Learner, batch: Batch) -> tuple[Learner, Field]:
+        """Epochs of minibatches, split along the environments; returns mean (KL, value loss, entropy)."""
+        config = self.config
+        parts = config.minibatch_count
+        spread = batch.advantage
+        batch = batch._replace(advantage=(spread - spread.mean()) / (spread.std() + 1e-8))
+        share = jnp.minimum(1.0, 1.5 * learner.iteration / config.iteration_count)
+        first, last = config.log_deviation_floor_ratio
+        floor = first + (last - first) * share
+
+        def minibatch(carry: Any, rows: Field) -> tuple[Any, Field]:
+            networks, optimiser, rate = carry
+            part = jax.tree.map(lambda x: x[:, rows].reshape(-1, *x.shape[2:]), batch)
+            gradient, losses = jax.grad(self._loss, has_aux=True)(networks, part)
+            divergence = losses[0]
+            low, high = config.divergence_ratio
+            rate = jnp.where(divergence > high, rate / 1.5, rate)
+            rate = jnp.where((divergence < low) & (divergence > 0.0), rate * 1.5, rate)
+            rate = jnp.clip(rate, *config.learning_rate_range_ratio)
+            direction, optimiser = self._optimiser.update(gradient, optimiser, networks)
+            networks = jax.tree.map(lambda p, d: p - rate * d, networks, direction)
+            deviation = jnp.maximum(networks.log_deviation, floor)
+            return (networks._replace(log_deviation=deviation), optimiser, rate), losses
+
+        def epoch(carry: Any, epoch_key: Field) -> tuple[Any, Field]:
+            rows = jax.random.permutation(epoch_key, config.environment_count)
+            return jax.lax.scan(minibatch, carry, rows.reshape(parts, -1))
+
+        carry = (learner.networks, learner.optimiser, learner.learning_rate)
+        keys = jax.random.split(key, config.epoch_count)
+        (networks, optimiser, rate), losses = jax.lax.scan(epoch, carry, keys)
+        learner = learner._replace(networks=networks, optimiser=optimiser, learning_rate=rate)
+        return learner, losses.mean((0, 1))
+
+    def _loss(self, networks: Networks, part: Batch) -> tuple[Field, Field]:
+        config = self.config
+        width = networks.actor[0][0].shape[0]
+        mean = apply_layers(networks.actor, part.observation[:, :width])
+        value = apply_layers(networks.critic, part.observation)[:, 0]
+        log_deviation = networks.log_deviation
+        difference = log_density(mean, log_deviation, part.action) - part.log_probability
+        ratio = jnp.exp(jnp.clip(difference, -20.0, 20.0))
+        clipped = jnp.clip(ratio, 1.0 - config.clip_ratio, 1.0 + config.clip_ratio)
+        # L_clip = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)]
+        surrogate = -jnp.minimum(ratio * part.advantage, clipped * part.advantage).mean()
+        value_loss = jnp.square(value - part.target).mean()
+        entropy = (log_deviation + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e)).sum()
+        # Estimator of KL(old || new) that is never negative: r - 1 - log r.
+        divergence = jax.lax.stop_gradient((ratio - 1.0 - difference).mean())
+        total = surrogate + config.value_ratio * value_loss - config.entropy_ratio * entropy
+        return total, jnp.stack([divergence, value_loss, entropy])
+
+
+def log_density(mean: Field, log_deviation: Field, action: Field) -> Field:
+    """Log probability (...) of actions (..., A) under independent normals."""
+    scaled = (action - mean) * jnp.exp(-log_deviation)
+    return (-0.5 * jnp.square(scaled) - log_deviation - 0.5 * jnp.log(2.0 * jnp.pi)).sum(-1)
+
+
+def _select(done: Field, fresh: EnvironmentState, after: EnvironmentState) -> EnvironmentState:
+    """Take the fresh state where episodes are over."""
+
+    def pick(new: Field, old: Field) -> Field:
+        return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return jax.tree.map(pick, fresh, after)
+
+
+def _count(reward: Field, info: StepInfo) -> Metrics:
+    """Sums of one step over all environments."""
+    miss = jnp.where(info.landed, jnp.hypot(info.miss_m[:, 0], info.miss_m[:, 1]), 0.0)
+    landed = info.landed.astype(jnp.float32)
+    ended = info.done.astype(jnp.float32)
+    codes = jnp.arange(len(Failure))[:, None]
+    zero = jnp.asarray(0.0)
+    return Metrics(
+        reward=reward.sum(),
+        done=ended.sum(),
+        landed=landed.sum(),
+        failure=((info.failure == codes) & info.done & ~info.landed).astype(jnp.float32).sum(1),
+        miss=miss.sum(),
+        miss_squared=jnp.square(miss).sum(),
+        within_quarter=(info.landed & (miss < 0.25)).astype(jnp.float32).sum(),
+        duration=jnp.where(info.done, info.duration_s, 0.0).sum(),
+        learning_rate=zero,
+        divergence=zero,
+        entropy=zero,
+        value_loss=zero,
+        deviation=zero,
+    )

@@ -1,0 +1,169 @@
+"""What a training run tells: progress lines, metrics as CSV and JSON, and the learning curve."""
+
+import csv
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from training.episode import Failure
+
+if TYPE_CHECKING:
+    from training.measure import Accuracy
+    from training.ppo import Metrics
+
+CSV_FILE = "metrics.csv"
+CURVE_FILE = "learning_curve.png"
+SUMMARY_FILE = "metrics.json"
+
+
+@dataclass(frozen=True)
+class ProgressRow:
+    """One iteration."""
+
+    iteration_count: int
+    environment_step_count: int
+    wall_s: float
+    """Of the whole run, compilation and earlier parts before a resume included."""
+    reward_ratio: float
+    """Mean a control step."""
+    episode_count: int
+    landed_ratio: float
+    """Episodes that ended with a landing."""
+    miss_mean_m: float
+    """Mean distance to the target of the landings, with exploration noise."""
+    miss_rms_m: float
+    within_quarter_ratio: float
+    """Landings within 0.25 m."""
+    duration_s: float
+    """Mean length of an episode."""
+    numeric_ratio: float
+    collision_ratio: float
+    limit_ratio: float
+    swing_ratio: float
+    timeout_ratio: float
+    learning_rate_ratio: float
+    divergence_ratio: float
+    entropy_ratio: float
+    value_loss_ratio: float
+    deviation_ratio: float
+    """Mean standard deviation of the actions."""
+
+
+def progress_rows(
+    metrics: "Metrics", first_iteration: int, steps_each: int, wall_s: tuple[float, float]
+) -> list[ProgressRow]:
+    """Rows of consecutive iterations, the wall time spread evenly between its two ends."""
+    host = {name: np.asarray(value) for name, value in metrics._asdict().items()}
+    count = host["reward"].shape[0]
+    times = np.linspace(wall_s[0], wall_s[1], count + 1)[1:]
+    rows: list[ProgressRow] = []
+    for i in range(count):
+        done, landed = max(float(host["done"][i]), 1.0), max(float(host["landed"][i]), 1.0)
+        failure = host["failure"][i] / done
+        rows.append(
+            ProgressRow(
+                iteration_count=first_iteration + i + 1,
+                environment_step_count=(first_iteration + i + 1) * steps_each,
+                wall_s=round(float(times[i]), 3),
+                reward_ratio=float(host["reward"][i]) / steps_each,
+                episode_count=int(host["done"][i]),
+                landed_ratio=float(host["landed"][i]) / done,
+                miss_mean_m=float(host["miss"][i]) / landed,
+                miss_rms_m=float(np.sqrt(host["miss_squared"][i] / landed)),
+                within_quarter_ratio=float(host["within_quarter"][i]) / landed,
+                duration_s=float(host["duration"][i]) / done,
+                numeric_ratio=float(failure[Failure.NUMERIC]),
+                collision_ratio=float(failure[Failure.COLLISION]),
+                limit_ratio=float(failure[Failure.LIMIT]),
+                swing_ratio=float(failure[Failure.SWING]),
+                timeout_ratio=float(failure[Failure.TIMEOUT]),
+                learning_rate_ratio=float(host["learning_rate"][i]),
+                divergence_ratio=float(host["divergence"][i]),
+                entropy_ratio=float(host["entropy"][i]),
+                value_loss_ratio=float(host["value_loss"][i]),
+                deviation_ratio=float(host["deviation"][i]),
+            )
+        )
+    return rows
+
+
+def progress_line(row: ProgressRow, total: int) -> str:
+    """One line for people."""
+    rate = row.environment_step_count / max(row.wall_s, 1e-9) / 1e6
+    return (
+        f"iteration {row.iteration_count}/{total}  {row.wall_s:6.1f} s  {rate:5.2f} M steps/s  "
+        f"landed {100.0 * row.landed_ratio:5.1f} %  miss {row.miss_mean_m:.3f} m  "
+        f"within 0.25 m {100.0 * row.within_quarter_ratio:5.1f} %  reward {row.reward_ratio:+.3f}  "
+        f"kl {row.divergence_ratio:.4f}  rate {row.learning_rate_ratio:.1e}  sd {row.deviation_ratio:.3f}"
+    )
+
+
+def append_rows(path: Path, rows: list[ProgressRow]) -> None:
+    """Append to the CSV, with a header if it is new; rows at or after the first new one are dropped.
+
+    A killed run may have written rows beyond its last checkpoint; they are run again after a resume.
+    """
+    names = [field.name for field in fields(ProgressRow)]
+    kept = [row for row in read_rows(path) if row.iteration_count < rows[0].iteration_count]
+    stale = path.is_file() and len(kept) != len(read_rows(path))
+    if stale or not path.is_file():
+        _write(path, names, [*kept, *rows], "w")
+    else:
+        _write(path, names, rows, "a")
+
+
+def _write(path: Path, names: list[str], rows: list[ProgressRow], mode: str) -> None:
+    with path.open(mode, newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, names)
+        if mode == "w":
+            writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def read_rows(path: Path) -> list[ProgressRow]:
+    """Read the CSV back; none if there is no file."""
+    if not path.is_file():
+        return []
+    whole = {field.name for field in fields(ProgressRow) if field.type in (int, "int")}
+    with path.open(newline="", encoding="utf-8") as stream:
+        return [
+            ProgressRow(**{k: int(v) if k in whole else float(v) for k, v in row.items()})
+            for row in csv.DictReader(stream)
+        ]
+
+
+def write_summary(path: Path, rows: list[ProgressRow], accuracy: "list[Accuracy]") -> None:
+    """Write the last row and the accuracy by distance as JSON."""
+    content = {
+        "last": asdict(rows[-1]) if rows else None,
+        "accuracy": [asdict(entry) for entry in accuracy],
+    }
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def plot_curve(path: Path, rows: list[ProgressRow], title: str) -> None:
+    """Draw miss and share of landings over the control steps."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    left = figure.add_subplot()
+    steps = [row.environment_step_count / 1e6 for row in rows]
+    left.plot(steps, [row.miss_mean_m for row in rows], color="#1c7ed6", label="mean miss, m")
+    left.plot(steps, [row.miss_rms_m for row in rows], color="#74c0fc", label="rms miss, m")
+    left.set_yscale("log")
+    left.set_xlabel("control steps, million")
+    left.set_ylabel("miss of the landings (with exploration noise), m")
+    right = left.twinx()
+    right.plot(steps, [100.0 * r.landed_ratio for r in rows], color="#2f9e44", label="landed, %")
+    right.set_ylim(0.0, 101.0)
+    right.set_ylabel("episodes that end with a landing, %")
+    lines = [*left.get_lines(), *right.get_lines()]
+    left.legend(lines, [str(line.get_label()) for line in lines], loc="center right")
+    left.set_title(title)
+    left.grid(alpha=0.3)
+    figure.savefig(path, dpi=120)

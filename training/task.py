@@ -1,0 +1,248 @@
+"""What is trained: frozen configurations of the task, the randomisation, the reward and the learner.
+
+A task is a function that returns a configuration; nothing is looked up by name at run time. The resolved
+configuration is saved in the policy's card. Sources: "paper" is *Dynamic Throwing with Robotic Material
+Handling Machines*; the mapping of its items to symbols is docs/training.md.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from machine.conventions import Mode
+
+Four = tuple[float, float, float, float]
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ResponseConfig:
+    """Closed-loop velocity response of the active joints, drawn once an episode, in joint order.
+
+    Reference -> dead time -> second-order lag -> joint velocity, under the runtime's velocity controller.
+    """
+
+    dead_time_min_s: Four = (0.12, 0.05, 0.05, 0.05)
+    """Shortest dead time, valve and pressure build-up together."""
+    dead_time_max_s: Four = (0.18, 0.11, 0.11, 0.11)
+    """Longest dead time."""
+    natural_frequency_min_rad_per_s: Four = (2.5, 8.0, 8.0, 8.0)
+    """Lowest natural frequency of the second-order lag."""
+    natural_frequency_max_rad_per_s: Four = (5.0, 15.0, 15.0, 15.0)
+    """Highest natural frequency."""
+    damping_min_ratio: Four = (0.4, 0.5, 0.5, 0.5)
+    """Smallest damping ratio."""
+    damping_max_ratio: Four = (0.9, 0.9, 0.9, 0.9)
+    """Largest damping ratio."""
+    gain_min_ratio: Four = (0.96, 0.95, 0.95, 0.95)
+    """Smallest steady gain from reference to velocity."""
+    gain_max_ratio: Four = (1.04, 1.05, 1.05, 1.05)
+    """Largest steady gain."""
+    disturbance_sd_rad_m_per_s: Four = (0.02, 0.02, 0.03, 0.02)
+    """Stationary deviation of the correlated velocity disturbance at the input of the lag (paper,
+    section III-A: velocity command randomisation)."""
+    disturbance_correlation_s: float = 0.3
+    """Correlation time of that disturbance."""
+
+
+@dataclass(frozen=True)
+class PassiveConfig:
+    """Randomisation of the free joints, the load and the release."""
+
+    friction_scale_ratio: Range = (0.5, 1.5)
+    """Factor on both friction terms of the paper's equation 3."""
+    gripper_com_scale_ratio: Range = (0.97, 1.03)
+    """Factor on the distance from roll axis to the gripper's centre of mass."""
+    gripper_inertia_scale_ratio: Range = (0.9, 1.1)
+    """Factor on the gripper's inertia about its centre of mass."""
+    payload_mass_kg: Range = (0.567, 0.650)
+    """Mass of the ball (FIBA size 7)."""
+    drag_scale_ratio: Range = (0.85, 1.15)
+    """Factor on the ball's drag."""
+    release_delay_mean_s: Range = (0.253, 0.263)
+    """Mean opening delay of one machine (paper: 258 ms)."""
+    release_delay_sd_s: float = 0.015
+    """Spread of single openings about that mean (paper, section III-F)."""
+    start_swing_sd_rad: Range = (0.02, 0.02)
+    """Deviation of pitch and roll from plumb at the start."""
+    start_swing_rate_sd_rad_per_s: Range = (0.03, 0.03)
+    """Rate of pitch and roll at the start."""
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """What the observation gets wrong."""
+
+    position_noise_sd_rad_m: Four = (0.002, 0.002, 0.002, 0.002)
+    """White noise of the active joints' positions."""
+    velocity_noise_sd_rad_m_per_s: Four = (0.01, 0.01, 0.01, 0.01)
+    """White noise of the active joints' velocities."""
+    swing_noise_sd_rad: float = 0.005
+    """White noise of the estimated passive angles."""
+    swing_bias_sd_rad: float = 0.009
+    """Error of the estimated passive angles that stays for an episode; 10 mrad with the noise."""
+    swing_rate_noise_sd_rad_per_s: float = 0.02
+    """White noise of the estimated passive rates."""
+    latency_s: Range = (0.0, 0.02)
+    """Age of the joint state the policy sees; one control tick on average."""
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Either what worked for us (``impact``) or the paper's terms (``paper``), section III-D.
+
+    ``impact``: progress of the hypothetical impact (where the load would land if it left now), action
+    penalties, and a landing reward that is steep near the target. ``paper``: progress of the ball towards
+    the target, closeness, action penalties, and exp(-b2 err^2) when the ball lands.
+    """
+
+    kind: Literal["impact", "paper"] = "impact"
+    """Which of the two."""
+    progress_ratio: float = 1.0
+    """impact: weight of the progress, a metre."""
+    landing_height_ratio: tuple[float, float, float] = (2.0, 4.0, 4.0)
+    """impact: heights of the landing reward's bells."""
+    landing_width_m: tuple[float, float, float] = (1.0, 0.25, 0.08)
+    """impact: their widths."""
+    landing_linear_ratio: float = 0.5
+    """impact: loss a metre of landing error."""
+    landing_linear_limit_m: float = 4.0
+    """impact: landing error from which the loss no longer grows."""
+    failure_ratio: float = 5.0
+    """Loss at a collision, a limit or no release."""
+    action_difference_ratio: float = 0.02
+    """Loss a squared change of the action (paper: c3)."""
+    action_ratio: float = 0.002
+    """Loss a squared action (paper: c4, there only after the release)."""
+    approach_ratio: float = 1.0
+    """paper: c1, weight of r_delta_err."""
+    closeness_ratio: float = 0.02
+    """paper: c2, weight of r_err_3D."""
+    closeness_per_m2_ratio: float = 0.5
+    """paper: b1."""
+    landing_per_m2_ratio: float = 4.0
+    """paper: b2 of the landing reward exp(-b2 err^2)."""
+    landing_paper_ratio: float = 5.0
+    """paper: weight of that landing reward."""
+
+
+@dataclass(frozen=True)
+class EpisodeConfig:
+    """Where an episode starts, what is thrown at, and what ends it."""
+
+    target_range_m: Range
+    """Distance of targets from the slew axis."""
+    target_height_m: Range = (0.0, 0.0)
+    """Height of the target plane (paper: ground level)."""
+    start_count: int = 65536
+    """Start poses in the table drawn on the host."""
+    time_limit_s: float = 7.0
+    """No release until then ends the episode."""
+    swing_limit_rad: float = 1.30
+    """Absolute swing that ends it; the machine's own limit is 1.35 rad."""
+    roll_limit_rad: float = 1.1
+    """Roll that ends it."""
+    joint_limit_margin_rad_m: float = 0.03
+    """Distance to a joint limit that ends it."""
+    clearance_m: float = 0.12
+    """Distance of the gripper to ground, arm and machine that counts as a collision."""
+    override_probability_ratio: float = 0.05
+    """Chance a step that the release is forced near the target (paper, section III-C)."""
+    override_distance_m: float = 2.0
+    """What counts as near: distance of the hypothetical impact."""
+    override_speed_m_per_s: float = 1.5
+    """Grip-centre speed below which the release may be forced."""
+    ends_at_release: bool = True
+    """End when the load has left, with its computed landing; else fly it and end at the landing."""
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """One training task."""
+
+    mode: Mode
+    """Within the arm plane, or with the cabin turning."""
+    episode: EpisodeConfig
+    """Starts, targets, ends."""
+    response: ResponseConfig = field(default_factory=ResponseConfig)
+    """The active joints."""
+    passive: PassiveConfig = field(default_factory=PassiveConfig)
+    """The free joints, load and release."""
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    """What the policy sees of it."""
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    """What the policy is paid for."""
+
+
+@dataclass(frozen=True)
+class PpoConfig:
+    """Proximal policy optimisation (Schulman 2017) with generalised advantage estimation."""
+
+    environment_count: int = 8192
+    """Parallel environments (paper)."""
+    step_count: int = 32
+    """Control steps an iteration (paper)."""
+    iteration_count: int = 4000
+    """Iterations (paper)."""
+    epoch_count: int = 5
+    """Passes over a batch."""
+    minibatch_count: int = 4
+    """Parts of a batch, split along the environments."""
+    hidden_count: tuple[int, ...] = (256, 128)
+    """Units of the hidden layers, actor and critic (paper)."""
+    discount_ratio: float = 0.99
+    """Gamma."""
+    trace_ratio: float = 0.95
+    """Lambda of the advantage estimate."""
+    clip_ratio: float = 0.2
+    """Clipping of the probability ratio, and of the value's change."""
+    entropy_ratio: float = 0.002
+    """Weight of the entropy."""
+    value_ratio: float = 0.5
+    """Weight of the value loss."""
+    learning_rate_ratio: float = 1e-3
+    """First learning rate; adapted to the divergence from then on."""
+    learning_rate_range_ratio: Range = (1e-5, 3e-3)
+    """Bounds of the learning rate."""
+    divergence_ratio: Range = (0.005, 0.02)
+    """Below the first the learning rate grows, above the second it shrinks."""
+    gradient_norm_ratio: float = 1.0
+    """Gradient norm is clipped here."""
+    log_deviation_start_ratio: float = -0.5
+    """First log standard deviation of the actions."""
+    log_deviation_floor_ratio: Range = (-1.5, -3.0)
+    """Floor of the log standard deviation at the start and from two thirds of the training on."""
+
+
+def planar_task(reward: RewardConfig | None = None) -> TaskConfig:
+    """2D: the arm plane stands over the target, targets 6..10.9 m (45 % past the reach)."""
+    return TaskConfig(
+        mode=Mode.PLANAR,
+        episode=EpisodeConfig(target_range_m=(6.0, 10.95)),
+        response=ResponseConfig(disturbance_sd_rad_m_per_s=(0.003, 0.02, 0.03, 0.02)),
+        passive=PassiveConfig(start_swing_sd_rad=(0.02, 0.03)),
+        reward=reward or RewardConfig(),
+    )
+
+
+def spatial_task(reward: RewardConfig | None = None) -> TaskConfig:
+    """3D: the cabin starts anywhere, targets 5..10.9 m."""
+    return TaskConfig(
+        mode=Mode.SPATIAL,
+        episode=EpisodeConfig(target_range_m=(5.0, 10.95)),
+        reward=reward or RewardConfig(),
+    )
+
+
+def paper_reward(task: TaskConfig) -> TaskConfig:
+    """The same task paid by the paper's terms; its episodes end when the ball lands."""
+    return replace(
+        task,
+        reward=RewardConfig(kind="paper", action_ratio=0.0005, action_difference_ratio=0.01),
+        episode=replace(task.episode, ends_at_release=False),
+    )
+
+
+def task_for(mode: Mode, reward: Literal["impact", "paper"] = "impact") -> TaskConfig:
+    """The shipped task of a mode."""
+    task = planar_task() if mode is Mode.PLANAR else spatial_task()
+    return paper_reward(task) if reward == "paper" else task

@@ -1,0 +1,221 @@
+"""One training run: learn, report, checkpoint, resume, measure, export."""
+
+import hashlib
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from machine.errors import UsageError
+from machine.policy_card import PolicyCard, TrainingRecord
+from machine.spec import MachineSpec
+from training.checkpoint import (
+    CHECKPOINT_FILE,
+    load_checkpoint,
+    load_weights,
+    save_checkpoint,
+)
+from training.environment import ThrowEnvironment, random_table
+from training.export import export_policy
+from training.measure import Accuracy, measure
+from training.ppo import Learner, Trainer
+from training.progress import (
+    CSV_FILE,
+    CURVE_FILE,
+    SUMMARY_FILE,
+    append_rows,
+    plot_curve,
+    progress_line,
+    progress_rows,
+    read_rows,
+    write_summary,
+)
+from training.task import PpoConfig, TaskConfig
+
+MEASURED_RANGES_M = (7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.87)
+"""Where accuracy is measured after training (paper: 7 to 10 m; the last is 45 % past the reach)."""
+CHECKPOINT_PERIOD_S = 20.0
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What one run is told besides task and learner."""
+
+    out: Path
+    """Folder for checkpoint, metrics, curve and policy."""
+    policy_id: str
+    """Name of the exported policy version."""
+    seed_count: int = 0
+    """The seed's value."""
+    commit: str = ""
+    """Commit the code was taken from; empty: asked of git."""
+    chunk_count: int = 20
+    """Iterations between progress lines."""
+    measured_throw_count: int = 1024
+    """Throws a distance after training."""
+    time_limit_s: float = float("inf")
+    """Learning ends here even if iterations are left."""
+    unroll_count: int = 1
+    """Physics ticks unrolled in the compiled loop: more compile longer and run faster on a GPU."""
+    warm_start: Path | None = None
+    """Checkpoint of another run whose networks this one starts from."""
+
+
+def train(
+    spec: MachineSpec,
+    task: TaskConfig,
+    config: PpoConfig,
+    options: RunOptions,
+    say: Callable[[str], None],
+) -> PolicyCard:
+    """Train to the end, from the checkpoint in `options.out` if there is one, and export the policy."""
+    if config.environment_count % config.minibatch_count:
+        raise UsageError(
+            f"{config.environment_count} environments do not split into {config.minibatch_count} "
+            "minibatches; choose a multiple"
+        )
+    options.out.mkdir(parents=True, exist_ok=True)
+    learner, trainer, fingerprint = _prepare(spec, task, config, options, say)
+    learner, wall_s = _learn(learner, trainer, fingerprint, options, say)
+    host = jax.device_get((learner.networks.actor, learner.normaliser))
+    accuracy: list[Accuracy] = []
+    if options.measured_throw_count:
+        near, far = task.episode.target_range_m
+        ranges = [r for r in MEASURED_RANGES_M if near <= r <= far]
+        accuracy = measure(
+            spec, task, host[0], host[1], ranges, options.measured_throw_count, seed=options.seed_count + 1
+        )
+        for entry in accuracy:
+            say(accuracy_line(entry))
+    rows = read_rows(options.out / CSV_FILE)
+    write_summary(options.out / SUMMARY_FILE, rows, accuracy)
+    if rows:
+        plot_curve(options.out / CURVE_FILE, rows, f"{options.policy_id}: learning curve")
+    record = TrainingRecord(
+        commit=options.commit or current_commit(),
+        seed_count=options.seed_count,
+        environment_step_count=int(learner.iteration) * config.environment_count * config.step_count,
+        iteration_count=int(learner.iteration),
+        wall_s=round(wall_s, 1),
+        device=jax.devices()[0].device_kind,
+        config={"task": _plain(asdict(task)), "ppo": _plain(asdict(config))},
+    )
+    evaluation = [{"plant": "training", "throws": [asdict(entry) for entry in accuracy]}]
+    with jax.default_device(jax.devices("cpu")[0]):
+        return export_policy(
+            options.out / options.policy_id,
+            options.policy_id,
+            spec,
+            task,
+            host[0],
+            host[1],
+            record,
+            evaluation if accuracy else (),
+        )
+
+
+def _prepare(
+    spec: MachineSpec,
+    task: TaskConfig,
+    config: PpoConfig,
+    options: RunOptions,
+    say: Callable[[str], None],
+) -> tuple[Learner, Trainer, str]:
+    """Build the trainer, and the learner from scratch or from the checkpoint."""
+    environment = ThrowEnvironment(spec, task, options.unroll_count)
+    table = random_table(spec, task, options.seed_count)
+    trainer = Trainer(environment, table, config)
+    # A longer run of the same task may go on from a shorter one's checkpoint.
+    same = {"task": asdict(task), "ppo": asdict(replace(config, iteration_count=0))}
+    text = json.dumps(_plain(same), sort_keys=True) + spec.sha256 + str(options.seed_count)
+    fingerprint = hashlib.sha256(text.encode()).hexdigest()
+    learner = trainer.start(jax.random.key(options.seed_count))
+    path = options.out / CHECKPOINT_FILE
+    if options.warm_start is not None and not path.is_file():
+        learner = load_weights(options.warm_start, learner)
+        say(f"networks taken from {options.warm_start}")
+    if path.is_file():
+        learner = load_checkpoint(path, learner, fingerprint)
+        say(f"resumed from {path} at iteration {int(learner.iteration)}")
+    return learner, trainer, fingerprint
+
+
+def _learn(
+    learner: Learner,
+    trainer: Trainer,
+    fingerprint: str,
+    options: RunOptions,
+    say: Callable[[str], None],
+) -> tuple[Learner, float]:
+    """Iterate to the end; returns the learner and the run's wall time, resumed parts included."""
+    config, csv_path = trainer.config, options.out / CSV_FILE
+    path = options.out / CHECKPOINT_FILE
+    iteration = int(learner.iteration)
+    earlier = [row for row in read_rows(csv_path) if row.iteration_count <= iteration]
+    before = earlier[-1].wall_s if earlier else 0.0
+    started = saved = time.perf_counter()
+    last = started
+    over = False
+    while iteration < config.iteration_count and not over:
+        chunk = min(options.chunk_count, config.iteration_count - iteration)
+        learner, metrics = trainer.advance(learner, chunk)
+        jax.block_until_ready(metrics)
+        now = time.perf_counter()
+        rows = progress_rows(
+            metrics,
+            iteration,
+            config.environment_count * config.step_count,
+            (before + last - started, before + now - started),
+        )
+        append_rows(csv_path, rows)
+        say(progress_line(rows[-1], config.iteration_count))
+        iteration, last = iteration + chunk, now
+        over = before + now - started > options.time_limit_s
+        if now - saved > CHECKPOINT_PERIOD_S or over or iteration >= config.iteration_count:
+            save_checkpoint(path, learner, fingerprint)
+            saved = time.perf_counter()
+    return learner, before + last - started
+
+
+def accuracy_line(entry: Accuracy) -> str:
+    """One line for people."""
+    failures = ", ".join(f"{count} {name}" for name, count in entry.failure_count.items())
+    return (
+        f"{entry.range_m:6.2f} m  landed {entry.landed_count}/{entry.throw_count}  "
+        f"down {100 * entry.downrange_mean_m:+.1f} sd {100 * entry.downrange_sd_m:.1f} cm  "
+        f"cross {100 * entry.crossrange_mean_m:+.1f} sd {100 * entry.crossrange_sd_m:.1f} cm  "
+        f"{entry.duration_s:.2f} s  {failures}"
+    )
+
+
+def current_commit() -> str:
+    """Commit of the working tree, with ``+`` where it has changes; ``unknown`` outside a repository."""
+    here = Path(__file__).parent
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+", "--abbrev=40", "--match="],
+            cwd=here,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return run.stdout.strip()
+
+
+def _plain(value: Any) -> Any:
+    """Dataclass dictionaries as JSON values."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
