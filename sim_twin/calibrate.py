@@ -111,10 +111,9 @@ def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
         v, s = valve[chosen], speed[chosen]
         inner = int(np.argmin(np.abs(v)))
         neighbour = inner + (1 if side > 0 else -1)
-        slope = (s[neighbour] - s[inner]) / (v[neighbour] - v[inner])
-        onset = float(
-            np.clip(v[inner] - s[inner] / slope, -0.99 * abs(v[inner]), 0.99 * abs(v[inner]))
-        )
+        rise = s[neighbour] - s[inner]
+        back = s[inner] * (v[neighbour] - v[inner]) / rise if rise > 0.0 else 0.5 * v[inner]
+        onset = float(np.clip(v[inner] - back, -0.99 * abs(v[inner]), 0.99 * abs(v[inner])))
         edge = side * max(abs(onset), 1e-3)
         pairs = [(edge, side * 1e-6), *zip(v.tolist(), s.tolist(), strict=True)]
         for a, b in sorted(pairs):
