@@ -99,7 +99,7 @@ def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
     order = np.argsort(valve)
     valve, speed = valve[order], np.maximum.accumulate(speed[order])
     moving = np.abs(speed) > SLOWEST_RAD_M_PER_S
-    if not (moving & (valve > 0)).any() or not (moving & (valve < 0)).any():
+    if min(np.sum(moving & (valve > 0)), np.sum(moving & (valve < 0))) < 2:
         raise PlantError(
             f"calibration: {ACTIVE_JOINTS[joint]} does not move in both directions at full valve; "
             "check that the valve is connected and its sign is right"
