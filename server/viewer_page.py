@@ -80,7 +80,8 @@ def viewer_page() -> Page:
 
 
 def page_headers(host: str) -> dict[str, str]:
-    """Headers of the viewer's page for a request to this host."""
+    """Headers of the viewer's page for a request to this host (its Host header, not trusted)."""
+    sockets = f" ws://{host} wss://{host}" if re.fullmatch(r"[A-Za-z0-9.:\[\]-]+", host) else ""
     policy = {
         "default-src": "'none'",
         "script-src": " ".join((*viewer_page().script_hashes, "'wasm-unsafe-eval'")),
@@ -88,7 +89,7 @@ def page_headers(host: str) -> dict[str, str]:
         "img-src": "'self' data: blob:",
         "font-src": "data:",
         "worker-src": "blob:",
-        "connect-src": f"'self' ws://{host} wss://{host} data: blob:",
+        "connect-src": f"'self'{sockets} data: blob:",
         "frame-ancestors": "'self'",
         "base-uri": "'none'",
         "form-action": "'none'",

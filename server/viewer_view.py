@@ -232,6 +232,8 @@ class ClientView:
             if self._live is not None:
                 self._live.remove()
                 self._live = None
+                self._lost_text = None
+                self._clear("lost")
             self._sample_number = -1
             self._show_ball("live", None)
             return
