@@ -1,4 +1,4 @@
-"""A machine made of first-order lags: quick, exact, no swing; for tests of everything around the control step."""
+"""A machine made of first-order lags: quick, exact, no swing; for tests around the control step."""
 
 import numpy as np
 

@@ -1,0 +1,295 @@
+"""A small yard for the fault suite: a real router, a stand-in for the server, real machine processes."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from machine.channels import machine_key
+from machine.conventions import Mode
+from machine.messages import (
+    ArmRequest,
+    Command,
+    CommandReply,
+    EventAck,
+    EventBatch,
+    FireRequest,
+    LeaseNotice,
+    LoadRequest,
+    MachineEvent,
+    MachineState,
+    OperatorHeartbeat,
+    StopRequest,
+    Target,
+    ThrowPlan,
+    ThrowState,
+)
+from machine.policy_card import load_card
+from machine.spec import load_spec
+from runtime.policy import find_policy
+from runtime.zenoh_config import router_config
+
+SITE = "yard"
+MACHINE = "m001"
+PASSWORD = "rust-and-oil"
+ROOT = Path(__file__).parents[2]
+
+
+def wait_for(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
+    """Wait until something is true; fails the test when it does not become so."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        if found := condition():
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"not within {timeout_s} s: {condition}")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Server:
+    """What the fault suite needs of a server: commands out; states, events and tokens in."""
+
+    def __init__(self, folder: Path, port: int, lease_ms: int = 1000) -> None:
+        self._config = router_config(
+            listen=[f"tcp/127.0.0.1:{port}"],
+            users={MACHINE: PASSWORD, "m002": "other"},
+            machines=[MACHINE, "m002"],
+            site=SITE,
+            dictionary_file=folder / "users.txt",
+            lease_ms=lease_ms,
+        )
+        self.states: list[MachineState] = []
+        self.events: list[MachineEvent] = []
+        self.repeats = 0
+        self.is_alive = False
+        self.acks_lost = 0
+        """Acknowledgements still to be lost after the commit."""
+        self._seen: set[tuple[str, int]] = set()
+        self._session: zenoh.Session | None = None
+        self.holding: threading.Event | None = None
+        self.open()
+
+    def open(self) -> None:
+        session = self._session = zenoh.open(self._config)
+        self._declared = [
+            session.declare_subscriber(self._key("state"), self._take_state),
+            session.declare_queryable(self._key("events"), self._take_events),
+            session.liveliness().declare_subscriber(
+                self._key("alive"), self._take_token, history=True
+            ),
+        ]
+
+    def close(self) -> None:
+        if self._session is not None:
+            for declared in self._declared:
+                declared.undeclare()
+            self._session.close()
+            self._session = None
+
+    def _key(self, name: str) -> str:
+        return machine_key(SITE, MACHINE, name)
+
+    def _take_state(self, sample: zenoh.Sample) -> None:
+        self.states.append(MachineState.model_validate_json(bytes(sample.payload)))
+
+    def _take_token(self, sample: zenoh.Sample) -> None:
+        self.is_alive = sample.kind == zenoh.SampleKind.PUT
+
+    def _take_events(self, query: zenoh.Query) -> None:
+        batch = EventBatch.model_validate_json(bytes(query.payload))
+        for event in batch.events:
+            key = (event.boot_id, event.sequence_count)
+            if key in self._seen:
+                self.repeats += 1
+            else:
+                self._seen.add(key)
+                self.events.append(event)
+        with query:
+            if self.acks_lost > 0:
+                self.acks_lost -= 1
+                return
+            ack = EventAck(boot_id=batch.boot_id, sequence_count=batch.events[-1].sequence_count)
+            query.reply(query.key_expr, ack.model_dump_json())
+
+    # Speaking -------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> MachineState:
+        return self.states[-1]
+
+    def send(self, command: Command, timeout_s: float = 2.0) -> CommandReply | None:
+        replies = self._session.get(
+            self._key("command"), payload=command.model_dump_json(), timeout=timeout_s
+        )
+        answers = [bytes(reply.ok.payload) for reply in replies if reply.ok is not None]
+        assert len(answers) <= 1
+        return CommandReply.model_validate_json(answers[0]) if answers else None
+
+    def order(self, kind: type[Any], **fields: Any) -> CommandReply | None:
+        return self.send(make(kind, **fields))
+
+    def put(self, name: str, text: str) -> None:
+        self._session.put(self._key(name), text, express=True)
+
+    def wait_state(self, *wanted: ThrowState, timeout_s: float = 20.0) -> MachineState:
+        known = len(self.states)
+        return wait_for(
+            lambda: next((s for s in self.states[known:] if s.state in wanted), None), timeout_s
+        )
+
+    def kinds(self, throw_id: str | None = None) -> list[str]:
+        return [e.kind.value for e in self.events if throw_id in (None, e.throw_id)]
+
+    # A throw --------------------------------------------------------------------------------------
+
+    def arm(self, plan: ThrowPlan, epoch: int = 1) -> str:
+        """Lease, load, arm; returns the nonce."""
+        assert self.order(LeaseNotice, epoch_count=epoch).accepted
+        assert self.order(LoadRequest, epoch_count=epoch).accepted
+        wait_for(lambda: self.state.payload_held)
+
+        def try_to_arm() -> str | None:
+            reply = self.order(ArmRequest, epoch_count=epoch, plan=plan)
+            assert reply is not None
+            return reply.nonce
+
+        return wait_for(try_to_arm)
+
+    def fire_command(self, plan: ThrowPlan, nonce: str, throw_id: str, epoch: int = 1):
+        return make(
+            FireRequest,
+            epoch_count=epoch,
+            throw_id=throw_id,
+            nonce=nonce,
+            plan_hash=plan.plan_hash,
+            seen_t_mono_ns=self.state.t_mono_ns,
+        )
+
+    def hold_button(self, throw_id: str, epoch: int = 1) -> None:
+        """20 Hz until `let_go` or `go_silent`."""
+        self.holding = threading.Event()
+
+        def beat(stop: threading.Event) -> None:
+            sequence = 0
+            while not stop.wait(0.05):
+                sequence += 1
+                message = OperatorHeartbeat(
+                    machine_id=MACHINE,
+                    throw_id=throw_id,
+                    epoch_count=epoch,
+                    sequence_count=sequence,
+                    is_holding=True,
+                    seen_t_mono_ns=self.state.t_mono_ns,
+                )
+                with contextlib.suppress(zenoh.ZError, AttributeError):
+                    self.put("heartbeat", message.model_dump_json())
+
+        self._beats = threading.Thread(target=beat, args=(self.holding,), daemon=True)
+        self._beats.start()
+
+    def go_silent(self) -> None:
+        if self.holding is not None:
+            self.holding.set()
+            self._beats.join(2.0)
+            self.holding = None
+
+    def stop_command(self) -> StopRequest:
+        return make(StopRequest)
+
+
+def make(kind: type[Any], **fields: Any) -> Any:
+    return kind(command_id=uuid.uuid4().hex, machine_id=MACHINE, issuer="operator", **fields)
+
+
+def make_plan(policies: Path, mode: Mode = Mode.PLANAR) -> ThrowPlan:
+    spec = load_spec()
+    return ThrowPlan(
+        plan_id="plan-1",
+        machine_id=MACHINE,
+        mode=mode,
+        target=Target(x_m=8.0, y_m=spec.geometry.arm_plane_offset_m),
+        policy_sha256=load_card(find_policy(policies, mode)).policy_sha256,
+        model_sha256=spec.sha256,
+        twin_profile_version=0,
+        predicted_impact_m=(8.0, 0.0, 0.0),
+    )
+
+
+class Machine:
+    """`downrange machine` with the fake driver, in processes of its own."""
+
+    def __init__(self, folder: Path, policies: Path, endpoint: str, **options: str) -> None:
+        self.folder = folder
+        self._policies = policies
+        self._endpoint = endpoint
+        self._options = options
+        folder.mkdir(exist_ok=True)
+        self.password_file = folder / "password.txt"
+        self.password_file.write_text(PASSWORD, encoding="utf-8")
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        environment = dict(os.environ)
+        environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "runtime")])
+        options = {"driver": "fake_driver:FakeDriver", **self._options}
+        self.process = subprocess.Popen(
+            [
+                sys.executable, "-m", "cli.main", "machine", "--machine-id", MACHINE,
+                "--site", SITE, "--data", str(self.folder), "--policies", str(self._policies),
+                "--connect", self._endpoint, "--password-file", str(self.password_file),
+                "--no-real-time",
+                *(text for name, value in options.items() for text in (f"--{name}", value)),
+            ],
+            env=environment,
+            cwd=ROOT,
+            start_new_session=True,
+        )  # fmt: skip
+
+    def child(self, module: str) -> int:
+        """Process id of `runtime.control_process` or `runtime.link_process`."""
+
+        def find() -> int | None:
+            children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+            for pid in children.read_text(encoding="ascii").split():
+                line = Path(f"/proc/{pid}/cmdline").read_bytes()
+                if module.encode() in line:
+                    return int(pid)
+            return None
+
+        return wait_for(find)
+
+    def kill_child(self, module: str, number: int = signal.SIGKILL) -> None:
+        os.kill(self.child(module), number)
+
+    def kill(self) -> None:
+        """Power off: supervisor and children at once."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self, timeout_s: float = 30.0) -> int:
+        """SIGTERM; returns the exit code."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        return self.process.wait(timeout_s)
+
+    def end(self) -> None:
+        """Whatever is left of it, gone."""
+        if self.process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
