@@ -6,7 +6,7 @@ its survey say is used.
 
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from machine.kinematics import grip_centre, to_throw_frame
 from machine.messages import LandingEllipse
 from runtime.control_loop import ControlOutputs, ControlParams, Violation
 from runtime.driver import SensorSample, SimulatedDriver
+from sim_twin.plant_abilities import Freezable, HasSurface, KnowsTruth, PredictsImpact
 from sim_twin.rollout import Rollout
 
 RELEASE_TIMEOUT_S = 7.0
@@ -50,33 +51,6 @@ class ThrowResult(NamedTuple):
     """Start of the throw to its end."""
 
 
-@runtime_checkable
-class Freezable(Protocol):
-    """A plant that can spare the work for machines (N,) whose throw is over."""
-
-    def freeze(self, frozen: BoolArray) -> None:
-        """Stop moving these machines until the next reset."""
-        ...
-
-
-@runtime_checkable
-class HasSurface(Protocol):
-    """A plant on which loads can land above or below the machine's ground."""
-
-    def set_surface_height(self, height_m: Array) -> None:
-        """Height (N,) of the surface, from the next release on."""
-        ...
-
-
-@runtime_checkable
-class KnowsTruth(Protocol):
-    """A plant that knows where loads really came down, apart from its survey."""
-
-    def true_impact_m(self) -> Array:
-        """True impact points (N, 3), NaN before the impact."""
-        ...
-
-
 class TickRecorder(Protocol):
     """Takes down what a throw log needs (sim_twin.throw_logs)."""
 
@@ -107,6 +81,7 @@ def run_throws(
     record: TickRecorder | None = None,
     progress: Progress | None = None,
     use_truth: bool = False,
+    ends_at_release: bool = False,
 ) -> list[ThrowResult]:
     """Throw once at each target (N, 3) from each start (N, 6), `plant.count` at a time.
 
@@ -119,6 +94,8 @@ def run_throws(
         record: takes down every tick.
         progress: told about throws that have ended.
         use_truth: score the true impacts where the plant knows them, not the surveyed ones.
+        ends_at_release: where the plant predicts impacts, score the prediction and spare the time after the
+            release (a gripper that hits something while it settles then goes unnoticed).
 
     Raises:
         UsageError: no policy, unequal numbers of targets and starts, or a target off the ground on a
@@ -139,6 +116,7 @@ def run_throws(
         batch_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
         batch = ThrowBatch(plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken)
         batch.use_truth = use_truth
+        batch.ends_at_release = ends_at_release and isinstance(plant, PredictsImpact)
         if record is not None:
             record.begin(plant, first, taken)
         told = -1
@@ -161,6 +139,8 @@ class ThrowBatch:
 
     use_truth = False
     """Score true impacts where the plant knows them."""
+    ends_at_release = False
+    """Count a throw as landed when its load has left; only on a plant that predicts impacts."""
 
     def __init__(
         self,
@@ -189,6 +169,7 @@ class ThrowBatch:
         self.release_speed_m_per_s = np.full(plant.count, np.nan)
         self.release_s = np.full(plant.count, np.nan)
         self._end_s = np.zeros(plant.count)
+        self._flight_s = np.zeros(plant.count)
 
     @property
     def ended_count(self) -> int:
@@ -235,6 +216,8 @@ class ThrowBatch:
             aborted | (elapsed_s >= RELEASE_TIMEOUT_S - 0.5 * CONTROL_PERIOD_S)
         )
         landed = sample.impact_t_mono_ns > rollout.start_ns
+        if self.ends_at_release:
+            landed = ~holding
         ended = np.zeros(self._count, dtype=np.bool_)
         # First match wins: a machine that broke something has not made a good throw.
         for outcome, happened in (
@@ -262,6 +245,9 @@ class ThrowBatch:
     def results(self) -> list[ThrowResult]:
         """What came of the throws that count."""
         target = self.rollout.target_m
+        plant = self.rollout.plant
+        if self.ends_at_release and isinstance(plant, PredictsImpact):
+            self._score_predictions(plant)
         down, cross = throw_errors(self._impact, target)
         return [
             ThrowResult(
@@ -272,10 +258,18 @@ class ThrowBatch:
                 crossrange_error_m=float(cross[i]),
                 release_speed_m_per_s=float(self.release_speed_m_per_s[i]),
                 throw_duration_s=float(self.release_s[i]),
-                simulated_s=float(self._end_s[i]),
+                simulated_s=float(self._end_s[i] + self._flight_s[i]),
             )
             for i in range(self._taken)
         ]
+
+    def _score_predictions(self, plant: PredictsImpact) -> None:
+        point, flight_s = plant.predicted_impact()
+        landed = self.outcome == Outcome.LANDED
+        falls = landed & np.isfinite(flight_s)
+        self._impact[falls] = point[falls]
+        self._flight_s[falls] = flight_s[falls]
+        self.outcome[landed & ~falls] = Outcome.TIMEOUT
 
 
 def _point(row: Array) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import MachineSpec
-from sim_twin.twin import twin_model
+from sim_twin.twin_model import twin_model
 
 FAR_M = 20.0
 OBSTACLES: dict[str, tuple[str, ...]] = {

@@ -137,6 +137,23 @@ class Payload:
         self.flying[rows] = False
         self.position_m[rows] = np.nan
 
+    def predicted_impact(self) -> tuple[Array, Array]:
+        """Points (N, 3) where released loads come down and their flight times (N,); NaN while held.
+
+        Known as soon as the load has left; a raised surface counts as endless.
+        """
+        plane = self.surface_height_m + self._radius_m
+        end = landing(
+            self.release_position_m,
+            self.release_velocity_m_per_s,
+            plane,
+            self.drag_per_m,
+            self.wind_m_per_s,
+        )
+        point = end.position_m
+        point[:, 2] -= self._radius_m
+        return point, end.time_s
+
     def survey(self) -> tuple[IntArray, Array]:
         """Times (N,) and surveyed points (N, 3) of the impacts so far; 0 and NaN before."""
         point = self.impact_m.copy()

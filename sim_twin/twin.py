@@ -14,82 +14,29 @@ from mujoco import batch
 from machine.calibration import ValveCalibration, nominal_calibration
 from machine.conventions import (
     ACTIVE_COUNT,
-    ACTIVE_JOINTS,
     CONTROL_PERIOD_NS,
     CONTROL_PERIOD_S,
     JOINT_COUNT,
-    PASSIVE_JOINTS,
     Array,
     BoolArray,
 )
 from machine.errors import PlantError, UsageError
 from machine.kinematics import grip_centre
-from machine.spec import MJCF_PATH, MachineSpec, load_spec
+from machine.spec import MachineSpec, load_spec
 from runtime.driver import SensorSample, ValveCommand
 from sim_twin.payload import Payload
 from sim_twin.profile import TwinProfile, nominal_profile
 from sim_twin.response import VelocityResponse
+from sim_twin.twin_model import twin_model
 
-DRIVE_INERTIA = 1e9
-"""Rotor inertia (kg m2, telescope kg) that makes a drive a velocity source: the arm's 70 kN m then moves
-the drive by 0.07 mrad/s2, and the accelerometer sees the accelerations that are really driven, which an
-implicit velocity servo of the same stiffness would hide from it."""
 FRICTION_WIDTH_RAD_PER_S = 0.004
 """Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
 stable from 0.0005 on."""
-DETECTION_DEPTH_M = 5.0
-"""Negative margin and positive gap of this size: contacts are found but never push."""
 START_NS = 1_000_000_000
 THREADED_FROM_COUNT = 16
 """Smaller batches are faster on one thread."""
 NOISE_TABLE_SIZE = 1 << 17
 NOISE_CHANNELS = 14
-
-
-@cache
-def twin_model() -> tuple[mujoco.MjModel, Array]:
-    """Compile the twin's model and return it with the passive friction moments of unit acceleration (2,).
-
-    From m545.xml: no visual geoms, no joint limits (the drives hold them), velocity-source drives,
-    friction applied from outside so that each machine of a batch has its own, IMU sensors.
-    """
-    tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
-    for geom in list(tree.geoms):
-        if geom.contype == 0 and geom.conaffinity == 0:
-            tree.delete(geom)
-        else:
-            geom.margin, geom.gap = -DETECTION_DEPTH_M, DETECTION_DEPTH_M
-    nominal = load_spec().passive
-    friction: list[float] = []
-    for joint in tree.joints:
-        if joint.name in PASSIVE_JOINTS:
-            friction.append(float(joint.frictionloss) / nominal.coulomb_friction_rad_per_s2)
-            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
-            continue
-        joint.limited, joint.armature = 0, DRIVE_INERTIA
-        drive = tree.add_actuator()
-        drive.name = drive.target = joint.name
-        drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        drive.set_to_motor()
-        # Force that takes a velocity error away within one step; ctrl is that error.
-        drive.gainprm[0] = DRIVE_INERTIA / CONTROL_PERIOD_S
-    for kind, name in (
-        (mujoco.mjtSensor.mjSENS_GYRO, "imu_gyro"),
-        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "imu_accel"),
-    ):
-        sensor = tree.add_sensor()
-        sensor.type, sensor.name = kind, name
-        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, "imu"
-    tree.option.timestep = CONTROL_PERIOD_S
-    tree.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    tree.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    model = tree.compile()
-    order = [model.joint(i).name for i in range(model.njnt)]
-    if order != [*ACTIVE_JOINTS, *PASSIVE_JOINTS] or model.nv != JOINT_COUNT:
-        raise PlantError(
-            f"m545.xml has the joints {order}, the twin needs the order of JOINT_NAMES"
-        )
-    return model, np.asarray(friction)
 
 
 @cache
@@ -315,6 +262,10 @@ class Twin:
     def true_impact_m(self) -> Array:
         """True impact points (N, 3), NaN before the impact."""
         return self._payload.impact_m.copy()
+
+    def predicted_impact(self) -> tuple[Array, Array]:
+        """True impact points (N, 3) and flight times (N,) of the loads that have left; NaN otherwise."""
+        return self._payload.predicted_impact()
 
     def set_surface_height(self, height_m: Array) -> None:
         """Height (N,) of the surface on which the loads land, from the next release on."""

@@ -103,6 +103,27 @@ def test_a_start_in_the_ground_is_a_collision_and_a_policy_that_waits_no_release
     assert outcome_counts([waits, hits]) == {"no_release": 1, "collision": 1}
 
 
+def test_predicting_the_flight_gives_the_impacts_that_flying_gives(swing_policies: Path) -> None:
+    target_m = np.tile([[6.0, 0.0, 0.0]], (4, 1))
+
+    def throw(ends_at_release: bool) -> list[ThrowResult]:
+        twin = Twin.for_plant(count=4, unit_seed=0)
+        return run_throws(
+            twin,
+            params(swing_policies),
+            target_m,
+            starts(target_m),
+            0,
+            ends_at_release=ends_at_release,
+        )
+
+    for flown, predicted in zip(throw(False), throw(True), strict=True):
+        assert predicted.outcome is flown.outcome is Outcome.LANDED
+        np.testing.assert_allclose(predicted.impact_m, flown.impact_m, atol=1e-3)
+        assert predicted.simulated_s == pytest.approx(flown.simulated_s, abs=0.021)
+        assert predicted.throw_duration_s == flown.throw_duration_s
+
+
 def test_survey_error_is_in_the_score_unless_the_truth_is_asked_for(swing_policies: Path) -> None:
     nominal = nominal_profile(SPEC)
     profile = nominal.model_copy(

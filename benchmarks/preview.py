@@ -1,0 +1,134 @@
+"""Latency of previews against the cheapest thing that does the same physics; one run, side by side.
+
+    python benchmarks/preview.py --policies policies [--mode 3d] [--count 20] [--json FILE]
+
+Measured: time until the nominal throw is shown (what an operator waits for), until it has come down, until
+the first ellipse, and until the ellipse of 200 throws. Floor: bare MuJoCo steps of the same model, for as
+many simulated ticks.
+"""
+
+import json as json_text
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import mujoco
+import numpy as np
+import tyro
+from mujoco import batch
+
+from cli.evaluate import open_policy
+from machine.calibration import nominal_calibration
+from machine.conventions import CONTROL_PERIOD_S, Mode
+from machine.messages import Target
+from machine.spec import load_spec
+from machine.starts import safe_pose
+from runtime.control_loop import ControlParams
+from sim_twin.preview import PreviewRequest, ThrowPreview, preview
+from sim_twin.profile import nominal_profile
+from sim_twin.twin_model import twin_model
+
+TARGET_MS = {"shown": 150.0, "ellipse": 2000.0}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Milliseconds of one preview."""
+
+    shown_ms: float
+    landed_ms: float
+    first_ellipse_ms: float
+    ellipse_ms: float
+    tick_count: int
+    """Simulated ticks of the nominal throw, the drawn turn not counted."""
+
+
+def measure(request: PreviewRequest) -> Timing:
+    """Run one preview and note when what arrived."""
+    started = perf_counter()
+    marks: list[tuple[float, ThrowPreview]] = []
+    last = preview(request, lambda shown: marks.append((perf_counter() - started, shown)))
+    marks.append((perf_counter() - started, last))
+    ellipses = [seconds for seconds, shown in marks if shown.ellipse is not None]
+    nominal = [seconds for seconds, shown in marks if shown.ellipse is None]
+    throw_s = marks[0][1].duration_s + last.flight_s
+    return Timing(
+        shown_ms=1e3 * nominal[0],
+        landed_ms=1e3 * nominal[-1],
+        first_ellipse_ms=1e3 * ellipses[0] if ellipses else float("nan"),
+        ellipse_ms=1e3 * ellipses[-1] if ellipses else float("nan"),
+        tick_count=0 if np.isnan(throw_s) else round(throw_s / CONTROL_PERIOD_S),
+    )
+
+
+def floor_ms(ticks: int, count: int) -> float:
+    """Bare physics: `ticks` steps of `count` machines, nothing read, nothing controlled."""
+    model, _ = twin_model()
+    started = perf_counter()
+    if count == 1:
+        data = mujoco.MjData(model)
+        data.qpos[:] = safe_pose()
+        for _ in range(ticks):
+            mujoco.mj_step(model, data)
+    else:
+        machines = batch.Batch(model, count, 2)
+        machines.bind("qpos")[:] = safe_pose()
+        for _ in range(ticks):
+            machines.step()
+    return 1e3 * (perf_counter() - started)
+
+
+def main(
+    policies: Path = Path("policies"),
+    mode: Literal["2d", "3d"] = "2d",
+    count: int = 20,
+    nearest: float = 7.0,
+    farthest: float = 9.5,
+    json: Path | None = None,
+) -> None:
+    """Preview `count` targets between `nearest` and `farthest` and print what it took."""
+    spec = load_spec()
+    runner = open_policy(Mode(mode), policies, None, spec)
+    params = ControlParams(
+        spec=spec, calibration=nominal_calibration(spec), mode=Mode(mode), policy=runner
+    )
+    pose = tuple(float(v) for v in safe_pose())
+    timings: list[Timing] = []
+    floors: list[tuple[float, float]] = []
+    for index, range_m in enumerate(np.linspace(nearest, farthest, count + 1)):
+        request = PreviewRequest(
+            params=params,
+            profile=nominal_profile(spec),
+            target=Target(x_m=float(range_m), y_m=0.0),
+            joint_position_rad_m=pose,
+            seed=index,
+        )
+        timing = measure(request)
+        if index == 0:
+            continue  # the first preview compiles the model and warms the policy
+        timings.append(timing)
+        floors.append((floor_ms(timing.tick_count, 1), floor_ms(timing.tick_count, 200)))
+    report = {
+        key: {
+            "p50_ms": float(np.nanpercentile([getattr(t, key) for t in timings], 50)),
+            "p95_ms": float(np.nanpercentile([getattr(t, key) for t in timings], 95)),
+        }
+        for key in ("shown_ms", "landed_ms", "first_ellipse_ms", "ellipse_ms")
+    }
+    one, many = np.median(floors, axis=0)
+    report["floor"] = {"one_throw_ms": float(one), "two_hundred_throws_ms": float(many)}
+    print(f"{count} previews in {mode}, 200 throws each; ticks {timings[0].tick_count}")
+    for key, row in report.items():
+        print(f"{key:>18}: " + ", ".join(f"{k} {v:.1f}" for k, v in row.items()))
+    print(
+        f"nominal throw shown: {report['shown_ms']['p50_ms'] / one:.0f} x bare MuJoCo; "
+        f"ellipse: {report['ellipse_ms']['p50_ms'] / many:.1f} x bare mujoco.batch; "
+        f"targets: shown {TARGET_MS['shown']:.0f} ms p95, ellipse {TARGET_MS['ellipse']:.0f} ms"
+    )
+    if json is not None:
+        json.write_text(json_text.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
