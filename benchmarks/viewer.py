@@ -1,0 +1,113 @@
+"""3D view: click to marker on the wire, and what the fan-out to ten browsers costs.
+
+    .venv/bin/python benchmarks/viewer.py
+
+Clients speak the view's protocol through the real proxy on loopback; no browser renders. Targets
+(6-targets.md, design 3 D): click -> marker p95 <= 80 ms (goal 30); 10 clients x 30 Hz <= 25 % of a core.
+"""
+
+import resource
+import statistics
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "server")]
+
+from viewer_app import CAMERA, ViewClient, ViewerApp, click, wait_for  # noqa: E402
+
+from machine.starts import safe_pose  # noqa: E402
+
+CLICKS = 200
+CLIENTS = 10
+RATE_HZ = 25.0
+FAN_OUT_S = 8.0
+
+
+def percentile(values: list[float], share: float) -> float:
+    return float(np.percentile(values, share))
+
+
+def connect(app: ViewerApp, session_id: str) -> ViewClient:
+    app.scene.show_machine(session_id, "m001")
+    client = ViewClient(app, session_id)
+    client.send(CAMERA)
+    client.until(lambda: "/live/chassis/skin" in client.nodes, "the machine")
+    return client
+
+
+def drive(app: ViewerApp, stop: threading.Event) -> None:
+    """A machine that swings all its joints, at the rate of the joint stream."""
+    pose, began_s = safe_pose(), time.monotonic()
+    while not stop.wait(1.0 / RATE_HZ):
+        swing = 0.2 * np.sin(3.0 * (time.monotonic() - began_s))
+        app.scene.update_machine("m001", pose + swing * np.array([1, 1, 1, 0.5, 1, 1]))
+
+
+def read_on(client: ViewClient, stop: threading.Event) -> None:
+    while not stop.is_set():
+        try:
+            client.read(0.2)
+        except TimeoutError:
+            continue
+        except Exception:
+            return
+
+
+def measure_clicks(app: ViewerApp, client: ViewClient, rng: np.random.Generator) -> list[float]:
+    """Milliseconds from a click sent to the frame with its marker received."""
+    taken: list[float] = []
+    for _ in range(CLICKS):
+        x, y = rng.uniform(5.0, 11.0), rng.uniform(-6.0, 6.0)
+        began_s = time.perf_counter()
+        client.send(click((-8.0, -8.0, 8.0), (x + 8.0, y + 8.0, -8.0)))
+
+        def is_drawn(x: float = x, y: float = y) -> bool:
+            at = client.nodes.get("/target", {}).get("position")
+            return at is not None and abs(at[0] - x) < 1e-4 and abs(at[1] - y) < 1e-4
+
+        client.until(is_drawn, "the marker")
+        taken.append(1000.0 * (time.perf_counter() - began_s))
+        time.sleep(rng.uniform(0.0, 0.03))
+    return taken
+
+
+def report(name: str, taken: list[float]) -> None:
+    print(
+        f"{name}: p50 {statistics.median(taken):.1f} ms, p95 {percentile(taken, 95):.1f} ms, "
+        f"max {max(taken):.1f} ms, n {len(taken)}"
+    )
+
+
+def main() -> None:
+    app, rng = ViewerApp(), np.random.default_rng(1)
+    app.scene.update_machine("m001", safe_pose())
+    began_s = time.perf_counter()
+    client = connect(app, "clicks")
+    print(f"connect to machine on the wire: {1000 * (time.perf_counter() - began_s):.0f} ms")
+    report("click -> marker, 1 client, machine at rest", measure_clicks(app, client, rng))
+    stop = threading.Event()
+    threading.Thread(target=drive, args=(app, stop), daemon=True).start()
+    report("click -> marker, 1 client, machine moving", measure_clicks(app, client, rng))
+    others = [connect(app, f"watch{i}") for i in range(CLIENTS - 1)]
+    for other in others:
+        threading.Thread(target=read_on, args=(other, stop), daemon=True).start()
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    report(f"click -> marker, {CLIENTS} clients, machine moving", measure_clicks(app, client, rng))
+    time.sleep(FAN_OUT_S)
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    print(f"process, server and {CLIENTS} reading clients together: {used:.1f} s of CPU")
+    stop.set()
+    for other in (client, *others):
+        other.close()
+    wait_for(lambda: app.scene.client_count("clicks") == 0, "the views to go")
+    app.close()
+
+
+if __name__ == "__main__":
+    main()
