@@ -24,6 +24,7 @@ from machine.conventions import (
 from machine.errors import PolicyError
 from machine.kinematics import aligned_slew_rad
 from machine.spec import MachineSpec
+from machine.starts import is_valid_start
 from machine.telemetry import CONTROL_ROW
 from runtime import imu_estimator, safety, swing_control
 from runtime.arm_motion import ArmMotion
@@ -301,7 +302,8 @@ def _motions(
         if params.mode is Mode.PLANAR:
             target = np.where(aligning[:, None], inputs.target_m, (1.0, 0.0, 0.0))
             turn = wrap_angle_rad(aligned_slew_rad(spec, target) - active[:, 0])
-        swing = swing_control.begin(swing, sensed.begins, active[:, 0], turn)
+        homing = aligning & ~is_valid_start(spec, sensed.position)
+        swing = swing_control.begin(swing, sensed.begins, active[:, 0], turn, homing)
     before, amplitude = swing, swing_control.swing_amplitude_rad(spec, sensed.imu)
     if aligning.any():
         swing, output = swing_control.align(spec, before, active, sensed.filtered_speed, amplitude)

@@ -18,22 +18,28 @@ from runtime.imu_estimator import ImuEstimate, swing_frequency_rad_per_s
 
 ALIGN_SPEED_RAD_PER_S = 0.45
 """Cruise of the cabin: the gripper then leans outward by 8 degrees at 6 m."""
-ALIGN_GAIN_PER_S = 0.9
-"""Position feedback around the planned turn; the slew answers 0.35 s late."""
+ALIGN_GAIN_PER_S = 0.5
+"""Position feedback around the planned turn; low, because the slew answers late and rings."""
+ALIGN_RESPONSE_S = 0.45
+"""The turn seen by the filtered sensor comes this much after its plan: dead time, lag, filter."""
+ALIGN_REST_S = 0.8
+"""From the end of a plan until the slew stands and its angle can be judged."""
 ALIGN_TOLERANCE_RAD = 0.0025
 """25 mm across the line at 10 m."""
-ALIGN_HYSTERESIS_RAD = 0.0010
-"""A correction that has begun goes on to this, so that the valve does not chatter at the tolerance."""
-ALIGN_CREEP_RAD_PER_S = 0.02
-"""Slowest correction: below it the valve is inside its dead band."""
+SMALL_TURN_RAD = 0.05
+SMALL_TURN_RAD_PER_S = 0.03
+"""Corrections go in two halves, half a swing period apart, so that the second takes the swing of the
+first away; a slower one would stay inside the valve's dead band."""
+TINY_TURN_RAD = 0.008
+"""A correction that swings the gripper by less than a throw may start with goes at once."""
+BREAKAWAY_S = 0.05
+"""Friction and the valve's hysteresis swallow about this much of every pulse."""
 ALIGNED_SWING_RAD = 0.030
 """Residual swing a throw may start with: three times what friction holds."""
 STILL_RAD_M_PER_S = 0.03
 DWELL_S = 0.30
 """How long a motion's end must hold before it counts."""
 POSITION_FILTER_S = 0.10
-ALIGN_RESPONSE_S = 0.40
-"""The turn seen by the filtered sensor comes this much after its plan: dead time, lag, filter."""
 
 DAMPING_M_PER_S_PER_RAD = 1.4
 """Pin speed a radian of swing: damping ratio k / (2 L omega0) = 0.23 with L = 0.92 m."""
@@ -46,6 +52,7 @@ RETURN_GAIN_PER_S = 0.8
 RETURN_SPEED_RAD_M_PER_S = (0.0, 0.15, 0.22, 0.15)
 RETURN_SWING_RAD = 0.15
 """Swing at which the return to the safe pose runs at half speed."""
+HOMED_RAD_M = 0.03
 SETTLED_POSITION_RAD_M = 0.05
 SETTLED_SWING_RAD = 0.05
 
@@ -57,13 +64,13 @@ class SwingState:
     time_s: Array
     """(N,) since the motion began."""
     start_slew_rad: Array
-    """(N,) where ALIGN began."""
+    """(N,) where the present turn of ALIGN began."""
     turn_rad: Array
-    """(N,) how far ALIGN turns, signed."""
+    """(N,) how far it goes, signed; the line is always start + turn."""
     slew_rad: Array
     """(N,) filtered slew angle."""
-    correcting: BoolArray
-    """(N,) ALIGN creeps to the line at present."""
+    homing: BoolArray
+    """(N,) ALIGN also brings the arm to the safe pose, because no throw may start from where it was."""
     quiet_s: Array
     """(N,) how long the end condition of ALIGN or SETTLE has held."""
 
@@ -83,14 +90,16 @@ def initial_swing(slew_rad: Array) -> SwingState:
     return SwingState(zero, slew_rad, zero, slew_rad, zero.astype(np.bool_), zero)
 
 
-def begin(state: SwingState, begins: BoolArray, slew_rad: Array, turn_rad: Array) -> SwingState:
-    """Restart the memory of the machines (N,) whose motion begins; `turn_rad` (N,) is for ALIGN."""
+def begin(
+    state: SwingState, begins: BoolArray, slew_rad: Array, turn_rad: Array, homing: BoolArray
+) -> SwingState:
+    """Restart the memory of the machines (N,) whose motion begins; turn and homing (N,) are for ALIGN."""
     return SwingState(
         time_s=np.where(begins, 0.0, state.time_s),
         start_slew_rad=np.where(begins, slew_rad, state.start_slew_rad),
         turn_rad=np.where(begins, turn_rad, state.turn_rad),
         slew_rad=np.where(begins, slew_rad, state.slew_rad),
-        correcting=state.correcting & ~begins,
+        homing=np.where(begins, homing, state.homing),
         quiet_s=np.where(begins, 0.0, state.quiet_s),
     )
 
@@ -116,59 +125,77 @@ def swing_amplitude_rad(spec: MachineSpec, imu: ImuEstimate) -> Array:
     )
 
 
-def turn_profile(time_s: Array, turn_rad: Array, ramp_s: float) -> tuple[Array, Array]:
-    """Angle and rate (N,) of a planned turn: a constant rate averaged over `ramp_s`.
+def turn_profile(time_s: Array, turn_rad: Array, period_s: float) -> tuple[Array, Array, Array]:
+    """Angle (N,), rate (N,) and length (N,) in seconds of a turn that leaves no swing of `period_s`.
 
-    A pulse of length D = |turn| / cruise, moving-averaged over the ramp time T, has ramps of length T
-    (shorter turns: D) and no content at the frequency 1 / T.
+    Two pulses of the same area: for small turns half a period apart (tiny ones: together), for others a
+    cruise that is moving-averaged over the period (ramps of one period; shorter turns have shorter ramps).
     """
-    cruise = ALIGN_SPEED_RAD_PER_S
-    pulse = np.abs(turn_rad) / cruise
+    size = np.abs(turn_rad)
+    small = size < SMALL_TURN_RAD
+    short_s = 0.5 * size / SMALL_TURN_RAD_PER_S + BREAKAWAY_S
+    pulse = np.where(small, short_s, size / ALIGN_SPEED_RAD_PER_S)
+    apart = np.where(small, 0.5 * period_s, period_s) * (size > TINY_TURN_RAD)
     edges = np.maximum(
-        np.stack([time_s, time_s - pulse, time_s - ramp_s, time_s - ramp_s - pulse]), 0
+        np.stack([time_s, time_s - pulse, time_s - apart, time_s - apart - pulse]), 0
     )
-    scale = np.sign(turn_rad) * cruise / ramp_s
-    rate = scale * (edges[0] - edges[1] - edges[2] + edges[3])
-    squares = 0.5 * edges * edges
-    angle = scale * (squares[0] - squares[1] - squares[2] + squares[3])
-    return angle, rate
+    begun, squares = np.sign(edges), 0.5 * edges * edges
+    ramp = ALIGN_SPEED_RAD_PER_S / period_s
+    rate = np.where(
+        small,
+        SMALL_TURN_RAD_PER_S * (begun[0] - begun[1] + begun[2] - begun[3]),
+        ramp * (edges[0] - edges[1] - edges[2] + edges[3]),
+    )
+    angle = np.where(
+        small,
+        SMALL_TURN_RAD_PER_S * (edges[0] - edges[1] + edges[2] - edges[3]),
+        ramp * (squares[0] - squares[1] - squares[2] + squares[3]),
+    )
+    sign = np.sign(turn_rad)
+    return sign * angle, sign * rate, np.where(size > 0.0, apart + pulse, 0.0)
 
 
 def align(
     spec: MachineSpec, state: SwingState, active_position: Array, speed: Array, amplitude: Array
 ) -> tuple[SwingState, SwingOutput]:
-    """Turn the cabin along its planned profile while the arm stands.
+    """Turn the cabin along its planned profile while the arm stands, or goes to the safe pose.
 
-    Positions and filtered speeds are (N, 4), the swing's amplitude (N,). Done when the plan has run, the
-    line is held and the swing has died down.
+    Positions and filtered speeds are (N, 4), the swing's amplitude (N,). When a turn has come to rest off
+    the line, another begins. Done when the line is held and the swing has died down.
     """
-    ramp_s = 2.0 * np.pi / (0.5 * sum(swing_frequency_rad_per_s(spec)))
+    period_s = 4.0 * np.pi / sum(swing_frequency_rad_per_s(spec))
     time_s = state.time_s + CONTROL_PERIOD_S
-    slew = state.slew_rad + CONTROL_PERIOD_S / POSITION_FILTER_S * (
-        active_position[:, 0] - state.slew_rad
-    )
-    _, rate = turn_profile(time_s, state.turn_rad, ramp_s)
-    angle, _ = turn_profile(time_s - ALIGN_RESPONSE_S, state.turn_rad, ramp_s)
-    error = state.start_slew_rad + angle - slew
-    run_s = ramp_s + np.abs(state.turn_rad) / ALIGN_SPEED_RAD_PER_S
-    planned = time_s < run_s + ALIGN_RESPONSE_S
-    size = np.abs(error)
-    correcting = ~planned & (
-        (size > ALIGN_TOLERANCE_RAD) | (state.correcting & (size > ALIGN_HYSTERESIS_RAD))
-    )
-    creep = np.sign(error) * np.maximum(ALIGN_GAIN_PER_S * size, ALIGN_CREEP_RAD_PER_S)
-    request = np.zeros_like(active_position)
-    request[:, 0] = np.where(
-        planned, rate + ALIGN_GAIN_PER_S * error, np.where(correcting, creep, 0.0)
-    )
+    share = CONTROL_PERIOD_S / POSITION_FILTER_S
+    slew = state.slew_rad + share * (active_position[:, 0] - state.slew_rad)
+    _, rate, length_s = turn_profile(time_s, state.turn_rad, period_s)
+    due, _, _ = turn_profile(time_s - ALIGN_RESPONSE_S, state.turn_rad, period_s)
+    follows = (time_s < length_s + ALIGN_RESPONSE_S) & (np.abs(state.turn_rad) >= SMALL_TURN_RAD)
+    feedback = np.where(follows, ALIGN_GAIN_PER_S * (state.start_slew_rad + due - slew), 0.0)
+    turning = time_s < length_s + ALIGN_REST_S * (length_s > 0.0)
+    off_line = state.start_slew_rad + state.turn_rad - slew
+    again = ~turning & (np.abs(off_line) > ALIGN_TOLERANCE_RAD)
+    gap = np.asarray(SAFE_ACTIVE_RAD_M) - active_position
+    fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
+    homing = state.homing & (np.abs(gap[:, 1:]).max(axis=1) > HOMED_RAD_M)
+    home = np.minimum(np.maximum(RETURN_GAIN_PER_S * gap, -fastest), fastest)
+    request = np.where(homing[:, None], home, 0.0)
+    request[:, 0] = rate + feedback
     quiet = (
-        ~planned
-        & ~correcting
+        ~turning
+        & ~again
+        & ~homing
         & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)
         & (amplitude < ALIGNED_SWING_RAD)
     )
     quiet_s = np.where(quiet, state.quiet_s + CONTROL_PERIOD_S, 0.0)
-    after = SwingState(time_s, state.start_slew_rad, state.turn_rad, slew, correcting, quiet_s)
+    after = SwingState(
+        time_s=np.where(again, 0.0, time_s),
+        start_slew_rad=np.where(again, slew, state.start_slew_rad),
+        turn_rad=np.where(again, off_line, state.turn_rad),
+        slew_rad=slew,
+        homing=homing,
+        quiet_s=quiet_s,
+    )
     return after, SwingOutput(request, quiet_s >= DWELL_S)
 
 
@@ -213,7 +240,7 @@ def settle(
         state.start_slew_rad,
         state.turn_rad,
         active_position[:, 0],
-        state.correcting,
+        state.homing,
         quiet_s,
     )
     return after, SwingOutput(request, quiet_s >= DWELL_S)
