@@ -6,7 +6,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 from fastapi import APIRouter, FastAPI
@@ -146,7 +146,7 @@ def openapi_document(app: FastAPI) -> dict[str, object]:
 
 def _lifespan(settings: Settings, scene: ViewerScene, proxy: ViewerProxy):  # noqa: ANN202  FastAPI's type
     @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         async with AsyncExitStack() as stack:
             try:
                 stack.enter_context(instance_lock(settings.data_dir))

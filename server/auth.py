@@ -12,6 +12,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 
@@ -140,7 +141,6 @@ class Accounts:
         self._audit = audit
         self._session_s = session_s
         self._hasher = PasswordHasher()
-        self._decoy_hash = self._hasher.hash(secrets.token_urlsafe(16))
         self._brake = LoginBrake()
         self._ended: list[Callable[[Session], None]] = []
 
@@ -245,6 +245,10 @@ class Accounts:
             self._audit.append(session, Entry(ended.actor, "logout", "fact"))
         for listener in self._ended:
             listener(ended)
+
+    @cached_property
+    def _decoy_hash(self) -> str:
+        return self._hasher.hash(secrets.token_urlsafe(16))
 
     def _matches(self, user: User | None, password: str) -> bool:
         # An unknown name costs the same time as a known one.

@@ -5,7 +5,7 @@ and waits its turn at a lock of this process, so that "database is locked" canno
 """
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -69,13 +69,13 @@ class Database:
         self._turn = threading.Lock()
 
     @contextmanager
-    def read(self) -> Iterator[Session]:
+    def read(self) -> Generator[Session]:
         """One transaction that only reads."""
         with self._read() as session:
             yield session
 
     @contextmanager
-    def write(self) -> Iterator[Session]:
+    def write(self) -> Generator[Session]:
         """One transaction that is committed at the end, or rolled back on any error."""
         if self.dialect == "sqlite":
             with self._turn, self._write.begin() as session:
@@ -138,7 +138,7 @@ class Database:
         )
 
     @contextmanager
-    def _connect(self) -> Iterator[Connection]:
+    def _connect(self) -> Generator[Connection]:
         try:
             with self.engine.connect() as connection:
                 yield connection

@@ -1,8 +1,6 @@
 """Every error of the HTTP interface in one shape: {"error": {code, message, detail}}."""
 
 import logging
-from typing import Any
-
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import JsonValue
@@ -48,13 +46,13 @@ async def _own_error(_request: Request, error: Exception) -> Response:
 async def _invalid(_request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     # What was sent is not sent back: it may hold NaN, megabytes or a password.
-    problems: list[dict[str, Any]] = [
+    problems: list[dict[str, JsonValue]] = [
         {"field": ".".join(str(part) for part in item["loc"]), "problem": item["msg"]}
         for item in error.errors()
     ]
     first = problems[0] if problems else {"field": "request", "problem": "not valid"}
     return error_response(
-        422, "invalid", f"{first['field']}: {first['problem']}.", {"problems": problems[:20]}
+        422, "invalid", f"{first['field']}: {first['problem']}.", {"problems": list[JsonValue](problems[:20])}
     )
 
 

@@ -140,7 +140,7 @@ def newest(
     )
 
 
-def _all(database: DatabaseSession, query: Select[tuple[Throw]]) -> list[Throw]:
+def _all(database: DatabaseSession, query: Select[Throw]) -> list[Throw]:
     return list(database.scalars(query))
 
 

@@ -2,7 +2,7 @@
 
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,7 +12,7 @@ LOCK_FILE = "server.lock"
 
 
 @contextmanager
-def instance_lock(data_dir: Path) -> Iterator[None]:
+def instance_lock(data_dir: Path) -> Generator[None]:
     """Hold the folder's lock; the system gives it back when the process ends, however it ends.
 
     Raises:

@@ -81,7 +81,7 @@ class LeaseBook:
             else:
                 self._hand_to(database, row, session, now, "lease.acquire", {})
                 held = None
-                view = self._view(row)
+            view = self._view(row)
         if held is not None:
             raise self.held_error(held)
         self._tell(view, "acquired", session.username, "")

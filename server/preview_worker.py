@@ -1,5 +1,6 @@
 """What runs in a preview process: the twin, warm, one job at a time; it knows nothing of the server."""
 
+import logging
 import os
 from dataclasses import dataclass, field
 from functools import partial
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from machine.calibration import load_calibration, nominal_calibration
+from machine.errors import DownrangeError
 from machine.messages import Target
 from machine.policy_card import POLICY_FILE
 from machine.spec import MachineSpec, load_spec
@@ -16,6 +18,8 @@ from runtime.control_loop import ControlParams
 from runtime.policy import PolicyRunner
 from sim_twin.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.profile import TwinProfile, load_profile, nominal_profile
+
+logger = logging.getLogger(__name__)
 
 NICENESS = 5
 """Previews give way to a control loop that shares the computer, as in the demo."""
@@ -109,7 +113,11 @@ def start_worker(
     os.nice(NICENESS)
     _worker = Worker(updates, cancelled)
     for folder in warm_up:
-        _worker.run(_warm_up_job(folder, _worker.spec))
+        try:
+            _worker.run(_warm_up_job(folder, _worker.spec))
+        except (CancelledPreviewError, DownrangeError) as error:
+            # A policy that cannot be used is refused where it is asked for, with its cause.
+            logger.warning("preview process not warmed up with %s: %r", folder, error)
 
 
 def run_job(job: PreviewJob) -> ThrowPreview:

@@ -41,8 +41,10 @@ class Replays:
             return ReplayView(throw_id=throw_id, duration_s=0.0, at_s=0.0, is_playing=False)
         with self._lock:
             showing = self._showing.get(session_id)
-        is_new = showing is None or showing[0] != throw_id
-        duration_s = self._begin(throw_id, plan_id, session_id) if is_new else showing[1]
+        if showing is not None and showing[0] == throw_id:
+            is_new, duration_s = False, showing[1]
+        else:
+            is_new, duration_s = True, self._begin(throw_id, plan_id, session_id)
         playing = (
             request.playing
             if request.playing is not None

@@ -1,7 +1,7 @@
 """The long-lived parts of the service, put together and opened once; routes get them from here."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Annotated
@@ -127,7 +127,7 @@ def link_config(settings: Settings, registry: Registry) -> zenoh.Config:
 
 
 @contextmanager
-def open_services(settings: Settings, scene: ViewerScene) -> Iterator[Services]:
+def open_services(settings: Settings, scene: ViewerScene) -> Generator[Services]:
     """Open everything, in the order of need; close it in reverse.
 
     Raises:
@@ -136,7 +136,7 @@ def open_services(settings: Settings, scene: ViewerScene) -> Iterator[Services]:
     with ExitStack() as stack:
         database = prepare_database(settings)
         stack.callback(database.close)
-        services, notices = _assemble(settings, database, scene)
+        services, notices = assemble(settings, database, scene)
         services.accounts.create_first_users(settings.data_dir)
         services.registry.provision(settings.machine_slot_count)
         services.plans.start()
@@ -163,9 +163,10 @@ def open_services(settings: Settings, scene: ViewerScene) -> Iterator[Services]:
         yield services
 
 
-def _assemble(
+def assemble(
     settings: Settings, database: Database, scene: ViewerScene
 ) -> tuple[Services, LeaseNotices]:
+    """Put the parts together; nothing is opened or started yet."""
     spec = load_spec()
     metrics, hub = Metrics(), EventHub()
     audit = AuditChain(database, settings.data_dir / "audit-anchors.jsonl")

@@ -14,6 +14,8 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from machine.errors import UsageError
 
 PREFIX = "DOWNRANGE_"
+CLIENT_VARIABLES = frozenset({"DOWNRANGE_USER", "DOWNRANGE_PASSWORD_FILE"})
+"""Read by `downrange throw`; a shell that sets them may start a server too."""
 CHECKOUT = Path(__file__).resolve().parents[1]
 """The folder that holds policies, migrations and the built console beside the packages."""
 
@@ -102,7 +104,9 @@ def load_settings(environment: Mapping[str, str] | None = None, **overrides: Any
     """
     found = os.environ if environment is None else environment
     known = {variable_name(name) for name in Settings.model_fields}
-    unknown = sorted(name for name in found if name.startswith(PREFIX) and name not in known)
+    unknown = sorted(
+        name for name in found if name.startswith(PREFIX) and name not in known | CLIENT_VARIABLES
+    )
     if unknown:
         raise UsageError(
             f"unknown setting {', '.join(unknown)}; known are {', '.join(sorted(known))}"

@@ -7,7 +7,7 @@ follows. A stop that is not confirmed survives a restart of the server.
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import contextmanager
@@ -95,7 +95,7 @@ class StopDesk:
             return machine_id in self._pending
 
     @contextmanager
-    def suspended(self, machine_id: str) -> Iterator[None]:
+    def suspended(self, machine_id: str) -> Generator[None]:
         """Hold the repetition back while someone with the privilege clears the stop.
 
         If that fails the repetition goes on; else the stop is withdrawn.

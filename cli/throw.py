@@ -1,0 +1,82 @@
+"""`downrange throw`: one throw through a running server, the way the console does it."""
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from machine.errors import UsageError
+from server.auth import FIRST_LOGIN_FILE
+from server.throw_client import ThrowClient, ThrowReport, login_from_file
+
+
+def run(
+    *,
+    target: str,
+    server: str = "http://127.0.0.1:8000",
+    machine: str = "m001",
+    mode: Literal["2d", "3d"] = "2d",
+    user: str | None = None,
+    password_file: Path | None = None,
+    timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> int:
+    """Preview, arm, hold and throw; exit 0 when the load landed, 3 when the throw ended otherwise.
+
+    The account is the given one, else DOWNRANGE_USER and DOWNRANGE_PASSWORD_FILE, else `operator` of
+    data/demo-login.txt.
+
+    Args:
+        target: range along the machine's x axis, or range and crossrange (left), as in 9.0 or 9.0,-0.5; m.
+        server: address of the server.
+        machine: machine id.
+        mode: 2d (arm plane) or 3d (with the cabin turning).
+        user: account name.
+        password_file: file with the password alone, or with lines `name password`.
+        timeout_s: how long to wait for the throw to end.
+        as_json: print one line of JSON instead of words.
+    """
+    x_m, y_m = parse_target(target)
+    name = user or os.environ.get("DOWNRANGE_USER") or "operator"
+    first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
+    file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
+    password = login_from_file(file, name)
+    with ThrowClient(server, name, password) as client:
+        report = client.throw(machine, mode, x_m, y_m, timeout_s)
+    print(json.dumps(asdict(report)) if as_json else in_words(report))
+    return 0 if report.state == "landed" else 3
+
+
+def parse_target(text: str) -> tuple[float, float]:
+    """Range and crossrange, m.
+
+    Raises:
+        UsageError: not one or two finite numbers.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2) or not all(math.isfinite(value) for value in values):
+        raise UsageError(
+            f"--target {text!r} is not RANGE or RANGE,CROSSRANGE in metres, as in 9.0,-0.5"
+        )
+    return values[0], values[1] if len(values) == 2 else 0.0
+
+
+def in_words(report: ThrowReport) -> str:
+    """The report for people."""
+    lines = [f"throw {report.throw_id}: {report.state}, {report.seconds:.1f} s"]
+    for label, errors in (("predicted", report.predicted), ("impact", report.impact)):
+        down, cross = errors.get("downrange_error_m"), errors.get("crossrange_error_m")
+        if down is not None and cross is not None:
+            lines.append(
+                f"{label}: {down:+.2f} m {'long' if down >= 0 else 'short'}, "
+                f"{cross:+.2f} m {'left' if cross >= 0 else 'right'}"
+            )
+    return "\n".join(lines)
