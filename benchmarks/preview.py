@@ -21,6 +21,7 @@ from mujoco import batch
 from cli.evaluate import open_policy
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_S, Mode
+from machine.kinematics import aligned_slew_rad
 from machine.messages import Target
 from machine.spec import load_spec
 from machine.starts import safe_pose
@@ -41,7 +42,7 @@ class Timing:
     first_ellipse_ms: float
     ellipse_ms: float
     tick_count: int
-    """Simulated ticks of the nominal throw, the drawn turn not counted."""
+    """Simulated ticks of the nominal throw."""
 
 
 def measure(request: PreviewRequest) -> Timing:
@@ -93,15 +94,18 @@ def main(
     params = ControlParams(
         spec=spec, calibration=nominal_calibration(spec), mode=Mode(mode), policy=runner
     )
-    pose = tuple(float(v) for v in safe_pose())
     timings: list[Timing] = []
     floors: list[tuple[float, float]] = []
     for index, range_m in enumerate(np.linspace(nearest, farthest, count + 1)):
+        target = Target(x_m=float(range_m), y_m=0.0)
+        # Aligned already, so that the drawn turn of a 2D throw does not count as simulated time.
+        slew = float(aligned_slew_rad(spec, np.array([target.x_m, target.y_m, 0.0])))
+        pose = safe_pose(slew)
         request = PreviewRequest(
             params=params,
             profile=nominal_profile(spec),
-            target=Target(x_m=float(range_m), y_m=0.0),
-            joint_position_rad_m=pose,
+            target=target,
+            joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
             seed=index,
         )
         timing = measure(request)

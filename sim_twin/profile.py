@@ -4,6 +4,7 @@ It never changes the MJCF or the spec; it refuses fields that it does not know, 
 cannot quietly leave an effect out.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -82,8 +83,8 @@ class TwinProfile(BaseModel):
     """Frame `machine`."""
     noise: SensorNoise = SensorNoise()
     spread: Spread = Spread()
-    intervals: dict[str, Interval] = {}
-    """90 % interval of an effect, by field name or ``field.joint``, as the diagnosis found it."""
+    intervals: Mapping[str, Interval] = {}
+    """90 % interval of an effect, by field name (which has the unit) or ``field.joint``."""
 
     @model_validator(mode="after")
     def _intervals_name_effects(self) -> "TwinProfile":
