@@ -71,6 +71,7 @@ class ControlProcess:
         self._waiting: deque[tuple[Kind, bytes]] = deque()
         self._packet_count = 0
         self._log_context: dict[str, Any] | None = None
+        self._log_result: dict[str, Any] | None = None
 
     def run(self) -> None:
         """Until the supervisor leaves and the machine rests."""
@@ -160,10 +161,13 @@ class ControlProcess:
         self._port = port
         hello = {
             "state": self._control.machine_state().model_dump(mode="json"),
-            "log": self._log_context if self._control.log_throw_id is not None else None,
+            "log": self._log_context,
+            "is_log_open": self._control.log_throw_id is not None,
         }
-        self._waiting.append((Kind.HELLO, json.dumps(hello).encode()))
+        self._queue(Kind.HELLO, hello)
         self._waiting.extend((Kind.EVENT, body) for body in self._kept.values())
+        if self._log_result is not None:
+            self._queue(Kind.LOG_END, self._log_result)
 
     def _disconnect(self) -> None:
         if self._port is not None:
@@ -174,13 +178,15 @@ class ControlProcess:
 
     def _send(self, report: TickReport, period_count: int) -> None:
         if report.log_begins is not None:
-            self._log_context = report.log_begins
+            self._log_context, self._log_result = report.log_begins, None
             self._queue(Kind.LOG_BEGIN, report.log_begins)
         for event in report.events:
             self._keep(event)
         for request, reply in report.replies:
             body = {"request": request, "reply": reply.model_dump(mode="json")}
             self._queue(Kind.REPLY, body)
+        if report.log_ends is not None:
+            self._log_result = report.log_ends
         try:
             self._flush()
             self._send_rows(report, period_count)

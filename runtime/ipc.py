@@ -51,7 +51,7 @@ class Kind(IntEnum):
     LINK = 5
     """link -> control: {is_connected, outbox_count, recorder_dropped_count}"""
     HELLO = 6
-    """control -> link: {state, log}: the boot, and the context of a log that is open; the first packet."""
+    """control -> link: {state, log, is_log_open}: the boot, and the context of the last log; the first."""
     STATUS = 7
     """control -> link: MachineState without what only the link knows."""
     REPLY = 8

@@ -210,7 +210,7 @@ class LinkProcess:
         interrupted = self._journal.begin_boot(state.boot_id, draft)
         for throw_id in interrupted:
             logger.warning("throw %s was interrupted by a restart", throw_id)
-        self._records.resume(body["log"])
+        self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
         self._pump.wake()
 
     def _take_event(self, body: dict[str, Any]) -> None:

@@ -38,8 +38,10 @@ from runtime.throw_log import (
 
 logger = logging.getLogger(__name__)
 
-CHUNK_BYTES: Final = 32 * 1024
-"""About 0.2 s of rows: what a killed process may lose at most."""
+CHUNK_BYTES: Final = 8 * 1024
+"""About 0.1 s of rows: what a killed process may lose at most."""
+OFFLINE_CHUNK_BYTES: Final = 256 * 1024
+"""Nobody dies in the middle of a log that is written at once; larger chunks compress better."""
 SYNC_PERIOD_S: Final = 0.5
 """How often a growing file is forced to the disk: what a power cut may lose at most."""
 QUEUE_LENGTH: Final = 4000
@@ -53,10 +55,10 @@ SCRATCH_SUFFIX: Final = ".new"
 class LogWriter:
     """Writes one log to a stream, row by row; use `close` to make it complete."""
 
-    def __init__(self, stream: IO[bytes], metadata: Mapping[str, Any]) -> None:
-        self._writer = Writer(
-            stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_crcs=True
-        )
+    def __init__(
+        self, stream: IO[bytes], metadata: Mapping[str, Any], chunk_bytes: int = CHUNK_BYTES
+    ) -> None:
+        self._writer = Writer(stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="downrange")
         self._writer.add_metadata(
             CONTEXT_RECORD,
@@ -123,7 +125,7 @@ def write_throw_log(path: Path, log: ThrowLog) -> StoredLog:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with scratch.open("wb") as stream:
-            writer = LogWriter(stream, context)
+            writer = LogWriter(stream, context, OFFLINE_CHUNK_BYTES)
             _write_rows(writer, log)
             writer.close(result)
         return publish_log(scratch, path, str(log.metadata.get("throw_id", "")))
@@ -168,6 +170,7 @@ class _Begin:
     throw_id: str
     metadata: dict[str, Any]
     earlier: ThrowLog | None
+    has_gap: bool
 
 
 @dataclass(slots=True)
@@ -219,7 +222,12 @@ class ThrowRecorder:
         self._thread.start()
 
     def begin(
-        self, throw_id: str, metadata: Mapping[str, Any], earlier: ThrowLog | None = None
+        self,
+        throw_id: str,
+        metadata: Mapping[str, Any],
+        earlier: ThrowLog | None = None,
+        *,
+        has_gap: bool = False,
     ) -> None:
         """Start the log of a throw; an open one is closed as it is.
 
@@ -227,8 +235,9 @@ class ThrowRecorder:
             throw_id: names the file.
             metadata: context of the throw.
             earlier: what a recorder that died had written of this throw; it comes first.
+            has_gap: rows are missing already; the log will not count as complete.
         """
-        self._put(_Begin(throw_id, dict(metadata), earlier))
+        self._put(_Begin(throw_id, dict(metadata), earlier, has_gap))
 
     def add_rows(
         self, name: str, rows: np.ndarray[Any, np.dtype[np.void]], log_t_mono_ns: int
@@ -299,7 +308,7 @@ class ThrowRecorder:
         self._dropped_at_begin_count = self.dropped_count
         self._stream = part_path(self._folder, item.throw_id).open("wb")
         self._writer = LogWriter(self._stream, item.metadata)
-        self._has_gap = item.earlier is not None
+        self._has_gap = item.has_gap
         if item.earlier is not None:
             _write_rows(self._writer, item.earlier)
         self._sync()
@@ -318,6 +327,8 @@ class ThrowRecorder:
         self._on_stored(stored)
 
     def _sync_now_and_then(self) -> None:
+        if self._stream is not None:
+            self._stream.flush()
         if time.monotonic() - self._synced_s >= SYNC_PERIOD_S:
             self._sync()
 

@@ -47,28 +47,30 @@ class Records:
         """Why logs cannot be written; empty when they can."""
         return self._recorder.failure
 
-    def resume(self, context: Mapping[str, Any] | None) -> None:
-        """Control has said hello: go on with the log it has open, recover all others.
+    def resume(self, context: Mapping[str, Any] | None, *, is_open: bool) -> None:
+        """Control has said hello: go on with its log where one is unfinished here, recover all others.
 
         Args:
-            context: of the open log; None when no throw is running.
+            context: of control's last log; None when it has begun none.
+            is_open: whether that throw still runs; else its end follows, after the events.
         """
-        open_id = None if context is None else str(context["throw_id"])
-        broken_off = self._open_id if self._open_id != open_id else None
+        known_id = None if context is None else str(context["throw_id"])
+        broken_off = self._open_id if self._open_id != known_id else None
         if broken_off is not None:
             self.end({"outcome": "interrupted", "is_complete": False})
         for part in sorted(self._folder.glob(f"*.mcap{PART_SUFFIX}")):
             throw_id = part.name.removesuffix(f".mcap{PART_SUFFIX}")
-            if throw_id in (open_id, broken_off):
-                continue
-            self._recover(throw_id)
+            if throw_id not in (known_id, broken_off):
+                self._recover(throw_id)
         for throw_id in self._journal.without_log():
             path = log_path(self._folder, throw_id)
             if path.exists():
                 content = path.read_bytes()
                 self._report(StoredLog(throw_id, path, sha256(content).hexdigest(), len(content)))
-        if context is not None and open_id is not None and open_id != self._open_id:
-            self.begin(open_id, context)
+        if context is None or known_id is None or known_id == self._open_id:
+            return
+        if is_open or part_path(self._folder, known_id).exists():
+            self.begin(known_id, context, has_gap=True)
 
     def _recover(self, throw_id: str) -> None:
         try:
@@ -80,7 +82,7 @@ class Records:
             logger.info("recovered the log of %s, %d bytes", throw_id, stored.size_bytes)
             self._report(stored)
 
-    def begin(self, throw_id: str, context: Mapping[str, Any]) -> None:
+    def begin(self, throw_id: str, context: Mapping[str, Any], *, has_gap: bool = False) -> None:
         """A throw's log starts; one that an earlier link process began goes on with a gap."""
         earlier = None
         if part_path(self._folder, throw_id).exists():
@@ -89,7 +91,7 @@ class Records:
             except LogError as error:
                 logger.warning("the first part of the log of %s is lost: %s", throw_id, error)
         self._open_id = throw_id
-        self._recorder.begin(throw_id, context, earlier)
+        self._recorder.begin(throw_id, context, earlier, has_gap=has_gap)
 
     def add_rows(self, rows: Mapping[str, NDArray[np.void]], log_t_mono_ns: int) -> None:
         """Rows of one tick, by channel."""

@@ -1,4 +1,4 @@
-"""Router, stand-in server, relay and machine, fresh for each test."""
+"""Yards shared by the tests of one file: starting a machine's processes takes seconds."""
 
 import sys
 from collections.abc import Iterator
@@ -10,10 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
 
 from quick_policy import write_policies
-from relay import Relay
-from yard import Machine, Server, free_port, make_plan
-
-from machine.messages import ThrowPlan
+from yard import Yard
 
 
 @pytest.fixture(scope="session")
@@ -21,33 +18,15 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_policies(tmp_path_factory.mktemp("policies"))
 
 
-@pytest.fixture
-def plan(policies: Path) -> ThrowPlan:
-    return make_plan(policies)
+@pytest.fixture(scope="module")
+def shared_yard(tmp_path_factory: pytest.TempPathFactory, policies: Path) -> Iterator[Yard]:
+    yard = Yard(tmp_path_factory.mktemp("yard"), policies)
+    yield yard
+    yard.close()
 
 
 @pytest.fixture
-def router_port() -> int:
-    return free_port()
-
-
-@pytest.fixture
-def server(tmp_path: Path, router_port: int) -> Iterator[Server]:
-    server = Server(tmp_path, router_port)
-    yield server
-    server.go_silent()
-    server.close()
-
-
-@pytest.fixture
-def relay(router_port: int) -> Iterator[Relay]:
-    relay = Relay(router_port)
-    yield relay
-    relay.close()
-
-
-@pytest.fixture
-def machine(tmp_path: Path, policies: Path, relay: Relay) -> Iterator[Machine]:
-    machine = Machine(tmp_path / "m001", policies, relay.endpoint)
-    yield machine
-    machine.end()
+def yard(shared_yard: Yard) -> Yard:
+    """A yard with a connected, disarmed machine."""
+    shared_yard.ready()
+    return shared_yard

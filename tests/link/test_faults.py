@@ -2,73 +2,85 @@
 
 import threading
 import time
+from collections.abc import Iterator
 
 import pytest
-from yard import Machine, Server, make, wait_for
+from yard import Server, Yard, make, wait_for
 
 from machine.messages import FireRequest, LeaseNotice, OperatorHeartbeat, ThrowState
 
 HELD_S = 5.0
 
 
+@pytest.fixture(scope="module")
+def patient_yard(tmp_path_factory, policies) -> Iterator[Yard]:
+    """Its router gives nobody up: what the relay holds is really delivered."""
+    yard = Yard(tmp_path_factory.mktemp("patient"), policies, lease_ms=60_000)
+    yield yard
+    yard.close()
+
+
 def refusals(server: Server) -> list[str]:
     return [e.data["reason"] for e in server.events if e.kind == "command_refused"]
 
 
-def test_fire_held_by_a_dead_link_never_runs(server, machine, relay, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    nonce = server.arm(plan)
-    fire = server.fire_command(plan, nonce, "throw-1")
-    relay.hold()
+def abort_reason(server: Server, throw_id: str) -> str:
+    wait_for(lambda: "aborted" in server.kinds(throw_id))
+    return next(
+        e.data["reason"] for e in server.events if e.kind == "aborted" and e.throw_id == throw_id
+    )
+
+
+def test_fire_held_by_a_dead_link_never_runs(yard):
+    server, throw_id = yard.server, yard.new_throw_id()
+    fire = yard.fire_command(yard.arm(), throw_id)
+    yard.relay.hold()
     assert server.send(fire, timeout_s=0.5) is None
-    server.hold_button("throw-1")
-    time.sleep(HELD_S)
-    relay.heal()
+    server.hold_button(throw_id, yard.epoch)
+    wait_for(lambda: not server.is_alive)
+    time.sleep(HELD_S - 1.5)
+    yard.relay.heal()
     # Both ends have given the session up after its lease of 1 s; a new one comes, the fire does not.
-    wait_for(lambda: server.is_alive and server.states and "disarmed" in server.kinds())
+    wait_for(lambda: server.is_alive)
     server.wait_state(ThrowState.DISARMED)
-    assert "throw_accepted" not in server.kinds()
+    assert server.kinds(throw_id) == []
 
 
 @pytest.mark.parametrize("has_echo", [True, False], ids=["echo", "no-echo"])
-def test_fire_held_five_seconds_and_delivered_is_refused(
-    tmp_path, router_port, relay, machine, plan, has_echo
-):
-    # A router that gives nobody up: the held fire is really delivered, with its nonce still alive.
-    server = Server(tmp_path, router_port, lease_ms=60_000)
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    nonce = server.arm(plan)
-    fire = server.fire_command(plan, nonce, "throw-1")
+def test_fire_held_five_seconds_and_delivered_is_refused(patient_yard, has_echo):
+    yard, server, throw_id = patient_yard, patient_yard.server, patient_yard.new_throw_id()
+    yard.ready()
+    fire = yard.fire_command(yard.arm(), throw_id)
     if not has_echo:
         fire = fire.model_copy(update={"seen_t_mono_ns": None})
-    relay.hold("down")
+    yard.relay.hold("down")
     asker = threading.Thread(target=server.send, args=(fire, 0.5))
     asker.start()
-    server.hold_button("throw-1")
+    server.hold_button(throw_id, yard.epoch)
     time.sleep(0.5)
     server.go_silent()
     time.sleep(HELD_S - 0.5)
     before = server.state.joint_position_rad_m
-    relay.heal()
+    # The nonce (10 s) is still alive, the epoch is the right one: only its age speaks against it.
+    assert server.state.state is ThrowState.ARMED
+    yard.relay.heal()
     if has_echo:
-        wait_for(lambda: refusals(server) == ["nonce_expired"])
+        wait_for(lambda: refusals(server)[-1:] == ["nonce_expired"])
+        assert server.kinds(throw_id) == []
     else:
         # The heartbeats that came with it are stale too: the machine stands until it gives up.
-        wait_for(lambda: "throw_ended" in server.kinds("throw-1"))
-        assert "throw_started" not in server.kinds()
+        assert "no heartbeat within" in abort_reason(server, throw_id)
+        wait_for(lambda: server.ends(throw_id) == ["aborted"])
+        assert "throw_started" not in server.kinds(throw_id)
     server.wait_state(ThrowState.DISARMED, ThrowState.ARMED)
     assert server.state.joint_position_rad_m == pytest.approx(before, abs=1e-3)
     asker.join()
-    server.close()
 
 
-def test_stop_is_delivered_after_the_link_heals_and_stays_latched(server, machine, relay, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    server.arm(plan)
-    relay.hold()
+def test_stop_is_delivered_after_the_link_heals_and_stays_latched(yard):
+    server, known = yard.server, len(yard.server.events)
+    yard.arm()
+    yard.relay.hold()
     stop = server.stop_command()
     is_done = threading.Event()
 
@@ -79,65 +91,49 @@ def test_stop_is_delivered_after_the_link_heals_and_stays_latched(server, machin
     repeater = threading.Thread(target=repeat)
     repeater.start()
     time.sleep(2.0)
-    relay.heal()
+    yard.relay.heal()
     server.wait_state(ThrowState.STOPPED)
     is_done.set()
     repeater.join()
-    wait_for(lambda: "stop_latched" in server.kinds())
-    assert server.kinds().count("stop_latched") == 1
-    reply = server.order(LeaseNotice, epoch_count=2)
+    wait_for(lambda: "stop_latched" in [e.kind for e in server.events[known:]])
+    assert [e.kind for e in server.events[known:]].count("stop_latched") == 1
+    yard.epoch += 1
+    reply = server.order(LeaseNotice, epoch_count=yard.epoch)
     assert (reply.accepted, reply.state) == (True, ThrowState.STOPPED)
 
 
-def test_silence_before_the_commit_point_brings_the_machine_to_hold(server, machine, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    nonce = server.arm(plan)
-    assert server.send(server.fire_command(plan, nonce, "throw-1")).accepted
-    server.hold_button("throw-1")
+def test_silence_before_the_commit_point_brings_the_machine_to_hold(yard):
+    server = yard.server
+    throw_id = yard.fire()
     server.wait_state(ThrowState.THROWING, ThrowState.ALIGNING)
     server.go_silent()
-    wait_for(lambda: "aborted" in server.kinds("throw-1"))
-    reason = next(e.data["reason"] for e in server.events if e.kind == "aborted")
-    silent_s = float(reason.split("for ")[1].split(" s")[0])
+    reason = abort_reason(server, throw_id)
     # On the machine's own clock: 300 ms and the tick that finds out, with room for late ticks.
-    assert 0.30 <= silent_s < 0.40
-    wait_for(lambda: "throw_ended" in server.kinds("throw-1"))
-    end = next(e for e in server.events if e.kind == "throw_ended")
-    assert end.data["outcome"] == "aborted"
-    assert "release_commanded" not in server.kinds()
+    assert 0.30 <= float(reason.split("for ")[1].split(" s")[0]) < 0.45
+    wait_for(lambda: server.ends(throw_id) == ["aborted"])
+    assert "release_commanded" not in server.kinds(throw_id)
     server.wait_state(ThrowState.DISARMED)
 
 
-def test_letting_go_is_heard_at_once_even_from_a_slow_link(server, machine, relay, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    relay.delay(0.15)
-    nonce = server.arm(plan)
-    assert server.send(server.fire_command(plan, nonce, "throw-1")).accepted
-    server.hold_button("throw-1")
+def test_letting_go_is_heard_over_a_slow_link(yard):
+    server = yard.server
+    yard.relay.delay(0.1)
+    throw_id = yard.fire()
     server.wait_state(ThrowState.ALIGNING, ThrowState.THROWING)
-    server.go_silent()
     release = OperatorHeartbeat(
         machine_id="m001",
-        throw_id="throw-1",
-        epoch_count=1,
-        sequence_count=10_000,
+        throw_id=throw_id,
+        epoch_count=yard.epoch,
+        sequence_count=100_000,
         is_holding=False,
     )
     server.put("heartbeat", release.model_dump_json())
-    wait_for(lambda: "aborted" in server.kinds("throw-1"))
-    assert next(e for e in server.events if e.kind == "aborted").data["reason"] in (
-        "the operator let go",
-        # The last heartbeats may have been sent before the release overtook none of them.
-    )
+    assert abort_reason(server, throw_id) == "the operator let go"
 
 
-def test_duplicates_are_answered_not_executed(server, machine, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    nonce = server.arm(plan)
-    fire = server.fire_command(plan, nonce, "throw-1")
+def test_duplicates_are_answered_not_executed(yard):
+    server, throw_id = yard.server, yard.new_throw_id()
+    fire = yard.fire_command(yard.arm(), throw_id)
     replies: list = []
     copies = [fire, fire, fire.model_copy(update={"command_id": "second"}), fire]
     threads = [
@@ -150,60 +146,55 @@ def test_duplicates_are_answered_not_executed(server, machine, plan):
     assert [reply.accepted for reply in replies] == [True] * 4
     assert sorted(reply.is_repeat for reply in replies) == [False, True, True, True]
     # No heartbeat: the machine stands, gives up, and a late duplicate does not start it again.
-    wait_for(lambda: "throw_ended" in server.kinds("throw-1"))
+    wait_for(lambda: server.ends(throw_id) == ["aborted"])
     assert server.send(fire).is_repeat
     server.wait_state(ThrowState.DISARMED)
-    assert server.kinds("throw-1").count("throw_accepted") == 1
+    assert server.kinds(throw_id).count("throw_accepted") == 1
 
 
-def test_wrong_epoch_nonce_and_plan_are_refused(server, machine, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    nonce = server.arm(plan, epoch=3)
-    good = server.fire_command(plan, nonce, "throw-1", epoch=3)
+def test_wrong_epoch_nonce_and_plan_are_refused(yard):
+    server = yard.server
+    good = yard.fire_command(yard.arm(), "never")
     for change, reason in (
         ({"nonce": "0" * 32}, "nonce_unknown"),
         ({"plan_hash": "0" * 64}, "plan_mismatch"),
-        ({"epoch_count": 2}, "stale_epoch"),
+        ({"epoch_count": yard.epoch - 1}, "stale_epoch"),
         ({"machine_id": "m002"}, "wrong_machine"),
     ):
         fields = good.model_dump() | {"command_id": reason, "throw_id": reason} | change
         reply = server.send(FireRequest.model_validate(fields))
         assert (reply.accepted, reply.reason) == (False, reason)
-    assert server.send(make(LeaseNotice, epoch_count=4)).accepted
+    yard.epoch += 1
+    assert server.send(make(LeaseNotice, epoch_count=yard.epoch)).accepted
     server.wait_state(ThrowState.DISARMED)
 
 
-def test_unreadable_command_is_refused(server, machine):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    replies = server._session.get(
-        server._key("command"), payload=b'{"kind": "fire", "command_id": "c9"}', timeout=2.0
-    )
-    (answer,) = [bytes(reply.ok.payload) for reply in replies]
+def test_unreadable_command_is_refused(yard):
+    answer = yard.server.ask(b'{"kind": "fire", "command_id": "c9"}')
     assert b'"command_id":"c9"' in answer
     assert b'"reason":"malformed"' in answer
 
 
-def test_server_restart_disarms_and_the_link_comes_back(server, machine, plan):
-    machine.start()
-    wait_for(lambda: server.is_alive and server.states)
-    server.arm(plan)
+def test_server_restart_disarms_and_the_link_comes_back(yard):
+    server, known = yard.server, len(yard.server.events)
+    yard.arm()
     server.close()
     server.is_alive = False
     server.states.clear()
     server.open()
     wait_for(lambda: server.is_alive and server.states)
-    wait_for(lambda: "disarmed" in server.kinds())
-    assert server.wait_state(ThrowState.DISARMED).epoch_count == 1
+    wait_for(lambda: "disarmed" in [e.kind for e in server.events[known:]])
+    assert server.wait_state(ThrowState.DISARMED).epoch_count == yard.epoch
 
 
-def test_wrong_password_keeps_a_machine_out_until_it_is_corrected(server, machine: Machine):
-    machine.password_file.write_text("guess", encoding="utf-8")
-    machine.start()
-    machine.child("runtime.link_process")
+def test_wrong_password_keeps_a_machine_out_until_it_is_corrected(tmp_path, policies):
+    yard = Yard(tmp_path, policies)
+    yard.machine.password_file.write_text("guess", encoding="utf-8")
+    yard.machine.start()
+    yard.machine.child("runtime.link_process")
     time.sleep(3.0)
-    assert not server.is_alive
-    assert not server.states
-    machine.password_file.write_text("rust-and-oil\n", encoding="utf-8")
-    wait_for(lambda: server.is_alive and server.states)
+    assert not yard.server.is_alive
+    assert not yard.server.states
+    yard.machine.password_file.write_text("rust-and-oil\n", encoding="utf-8")
+    wait_for(lambda: yard.server.is_alive and yard.server.states)
+    yard.close()

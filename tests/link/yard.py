@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from relay import Relay
 
 from machine.channels import machine_key
 from machine.conventions import Mode
@@ -29,6 +30,7 @@ from machine.messages import (
     MachineEvent,
     MachineState,
     OperatorHeartbeat,
+    StopClearRequest,
     StopRequest,
     Target,
     ThrowPlan,
@@ -140,6 +142,12 @@ class Server:
         assert len(answers) <= 1
         return CommandReply.model_validate_json(answers[0]) if answers else None
 
+    def ask(self, payload: bytes) -> bytes:
+        """Any payload as a command; the one answer."""
+        replies = self._session.get(self._key("command"), payload=payload, timeout=2.0)
+        (answer,) = [bytes(reply.ok.payload) for reply in replies]
+        return answer
+
     def order(self, kind: type[Any], **fields: Any) -> CommandReply | None:
         return self.send(make(kind, **fields))
 
@@ -155,9 +163,16 @@ class Server:
     def kinds(self, throw_id: str | None = None) -> list[str]:
         return [e.kind.value for e in self.events if throw_id in (None, e.throw_id)]
 
+    def ends(self, throw_id: str) -> list[str]:
+        return [
+            e.data["outcome"]
+            for e in self.events
+            if e.kind == "throw_ended" and e.throw_id == throw_id
+        ]
+
     # A throw --------------------------------------------------------------------------------------
 
-    def arm(self, plan: ThrowPlan, epoch: int = 1) -> str:
+    def arm(self, plan: ThrowPlan, epoch: int) -> str:
         """Lease, load, arm; returns the nonce."""
         assert self.order(LeaseNotice, epoch_count=epoch).accepted
         assert self.order(LoadRequest, epoch_count=epoch).accepted
@@ -165,12 +180,11 @@ class Server:
 
         def try_to_arm() -> str | None:
             reply = self.order(ArmRequest, epoch_count=epoch, plan=plan)
-            assert reply is not None
-            return reply.nonce
+            return reply and reply.nonce
 
         return wait_for(try_to_arm)
 
-    def fire_command(self, plan: ThrowPlan, nonce: str, throw_id: str, epoch: int = 1):
+    def fire_command(self, plan: ThrowPlan, nonce: str, throw_id: str, epoch: int):
         return make(
             FireRequest,
             epoch_count=epoch,
@@ -180,7 +194,7 @@ class Server:
             seen_t_mono_ns=self.state.t_mono_ns,
         )
 
-    def hold_button(self, throw_id: str, epoch: int = 1) -> None:
+    def hold_button(self, throw_id: str, epoch: int) -> None:
         """20 Hz until `let_go` or `go_silent`."""
         self.holding = threading.Event()
 
@@ -293,3 +307,76 @@ class Machine:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
+
+
+class Yard:
+    """One server, one relay, one machine, for several tests: epochs and throw ids are never reused."""
+
+    def __init__(self, folder: Path, policies: Path, lease_ms: int = 1000) -> None:
+        port = free_port()
+        self.server = Server(folder, port, lease_ms)
+        self.relay = Relay(port)
+        self.machine = Machine(folder / MACHINE, policies, self.relay.endpoint)
+        self.plan = make_plan(policies)
+        self.epoch = 0
+        self._throw_count = 0
+
+    def close(self) -> None:
+        self.machine.end()
+        self.server.go_silent()
+        self.server.close()
+        self.relay.close()
+
+    def ready(self) -> None:
+        """The machine runs, is connected and disarmed."""
+        self.relay.mend()
+        self.relay.heal()
+        self.relay.delay(0.0)
+        self.server.go_silent()
+        if self.machine.process is None or self.machine.process.poll() is not None:
+            self.machine.start()
+        wait_for(lambda: self.server.is_alive and self.server.states, 40.0)
+        self.epoch += 1
+        assert wait_for(lambda: self.server.order(LeaseNotice, epoch_count=self.epoch)).accepted
+        self.server.order(StopClearRequest, epoch_count=self.epoch)
+        self.server.wait_state(ThrowState.DISARMED, timeout_s=60.0)
+
+    def new_throw_id(self) -> str:
+        self._throw_count += 1
+        return f"throw-{self._throw_count}"
+
+    def arm(self) -> str:
+        return self.server.arm(self.plan, self.epoch)
+
+    def fire_command(self, nonce: str, throw_id: str) -> Any:
+        return self.server.fire_command(self.plan, nonce, throw_id, self.epoch)
+
+    def fire(self) -> str:
+        """Arm, fire, hold; returns the throw's id."""
+        nonce, throw_id = self.arm(), self.new_throw_id()
+        assert self.server.send(self.fire_command(nonce, throw_id)).accepted
+        self.server.hold_button(throw_id, self.epoch)
+        return throw_id
+
+    def fire_until(self, event: str) -> str:
+        """A throw that has reached this event and still runs.
+
+        On a busy computer the test's own heartbeats may come too late; the machine then lets go, as it
+        must, and the throw is tried again.
+        """
+        for _ in range(5):
+            throw_id = self.fire()
+            wait_for(lambda t=throw_id: {event, "throw_ended"} & set(self.server.kinds(t)))
+            if "aborted" not in self.server.kinds(throw_id):
+                return throw_id
+            self.server.go_silent()
+            self.server.wait_state(ThrowState.DISARMED)
+        raise AssertionError(
+            "five throws in a row lost their heartbeats: this computer is too busy"
+        )
+
+    def wait_for_log(self, throw_id: str) -> None:
+        wait_for(lambda: "log_stored" in self.server.kinds(throw_id), 40.0)
+
+    def log_path(self, throw_id: str) -> Path:
+        return self.machine.folder / "throws" / f"{throw_id}.mcap"
