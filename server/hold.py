@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from machine.messages import OperatorHeartbeat
 from server.machine_link import MachineLink
+from server.machines import Registry
 from server.metrics import Metrics
 
 GRANT_S = 120.0
@@ -30,8 +31,9 @@ class Grant:
 class HoldDesk:
     """Passes holds on."""
 
-    def __init__(self, link: MachineLink, metrics: Metrics) -> None:
+    def __init__(self, link: MachineLink, registry: Registry, metrics: Metrics) -> None:
         self._link = link
+        self._registry = registry
         self._metrics = metrics
         self._lock = threading.Lock()
         self._grants: dict[str, Grant] = {}
@@ -86,6 +88,7 @@ class HoldDesk:
                 epoch_count=grant.epoch_count,
                 sequence_count=grant.sequence_count,
                 is_holding=is_holding,
+                seen_t_mono_ns=self._registry.seen_t_mono_ns(machine_id),
             )
         self._link.put_heartbeat(heartbeat)
         self._metrics.heartbeats_count.labels(result="relayed").inc()

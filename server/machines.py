@@ -47,6 +47,8 @@ class Known:
     round_trip_s: float | None = None
     state_rate_hz: float | None = None
     is_marked_lost: bool = True
+    seen_t_mono_ns: int | None = None
+    """Newest time of the machine's own clock in its messages; echoed so that it can tell a stale command."""
 
     @property
     def age_s(self) -> float:
@@ -196,6 +198,7 @@ class Registry:
                 old_hz = known.state_rate_hz or rate_hz
                 known.state_rate_hz = old_hz + _RATE_SMOOTHING_RATIO * (rate_hz - old_hz)
             known.state, known.received_s = state, now_s
+            known.seen_t_mono_ns = state.t_mono_ns
             known.last_seen_utc = utc_now()
             is_found = known.is_marked_lost and known.has_token
             if is_found:
@@ -213,6 +216,13 @@ class Registry:
 
     def take_joints(self, joints: JointStream) -> None:
         """Joint positions for the 3D view arrived."""
+        with self._lock:
+            known = self._known.get(joints.machine_id)
+            if known is None:
+                return
+            # A state of another boot resets the clock; joints only move it on.
+            if known.seen_t_mono_ns is not None:
+                known.seen_t_mono_ns = max(known.seen_t_mono_ns, joints.t_mono_ns)
         for listener in self.on_joints:
             listener(joints)
 
@@ -271,6 +281,12 @@ class Registry:
                 "no_machine", f"There is no machine '{machine_id[:40]}' at site '{self._site}'."
             )
         return known
+
+    def seen_t_mono_ns(self, machine_id: str) -> int | None:
+        """Newest time of the machine's own clock that has been seen."""
+        with self._lock:
+            known = self._known.get(machine_id)
+        return None if known is None else known.seen_t_mono_ns
 
     def is_connected(self, machine_id: str) -> bool:
         """Whether a command can be sent now."""

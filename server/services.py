@@ -186,7 +186,7 @@ def assemble(
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     twins = TwinFiles(settings.data_dir)
     planner = Planner(plans, registry, policies, pool, twins, hub, scene, spec, settings.plan_ttl_s)
-    holds = HoldDesk(link, metrics)
+    holds = HoldDesk(link, registry, metrics)
     throw_desk = ThrowDesk(database, audit, registry, leases, plans, throws, commands, holds)
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     replays = Replays(logs, plans, scene)

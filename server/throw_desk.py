@@ -129,6 +129,7 @@ class ThrowDesk:
             epoch_count=armed.epoch_count,
             nonce=armed.nonce,
             plan_hash=armed.plan.plan_hash,
+            seen_t_mono_ns=self._registry.seen_t_mono_ns(machine_id),
         )
         self._record(request, armed, session)
         self._holds.begin(machine_id, throw_id, session.session_id, armed.epoch_count)

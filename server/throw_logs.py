@@ -14,7 +14,7 @@ from runtime.throw_log import ThrowLog as LogContent
 from server.audit import Actor, AuditChain, Entry
 from server.clock import utc_now
 from server.database import Database
-from server.errors import ApiError, ConflictError, ForbiddenError, NotFoundError
+from server.errors import ApiError, ConflictError, ForbiddenError, NotFoundError, UnavailableError
 from server.models import Throw, ThrowLog
 from server.schemas_history import ThrowLogView
 
@@ -64,7 +64,8 @@ class LogStore:
                 file.flush()
                 os.fsync(file.fileno())
             if size_bytes == 0 or digest.hexdigest() != expected_sha256:
-                raise ConflictError(
+                # A status that the machine takes as "try again": the bytes were damaged on their way.
+                raise UnavailableError(
                     "hash_mismatch",
                     f"{size_bytes} bytes arrived with sha256 {digest.hexdigest()[:12]}, "
                     f"announced was {expected_sha256[:12]}. Send it again.",

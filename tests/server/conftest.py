@@ -196,6 +196,7 @@ def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settin
         "link_listen": f"tcp/127.0.0.1:{free_port()}",
         "machine_slot_count": 2,
         "preview_worker_count": 1,
+        "lease_ttl_s": 300.0,
     }
     return Settings.model_validate(values | overrides)
 
