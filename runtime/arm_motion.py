@@ -17,6 +17,8 @@ class ArmMotion:
     """(N,) from the slew axis, in the arm plane."""
     dipper_arm_m: Array
     """(N,) outward motion of the pin a radian of the dipper."""
+    telescope_arm_ratio: Array
+    """(N,) outward motion of the pin a metre of the telescope."""
     velocity_rad_m_per_s: Array
     """(3, N) outward and up in the turning arm plane, and the slew rate."""
 
@@ -38,5 +40,6 @@ class ArmMotion:
         return cls(
             radius_m=g.boom_pivot_m[0] + boom_x + across,
             dipper_arm_m=along,
+            telescope_arm_ratio=sin_tube,
             velocity_rad_m_per_s=np.stack([outward, upward, turning]),
         )

@@ -45,9 +45,11 @@ DAMPING_M_PER_S_PER_RAD = 1.4
 """Pin speed a radian of swing: damping ratio k / (2 L omega0) = 0.23 with L = 0.92 m."""
 DAMPING_DEAD_ZONE_RAD = 0.012
 """Swing that friction holds by itself is left alone."""
-DAMPING_LEAD_S = (0.18, 0.35)
+DAMPING_LEAD_S = (0.12, 0.25)
 """The swing is taken this much ahead, to meet the arm's (pitch) and the slew's (roll) delay."""
 DAMPING_SPEED_M_PER_S = 0.6
+TELESCOPE_WEIGHT = 0.5
+"""Of a metre of the telescope against a radian of the dipper, squared."""
 RETURN_GAIN_PER_S = 0.8
 RETURN_SPEED_RAD_M_PER_S = (0.0, 0.15, 0.22, 0.15)
 RETURN_SWING_RAD = 0.15
@@ -228,7 +230,13 @@ def settle(
     fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
     request = np.clip(RETURN_GAIN_PER_S * gap, -fastest, fastest) * calm[:, None]
     request[:, 0] = _pin_speed(lean, amplitude) / np.maximum(arm.radius_m, 2.0)
-    request[:, 2] += _pin_speed(swing, amplitude) / np.maximum(arm.dipper_arm_m, 1.0)
+    # Outward speed by the dipper while the tube stands, by the telescope while it lies (least effort).
+    dipper, telescope = arm.dipper_arm_m, TELESCOPE_WEIGHT * arm.telescope_arm_ratio
+    outward = _pin_speed(swing, amplitude) / (
+        dipper * dipper + telescope * arm.telescope_arm_ratio + 0.1
+    )
+    request[:, 2] += dipper * outward
+    request[:, 3] += telescope * outward
     quiet = (
         (np.abs(gap[:, 1:]).max(axis=1) < SETTLED_POSITION_RAD_M)
         & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)
