@@ -252,7 +252,8 @@ def _throw(campaign: Campaign, throws: int, seed: int) -> list[list[ThrowResult]
     target_m[:, 0] = ranges
     rng = np.random.default_rng(seed)
     starts = sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
-    plant = campaign.make(min(MAX_BATCH_COUNT, ranges.size))
+    batches = math.ceil(ranges.size / MAX_BATCH_COUNT)
+    plant = campaign.make(math.ceil(ranges.size / batches))
     try:
         results = run_throws(
             plant, campaign.params, target_m, starts, seed, progress=progress_line("evaluate")

@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from cli.evaluate import open_campaign, progress_line
+from cli.evaluate import Campaign, open_campaign, progress_line
 from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.starts import sample_starts
 from sim_twin.accuracy import outcome_counts
-from sim_twin.campaign import run_throws
+from sim_twin.campaign import ThrowResult, run_throws
 from sim_twin.profile import load_profile
 from sim_twin.throw_logs import CampaignRecorder, LogContext
 
@@ -70,24 +70,34 @@ def run(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
+    name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
+    context = LogContext(
+        machine_id=f"{name}-{unit_seed}",
+        throw_prefix=f"{name}-{unit_seed}-{mode}-s{seed}",
+        twin_profile_version_count=0 if profile is None else load_profile(profile).version_count,
+        out_dir=out,
+    )
+    recorder = CampaignRecorder(campaign.params, context)
+    results = _throw(campaign, throws, seed, recorder)
+    for stored in recorder.stored:
+        print(stored.path)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(results).items())
+    size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
+    print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
+    return 0
+
+
+def _throw(
+    campaign: Campaign, throws: int, seed: int, recorder: CampaignRecorder
+) -> list[ThrowResult]:
+    """Throw round the targets, from random starts."""
     target_m = np.zeros((throws, 3))
     target_m[:, 0] = list(islice(cycle(campaign.ranges_m), throws))
-    starts = sample_starts(campaign.spec, Mode(mode), target_m, np.random.default_rng(seed))
-    name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
-    recorder = CampaignRecorder(
-        campaign.params,
-        LogContext(
-            machine_id=f"{name}-{unit_seed}",
-            throw_prefix=f"{name}-{unit_seed}-{mode}-s{seed}",
-            twin_profile_version_count=0
-            if profile is None
-            else load_profile(profile).version_count,
-            out_dir=out,
-        ),
-    )
+    rng = np.random.default_rng(seed)
+    starts = sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
     machines = campaign.make(min(throws, MAX_RECORDED_COUNT))
     try:
-        results = run_throws(
+        return run_throws(
             machines,
             campaign.params,
             target_m,
@@ -98,9 +108,3 @@ def run(
         )
     finally:
         machines.close()
-    for stored in recorder.stored:
-        print(stored.path)
-    kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(results).items())
-    size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
-    print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
-    return 0

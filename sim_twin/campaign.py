@@ -169,6 +169,8 @@ class ThrowBatch:
         self.outcome[taken:] = Outcome.TIMEOUT
         self.running: BoolArray = self.outcome == ""
         """(N,) throws that have not ended."""
+        if taken < plant.count and isinstance(plant, Freezable):
+            plant.freeze(~self.running)
         self._was_held = self.rollout.sample.payload_held.copy()
         self._impact = np.full((plant.count, 3), np.nan)
         self.release_speed_m_per_s = np.full(plant.count, np.nan)

@@ -30,8 +30,9 @@ class Spread(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    start_position_sd_rad_m: FourNonNegative = (0.005, 0.005, 0.005, 0.005)
-    """Active joints at the start of a throw against the pose that was asked for."""
+    start_position_sd_rad_m: FourNonNegative = (0.0015, 0.005, 0.005, 0.005)
+    """Active joints at the start of a throw against the pose that was asked for; the cabin is aligned to
+    2.5 mrad (runtime.swing_control)."""
     start_swing_sd_rad: TwoNonNegative = (0.01, 0.01)
     """Pitch and roll from plumb at the start."""
     dead_time_sd_s: FourNonNegative = (0.005, 0.005, 0.005, 0.005)
