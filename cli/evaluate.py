@@ -22,11 +22,11 @@ from runtime.policy import PolicyRunner, find_policy
 from sim_twin.accuracy import (
     AccuracyReport,
     accuracy_table,
+    bad_throws_text,
     landing_errors,
-    outcome_counts,
     target_accuracy,
 )
-from sim_twin.campaign import Outcome, ThrowResult, run_throws
+from sim_twin.campaign import ThrowResult, run_throws
 from sim_twin.plants import PlantMaker, plant_calibration, plant_maker
 from sim_twin.plots import TargetScatter, check_plot_path, plot_accuracy
 from sim_twin.profile import load_profile
@@ -113,9 +113,9 @@ def run(
         targets=[target_accuracy(r, p) for r, p in zip(campaign.ranges_m, results, strict=True)],
     )
     print(accuracy_table(report))
-    bad = outcome_counts([r for part in results for r in part if r.outcome is not Outcome.LANDED])
+    bad = bad_throws_text([r for part in results for r in part])
     if bad:
-        print("throws that ended badly: " + ", ".join(f"{n} {kind}" for kind, n in bad.items()))
+        print(bad)
     if json is not None:
         json.write_text(json_text.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if plot is not None:

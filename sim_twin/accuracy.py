@@ -67,6 +67,16 @@ def outcome_counts(results: Sequence[ThrowResult]) -> dict[str, int]:
     return {kind: count for kind, count in counts.items() if count}
 
 
+def bad_throws_text(results: Sequence[ThrowResult]) -> str:
+    """What became of the throws that did not land, for people; empty if all landed."""
+    bad = [r for r in results if r.outcome is not Outcome.LANDED]
+    if not bad:
+        return ""
+    kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(bad).items())
+    after = sum(np.isfinite(r.throw_duration_s) for r in bad)
+    return f"{len(bad)} of {len(results)} throws ended badly: {kinds} ({after} after the release)"
+
+
 def accuracy_table(report: AccuracyReport) -> str:
     """The report as a table."""
     lines = [

@@ -13,7 +13,12 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control_loop import ControlParams
 from runtime.policy import PolicyRunner
-from sim_twin.accuracy import accuracy_table, outcome_counts, target_accuracy
+from sim_twin.accuracy import (
+    accuracy_table,
+    bad_throws_text,
+    outcome_counts,
+    target_accuracy,
+)
 from sim_twin.campaign import Outcome, ThrowResult, landing_ellipse, run_throws, throw_errors
 from sim_twin.profile import nominal_profile
 from sim_twin.twin import Twin
@@ -185,6 +190,12 @@ def test_accuracy_rows_count_everything_and_average_what_landed() -> None:
     assert none["mean_downrange_error_m"] is None
     one = target_accuracy(9.0, [result(0.1, 0.0)])
     assert (one["mean_downrange_error_m"], one["sd_downrange_m"]) == (pytest.approx(0.1), None)
+    late = result(0, 0, Outcome.COLLISION)
+    early = result(0, 0, Outcome.LIMIT)._replace(throw_duration_s=float("nan"))
+    assert bad_throws_text([late, early, result(0, 0)]) == (
+        "2 of 3 throws ended badly: 1 collision, 1 limit (1 after the release)"
+    )
+    assert bad_throws_text([result(0, 0)]) == ""
     table = accuracy_table(
         {
             "mode": "2d",
