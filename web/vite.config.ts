@@ -8,8 +8,9 @@ export default defineConfig({
   plugins: [react()],
   server: {
     proxy: {
-      "/api": { target: server, ws: true },
-      "/viewer": { target: server, ws: true },
+      // The server takes requests of its own origin only.
+      "/api": { target: server, ws: true, changeOrigin: true, headers: { origin: server } },
+      "/viewer": { target: server, ws: true, changeOrigin: true, headers: { origin: server } },
     },
   },
   build: { target: "es2023", chunkSizeWarningLimit: 900 },

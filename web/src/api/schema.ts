@@ -4,6 +4,46 @@
  */
 
 export interface paths {
+    "/api/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Audit
+         * @description Who did what, newest first.
+         */
+        get: operations["list_audit"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/audit/verify": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Verify Audit
+         * @description Check the whole chain.
+         */
+        get: operations["verify_audit"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/auth/login": {
         parameters: {
             query?: never;
@@ -35,7 +75,7 @@ export interface paths {
         put?: never;
         /**
          * Logout
-         * @description Sign out; gives leases back.
+         * @description Sign out; leases are given back and streams end.
          */
         post: operations["logout"];
         delete?: never;
@@ -64,6 +104,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Stream Events
+         * @description Everything that happens; states of `machine_id` at full rate, of the others once a second.
+         */
+        get: operations["stream_events"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/health": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Health
+         * @description Whether the service can do its work; 503 when a part is away.
+         */
+        get: operations["read_health"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines": {
         parameters: {
             query?: never;
@@ -73,11 +153,15 @@ export interface paths {
         };
         /**
          * List Machines
-         * @description All machines of this site, those never or no longer seen included.
+         * @description All machines of this site, those not seen any more included.
          */
         get: operations["list_machines"];
         put?: never;
-        post?: never;
+        /**
+         * Enrol Machine
+         * @description Add a machine to the list; one without an account gets one, which the link knows after a restart.
+         */
+        post: operations["enrol_machine"];
         delete?: never;
         options?: never;
         head?: never;
@@ -98,50 +182,6 @@ export interface paths {
         get: operations["read_machine"];
         put?: never;
         post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/machines/{machine_id}/target": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        /**
-         * Propose Target
-         * @description Set this session's proposed target.
-         */
-        put: operations["propose_target"];
-        post?: never;
-        /**
-         * Remove Target
-         * @description Remove this session's proposed target.
-         */
-        delete: operations["remove_target"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/machines/{machine_id}/load": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Load
-         * @description Take up a payload.
-         */
-        post: operations["load"];
         delete?: never;
         options?: never;
         head?: never;
@@ -188,6 +228,90 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{machine_id}/lease": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Acquire Lease
+         * @description Acquire a free lease, or renew one's own; renew every 5 s, it runs out after 15 s.
+         */
+        post: operations["acquire_lease"];
+        /**
+         * Release Lease
+         * @description Give one's lease back; the machine disarms.
+         */
+        delete: operations["release_lease"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/lease/take": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Take Lease
+         * @description Take a lease from another person; the machine disarms.
+         */
+        post: operations["take_lease"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/load": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Load
+         * @description Take up a payload.
+         */
+        post: operations["load"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/plans": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create Plan
+         * @description Preview a throw: first numbers at once, the ellipse by events.
+         */
+        post: operations["create_plan"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{machine_id}/stop": {
         parameters: {
             query?: never;
@@ -219,7 +343,7 @@ export interface paths {
         put?: never;
         /**
          * Clear Stop
-         * @description Clear a latched stop or fault.
+         * @description Clear a latched stop or fault; needs the privilege, and a new arm afterwards.
          */
         post: operations["clear_stop"];
         delete?: never;
@@ -228,7 +352,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/stop": {
+    "/api/v1/machines/{machine_id}/target": {
         parameters: {
             query?: never;
             header?: never;
@@ -236,19 +360,23 @@ export interface paths {
             cookie?: never;
         };
         get?: never;
-        put?: never;
         /**
-         * Stop All
-         * @description STOP all machines; any role, no lease.
+         * Propose Target
+         * @description Set this session's proposed target.
          */
-        post: operations["stop_all"];
-        delete?: never;
+        put: operations["propose_target"];
+        post?: never;
+        /**
+         * Remove Target
+         * @description Remove this session's proposed target and its preview.
+         */
+        delete: operations["remove_target"];
         options?: never;
         head?: never;
         patch?: never;
         trace?: never;
     };
-    "/api/v1/machines/{machine_id}/lease": {
+    "/api/v1/machines/{machine_id}/throw-logs/{throw_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -256,56 +384,12 @@ export interface paths {
             cookie?: never;
         };
         get?: never;
-        put?: never;
         /**
-         * Acquire Lease
-         * @description Acquire a free lease, or renew one's own.
+         * Put Throw Log
+         * @description Store a throw's log; the same upload again changes nothing.
          */
-        post: operations["acquire_lease"];
-        /**
-         * Release Lease
-         * @description Give one's lease back; disarms.
-         */
-        delete: operations["release_lease"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/machines/{machine_id}/lease/take": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Take Lease
-         * @description Take a lease from another person; disarms.
-         */
-        post: operations["take_lease"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/machines/{machine_id}/plans": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Create Plan
-         * @description Preview a throw: first numbers at once, the ellipse by events.
-         */
-        post: operations["create_plan"];
+        put: operations["put_throw_log"];
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -324,26 +408,6 @@ export interface paths {
          * @description One plan.
          */
         get: operations["read_plan"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/plans/{plan_id}/frames": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read Plan Frames
-         * @description The predicted motion.
-         */
-        get: operations["read_plan_frames"];
         put?: never;
         post?: never;
         delete?: never;
@@ -383,7 +447,7 @@ export interface paths {
         put?: never;
         /**
          * Fire Plan
-         * @description Fire the armed plan, once.
+         * @description Fire the armed plan, once; then hold on the WebSocket until the machine is committed.
          */
         post: operations["fire_plan"];
         delete?: never;
@@ -392,7 +456,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/throws": {
+    "/api/v1/plans/{plan_id}/frames": {
         parameters: {
             query?: never;
             header?: never;
@@ -400,152 +464,12 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * List Throws
-         * @description A page of throws, newest first.
+         * Read Plan Frames
+         * @description The predicted motion.
          */
-        get: operations["list_throws"];
+        get: operations["read_plan_frames"];
         put?: never;
         post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/stats": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read Throw Stats
-         * @description Accuracy of the throws that match.
-         */
-        get: operations["read_throw_stats"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/export.csv": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Export Throws
-         * @description The throws that match, as CSV.
-         */
-        get: operations["export_throws"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/{throw_id}": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read Throw
-         * @description One throw.
-         */
-        get: operations["read_throw"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/{throw_id}/series": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read Throw Series
-         * @description Time series from the throw's log.
-         */
-        get: operations["read_throw_series"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/{throw_id}/log": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read Throw Log
-         * @description The throw's log file (MCAP).
-         */
-        get: operations["read_throw_log"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/{throw_id}/impacts": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Mark Impact
-         * @description Add a record of where the load came down.
-         */
-        post: operations["mark_impact"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/throws/{throw_id}/replay": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Replay Throw
-         * @description Show the throw in this session's 3D view.
-         */
-        post: operations["replay_throw"];
         delete?: never;
         options?: never;
         head?: never;
@@ -561,7 +485,7 @@ export interface paths {
         };
         /**
          * List Policies
-         * @description All policy versions.
+         * @description All policy versions ever seen, the active ones first.
          */
         get: operations["list_policies"];
         put?: never;
@@ -592,7 +516,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/audit": {
+    "/api/v1/stop": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Stop All
+         * @description STOP all machines; any role, no lease.
+         */
+        post: operations["stop_all"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/throws": {
         parameters: {
             query?: never;
             header?: never;
@@ -600,10 +544,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * List Audit
-         * @description Who did what, newest first.
+         * List Throws
+         * @description A page of throws, newest first.
          */
-        get: operations["list_audit"];
+        get: operations["list_throws"];
         put?: never;
         post?: never;
         delete?: never;
@@ -612,7 +556,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/audit/verify": {
+    "/api/v1/throws/export.csv": {
         parameters: {
             query?: never;
             header?: never;
@@ -620,10 +564,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Verify Audit
-         * @description Check the whole chain.
+         * Export Throws
+         * @description The throws that match, as CSV.
          */
-        get: operations["verify_audit"];
+        get: operations["export_throws"];
         put?: never;
         post?: never;
         delete?: never;
@@ -632,7 +576,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/events": {
+    "/api/v1/throws/stats": {
         parameters: {
             query?: never;
             header?: never;
@@ -640,10 +584,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Stream Events
-         * @description Everything that happens, as server-sent events.
+         * Read Throw Stats
+         * @description Accuracy of the newest throws that match.
          */
-        get: operations["stream_events"];
+        get: operations["read_throw_stats"];
         put?: never;
         post?: never;
         delete?: never;
@@ -652,7 +596,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/health": {
+    "/api/v1/throws/{throw_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -660,11 +604,111 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Read Health
-         * @description Whether the service can do its work.
+         * Read Throw
+         * @description Everything about one throw.
          */
-        get: operations["read_health"];
+        get: operations["read_throw"];
         put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/throws/{throw_id}/impacts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Mark Impact
+         * @description Add a record of where the load came down; nothing is overwritten.
+         */
+        post: operations["mark_impact"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/throws/{throw_id}/log": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Throw Log
+         * @description The throw's log file (MCAP).
+         */
+        get: operations["read_throw_log"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/throws/{throw_id}/replay": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Replay Throw
+         * @description Show the throw in this session's 3D view.
+         */
+        post: operations["replay_throw"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/throws/{throw_id}/series": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Throw Series
+         * @description Time series from the throw's log.
+         */
+        get: operations["read_throw_series"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/view": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Set View
+         * @description Change what this session's 3D view shows.
+         */
+        put: operations["set_view"];
         post?: never;
         delete?: never;
         options?: never;
@@ -681,22 +725,22 @@ export interface components {
          * @description Something a person should look at.
          */
         AlertEvent: {
+            /** Code */
+            code: string;
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
             kind: "alert";
+            /** Machine Id */
+            machine_id: string | null;
             /**
              * Severity
              * @enum {string}
              */
             severity: "info" | "warning" | "error";
-            /** Code */
-            code: string;
             /** Text */
             text: string;
-            /** Machine Id */
-            machine_id: string | null;
         };
         /**
          * ArmBody
@@ -711,14 +755,14 @@ export interface components {
          * @description The machine is armed for this plan.
          */
         ArmView: {
-            /** Plan Id */
-            plan_id: string;
+            /** Epoch Count */
+            epoch_count: number;
             /** Machine Id */
             machine_id: string;
             /** Plan Hash */
             plan_hash: string;
-            /** Epoch Count */
-            epoch_count: number;
+            /** Plan Id */
+            plan_id: string;
             /** Valid S */
             valid_s: number;
         };
@@ -727,57 +771,57 @@ export interface components {
          * @description A page, newest first.
          */
         AuditPage: {
-            /** Rows */
-            rows: components["schemas"]["AuditRow"][];
             /** Next Cursor */
             next_cursor: string | null;
+            /** Rows */
+            rows: components["schemas"]["AuditRow"][];
         };
         /**
          * AuditRow
          * @description One link of the audit chain.
          */
         AuditRow: {
-            /** Sequence Count */
-            sequence_count: number;
-            /**
-             * T Utc
-             * Format: date-time
-             */
-            t_utc: string;
-            /** Actor */
-            actor: string;
-            /** Session Id */
-            session_id: string | null;
-            /** Machine Id */
-            machine_id: string | null;
-            /** Throw Id */
-            throw_id: string | null;
             /** Action */
             action: string;
+            /** Actor */
+            actor: string;
+            detail: components["schemas"]["JsonValue"];
+            /** Machine Id */
+            machine_id: string | null;
             /**
              * Phase
              * @enum {string}
              */
             phase: "intent" | "outcome" | "denied" | "fact";
-            detail: components["schemas"]["JsonValue"];
             /** Previous Sha256 */
             previous_sha256: string;
             /** Row Sha256 */
             row_sha256: string;
+            /** Sequence Count */
+            sequence_count: number;
+            /** Session Id */
+            session_id: string | null;
+            /**
+             * T Utc
+             * Format: date-time
+             */
+            t_utc: string;
+            /** Throw Id */
+            throw_id: string | null;
         };
         /**
          * AuditVerdict
          * @description Whether the chain is whole.
          */
         AuditVerdict: {
-            /** Is Intact */
-            is_intact: boolean;
-            /** Row Count */
-            row_count: number;
             /** First Bad Sequence Count */
             first_bad_sequence_count: number | null;
+            /** Is Intact */
+            is_intact: boolean;
             /** Problem */
             problem: string | null;
+            /** Row Count */
+            row_count: number;
         };
         /**
          * CheckResult
@@ -789,48 +833,50 @@ export interface components {
             /** Passed */
             passed: boolean;
             /**
+             * Remedy
+             * @default
+             */
+            remedy: string;
+            /**
              * Severity
              * @enum {string}
              */
             severity: "info" | "warning" | "error";
             /** Text */
             text: string;
-            /**
-             * Remedy
-             * @default
-             */
-            remedy: string;
         };
         /**
          * ClearanceView
          * @description Distance to a limit at the nearest moment; metres or radians, the other pair is null.
          */
         ClearanceView: {
+            /** At S */
+            at_s: number;
+            /** Limit M */
+            limit_m: number | null;
+            /** Limit Rad */
+            limit_rad: number | null;
             /** Name */
             name: string;
             /** Value M */
             value_m: number | null;
-            /** Limit M */
-            limit_m: number | null;
             /** Value Rad */
             value_rad: number | null;
-            /** Limit Rad */
-            limit_rad: number | null;
         };
         /**
          * CommandView
          * @description A command that the machine accepted.
          */
         CommandView: {
+            /** Detail */
+            detail: string;
+            /** Epoch Count */
+            epoch_count: number;
+            /** Is Repeat */
+            is_repeat: boolean;
             /** Machine Id */
             machine_id: string;
             state: components["schemas"]["ThrowState"];
-            /** Epoch Count */
-            epoch_count: number;
-            /** Detail */
-            detail: string;
-            /** Is Repeat */
-            is_repeat: boolean;
         };
         /**
          * ErrorBody
@@ -846,9 +892,9 @@ export interface components {
         ErrorDetail: {
             /** Code */
             code: string;
+            detail: components["schemas"]["JsonValue"];
             /** Message */
             message: string;
-            detail: components["schemas"]["JsonValue"];
         };
         /**
          * EventKind
@@ -861,8 +907,8 @@ export interface components {
          * @description The throw has a name from now on, whatever the machine answered.
          */
         FireView: {
-            /** Throw Id */
-            throw_id: string;
+            /** Detail */
+            detail: string;
             /** Machine Id */
             machine_id: string;
             /**
@@ -870,8 +916,8 @@ export interface components {
              * @enum {string}
              */
             state: "accepted" | "unknown";
-            /** Detail */
-            detail: string;
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * GroupBy
@@ -884,114 +930,136 @@ export interface components {
          * @description Accuracy of one group and its 1 sigma ellipse.
          */
         GroupStats: {
-            /** Group */
-            group: string;
-            /** Label */
-            label: string;
-            /** Throw Count */
-            throw_count: number;
-            /** Mean Downrange Error M */
-            mean_downrange_error_m: number;
-            /** Mean Crossrange Error M */
-            mean_crossrange_error_m: number;
-            /** Sd Downrange M */
-            sd_downrange_m: number | null;
-            /** Sd Crossrange M */
-            sd_crossrange_m: number | null;
             /** Correlation Ratio */
             correlation_ratio: number | null;
+            /** Ellipse Angle Rad */
+            ellipse_angle_rad: number | null;
             /** Ellipse Major M */
             ellipse_major_m: number | null;
             /** Ellipse Minor M */
             ellipse_minor_m: number | null;
-            /** Ellipse Angle Rad */
-            ellipse_angle_rad: number | null;
+            /** Group */
+            group: string;
+            /** Label */
+            label: string;
+            /** Mean Crossrange Error M */
+            mean_crossrange_error_m: number;
+            /** Mean Downrange Error M */
+            mean_downrange_error_m: number;
             /** Mean Miss M */
             mean_miss_m: number;
             /** Median Miss M */
             median_miss_m: number;
+            /** Sd Crossrange M */
+            sd_crossrange_m: number | null;
+            /** Sd Downrange M */
+            sd_downrange_m: number | null;
+            /** Throw Count */
+            throw_count: number;
         };
         /**
          * HealthView
          * @description Whether the service can do its work.
          */
         HealthView: {
+            /** Connected Count */
+            connected_count: number;
+            /** Database */
+            database: string;
+            /** Link */
+            link: string;
+            /** Machine Count */
+            machine_count: number;
+            /** Preview */
+            preview: string;
+            /** Software */
+            software: string;
             /**
              * Status
              * @enum {string}
              */
             status: "ok" | "degraded";
-            /** Software */
-            software: string;
-            /** Database */
-            database: string;
-            /** Link */
-            link: string;
             /** Viewer */
             viewer: string;
-            /** Preview */
-            preview: string;
-            /** Machine Count */
-            machine_count: number;
-            /** Connected Count */
-            connected_count: number;
+        };
+        /**
+         * HoldMessage
+         * @description Browser to server on the hold WebSocket, 20 Hz.
+         */
+        HoldMessage: {
+            /** Holding */
+            holding: boolean;
+            /** Throw Id */
+            throw_id: string;
+        };
+        /**
+         * HoldReply
+         * @description Server to browser on the hold WebSocket: `relayed`, or why the hold does not count.
+         */
+        HoldReply: {
+            /** Detail */
+            detail: string;
+            /** Is Relayed */
+            is_relayed: boolean;
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * ImpactRequest
          * @description Where the operator saw it come down: errors in frame `throw`, or a point in frame `machine`.
          */
         ImpactRequest: {
-            /** Downrange Error M */
-            downrange_error_m?: number | null;
             /** Crossrange Error M */
             crossrange_error_m?: number | null;
-            /** X M */
-            x_m?: number | null;
-            /** Y M */
-            y_m?: number | null;
+            /** Downrange Error M */
+            downrange_error_m?: number | null;
             /**
              * Note
              * @default
              */
             note: string;
+            /** X M */
+            x_m?: number | null;
+            /** Y M */
+            y_m?: number | null;
         };
         /**
          * ImpactView
          * @description One record of where the load came down; records are only ever added.
          */
         ImpactView: {
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Crossrange Error M */
+            crossrange_error_m: number;
+            /** Downrange Error M */
+            downrange_error_m: number;
             /** Impact Id */
             impact_id: string;
-            /** Throw Id */
-            throw_id: string;
+            /** Is Current */
+            is_current: boolean;
+            /** Note */
+            note: string;
+            /** Recorded By */
+            recorded_by: string;
+            /** Sd M */
+            sd_m: number | null;
             /**
              * Source
              * @enum {string}
              */
             source: "survey" | "tracker" | "manual";
+            /** Throw Id */
+            throw_id: string;
             /** X M */
             x_m: number;
             /** Y M */
             y_m: number;
             /** Z M */
             z_m: number;
-            /** Downrange Error M */
-            downrange_error_m: number;
-            /** Crossrange Error M */
-            crossrange_error_m: number;
-            /** Sd M */
-            sd_m: number | null;
-            /** Recorded By */
-            recorded_by: string;
-            /** Note */
-            note: string;
-            /**
-             * Created Utc
-             * Format: date-time
-             */
-            created_utc: string;
-            /** Is Current */
-            is_current: boolean;
         };
         JsonValue: unknown;
         /**
@@ -1005,39 +1073,39 @@ export interface components {
          * @description Predicted spread of landings, frame `throw` (x downrange, y crossrange left of the target line).
          */
         LandingEllipse: {
-            /** Mean Downrange Error M */
-            mean_downrange_error_m: number;
-            /** Mean Crossrange Error M */
-            mean_crossrange_error_m: number;
-            /** Sd Downrange M */
-            sd_downrange_m: number;
-            /** Sd Crossrange M */
-            sd_crossrange_m: number;
             /** Correlation Ratio */
             correlation_ratio: number;
-            /** Rollout Count */
-            rollout_count: number;
             /** Landed Count */
             landed_count: number;
+            /** Mean Crossrange Error M */
+            mean_crossrange_error_m: number;
+            /** Mean Downrange Error M */
+            mean_downrange_error_m: number;
+            /** Rollout Count */
+            rollout_count: number;
+            /** Sd Crossrange M */
+            sd_crossrange_m: number;
+            /** Sd Downrange M */
+            sd_downrange_m: number;
         };
         /**
          * LeaseChangedEvent
          * @description A lease was acquired, taken, released or has run out.
          */
         LeaseChangedEvent: {
+            /** By */
+            by: string;
+            /**
+             * Cause
+             * @enum {string}
+             */
+            cause: "acquired" | "released" | "taken" | "expired" | "idle" | "session_ended";
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
             kind: "lease.changed";
             lease: components["schemas"]["LeaseView"];
-            /**
-             * Cause
-             * @enum {string}
-             */
-            cause: "acquired" | "released" | "taken" | "expired" | "idle" | "session_ended";
-            /** By */
-            by: string;
             /** Reason */
             reason: string;
         };
@@ -1046,20 +1114,20 @@ export interface components {
          * @description Who may command a machine.
          */
         LeaseView: {
-            /** Machine Id */
-            machine_id: string;
+            /** Acquired Utc */
+            acquired_utc: string | null;
             /** Epoch Count */
             epoch_count: number;
+            /** Expires Utc */
+            expires_utc: string | null;
             /** Holder */
             holder: string | null;
             /** Holder Session Id */
             holder_session_id: string | null;
-            /** Acquired Utc */
-            acquired_utc: string | null;
-            /** Expires Utc */
-            expires_utc: string | null;
             /** Idle Release Utc */
             idle_release_utc: string | null;
+            /** Machine Id */
+            machine_id: string;
         };
         /**
          * LinkView
@@ -1068,10 +1136,10 @@ export interface components {
         LinkView: {
             /** Is Connected */
             is_connected: boolean;
-            /** Last Seen Utc */
-            last_seen_utc: string | null;
             /** Last Seen Age S */
             last_seen_age_s: number | null;
+            /** Last Seen Utc */
+            last_seen_utc: string | null;
             /** Round Trip S */
             round_trip_s: number | null;
             /** State Rate Hz */
@@ -1082,52 +1150,62 @@ export interface components {
          * @description A local account.
          */
         LoginRequest: {
-            /** Username */
-            username: string;
             /** Password */
             password: string;
+            /** Username */
+            username: string;
+        };
+        /**
+         * MachineEnrolRequest
+         * @description A new machine of this site.
+         */
+        MachineEnrolRequest: {
+            /** Machine Id */
+            machine_id: string;
+            /**
+             * Name
+             * @default
+             */
+            name: string;
         };
         /**
          * MachineLostEvent
          * @description The link to a machine is gone.
          */
         MachineLostEvent: {
+            /** Detail */
+            detail: string;
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
             kind: "machine.lost";
-            /** Machine Id */
-            machine_id: string;
             /** Last Seen Utc */
             last_seen_utc: string | null;
-            /** Detail */
-            detail: string;
+            /** Machine Id */
+            machine_id: string;
         };
         /**
          * MachineState
          * @description 10 Hz: what the machine is doing, and whether it could throw.
          */
         MachineState: {
-            /**
-             * Schema Version
-             * @default 1
-             */
-            schema_version: number;
-            /** Machine Id */
-            machine_id: string;
             /** Boot Id */
             boot_id: string;
-            /** T Mono Ns */
-            t_mono_ns: number;
-            state: components["schemas"]["ThrowState"];
-            mode?: components["schemas"]["Mode"] | null;
+            /**
+             * Checks
+             * @default []
+             */
+            checks: components["schemas"]["CheckResult"][];
             /** Epoch Count */
             epoch_count: number;
-            /** Plan Id */
-            plan_id?: string | null;
-            /** Throw Id */
-            throw_id?: string | null;
+            /**
+             * Fault
+             * @default
+             */
+            fault: string;
+            /** Heartbeat Age S */
+            heartbeat_age_s?: number | null;
             /** Joint Position Rad M */
             joint_position_rad_m: [
                 number,
@@ -1137,22 +1215,25 @@ export interface components {
                 number,
                 number
             ];
-            /** Payload Held */
-            payload_held: boolean;
-            /** Stop Latched */
-            stop_latched: boolean;
             /**
-             * Fault
-             * @default
+             * Late Tick Ratio
+             * @default 0
              */
-            fault: string;
-            /**
-             * Checks
-             * @default []
-             */
-            checks: components["schemas"]["CheckResult"][];
+            late_tick_ratio: number;
+            /** Machine Id */
+            machine_id: string;
+            mode?: components["schemas"]["Mode"] | null;
             /** Model Sha256 */
             model_sha256: string;
+            /**
+             * Outbox Count
+             * @default 0
+             */
+            outbox_count: number;
+            /** Payload Held */
+            payload_held: boolean;
+            /** Plan Id */
+            plan_id?: string | null;
             /**
              * Policy Sha256
              * @default {}
@@ -1160,28 +1241,28 @@ export interface components {
             policy_sha256: {
                 [key: string]: string;
             };
-            /** Heartbeat Age S */
-            heartbeat_age_s?: number | null;
-            /**
-             * Outbox Count
-             * @default 0
-             */
-            outbox_count: number;
             /**
              * Recorder Dropped Count
              * @default 0
              */
             recorder_dropped_count: number;
             /**
-             * Late Tick Ratio
-             * @default 0
+             * Schema Version
+             * @default 1
              */
-            late_tick_ratio: number;
+            schema_version: number;
             /**
              * Software
              * @default
              */
             software: string;
+            state: components["schemas"]["ThrowState"];
+            /** Stop Latched */
+            stop_latched: boolean;
+            /** T Mono Ns */
+            t_mono_ns: number;
+            /** Throw Id */
+            throw_id?: string | null;
         };
         /**
          * MachineStateEvent
@@ -1200,24 +1281,24 @@ export interface components {
          * @description Everything the console shows about one machine.
          */
         MachineView: {
-            /** Machine Id */
-            machine_id: string;
-            /** Site */
-            site: string;
-            /** Name */
-            name: string;
+            /** Is Stop Pending */
+            is_stop_pending: boolean;
             lamp: components["schemas"]["Lamp"];
             /** Lamp Text */
             lamp_text: string;
-            link: components["schemas"]["LinkView"];
             lease: components["schemas"]["LeaseView"];
-            state: components["schemas"]["MachineState"] | null;
+            link: components["schemas"]["LinkView"];
+            /** Machine Id */
+            machine_id: string;
+            /** Name */
+            name: string;
             reach: components["schemas"]["ReachView"];
+            /** Site */
+            site: string;
+            state: components["schemas"]["MachineState"] | null;
             target: components["schemas"]["TargetView"] | null;
             /** Unknown Throw Id */
             unknown_throw_id: string | null;
-            /** Is Stop Pending */
-            is_stop_pending: boolean;
         };
         /**
          * Mode
@@ -1230,19 +1311,19 @@ export interface components {
          * @description What the active policy of a mode was trained and validated for.
          */
         ModeReach: {
+            /** Height Max M */
+            height_max_m: number;
+            /** Height Min M */
+            height_min_m: number;
             mode: components["schemas"]["Mode"];
             /** Policy Id */
             policy_id: string;
             /** Policy Sha256 */
             policy_sha256: string;
-            /** Range Min M */
-            range_min_m: number;
             /** Range Max M */
             range_max_m: number;
-            /** Height Min M */
-            height_min_m: number;
-            /** Height Max M */
-            height_max_m: number;
+            /** Range Min M */
+            range_min_m: number;
         };
         /**
          * Outcome
@@ -1261,32 +1342,34 @@ export interface components {
          * @description A phase of a throw on the time axis.
          */
         PhaseBand: {
+            /** End S */
+            end_s: number;
             /** Name */
             name: string;
             /** Start S */
             start_s: number;
-            /** End S */
-            end_s: number;
         };
         /**
          * PlanFrames
          * @description The predicted motion, for an animation.
          */
         PlanFrames: {
-            /** Plan Id */
-            plan_id: string;
-            /** Frame Period S */
-            frame_period_s: number;
-            /** Frames Rad M */
-            frames_rad_m: number[][];
-            /** Release S */
-            release_s: number;
             /** Ball Path M */
             ball_path_m: [
                 number,
                 number,
                 number
             ][];
+            /** Flight S */
+            flight_s: number | null;
+            /** Frame Period S */
+            frame_period_s: number;
+            /** Frames Rad M */
+            frames_rad_m: number[][];
+            /** Plan Id */
+            plan_id: string;
+            /** Release S */
+            release_s: number | null;
         };
         /**
          * PlanRequest
@@ -1294,12 +1377,12 @@ export interface components {
          */
         PlanRequest: {
             mode: components["schemas"]["Mode"];
-            target: components["schemas"]["TargetRequest"];
             /**
              * Rollout Count
              * @default 200
              */
             rollout_count: number;
+            target: components["schemas"]["TargetRequest"];
         };
         /**
          * PlanState
@@ -1324,28 +1407,6 @@ export interface components {
          * @description A plan: target, policy, and what the twin predicts.
          */
         PlanView: {
-            /** Plan Id */
-            plan_id: string;
-            /** Machine Id */
-            machine_id: string;
-            state: components["schemas"]["PlanState"];
-            mode: components["schemas"]["Mode"];
-            target: components["schemas"]["TargetView"];
-            /** Policy Id */
-            policy_id: string | null;
-            /** Policy Sha256 */
-            policy_sha256: string | null;
-            /** Model Sha256 */
-            model_sha256: string;
-            /** Twin Profile Version */
-            twin_profile_version: number;
-            /** Plan Hash */
-            plan_hash: string | null;
-            /** Is Complete */
-            is_complete: boolean;
-            /** Refusals */
-            refusals: components["schemas"]["RefusalView"][];
-            prediction: components["schemas"]["PredictionView"] | null;
             /** Created By */
             created_by: string;
             /**
@@ -1358,6 +1419,28 @@ export interface components {
              * Format: date-time
              */
             expires_utc: string;
+            /** Is Complete */
+            is_complete: boolean;
+            /** Machine Id */
+            machine_id: string;
+            mode: components["schemas"]["Mode"];
+            /** Model Sha256 */
+            model_sha256: string;
+            /** Plan Hash */
+            plan_hash: string | null;
+            /** Plan Id */
+            plan_id: string;
+            /** Policy Id */
+            policy_id: string | null;
+            /** Policy Sha256 */
+            policy_sha256: string | null;
+            prediction: components["schemas"]["PredictionView"] | null;
+            /** Refusals */
+            refusals: components["schemas"]["RefusalView"][];
+            state: components["schemas"]["PlanState"];
+            target: components["schemas"]["TargetView"];
+            /** Twin Profile Version */
+            twin_profile_version: number;
         };
         /**
          * PolicyCard
@@ -1368,50 +1451,15 @@ export interface components {
          *     the last one is the release (opens above 0.9).
          */
         PolicyCard: {
-            /**
-             * Schema Version
-             * @default 1
-             * @constant
-             */
-            schema_version: 1;
-            /** Policy Id */
-            policy_id: string;
-            mode: components["schemas"]["Mode"];
-            /** Policy Sha256 */
-            policy_sha256: string;
-            /** Model Sha256 */
-            model_sha256: string;
-            /**
-             * Policy Rate Hz
-             * @default 12.5
-             */
-            policy_rate_hz: number;
+            /** Action Names */
+            action_names: string[];
+            /** Action Scale Rad M Per S */
+            action_scale_rad_m_per_s: number[];
             /**
              * Control Rate Hz
              * @default 100
              */
             control_rate_hz: number;
-            /** Observation Names */
-            observation_names: string[];
-            /** Action Names */
-            action_names: string[];
-            /** Action Scale Rad M Per S */
-            action_scale_rad_m_per_s: number[];
-            /** Target Range Min M */
-            target_range_min_m: number;
-            /** Target Range Max M */
-            target_range_max_m: number;
-            /**
-             * Target Height Min M
-             * @default 0
-             */
-            target_height_min_m: number;
-            /**
-             * Target Height Max M
-             * @default 0
-             */
-            target_height_max_m: number;
-            training: components["schemas"]["TrainingRecord"];
             /**
              * Evaluation
              * @default []
@@ -1419,66 +1467,101 @@ export interface components {
             evaluation: {
                 [key: string]: unknown;
             }[];
+            mode: components["schemas"]["Mode"];
+            /** Model Sha256 */
+            model_sha256: string;
+            /** Observation Names */
+            observation_names: string[];
+            /** Policy Id */
+            policy_id: string;
+            /**
+             * Policy Rate Hz
+             * @default 12.5
+             */
+            policy_rate_hz: number;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /**
+             * Schema Version
+             * @default 1
+             * @constant
+             */
+            schema_version: 1;
+            /**
+             * Target Height Max M
+             * @default 0
+             */
+            target_height_max_m: number;
+            /**
+             * Target Height Min M
+             * @default 0
+             */
+            target_height_min_m: number;
+            /** Target Range Max M */
+            target_range_max_m: number;
+            /** Target Range Min M */
+            target_range_min_m: number;
+            training: components["schemas"]["TrainingRecord"];
         };
         /**
          * PolicyView
          * @description A policy version that the server knows.
          */
         PolicyView: {
-            /** Policy Id */
-            policy_id: string;
-            /** Policy Sha256 */
-            policy_sha256: string;
-            mode: components["schemas"]["Mode"];
-            /** Is Active */
-            is_active: boolean;
-            /** Is Present */
-            is_present: boolean;
-            /** Problem */
-            problem: string | null;
+            card: components["schemas"]["PolicyCard"];
             /**
              * First Seen Utc
              * Format: date-time
              */
             first_seen_utc: string;
+            /** Is Active */
+            is_active: boolean;
+            /** Is Present */
+            is_present: boolean;
+            mode: components["schemas"]["Mode"];
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Problem */
+            problem: string | null;
             /** Throw Count */
             throw_count: number;
-            card: components["schemas"]["PolicyCard"];
         };
         /**
          * PredictionView
          * @description What the twin says a throw will do.
          */
         PredictionView: {
-            /** Impact M */
-            impact_m: [
-                number,
-                number,
-                number
-            ];
-            /** Downrange Error M */
-            downrange_error_m: number;
-            /** Crossrange Error M */
-            crossrange_error_m: number;
-            ellipse: components["schemas"]["LandingEllipse"] | null;
-            /** Release S */
-            release_s: number;
-            /** Flight S */
-            flight_s: number;
-            /** Duration S */
-            duration_s: number;
-            /** Release Speed M Per S */
-            release_speed_m_per_s: number;
-            /** Clearances */
-            clearances: components["schemas"]["ClearanceView"][];
             /** Ball Path M */
             ball_path_m: [
                 number,
                 number,
                 number
             ][];
+            /** Clearances */
+            clearances: components["schemas"]["ClearanceView"][];
             /** Compute S */
             compute_s: number;
+            /** Crossrange Error M */
+            crossrange_error_m: number;
+            /** Downrange Error M */
+            downrange_error_m: number;
+            /** Duration S */
+            duration_s: number;
+            ellipse: components["schemas"]["LandingEllipse"] | null;
+            /** Flight S */
+            flight_s: number;
+            /** Impact M */
+            impact_m: [
+                number,
+                number,
+                number
+            ];
+            /** Release S */
+            release_s: number;
+            /** Release Speed M Per S */
+            release_speed_m_per_s: number;
         };
         /**
          * RangeStats
@@ -1487,38 +1570,38 @@ export interface components {
         RangeStats: {
             /** Group */
             group: string;
-            /** Range M */
-            range_m: number;
-            /** Throw Count */
-            throw_count: number;
-            /** Mean Downrange Error M */
-            mean_downrange_error_m: number;
             /** Mean Crossrange Error M */
             mean_crossrange_error_m: number;
-            /** Sd Downrange M */
-            sd_downrange_m: number | null;
+            /** Mean Downrange Error M */
+            mean_downrange_error_m: number;
+            /** Range M */
+            range_m: number;
             /** Sd Crossrange M */
             sd_crossrange_m: number | null;
+            /** Sd Downrange M */
+            sd_downrange_m: number | null;
+            /** Throw Count */
+            throw_count: number;
         };
         /**
          * ReachView
          * @description Radii of the rings around the machine.
          */
         ReachView: {
-            /** Static Reach M */
-            static_reach_m: number;
             /** Modes */
             modes: components["schemas"]["ModeReach"][];
+            /** Static Reach M */
+            static_reach_m: number;
         };
         /**
          * RefusalView
          * @description Why a plan may not be thrown, with numbers and remedy.
          */
         RefusalView: {
-            /** Reason */
-            reason: string;
             /** Detail */
             detail: string;
+            /** Reason */
+            reason: string;
         };
         /**
          * ReplayRequest
@@ -1527,27 +1610,27 @@ export interface components {
         ReplayRequest: {
             /** At S */
             at_s?: number | null;
-            /** Playing */
-            playing?: boolean | null;
             /**
              * Close
              * @default false
              */
             close: boolean;
+            /** Playing */
+            playing?: boolean | null;
         };
         /**
          * ReplayView
          * @description What the 3D view now shows.
          */
         ReplayView: {
-            /** Throw Id */
-            throw_id: string;
-            /** Duration S */
-            duration_s: number;
             /** At S */
             at_s: number;
+            /** Duration S */
+            duration_s: number;
             /** Is Playing */
             is_playing: boolean;
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * Role
@@ -1560,20 +1643,20 @@ export interface components {
          * @description One landing in throw coordinates.
          */
         ScatterPoint: {
-            /** Throw Id */
-            throw_id: string;
-            /** Group */
-            group: string;
-            /** Range M */
-            range_m: number;
-            /** Downrange Error M */
-            downrange_error_m: number;
             /** Crossrange Error M */
             crossrange_error_m: number;
-            /** Predicted Downrange Error M */
-            predicted_downrange_error_m: number | null;
+            /** Downrange Error M */
+            downrange_error_m: number;
+            /** Group */
+            group: string;
             /** Predicted Crossrange Error M */
             predicted_crossrange_error_m: number | null;
+            /** Predicted Downrange Error M */
+            predicted_downrange_error_m: number | null;
+            /** Range M */
+            range_m: number;
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * ServerEvent
@@ -1585,32 +1668,32 @@ export interface components {
          * @description Who is signed in.
          */
         SessionView: {
-            /** Session Id */
-            session_id: string;
-            /** Username */
-            username: string;
-            role: components["schemas"]["Role"];
-            /** Permissions */
-            permissions: components["schemas"]["Permission"][];
             /**
              * Expires Utc
              * Format: date-time
              */
             expires_utc: string;
+            /** Permissions */
+            permissions: components["schemas"]["Permission"][];
+            role: components["schemas"]["Role"];
+            /** Session Id */
+            session_id: string;
+            /** Username */
+            username: string;
         };
         /**
          * StopView
          * @description Answer to STOP; pending means that it is repeated until the machine confirms.
          */
         StopView: {
-            /** Machine Id */
-            machine_id: string;
+            /** Detail */
+            detail: string;
             /** Is Latched */
             is_latched: boolean;
             /** Is Pending */
             is_pending: boolean;
-            /** Detail */
-            detail: string;
+            /** Machine Id */
+            machine_id: string;
         };
         /**
          * TakeRequest
@@ -1632,67 +1715,67 @@ export interface components {
             kind: "target.proposed";
             /** Machine Id */
             machine_id: string;
+            /** Refusal */
+            refusal: string;
             /** Session Id */
             session_id: string;
-            target: components["schemas"]["TargetView"] | null;
             /**
              * Source
              * @enum {string}
              */
             source: "pick" | "fields";
-            /** Refusal */
-            refusal: string;
+            target: components["schemas"]["TargetView"] | null;
         };
         /**
          * TargetRequest
          * @description A point to hit: x and y, or range and azimuth (0 = machine x, positive to the left).
          */
         TargetRequest: {
+            /** Azimuth Rad */
+            azimuth_rad?: number | null;
+            mode?: components["schemas"]["Mode"] | null;
+            /** Range M */
+            range_m?: number | null;
             /** X M */
             x_m?: number | null;
             /** Y M */
             y_m?: number | null;
-            /** Range M */
-            range_m?: number | null;
-            /** Azimuth Rad */
-            azimuth_rad?: number | null;
             /**
              * Z M
              * @default 0
              */
             z_m: number;
-            mode?: components["schemas"]["Mode"] | null;
         };
         /**
          * TargetView
          * @description A target in both forms.
          */
         TargetView: {
+            /** Azimuth Rad */
+            azimuth_rad: number;
+            /** Range M */
+            range_m: number;
             /** X M */
             x_m: number;
             /** Y M */
             y_m: number;
             /** Z M */
             z_m: number;
-            /** Range M */
-            range_m: number;
-            /** Azimuth Rad */
-            azimuth_rad: number;
         };
         /**
          * ThrowDetail
          * @description Everything about one throw.
          */
         ThrowDetail: {
-            row: components["schemas"]["ThrowRow"];
-            plan: components["schemas"]["PlanView"] | null;
             /** Epoch Count */
             epoch_count: number;
-            /** Impacts */
-            impacts: components["schemas"]["ImpactView"][];
             /** Events */
             events: components["schemas"]["ThrowEventView"][];
+            /** Impacts */
+            impacts: components["schemas"]["ImpactView"][];
             log: components["schemas"]["ThrowLogView"] | null;
+            plan: components["schemas"]["PlanView"] | null;
+            row: components["schemas"]["ThrowRow"];
         };
         /**
          * ThrowEventView
@@ -1701,14 +1784,14 @@ export interface components {
         ThrowEventView: {
             /** Boot Id */
             boot_id: string;
+            data: components["schemas"]["JsonValue"];
+            kind: components["schemas"]["EventKind"];
             /** Sequence Count */
             sequence_count: number;
             /** T Mono Ns */
             t_mono_ns: number;
             /** T Utc */
             t_utc: string;
-            kind: components["schemas"]["EventKind"];
-            data: components["schemas"]["JsonValue"];
         };
         /**
          * ThrowLogView
@@ -1717,23 +1800,23 @@ export interface components {
         ThrowLogView: {
             /** Log Sha256 */
             log_sha256: string;
-            /** Size Bytes */
-            size_bytes: number;
             /**
              * Received Utc
              * Format: date-time
              */
             received_utc: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * ThrowPage
          * @description A page, newest first; pass `next_cursor` to go on.
          */
         ThrowPage: {
-            /** Rows */
-            rows: components["schemas"]["ThrowRow"][];
             /** Next Cursor */
             next_cursor: string | null;
+            /** Rows */
+            rows: components["schemas"]["ThrowRow"][];
         };
         /**
          * ThrowPhase
@@ -1746,77 +1829,77 @@ export interface components {
          * @description One line of the history.
          */
         ThrowRow: {
-            /** Throw Id */
-            throw_id: string;
-            /** Machine Id */
-            machine_id: string;
-            /** Plan Id */
-            plan_id: string;
             /**
              * Created Utc
              * Format: date-time
              */
             created_utc: string;
+            /** Detail */
+            detail: string;
+            /** Has Log */
+            has_log: boolean;
+            /** Impact Source */
+            impact_source: string | null;
+            /** Machine Id */
+            machine_id: string;
+            /** Measured Crossrange Error M */
+            measured_crossrange_error_m: number | null;
+            /** Measured Downrange Error M */
+            measured_downrange_error_m: number | null;
+            mode: components["schemas"]["Mode"];
             /** Operator */
             operator: string;
-            mode: components["schemas"]["Mode"];
-            target: components["schemas"]["TargetView"];
+            outcome: components["schemas"]["Outcome"] | null;
+            phase: components["schemas"]["ThrowPhase"];
+            /** Plan Id */
+            plan_id: string;
             /** Policy Id */
             policy_id: string;
             /** Policy Sha256 */
             policy_sha256: string;
-            phase: components["schemas"]["ThrowPhase"];
-            outcome: components["schemas"]["Outcome"] | null;
-            /** Detail */
-            detail: string;
-            /** Predicted Downrange Error M */
-            predicted_downrange_error_m: number | null;
             /** Predicted Crossrange Error M */
             predicted_crossrange_error_m: number | null;
-            /** Predicted Sd Downrange M */
-            predicted_sd_downrange_m: number | null;
+            /** Predicted Downrange Error M */
+            predicted_downrange_error_m: number | null;
             /** Predicted Sd Crossrange M */
             predicted_sd_crossrange_m: number | null;
-            /** Measured Downrange Error M */
-            measured_downrange_error_m: number | null;
-            /** Measured Crossrange Error M */
-            measured_crossrange_error_m: number | null;
-            /** Impact Source */
-            impact_source: string | null;
+            /** Predicted Sd Downrange M */
+            predicted_sd_downrange_m: number | null;
             /** Release Speed M Per S */
             release_speed_m_per_s: number | null;
+            target: components["schemas"]["TargetView"];
             /** Throw Duration S */
             throw_duration_s: number | null;
-            /** Has Log */
-            has_log: boolean;
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * ThrowSeries
          * @description Time series of a throw from its log; units stand in the column names.
          */
         ThrowSeries: {
-            /** Throw Id */
-            throw_id: string;
-            /** T S */
-            t_s: number[];
-            /** Columns */
-            columns: {
-                [key: string]: (number | null)[];
-            };
-            /** Phases */
-            phases: components["schemas"]["PhaseBand"][];
-            /** Release S */
-            release_s: number | null;
-            /** Impact S */
-            impact_s: number | null;
-            /** Ball T S */
-            ball_t_s: number[];
             /** Ball Position M */
             ball_position_m: [
                 number,
                 number,
                 number
             ][];
+            /** Ball T S */
+            ball_t_s: number[];
+            /** Columns */
+            columns: {
+                [key: string]: (number | null)[];
+            };
+            /** Impact S */
+            impact_s: number | null;
+            /** Phases */
+            phases: components["schemas"]["PhaseBand"][];
+            /** Release S */
+            release_s: number | null;
+            /** T S */
+            t_s: number[];
+            /** Throw Id */
+            throw_id: string;
         };
         /**
          * ThrowState
@@ -1829,17 +1912,17 @@ export interface components {
          * @description Accuracy over the newest throws that match, with a measured impact.
          */
         ThrowStats: {
+            /** By Range */
+            by_range: components["schemas"]["RangeStats"][];
             /** Considered Count */
             considered_count: number;
-            /** Is Truncated */
-            is_truncated: boolean;
             group_by: components["schemas"]["GroupBy"];
             /** Groups */
             groups: components["schemas"]["GroupStats"][];
+            /** Is Truncated */
+            is_truncated: boolean;
             /** Points */
             points: components["schemas"]["ScatterPoint"][];
-            /** By Range */
-            by_range: components["schemas"]["RangeStats"][];
         };
         /**
          * ThrowUpdatedEvent
@@ -1860,20 +1943,42 @@ export interface components {
         TrainingRecord: {
             /** Commit */
             commit: string;
-            /** Seed Count */
-            seed_count: number;
-            /** Environment Step Count */
-            environment_step_count: number;
-            /** Iteration Count */
-            iteration_count: number;
-            /** Wall S */
-            wall_s: number;
-            /** Device */
-            device: string;
             /** Config */
             config: {
                 [key: string]: unknown;
             };
+            /** Device */
+            device: string;
+            /** Environment Step Count */
+            environment_step_count: number;
+            /** Iteration Count */
+            iteration_count: number;
+            /** Seed Count */
+            seed_count: number;
+            /** Wall S */
+            wall_s: number;
+        };
+        /**
+         * ViewRequest
+         * @description What this session's 3D view shows; what is left out stays.
+         */
+        ViewRequest: {
+            /** Camera */
+            camera?: ("3d" | "top" | "side") | null;
+            /** Is Picking */
+            is_picking?: boolean | null;
+            /** Machine Id */
+            machine_id?: string | null;
+            mode?: components["schemas"]["Mode"] | null;
+            /** Pick Height M */
+            pick_height_m?: number | null;
+            /**
+             * Play Preview
+             * @default false
+             */
+            play_preview: boolean;
+            /** Theme */
+            theme?: ("light" | "dark") | null;
         };
     };
     responses: never;
@@ -1884,18 +1989,21 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
-    login: {
+    list_audit: {
         parameters: {
-            query?: never;
+            query?: {
+                machine_id?: string | null;
+                throw_id?: string | null;
+                actor?: string | null;
+                action?: string | null;
+                cursor?: string | null;
+                limit?: number;
+            };
             header?: never;
             path?: never;
             cookie?: never;
         };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["LoginRequest"];
-            };
-        };
+        requestBody?: never;
         responses: {
             /** @description Successful Response */
             200: {
@@ -1903,7 +2011,16 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["SessionView"];
+                    "application/json": components["schemas"]["AuditPage"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
                 };
             };
             /** @description Unauthorized */
@@ -1942,6 +2059,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -1951,8 +2077,250 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    verify_audit: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AuditVerdict"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    login: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LoginRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SessionView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -1978,6 +2346,15 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2014,6 +2391,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -2023,8 +2409,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2052,6 +2456,15 @@ export interface operations {
                     "application/json": components["schemas"]["SessionView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2088,6 +2501,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -2097,8 +2519,248 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    stream_events: {
+        parameters: {
+            query?: {
+                machine_id?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description server-sent events */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ServerEvent"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_health: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HealthView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2126,6 +2788,15 @@ export interface operations {
                     "application/json": components["schemas"]["MachineView"][];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2162,6 +2833,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -2171,8 +2851,140 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    enrol_machine: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["MachineEnrolRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["MachineView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2202,84 +3014,13 @@ export interface operations {
                     "application/json": components["schemas"]["MachineView"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    propose_target: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                machine_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["TargetRequest"];
-            };
-        };
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["TargetView"];
                 };
             };
             /** @description Unauthorized */
@@ -2318,73 +3059,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    remove_target: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                machine_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
+            /** @description Request Entity Too Large */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2401,75 +3077,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    load: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                machine_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["CommandView"];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
+            /** @description Too Many Requests */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2479,6 +3088,15 @@ export interface operations {
             };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2508,6 +3126,15 @@ export interface operations {
                     "application/json": components["schemas"]["CommandView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2544,6 +3171,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -2553,8 +3189,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2584,80 +3238,13 @@ export interface operations {
                     "application/json": components["schemas"]["CommandView"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    stop_machine: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                machine_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["StopView"];
                 };
             };
             /** @description Unauthorized */
@@ -2696,75 +3283,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    clear_stop: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                machine_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["CommandView"];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
+            /** @description Request Entity Too Large */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2781,73 +3301,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    stop_all: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["StopView"][];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
+            /** @description Too Many Requests */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2857,6 +3312,15 @@ export interface operations {
             };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2886,6 +3350,15 @@ export interface operations {
                     "application/json": components["schemas"]["LeaseView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2922,6 +3395,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -2931,8 +3413,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -2962,6 +3462,15 @@ export interface operations {
                     "application/json": components["schemas"]["LeaseView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -2998,6 +3507,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3007,8 +3525,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3042,6 +3578,15 @@ export interface operations {
                     "application/json": components["schemas"]["LeaseView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -3078,6 +3623,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3087,8 +3641,138 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    load: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CommandView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3122,6 +3806,15 @@ export interface operations {
                     "application/json": components["schemas"]["PlanView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -3158,6 +3851,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3167,8 +3869,594 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    stop_machine: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["StopView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    clear_stop: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CommandView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    propose_target: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TargetRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TargetView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    remove_target: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    put_throw_log: {
+        parameters: {
+            query?: never;
+            header?: {
+                authorization?: string;
+                "x-content-sha256"?: string;
+            };
+            path: {
+                machine_id: string;
+                throw_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/octet-stream": string;
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3198,80 +4486,13 @@ export interface operations {
                     "application/json": components["schemas"]["PlanView"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    read_plan_frames: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                plan_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["PlanFrames"];
                 };
             };
             /** @description Unauthorized */
@@ -3310,6 +4531,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3319,8 +4549,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3354,6 +4602,15 @@ export interface operations {
                     "application/json": components["schemas"]["ArmView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -3390,6 +4647,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3399,8 +4665,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3430,6 +4714,15 @@ export interface operations {
                     "application/json": components["schemas"]["FireView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -3466,8 +4759,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3484,11 +4795,466 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_plan_frames: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                plan_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PlanFrames"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    list_policies: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PolicyView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_policy: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PolicyView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    stop_all: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["StopView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
         };
     };
     list_throws: {
         parameters: {
             query?: {
+                cursor?: string | null;
+                limit?: number;
                 machine_id?: string | null;
                 mode?: components["schemas"]["Mode"] | null;
                 policy_sha256?: string | null;
@@ -3498,8 +5264,6 @@ export interface operations {
                 max_range_m?: number | null;
                 since?: string | null;
                 until?: string | null;
-                cursor?: string | null;
-                limit?: number;
             };
             header?: never;
             path?: never;
@@ -3516,89 +5280,13 @@ export interface operations {
                     "application/json": components["schemas"]["ThrowPage"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    read_throw_stats: {
-        parameters: {
-            query?: {
-                machine_id?: string | null;
-                mode?: components["schemas"]["Mode"] | null;
-                policy_sha256?: string | null;
-                operator?: string | null;
-                outcome?: components["schemas"]["Outcome"] | null;
-                min_range_m?: number | null;
-                max_range_m?: number | null;
-                since?: string | null;
-                until?: string | null;
-                group_by?: components["schemas"]["GroupBy"];
-            };
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ThrowStats"];
                 };
             };
             /** @description Unauthorized */
@@ -3637,6 +5325,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3646,8 +5343,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3683,6 +5398,15 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -3719,6 +5443,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -3728,8 +5461,147 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_throw_stats: {
+        parameters: {
+            query?: {
+                group_by?: components["schemas"]["GroupBy"];
+                machine_id?: string | null;
+                mode?: components["schemas"]["Mode"] | null;
+                policy_sha256?: string | null;
+                operator?: string | null;
+                outcome?: components["schemas"]["Outcome"] | null;
+                min_range_m?: number | null;
+                max_range_m?: number | null;
+                since?: string | null;
+                until?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ThrowStats"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3759,80 +5631,13 @@ export interface operations {
                     "application/json": components["schemas"]["ThrowDetail"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    read_throw_series: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                throw_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ThrowSeries"];
                 };
             };
             /** @description Unauthorized */
@@ -3871,73 +5676,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    read_throw_log: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                throw_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
+            /** @description Request Entity Too Large */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3954,8 +5694,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -3989,6 +5747,15 @@ export interface operations {
                     "application/json": components["schemas"]["ImpactView"];
                 };
             };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unauthorized */
             401: {
                 headers: {
@@ -4025,6 +5792,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
                 headers: {
@@ -4034,8 +5810,136 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_throw_log: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                throw_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4069,78 +5973,13 @@ export interface operations {
                     "application/json": components["schemas"]["ReplayView"];
                 };
             };
-            /** @description Unauthorized */
-            401: {
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    list_policies: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["PolicyView"][];
                 };
             };
             /** @description Unauthorized */
@@ -4179,8 +6018,26 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Unprocessable Entity */
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4197,14 +6054,23 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
         };
     };
-    read_policy: {
+    read_throw_series: {
         parameters: {
             query?: never;
             header?: never;
             path: {
-                policy_sha256: string;
+                throw_id: string;
             };
             cookie?: never;
         };
@@ -4216,7 +6082,16 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["PolicyView"];
+                    "application/json": components["schemas"]["ThrowSeries"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
                 };
             };
             /** @description Unauthorized */
@@ -4255,80 +6130,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    list_audit: {
-        parameters: {
-            query?: {
-                machine_id?: string | null;
-                throw_id?: string | null;
-                actor?: string | null;
-                action?: string | null;
-                cursor?: string | null;
-                limit?: number;
-            };
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["AuditPage"];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
+            /** @description Request Entity Too Large */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4345,6 +6148,15 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
             /** @description Service Unavailable */
             503: {
                 headers: {
@@ -4354,24 +6166,44 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
         };
     };
-    verify_audit: {
+    set_view: {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        requestBody?: never;
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ViewRequest"];
+            };
+        };
         responses: {
             /** @description Successful Response */
-            200: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Bad Request */
+            400: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["AuditVerdict"];
+                    "application/json": components["schemas"]["ErrorBody"];
                 };
             };
             /** @description Unauthorized */
@@ -4410,75 +6242,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Unprocessable Entity */
-            422: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    stream_events: {
-        parameters: {
-            query?: {
-                machine_id?: string | null;
-            };
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description server-sent events */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ServerEvent"];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
+            /** @description Request Entity Too Large */
+            413: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4495,73 +6260,8 @@ export interface operations {
                     "application/json": components["schemas"]["ErrorBody"];
                 };
             };
-            /** @description Service Unavailable */
-            503: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-        };
-    };
-    read_health: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["HealthView"];
-                };
-            };
-            /** @description Unauthorized */
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Forbidden */
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Not Found */
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Conflict */
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorBody"];
-                };
-            };
-            /** @description Unprocessable Entity */
-            422: {
+            /** @description Too Many Requests */
+            429: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4571,6 +6271,15 @@ export interface operations {
             };
             /** @description Service Unavailable */
             503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -12,7 +12,7 @@ type Stats = Schema["ThrowStats"];
 type Point = Schema["ScatterPoint"];
 type Props = { stats: Stats; selected: string | null; onSelect: (throwId: string) => void };
 
-const MARGIN = { marginTop: 8, marginRight: 12, marginBottom: 34, marginLeft: 46 };
+const MARGIN = { marginTop: 24, marginRight: 14, marginBottom: 36, marginLeft: 44 };
 
 /** Impacts around the target, equal axes, 1 sigma ellipse per group; hover gives the numbers. */
 export function ImpactScatter({ stats, selected, onSelect }: Props) {
@@ -38,11 +38,15 @@ function scatter(stats: Stats, selected: string | null, width: number, height: n
     height: height - MARGIN.marginTop - MARGIN.marginBottom,
   };
   // Equal axes: the same metres per pixel both ways, so that circles stay round.
-  const limit_m = symmetricLimit(
-    points.flatMap((p) => [p.downrange_error_m, p.crossrange_error_m]),
-    0.25,
+  const along_m = symmetricLimit(
+    points.map((p) => p.downrange_error_m),
+    0.2,
   );
-  const perPixel = (2 * limit_m) / Math.min(inner.width, inner.height);
+  const across_m = symmetricLimit(
+    points.map((p) => p.crossrange_error_m),
+    0.2,
+  );
+  const perPixel = Math.max((2 * along_m) / inner.width, (2 * across_m) / inner.height);
   const x_m = (perPixel * inner.width) / 2;
   const y_m = (perPixel * inner.height) / 2;
   const style = (group: string) => groupStyle(groups, group);
@@ -55,21 +59,38 @@ function scatter(stats: Stats, selected: string | null, width: number, height: n
     x: {
       domain: [-x_m, x_m],
       label: "Along, m (+ long)",
-      labelAnchor: "right",
+      labelAnchor: "center",
+      labelArrow: "none",
       ticks: 6,
       grid: true,
     },
-    y: { domain: [-y_m, y_m], label: "Across, m (+ left)", ticks: 6, grid: true },
+    y: {
+      domain: [-y_m, y_m],
+      label: "Across, m (+ left)",
+      labelArrow: "none",
+      ticks: 6,
+      grid: true,
+    },
     symbol: { type: "identity" },
     marks: [
       Plot.ruleX([0], { stroke: "var(--line-strong)" }),
       Plot.ruleY([0], { stroke: "var(--line-strong)" }),
+      Plot.dot(points, {
+        x: "downrange_error_m",
+        y: "crossrange_error_m",
+        symbol: (point: Point) => style(point.group).symbol,
+        stroke: (point: Point) => style(point.group).colour,
+        fill: (point: Point) => style(point.group).colour,
+        fillOpacity: 0.25,
+        r: points.length > 300 ? 2 : 3.2,
+      }),
       groups.flatMap((group) => {
         const outline = groupEllipse(group);
         if (!outline) return [];
         const { colour } = style(group.group);
         return [
-          Plot.line(outline, { x: "x_m", y: "y_m", stroke: colour, strokeWidth: 1.8 }),
+          Plot.line(outline, { x: "x_m", y: "y_m", stroke: "var(--panel)", strokeWidth: 4 }),
+          Plot.line(outline, { x: "x_m", y: "y_m", stroke: colour, strokeWidth: 2.2 }),
           Plot.dot([group], {
             x: "mean_downrange_error_m",
             y: "mean_crossrange_error_m",
@@ -79,15 +100,6 @@ function scatter(stats: Stats, selected: string | null, width: number, height: n
             strokeWidth: 2.4,
           }),
         ];
-      }),
-      Plot.dot(points, {
-        x: "downrange_error_m",
-        y: "crossrange_error_m",
-        symbol: (point: Point) => style(point.group).symbol,
-        stroke: (point: Point) => style(point.group).colour,
-        fill: (point: Point) => style(point.group).colour,
-        fillOpacity: 0.25,
-        r: points.length > 300 ? 2 : 3.2,
       }),
       Plot.dot(chosen, {
         x: "downrange_error_m",

@@ -36,6 +36,17 @@ export function LandingPlot({ ellipse, predicted, measured }: Props) {
         <>
           <path d={ellipsePath(ellipse, 2, x, y)} className={classes.two} />
           <path d={ellipsePath(ellipse, 1, x, y)} className={classes.one} />
+          {[1, 2].map((sigma) => (
+            <text
+              key={sigma}
+              x={x(ellipse.mean_downrange_error_m)}
+              y={y(ellipse.mean_crossrange_error_m - sigma * ellipse.sd_crossrange_m) + 11}
+              className={classes.text}
+              textAnchor="middle"
+            >
+              {sigma}σ
+            </text>
+          ))}
         </>
       )}
       {predicted && (

@@ -21,7 +21,9 @@ export function Frame() {
   useLeaseKeeper(useMachine());
 
   useEffect(() => {
-    if (session === null) void navigate({ to: "/login", search: { back: href }, replace: true });
+    // The address changes before this frame goes: only the one that was asked for leads back.
+    if (session !== null || href.startsWith("/login")) return;
+    void navigate({ to: "/login", search: { back: href }, replace: true });
   }, [session, href, navigate]);
 
   if (!session) return null;

@@ -27,7 +27,7 @@ export function FleetRow({ machine }: { machine: Machine }) {
       </td>
       <td>{machine.lease.holder ?? "nobody"}</td>
       <td>{linkQuality(machine).words}</td>
-      <td title={localStamp(seen)}>{seen_s === null ? "never" : `${age(seen_s)} ago`}</td>
+      <td title={localStamp(seen)}>{seenWords(seen_s)}</td>
       <td>{machine.state ? (machine.state.payload_held ? "held" : "empty") : "–"}</td>
       <td>{machine.state?.outbox_count ?? "–"}</td>
       <td>{machine.state?.software || "–"}</td>
@@ -38,4 +38,9 @@ export function FleetRow({ machine }: { machine: Machine }) {
       </td>
     </tr>
   );
+}
+
+function seenWords(seen_s: number | null): string {
+  if (seen_s === null) return "never";
+  return seen_s < 2 ? "now" : `${age(seen_s)} ago`;
 }

@@ -60,6 +60,8 @@ export function OperatePanel({ operate }: { operate: Operate }) {
             </Step>
           ))}
         </div>
+      </div>
+      <div className={classes.action}>
         <ActionFooter
           machine={machine}
           gate={operate.gate}

@@ -2,7 +2,7 @@
 
 import { sigmaDistance } from "../charts/ellipse";
 import type { Plan, Throw } from "../session/live";
-import { fixed, signed } from "../words/format";
+import { fixed } from "../words/format";
 
 /** A load that leaves faster by this much explains a long throw better than chance. */
 const SPEED_DIFFERENCE_M_PER_S = 0.1;

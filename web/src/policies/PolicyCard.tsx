@@ -28,10 +28,7 @@ export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: b
       )}
       <dl className={classes.facts}>
         <dt>Targets</dt>
-        <dd>
-          {metres(card.target_range_min_m)} to {metres(card.target_range_max_m)}, height{" "}
-          {fixed(card.target_height_min_m)} to {metres(card.target_height_max_m)}
-        </dd>
+        <dd>{targetWords(card)}</dd>
         <dt>Version</dt>
         <dd title={policy.policy_sha256}>{shortHash(policy.policy_sha256)}</dd>
         <dt>Machine model</dt>
@@ -55,4 +52,10 @@ export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: b
       <EvaluationTable evaluations={card.evaluation ?? []} />
     </article>
   );
+}
+
+function targetWords(card: Policy["card"]): string {
+  const { target_height_min_m: low_m, target_height_max_m: high_m } = card;
+  const height = low_m === high_m ? metres(low_m) : `${fixed(low_m)} to ${metres(high_m)}`;
+  return `${fixed(card.target_range_min_m)} to ${metres(card.target_range_max_m)}, height ${height}`;
 }

@@ -91,9 +91,13 @@ export function AdminPage() {
   );
 }
 
+/** Ids and what is empty are left to the full text in the title. */
 function detailWords(detail: unknown): string {
   if (typeof detail !== "object" || detail === null) return detail === null ? "" : String(detail);
   return Object.entries(detail)
+    .filter(
+      ([key, value]) => !key.endsWith("_id") && value !== null && value !== "" && value !== false,
+    )
     .map(([key, value]) => `${key} ${typeof value === "object" ? JSON.stringify(value) : value}`)
     .join(", ");
 }

@@ -2,7 +2,9 @@ import { GateSentence } from "../operate/GateSentence";
 import { OperatePanel } from "../operate/OperatePanel";
 import { useNudge } from "../operate/useNudge";
 import { useOperate } from "../operate/useOperate";
+import { CameraButtons } from "../view/CameraButtons";
 import { useViewSlot } from "../view/slot";
+import { useViewFollows } from "../view/useView";
 import classes from "./operate.module.css";
 
 /** Operate: the 3D view fills the page, one panel over it follows the throw. */
@@ -11,12 +13,19 @@ export function OperatePage() {
   const slot = useViewSlot<HTMLDivElement>();
   const isFree = operate.control.hold.phase === "idle" && operate.step !== "throw";
   useNudge(operate.target, isFree, operate.setTarget);
+  useViewFollows({
+    machineId: operate.machine?.machine_id ?? null,
+    mode: operate.mode,
+    height_m: operate.target?.z_m ?? 0,
+    isPicking: isFree,
+  });
   return (
     <div className={classes.page}>
       <h1 className="visually-hidden">Operate</h1>
       {operate.machine ? (
         <>
           <div ref={slot} className={classes.view} />
+          <CameraButtons hasPreview={Boolean(operate.plan?.prediction) && isFree} />
           <OperatePanel operate={operate} />
         </>
       ) : (

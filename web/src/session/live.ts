@@ -1,6 +1,8 @@
 /** What the server tells by itself, kept in one place: a pure reducer over events and a tiny store. */
 
+import { replaceEqualDeep } from "@tanstack/react-query";
 import type { Schema } from "./client";
+import { quiet } from "./quiet";
 
 export type Machine = Schema["MachineView"];
 export type Plan = Schema["PlanView"];
@@ -69,7 +71,7 @@ export function reduceLive(live: Live, action: LiveAction): Live {
       return {
         ...live,
         isLoaded: true,
-        machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, m])),
+        machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, quiet(m)])),
       };
     case "plan":
       // The answer to a request may arrive after newer news of the same plan.
@@ -115,13 +117,16 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
   }
 }
 
-/** Broadcasts carry no target: it belongs to one session, so ours is kept. */
+/**
+ * Broadcasts carry no target: it belongs to one session, so ours is kept. What did not change keeps its
+ * identity: ten states a second must not draw the page ten times a second.
+ */
 function onMachine(live: Live, machine: Machine): Live {
-  const target = machine.target ?? live.machines[machine.machine_id]?.target ?? null;
-  return {
-    ...live,
-    machines: { ...live.machines, [machine.machine_id]: { ...machine, target } },
-  };
+  const known = live.machines[machine.machine_id];
+  const target = machine.target ?? known?.target ?? null;
+  const next = replaceEqualDeep(known, { ...quiet(machine), target });
+  if (next === known) return live;
+  return { ...live, machines: { ...live.machines, [machine.machine_id]: next } };
 }
 
 function onTarget(live: Live, event: Schema["TargetProposedEvent"]): Live {

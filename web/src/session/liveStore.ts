@@ -7,7 +7,9 @@ let state: Live = EMPTY_LIVE;
 const listeners = new Set<() => void>();
 
 export function dispatchLive(action: LiveAction): void {
-  state = reduceLive(state, action);
+  const next = reduceLive(state, action);
+  if (next === state) return;
+  state = next;
   for (const listener of listeners) listener();
 }
 

@@ -15,6 +15,21 @@ import {
 export const theme = createTheme({
   fontFamily: '"Inter Variable", system-ui, "Segoe UI", Roboto, sans-serif',
   fontFamilyMonospace: 'ui-monospace, "Cascadia Mono", "DejaVu Sans Mono", monospace',
+  colors: {
+    // Blue-grey instead of Mantine's neutral greys, so that controls and surfaces are of one family.
+    dark: [
+      "#e9ecef",
+      "#c9d0d6",
+      "#a4adb7",
+      "#7d8791",
+      "#3a424a",
+      "#2b3238",
+      "#20262b",
+      "#181c20",
+      "#121518",
+      "#0f1214",
+    ],
+  },
   primaryColor: "blue",
   primaryShade: { light: 8, dark: 8 },
   defaultRadius: "sm",

@@ -93,6 +93,8 @@ export function FilterBar({ filters, onChange, onClear }: Props) {
         type="date"
         classNames={{ root: classes.date }}
         aria-label="Since"
+        leftSection={<span className={classes.prefix}>since</span>}
+        leftSectionWidth={42}
         value={filters.since ?? ""}
         onChange={(event) => onChange({ since: event.currentTarget.value || undefined })}
       />
@@ -101,6 +103,8 @@ export function FilterBar({ filters, onChange, onClear }: Props) {
         type="date"
         classNames={{ root: classes.date }}
         aria-label="Until"
+        leftSection={<span className={classes.prefix}>until</span>}
+        leftSectionWidth={42}
         value={filters.until ?? ""}
         onChange={(event) => onChange({ until: event.currentTarget.value || undefined })}
       />

@@ -61,8 +61,8 @@ export function ThrowTable({ rows, selected, onSelect }: Props) {
             <th scope="col" className={classes.right}>
               Range, m
             </th>
-            <th scope="col">Along: measured, predicted</th>
-            <th scope="col">Across: measured, predicted</th>
+            <th scope="col">Along, m</th>
+            <th scope="col">Across, m</th>
             <th scope="col">Outcome</th>
             <th scope="col">Policy</th>
             <th scope="col">Person</th>

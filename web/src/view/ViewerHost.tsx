@@ -1,6 +1,7 @@
 import { useComputedColorScheme } from "@mantine/core";
 import { useEffect, useState } from "react";
 import { useSlot, useWasWanted } from "./slot";
+import { useViewRequest } from "./useView";
 import classes from "./ViewerHost.module.css";
 import { readNews, type ViewerNews, viewerSentence } from "./viewerMessages";
 
@@ -15,6 +16,11 @@ export function ViewerHost() {
   const wasWanted = useWasWanted();
   const scheme = useComputedColorScheme("dark");
   const [news, setNews] = useState<ViewerNews>(LOADING);
+
+  const request = useViewRequest();
+  useEffect(() => {
+    if (wasWanted) request({ theme: scheme });
+  }, [request, scheme, wasWanted]);
 
   useEffect(() => {
     const onMessage = (event: MessageEvent) => {

@@ -1,6 +1,6 @@
 /** Where the one 3D view of this page is shown: the rectangle of the page that wants it. */
 
-import { useEffect, useRef, useSyncExternalStore } from "react";
+import { useEffect, useState, useSyncExternalStore } from "react";
 
 export type Slot = { left: number; top: number; width: number; height: number };
 
@@ -24,11 +24,10 @@ export const useSlot = (): Slot | null => useSyncExternalStore(subscribe, () => 
 /** The view is loaded when first wanted, and stays loaded from then on. */
 export const useWasWanted = (): boolean => useSyncExternalStore(subscribe, () => wasWanted);
 
-/** Put the view over this element for as long as it is on the page. */
+/** Put the view over an element for as long as it is on the page; give the result as its `ref`. */
 export function useViewSlot<T extends HTMLElement>() {
-  const ref = useRef<T>(null);
+  const [element, setElement] = useState<T | null>(null);
   useEffect(() => {
-    const element = ref.current;
     if (!element) return;
     const measure = () => {
       const { left, top, width, height } = element.getBoundingClientRect();
@@ -44,6 +43,6 @@ export function useViewSlot<T extends HTMLElement>() {
       window.removeEventListener("scroll", measure, { capture: true });
       set(null);
     };
-  }, []);
-  return ref;
+  }, [element]);
+  return setElement;
 }
