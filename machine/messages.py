@@ -147,7 +147,7 @@ class FireRequest(_Command):
     plan_hash: str
     seen_t_mono_ns: int | None = Field(default=None, ge=0)
     """Newest `t_mono_ns` of the machine's own messages that the sender had seen: tells the machine, on its
-    own clock, how old this command can at most be (runtime/freshness.py)."""
+    own clock, how old this command can at most be. Without it the command counts as too old."""
 
 
 class AbortRequest(_Command):

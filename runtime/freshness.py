@@ -15,10 +15,10 @@ HEARTBEAT_AGE_MAX_NS: Final = 500_000_000
 
 
 def why_stale(message: FireRequest | OperatorHeartbeat, now_ns: int) -> str:
-    """Why a message is too old to act on, for people; empty = it is fresh, or does not say."""
+    """Why a message is too old to act on, for people; empty = it is fresh."""
     seen_ns = message.seen_t_mono_ns
     if seen_ns is None:
-        return ""
+        return "It does not say which time of this machine its sender had seen. Update the sender."
     limit_ns = FIRE_AGE_MAX_NS if isinstance(message, FireRequest) else HEARTBEAT_AGE_MAX_NS
     age_ns = now_ns - seen_ns
     if age_ns < 0:

@@ -155,13 +155,13 @@ class Journal:
             ).fetchall()
         return tuple(str(row[0]) for row in rows)
 
-    def next_upload(self) -> str | None:
-        """The oldest throw whose log the server does not have."""
+    def to_upload(self) -> tuple[str, ...]:
+        """Throws whose log the server does not have, oldest first; at most a hundred."""
         with self._outbox.transaction() as database:
-            row = database.execute(
-                "SELECT throw_id FROM throws WHERE has_log=1 AND is_uploaded=0 ORDER BY id LIMIT 1"
-            ).fetchone()
-        return None if row is None else str(row[0])
+            rows = database.execute(
+                "SELECT throw_id FROM throws WHERE has_log=1 AND is_uploaded=0 ORDER BY id LIMIT 100"
+            ).fetchall()
+        return tuple(str(row[0]) for row in rows)
 
     def mark_uploaded(self, throw_id: str) -> None:
         """The server has the log (or it can never have it)."""

@@ -101,32 +101,39 @@ class LogUploader:
     def _run(self) -> None:
         wait_s = RETRY_MIN_S
         while not self._is_closing.is_set():
+            self._news.clear()
             try:
-                outcome = self._send_next()
+                is_empty, has_progress = self.send_all()
             except OutboxError as error:
                 logger.error("%s", error)
-                outcome = Outcome.RETRY
-            if outcome is Outcome.RETRY:
+                is_empty = has_progress = False
+            if is_empty:
+                wait_s = RETRY_MIN_S
+                self._news.wait()
+            elif not has_progress:
+                # Also a log that comes meanwhile waits: the server has just shown that it is not there.
                 self._is_closing.wait(wait_s)
                 wait_s = min(wait_s * 2.0, RETRY_MAX_S)
-            else:
-                wait_s = RETRY_MIN_S
-            if outcome is None:
-                self._news.wait()
-                self._news.clear()
 
-    def _send_next(self) -> Outcome | None:
-        """Send the oldest log; None when there is none."""
-        throw_id = self._journal.next_upload()
-        if throw_id is None:
-            return None
+    def send_all(self) -> tuple[bool, bool]:
+        """Try every waiting log once; whether none waited, and whether one was dealt with.
+
+        A log that the server does not want yet (it may not know the throw) holds up no other one.
+        """
+        throw_ids = self._journal.to_upload()
+        has_progress = False
+        for throw_id in throw_ids:
+            if self._is_closing.is_set():
+                break
+            if self._send(throw_id) is not Outcome.RETRY:
+                self._journal.mark_uploaded(throw_id)
+                has_progress = True
+        return not throw_ids, has_progress
+
+    def _send(self, throw_id: str) -> Outcome:
         try:
             content = log_path(self._folder, throw_id).read_bytes()
         except OSError as error:
             logger.error("the log of %s is gone from the disk (%s); not uploaded", throw_id, error)
-            self._journal.mark_uploaded(throw_id)
             return Outcome.REFUSED
-        outcome = upload_log(self._target, throw_id, content)
-        if outcome is not Outcome.RETRY:
-            self._journal.mark_uploaded(throw_id)
-        return outcome
+        return upload_log(self._target, throw_id, content)

@@ -171,6 +171,8 @@ class _Begin:
     metadata: dict[str, Any]
     earlier: ThrowLog | None
     has_gap: bool
+    dropped_count: int
+    """Of the recorder, when this throw began: what is dropped from here on is missing in its log."""
 
 
 @dataclass(slots=True)
@@ -237,7 +239,7 @@ class ThrowRecorder:
             earlier: what a recorder that died had written of this throw; it comes first.
             has_gap: rows are missing already; the log will not count as complete.
         """
-        self._put(_Begin(throw_id, dict(metadata), earlier, has_gap))
+        self._put(_Begin(throw_id, dict(metadata), earlier, has_gap, self.dropped_count))
 
     def add_rows(
         self, name: str, rows: np.ndarray[Any, np.dtype[np.void]], log_t_mono_ns: int
@@ -305,7 +307,7 @@ class ThrowRecorder:
         if self._writer is not None:
             self._end({"outcome": "interrupted"})
         self._throw_id = item.throw_id
-        self._dropped_at_begin_count = self.dropped_count
+        self._dropped_at_begin_count = item.dropped_count
         self._stream = part_path(self._folder, item.throw_id).open("wb")
         self._writer = LogWriter(self._stream, item.metadata)
         self._has_gap = item.has_gap

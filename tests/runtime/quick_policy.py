@@ -64,6 +64,7 @@ def _write(folder: Path, mode: Mode) -> None:
         action_scale_rad_m_per_s=tuple(scale if mode is Mode.SPATIAL else scale[1:]),
         target_range_min_m=5.5,
         target_range_max_m=10.9,
+        target_height_max_m=1.0,
         training=TrainingRecord(
             commit="none",
             seed_count=0,

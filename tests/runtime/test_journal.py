@@ -102,9 +102,9 @@ def test_log_is_reported_once_and_stays_queued_until_uploaded(outbox, tmp_path):
     log = StoredLog("t1", tmp_path / "t1.mcap", "ab" * 32, 10)
     assert journal.add_log("a", log, 9).data == {"log_sha256": "ab" * 32, "size_bytes": 10}
     assert journal.add_log("a", log, 9) is None
-    assert journal.next_upload() == "t1"
+    assert journal.to_upload() == ("t1",)
     journal.mark_uploaded("t1")
-    assert journal.next_upload() is None
+    assert journal.to_upload() == ()
 
 
 STEPS = st.lists(
