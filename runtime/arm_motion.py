@@ -35,11 +35,13 @@ class ArmMotion:
         along = length * cos_tube - g.telescope_axis_offset_m * sin_tube
         boom_x, boom_z = g.boom_length_m * np.cos(boom), g.boom_length_m * np.sin(boom)
         tube_rate = boom_rate + dipper_rate
-        outward = along * tube_rate - boom_z * boom_rate + sin_tube * extending
-        upward = across * tube_rate + boom_x * boom_rate - cos_tube * extending
+        motion = np.empty((3, tube.shape[0]))
+        motion[0] = along * tube_rate - boom_z * boom_rate + sin_tube * extending
+        motion[1] = across * tube_rate + boom_x * boom_rate - cos_tube * extending
+        motion[2] = turning
         return cls(
             radius_m=g.boom_pivot_m[0] + boom_x + across,
             dipper_arm_m=along,
             telescope_arm_ratio=sin_tube,
-            velocity_rad_m_per_s=np.stack([outward, upward, turning]),
+            velocity_rad_m_per_s=motion,
         )

@@ -44,6 +44,11 @@ RELEASE_WAIT_S = 0.6
 IMU_AGE_MAX_S = 0.15
 """Older than any burst of lost packets that the extrapolation can bridge."""
 SPEED_FILTER_S = 0.10
+_HOLD, _ALIGN, _THROW, _SETTLE = (
+    int(m) for m in (Motion.HOLD, Motion.ALIGN, Motion.THROW, Motion.SETTLE)
+)
+_CLOSING = int(safety.CLOSING)
+_RELEASE_WAIT_TICKS = round(RELEASE_WAIT_S / CONTROL_PERIOD_S)
 
 
 class Violation(IntFlag):
@@ -57,6 +62,12 @@ class Violation(IntFlag):
     """No usable gripper IMU sample for too long while it is needed."""
     POLICY = 8
     """The policy gave a number that is not finite."""
+
+
+_VIOLATIONS = tuple(
+    int(v) for v in (Violation.SAFETY, Violation.SWING, Violation.IMU, Violation.POLICY)
+)
+_CLOSING_ON_ITS_OWN = int(safety.CLOSING & ~safety.Intervention.STOPPED)
 
 
 @dataclass(frozen=True)
@@ -172,7 +183,7 @@ def initial_state(
     )
     return ControlState(
         tick_count=0,
-        motion=np.full(count, int(Motion.HOLD)),
+        motion=np.full(count, _HOLD),
         motion_tick_count=np.zeros(count, dtype=np.int64),
         speed_rad_m_per_s=sample.joint_velocity_rad_m_per_s,
         imu=imu,
@@ -215,14 +226,14 @@ def step(
     previous = state.controller.delay_line[0]
     reference = shape_with_ratio(spec, request, previous, active, ratio, CONTROL_PERIOD_S)
     controller, valve = params.controller.update(state.controller, reference, speed, ratio)
-    opening = throw.released & ((motion == Motion.THROW) | (motion == Motion.SETTLE))
+    opening = throw.released & ((motion == _THROW) | (motion == _SETTLE))
     memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
     closed: BoolArray = np.not_equal(gated.intervention_count & int(safety.CLOSING), 0)
     if closed.any():
         # A machine whose valves were closed starts again from standstill, not from old wishes.
         controller = controller.forget(closed)
     gone = throw.released & ~sample.payload_held
-    waited = throw.released_tick_count >= round(RELEASE_WAIT_S / CONTROL_PERIOD_S)
+    waited = throw.released_tick_count >= _RELEASE_WAIT_TICKS
     after = ControlState(
         tick_count=state.tick_count + 1,
         motion=motion,
@@ -254,9 +265,9 @@ def step(
 
 def next_motion(motion: IntArray, outputs: ControlOutputs) -> IntArray:
     """Motion (N,) of the next tick when nobody interferes: ALIGN -> THROW -> SETTLE; for rollouts."""
-    starts = (motion == Motion.ALIGN) & outputs.aligned
-    ends = (motion == Motion.THROW) & outputs.throw_done
-    return np.where(starts, int(Motion.THROW), np.where(ends, int(Motion.SETTLE), motion))
+    starts = (motion == _ALIGN) & outputs.aligned
+    ends = (motion == _THROW) & outputs.throw_done
+    return np.where(starts, _THROW, np.where(ends, _SETTLE, motion))
 
 
 def _sense(
@@ -291,10 +302,10 @@ def _motions(
     """Velocity requests (N, 4) of whatever motion each machine runs, and whether it is done."""
     spec, motion = params.spec, inputs.motion
     active = inputs.sample.joint_position_rad_m
-    request = np.where((motion == Motion.THROW)[:, None], throw.request_rad_m_per_s, 0.0)
+    request = np.where((motion == _THROW)[:, None], throw.request_rad_m_per_s, 0.0)
     aligned = settled = np.zeros(motion.shape, dtype=np.bool_)
     swing = state.swing
-    aligning, settling = motion == Motion.ALIGN, motion == Motion.SETTLE
+    aligning, settling = motion == _ALIGN, motion == _SETTLE
     if not (aligning.any() or settling.any()):
         return swing, request, aligned, settled
     if sensed.begins.any():
@@ -327,14 +338,14 @@ def _violations(
     gated: safety.SafetyOutput,
 ) -> IntArray:
     imu, limit = sensed.imu, spec.limits.swing_rad
-    needs_imu = (motion == Motion.THROW) | (motion == Motion.ALIGN)
+    needs_imu = (motion == _THROW) | (motion == _ALIGN)
     swings = (np.abs(imu.swing_rad) > limit) | (np.abs(imu.roll_rad) > limit)
-    closing = int(safety.CLOSING & ~safety.Intervention.STOPPED)
+    old = imu.age_s > IMU_AGE_MAX_S
     return (
-        np.where(gated.intervention_count & closing, int(Violation.SAFETY), 0)
-        + np.where(needs_imu & swings, int(Violation.SWING), 0)
-        + np.where(needs_imu & (imu.age_s > IMU_AGE_MAX_S), int(Violation.IMU), 0)
-        + np.where(policy.failed, int(Violation.POLICY), 0)
+        (gated.intervention_count & _CLOSING_ON_ITS_OWN > 0) * _VIOLATIONS[0]
+        + (needs_imu & swings) * _VIOLATIONS[1]
+        + (needs_imu & old) * _VIOLATIONS[2]
+        + policy.failed * _VIOLATIONS[3]
     )
 
 

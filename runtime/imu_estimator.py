@@ -233,12 +233,10 @@ def _joint_rates(state: ImuState, gyro: Array) -> Array:
     In S the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
     """
     swing, roll = state.angle_rad
-    return np.stack(
-        [
-            np.sin(roll) * gyro[2] - np.cos(roll) * gyro[1],
-            gyro[0] - state.pin_velocity_rad_m_per_s[2] * np.sin(swing),
-        ]
-    )
+    rates = np.empty_like(state.angle_rad)
+    rates[0] = np.sin(roll) * gyro[2] - np.cos(roll) * gyro[1]
+    rates[1] = gyro[0] - state.pin_velocity_rad_m_per_s[2] * np.sin(swing)
+    return rates
 
 
 def _tilt_error(
@@ -275,7 +273,9 @@ def _tilt_error(
     sin_s, cos_s = np.sin(swing), np.cos(swing)
     expected1 = pin_x * cos_s + up * sin_s
     along_hanger = np.maximum(up * cos_s - pin_x * sin_s, 0.3 * GRAVITY_M_PER_S2)
-    return np.stack([s1 - expected1, s2 - pin_y]) / along_hanger
+    error = np.empty_like(state.angle_rad)
+    error[0], error[1] = s1 - expected1, s2 - pin_y
+    return error / along_hanger
 
 
 def _correct(state: ImuState, error: Array, gyro: Array, dt: Array, new: BoolArray) -> ImuState:

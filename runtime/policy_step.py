@@ -25,6 +25,7 @@ from machine.telemetry import POLICY_ROW
 from runtime import observation
 from runtime.policy import PolicyRunner
 
+_ALIGN, _THROW = int(Motion.ALIGN), int(Motion.THROW)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -104,8 +105,8 @@ def run_policies(
     Raises:
         PolicyError: a machine throws and there is no policy, or it cannot run.
     """
-    throws = inputs.motion == Motion.THROW
-    fresh = inputs.begins & (throws | (inputs.motion == Motion.ALIGN))
+    throws = inputs.motion == _THROW
+    fresh = inputs.begins & (throws | (inputs.motion == _ALIGN))
     released = memory.released & ~fresh
     memory = replace(
         memory,

@@ -63,6 +63,22 @@ LIMIT_MARGIN_RAD_M = 0.01
 """Kept before a position limit."""
 
 
+# Enum members cost 0.1 us at each look-up, and the gate looks 20 times a tick.
+_NOT_FINITE = int(Intervention.NOT_FINITE)
+_STALE_SENSORS = int(Intervention.STALE_SENSORS)
+_LOCAL_DISABLED = int(Intervention.LOCAL_DISABLED)
+_EMERGENCY_STOP = int(Intervention.EMERGENCY_STOP)
+_OVER_SPEED = int(Intervention.OVER_SPEED)
+_STOPPED = int(Intervention.STOPPED)
+_POSITION_LIMIT = int(Intervention.POSITION_LIMIT)
+_RANGE_CLIPPED = int(Intervention.RANGE_CLIPPED)
+_RATE_CLIPPED = int(Intervention.RATE_CLIPPED)
+_GRIPPER_KEPT_CLOSED = int(Intervention.GRIPPER_KEPT_CLOSED)
+_HOLD, _THROW, _SETTLE, _STOP = (
+    int(m) for m in (Motion.HOLD, Motion.THROW, Motion.SETTLE, Motion.STOP)
+)
+
+
 @dataclass(frozen=True, slots=True)
 class SafetyMemory:
     """What the gate remembers: only what it let through last."""
@@ -140,31 +156,29 @@ def apply(
     position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
     with np.errstate(invalid="ignore"):
         numbers = requested_ratio + memory.valve_ratio + position + velocity
-    finite: BoolArray = np.asarray(np.isfinite(numbers).all(axis=1))
+    broken: BoolArray = np.asarray(~np.isfinite(numbers).all(axis=1))
     age_ns = now_ns - sample.t_mono_ns
     stale = age_ns > SENSOR_AGE_MAX_NS or age_ns < 0
-    fast = (velocity > limits.speed_positive) | (velocity < limits.speed_negative)
-    moving = (motion >= Motion.HOLD) & (motion < Motion.STOP)
-    bits = (
-        np.where(finite, 0, int(Intervention.NOT_FINITE))
-        + (int(Intervention.STALE_SENSORS) if stale else 0)
-        + np.where(sample.local_enable, 0, int(Intervention.LOCAL_DISABLED))
-        + np.where(sample.emergency_stop, int(Intervention.EMERGENCY_STOP), 0)
-        + np.where(fast.any(axis=1), int(Intervention.OVER_SPEED), 0)
-        + np.where(moving, 0, int(Intervention.STOPPED))
+    fast = ((velocity > limits.speed_positive) | (velocity < limits.speed_negative)).any(axis=1)
+    bits: IntArray = (
+        broken * _NOT_FINITE
+        + stale * _STALE_SENSORS
+        + ~sample.local_enable * _LOCAL_DISABLED
+        + sample.emergency_stop * _EMERGENCY_STOP
+        + fast * _OVER_SPEED
+        + ((motion < _HOLD) | (motion >= _STOP)) * _STOPPED
     )
     closed: BoolArray = np.not_equal(bits, 0)
-    usable = finite[:, None]
-    wanted = np.where(usable, requested_ratio, 0.0)
-    valve, clip_bits = _clip_valves(limits, wanted, position, velocity, memory)
-    may_open = (motion == Motion.THROW) | ((motion == Motion.SETTLE) & memory.gripper_open)
+    if closed.any():
+        # Nothing is wanted of machines that are closed; their numbers may be NaN.
+        requested_ratio = np.where(closed[:, None], 0.0, requested_ratio)
+    with np.errstate(invalid="ignore", over="ignore"):
+        valve, clip_bits = _clip_valves(limits, requested_ratio, position, velocity, memory)
+    may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
     opened = open_requested & may_open & ~closed
-    bits = (
-        bits
-        + np.where(closed, 0, clip_bits)
-        + np.where(open_requested & ~opened, int(Intervention.GRIPPER_KEPT_CLOSED), 0)
-    )
-    valve = np.where(closed[:, None], 0.0, valve)
+    bits = bits + clip_bits * ~closed + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
+    if closed.any():
+        valve = np.where(closed[:, None], 0.0, valve)
     return SafetyMemory(valve, opened), SafetyOutput(valve, opened, bits)
 
 
@@ -182,8 +196,8 @@ def _clip_valves(
     under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low
     stops = np.where(rated > 0.0, over, (rated < 0.0) & under)
     bits = (
-        np.where((ranged != wanted).any(axis=1), int(Intervention.RANGE_CLIPPED), 0)
-        + np.where((rated != ranged).any(axis=1), int(Intervention.RATE_CLIPPED), 0)
-        + np.where(stops.any(axis=1), int(Intervention.POSITION_LIMIT), 0)
+        (ranged != wanted).any(axis=1) * _RANGE_CLIPPED
+        + (rated != ranged).any(axis=1) * _RATE_CLIPPED
+        + stops.any(axis=1) * _POSITION_LIMIT
     )
     return np.where(stops, 0.0, rated), bits

@@ -237,11 +237,10 @@ class VelocityController:
         return ControllerState(line, expected, integral), valve
 
     def _valve(self, actuator_speed: Array) -> Array:
-        columns = [
-            np.interp(actuator_speed[:, joint], speeds, valves)
-            for joint, (speeds, valves) in enumerate(self._inverse)
-        ]
-        return np.stack(columns, axis=1)
+        valve = np.empty_like(actuator_speed)
+        for joint, (speeds, valves) in enumerate(self._inverse):
+            valve[:, joint] = np.interp(actuator_speed[:, joint], speeds, valves)
+        return valve
 
 
 def _ticks(delays_s: tuple[float, ...]) -> IntArray:
