@@ -90,7 +90,7 @@ def test_request_carries_token_and_hash(server):
     (headers,) = server.headers
     assert headers["path"] == "/api/v1/machines/m001/throw-logs/t1"
     assert headers["Authorization"] == "Bearer secret"
-    assert headers["X-Content-SHA256".capitalize()] == hashlib.sha256(b"content").hexdigest()
+    assert headers["X-Content-Sha256"] == hashlib.sha256(b"content").hexdigest()
     assert server.stored == {"t1": b"content"}
 
 
