@@ -25,7 +25,7 @@ class GroundNodes:
                 "/sun",
                 intensity=theme.light_intensity_ratio,
                 cast_shadow=shadows,
-                position=(-6.0, -9.0, 14.0),
+                position=(-5.0, -9.0, 14.0),
             ),
             scene.add_light_hemisphere(
                 "/sky",

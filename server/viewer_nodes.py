@@ -55,8 +55,16 @@ class MachineNodes:
     """One drawn machine in one browser."""
 
     def __init__(
-        self, scene: viser.SceneApi, root: str, kit: MachineKit, tint: Tint | None = None
+        self,
+        scene: viser.SceneApi,
+        root: str,
+        kit: MachineKit,
+        tint: Tint | None = None,
+        *,
+        skip: frozenset[str] = frozenset(),
     ) -> None:
+        """Add the machine at zero joint positions; parts in `skip` are carried but not drawn."""
+        self._skip = skip
         self._scene = scene
         self._root_path = root
         self._kit = kit
@@ -78,7 +86,7 @@ class MachineNodes:
         self._tint = tint
         for part in self._kit.parts:
             mesh = self._kit.meshes.get(part.name)
-            if mesh is None:
+            if mesh is None or part.name in self._skip:
                 continue
             name = f"{self._root_path}{part.path}/skin"
             if tint is None:

@@ -109,6 +109,7 @@ class ViewerScene:
         def draw(view: ClientView, state: SessionView) -> None:
             view.show_live(None, is_hidden=False)
             view.show_replay(None)
+            view.show_ghost(None, state)
             view.draw_all(state)
 
         self._stage.apply(session_id, change, draw)
@@ -126,7 +127,7 @@ class ViewerScene:
         self._stage.apply(
             session_id,
             lambda state: setattr(state, "target_m", target_m),
-            lambda view, state: view.draw_target(state, flush=True),
+            lambda view, state: view.marks.draw_target(state, flush=True),
         )
 
     def set_reach(self, session_id: str, reach: Reach | None) -> None:
@@ -134,7 +135,7 @@ class ViewerScene:
         self._stage.apply(
             session_id,
             lambda state: setattr(state, "reach", reach),
-            lambda view, state: view.draw_reach(state),
+            lambda view, state: view.marks.draw_reach(state, view.ground),
         )
 
     def set_zones(self, session_id: str, zones_m: Sequence[Array]) -> None:
@@ -143,7 +144,7 @@ class ViewerScene:
         self._stage.apply(
             session_id,
             lambda state: setattr(state, "zones_m", zones),
-            lambda view, state: view.draw_zones(state),
+            lambda view, state: view.marks.draw_zones(state),
         )
 
     def set_theme(self, session_id: str, theme: ThemeName) -> None:
@@ -191,8 +192,8 @@ class ViewerScene:
             state.preview = Playback(motion) if play else None
 
         def draw(view: ClientView, state: SessionView) -> None:
-            view.draw_target(state)
-            view.draw_plan(state)
+            view.marks.draw_target(state)
+            view.marks.draw_plan(state)
 
         self._stage.apply(session_id, change, draw)
 
@@ -204,7 +205,7 @@ class ViewerScene:
                 plan = state.plan
                 state.plan = PlanView(plan.target_m, plan.motion, plan.impact_m, ellipse)
 
-        self._stage.apply(session_id, change, lambda view, state: view.draw_plan(state))
+        self._stage.apply(session_id, change, lambda view, state: view.marks.draw_plan(state))
 
     def play_preview(self, session_id: str) -> None:
         """Play the plan's ghost once more."""
@@ -221,7 +222,11 @@ class ViewerScene:
         def change(state: SessionView) -> None:
             state.plan = state.preview = None
 
-        self._stage.apply(session_id, change, lambda view, state: view.draw_plan(state))
+        def draw(view: ClientView, state: SessionView) -> None:
+            view.marks.draw_plan(state)
+            view.show_ghost(None, state)
+
+        self._stage.apply(session_id, change, draw)
 
     def show_impacts(
         self,
@@ -237,7 +242,7 @@ class ViewerScene:
         self._stage.apply(
             session_id,
             lambda state: setattr(state, "impacts", marks),
-            lambda view, state: view.draw_impacts(state),
+            lambda view, state: view.marks.draw_impacts(state),
         )
 
     def replay(

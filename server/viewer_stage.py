@@ -233,7 +233,7 @@ class ViewerStage:
         self.apply(
             session_id,
             lambda state: setattr(state, "target_m", point),
-            lambda view, state: view.draw_target(state, flush=True),
+            lambda view, state: view.marks.draw_target(state, flush=True),
         )
         self._on_pick(session_id, point)
 

@@ -39,7 +39,7 @@ THEMES: dict[ThemeName, Theme] = {
         grid_cell=(190, 194, 197),
         grid_section=(168, 173, 178),
         dim=(70, 80, 92),
-        dim_ratio=0.26,
+        dim_ratio=0.18,
         ring=(52, 60, 70),
         accent=(24, 100, 190),
         measured=(20, 24, 30),
@@ -55,9 +55,9 @@ THEMES: dict[ThemeName, Theme] = {
         haze=(26, 29, 33),
         ground=(52, 57, 63),
         grid_cell=(66, 72, 79),
-        grid_section=(88, 95, 103),
+        grid_section=(80, 87, 95),
         dim=(8, 9, 11),
-        dim_ratio=0.45,
+        dim_ratio=0.38,
         ring=(176, 184, 193),
         accent=(92, 174, 255),
         measured=(245, 247, 250),
@@ -81,8 +81,9 @@ class Viewpoint:
 
 
 VIEWPOINTS: dict[CameraPreset, Viewpoint] = {
-    # Over the operator's right shoulder, the throwing field ahead; the console's panel covers the right.
-    "3d": Viewpoint((-8.6, -14.6, 8.4), (4.3, -0.9, 0.6), 0.66),
+    # From the right and above: throwing field in the middle, the console's panel covers the right edge.
+    # Near enough for shadows: viser draws them up to 20 m from the camera.
+    "3d": Viewpoint((-2.4, -12.6, 8.9), (5.2, -0.6, 0.0), 0.88),
     # From far above with a narrow lens: close to a map. The hair's breadth of tilt keeps x upward.
     "top": Viewpoint((3.7, 0.0, 52.0), (3.9, 0.0, 0.0), 0.52),
     "side": Viewpoint((3.6, -27.0, 3.4), (3.6, 0.0, 1.9), 0.52),

@@ -181,8 +181,9 @@ def test_a_plan_is_drawn_and_its_ghost_plays_once(
     app: ViewerApp, session: str, client: ViewClient
 ) -> None:
     app.scene.show_plan(session, (9.0, 1.0, 0.0), motion(), impact_m=(9.05, 1.0, 0.12))
-    client.until(lambda: "/ghost/chassis/skin" in client.nodes, "the ghost")
-    assert client.nodes["/ghost/chassis/skin"]["opacity"] < 0.5
+    client.until(lambda: "/ghost/chassis/upper/skin" in client.nodes, "the ghost")
+    assert client.nodes["/ghost/chassis/upper/skin"]["opacity"] < 0.5
+    assert "/ghost/chassis/skin" not in client.nodes
     assert {"/plan/path", "/plan/impact", "/target"} <= set(client.nodes)
     assert "/plan/sigma1" not in client.nodes
     app.scene.update_ellipse(session, ELLIPSE)
