@@ -77,14 +77,24 @@ class MachineLink:
             thread.start()
             self._threads.append(thread)
         session = self._session
-        self._declared = [
-            session.declare_subscriber(self._any("state"), self._note("state")),
-            session.declare_subscriber(self._any("joints"), self._note("joints")),
-            session.declare_queryable(self._any("events"), self._note_batch),
-            session.liveliness().declare_subscriber(
-                self._any("alive"), self._note_token, history=True
-            ),
-        ]
+        for known in self._registry.all():
+            self._listen_to(session, known.machine_id)
+        every_token = f"{KEY_ROOT}/{self._site}/m/*/{KEYS['alive'].suffix}"
+        self._declared.append(
+            session.liveliness().declare_subscriber(every_token, self._note_token, history=True)
+        )
+
+    def _listen_to(self, session: zenoh.Session, machine_id: str) -> None:
+        """One declaration a machine and channel.
+
+        A machine's access rule covers its own keys only: a wildcard over all machines would not be told to
+        it, and its publishers send nothing while they know of no subscriber.
+        """
+        for name in ("state", "joints"):
+            key = machine_key(self._site, machine_id, name)
+            self._declared.append(session.declare_subscriber(key, self._note(machine_id, name)))
+        key = machine_key(self._site, machine_id, "events")
+        self._declared.append(session.declare_queryable(key, self._note_batch))
 
     def close(self) -> None:
         """Stop listening and close the session; never hangs on a machine that is gone."""
@@ -108,9 +118,6 @@ class MachineLink:
     def is_open(self) -> bool:
         """Whether machines can call in."""
         return self._session is not None and not self._session.is_closed()
-
-    def _any(self, name: str) -> str:
-        return f"{KEY_ROOT}/{self._site}/m/*/{KEYS[name].suffix}"
 
     @staticmethod
     def _machine_of(key: str) -> str:
@@ -188,9 +195,8 @@ class MachineLink:
 
     # In: callbacks only take notes ------------------------------------------------------------------
 
-    def _note(self, name: str) -> Callable[[zenoh.Sample], None]:
+    def _note(self, machine_id: str, name: str) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
-            machine_id = self._machine_of(str(sample.key_expr))
             with self._news:
                 self._latest[machine_id, name] = sample.payload.to_bytes()
                 self._news.notify()

@@ -2,7 +2,9 @@
 
 import contextlib
 import logging
+import signal
 import socket
+import sys
 from collections.abc import Callable
 
 import uvicorn
@@ -94,8 +96,12 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
     logging.getLogger("uvicorn.error").addFilter(_without_traceback)
     with open_socket(settings.host, settings.port_count) as listener:
         server, app = make_server(settings, on_ready)
+        # uvicorn ends in order and then sends itself the signal again; by default that would kill the
+        # process before its preview processes are cleaned up.
+        before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         with contextlib.suppress(SystemExit):  # how uvicorn says that the start failed
             server.run(sockets=[listener])
+        signal.signal(signal.SIGTERM, before)
         error = getattr(app.state, "startup_error", None)
         if isinstance(error, DownrangeError):
             raise error

@@ -91,6 +91,8 @@ class FakeMachine:
             self.session.declare_subscriber(self._key("stop"), self._take_stop),
             self.session.declare_subscriber(self._key("heartbeat"), self._take_heartbeat),
         ]
+        # Declared as the real machine does it: such a publisher sends only where it knows of a subscriber.
+        self._state_publisher = self.session.declare_publisher(self._key("state"))
         self._token = self.session.liveliness().declare_token(self._key("alive"))
         self.event(EventKind.BOOTED)
         for target in (self._publish, self._deliver):
@@ -133,7 +135,7 @@ class FakeMachine:
     def _publish(self) -> None:
         while not self._closing.wait(0.05):
             if self.publishes_state:
-                self.session.put(self._key("state"), self.state_message().model_dump_json())
+                self._state_publisher.put(self.state_message().model_dump_json())
 
     def event(self, kind: EventKind, **data: object) -> MachineEvent:
         with self._lock:
