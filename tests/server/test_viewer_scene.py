@@ -163,14 +163,24 @@ def test_a_click_marks_the_target_and_tells(
 
 
 def test_clicks_that_give_no_target_are_told_and_draw_nothing(
-    app: ViewerApp, session: str, client: ViewClient
+    app: ViewerApp, session: str, client: ViewClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picks, refusals = len(app.picks), len(app.refusals)
+    handled: list[object] = []
+    original = app.scene._stage._clicked
+
+    def noting(session_id: str, event: Any) -> None:
+        original(session_id, event)
+        handled.append(event)
+
+    monkeypatch.setattr(app.scene._stage, "_clicked", noting)
     client.send(click((0.0, 0.0, 7.0), (1.0, 0.0, -0.01)))
     wait_for(lambda: len(app.refusals) > refusals, "the refusal")
     app.scene.set_picking(session, False)
-    app.scene.set_target(session, None)
+    state = app.scene._stage.session(session)
+    wait_for(lambda: state is not None and not state.is_picking, "picking to be off")
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
+    wait_for(lambda: len(handled) == 2, "the second click to be handled")
     app.scene.set_reach(session, Reach(7.5))
     client.until(lambda: "/reach/static" in client.nodes, "what was asked later")
     assert "/target" not in client.nodes
