@@ -37,6 +37,7 @@ THREADED_FROM_COUNT = 16
 """Smaller batches are faster on one thread."""
 NOISE_TABLE_SIZE = 1 << 17
 NOISE_CHANNELS = 14
+_NOISE_COLUMNS = np.arange(NOISE_CHANNELS)
 
 
 @cache
@@ -87,6 +88,12 @@ class Twin:
         self._friction = np.zeros((2, count, 2))
         self._noise_offset = np.zeros((count, 1), dtype=np.int64)
         self._noise_sd = _noise_sd(profile)
+        # The same in every sample, and nobody's to change.
+        self._pressure = _constant(count, self.spec.hydraulics.supply_pressure_pa)
+        self._survey_sd = _constant(count, profile.noise.survey_sd_m)
+        self._enabled = np.ones(count, dtype=np.bool_)
+        self._stopped = np.zeros(count, dtype=np.bool_)
+        self._enabled.flags.writeable = self._stopped.flags.writeable = False
         self._frozen_rows: Any = None
         self._sample: SensorSample | None = None
         self.reset(np.zeros((count, JOINT_COUNT)), seed)
@@ -211,28 +218,27 @@ class Twin:
     def _measure(self) -> SensorSample:
         tick = self._now_ns // CONTROL_PERIOD_NS
         start = (self._noise_offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE
-        noise = _noise_table()[start + np.arange(NOISE_CHANNELS)] * self._noise_sd
+        noise = _noise_table()[start + _NOISE_COLUMNS] * self._noise_sd
         load = self._payload
         impact_t_ns, impact_m = load.survey()
         # MuJoCo's sensors describe the state in which the last step began.
         imu_t_ns = self._now_ns - CONTROL_PERIOD_NS
-        count = self.count
         return SensorSample(
             t_mono_ns=self._now_ns,
             joint_position_rad_m=self._position[:, :4] + noise[:, 0:4],
             joint_velocity_rad_m_per_s=self._velocity[:, :4] + noise[:, 4:8],
-            imu_t_mono_ns=np.full(count, imu_t_ns),
+            imu_t_mono_ns=np.full(self.count, imu_t_ns),
             imu_gyro_rad_per_s=self._imu[:, 0:3] + noise[:, 8:11],
             imu_accel_m_per_s2=self._imu[:, 3:6] + noise[:, 11:14],
             payload_held=load.held.copy(),
-            supply_pressure_pa=np.full(count, self.spec.hydraulics.supply_pressure_pa),
-            local_enable=np.ones(count, dtype=np.bool_),
-            emergency_stop=np.zeros(count, dtype=np.bool_),
+            supply_pressure_pa=self._pressure,
+            local_enable=self._enabled,
+            emergency_stop=self._stopped,
             ball_t_mono_ns=np.where(load.flying, self._now_ns, 0),
             ball_position_m=load.position_m.copy(),
             impact_t_mono_ns=impact_t_ns,
             impact_position_m=impact_m,
-            impact_sd_m=np.full(count, self.profile.noise.survey_sd_m),
+            impact_sd_m=self._survey_sd,
         )
 
     def write(self, command: ValveCommand) -> None:
@@ -274,6 +280,13 @@ class Twin:
     def close(self) -> None:
         """Close the valves."""
         self._valve[:] = 0.0
+
+
+def _constant(count: int, value: float) -> Array:
+    """A read-only array (N,) of one value."""
+    array = np.full(count, value)
+    array.flags.writeable = False
+    return array
 
 
 def _noise_sd(profile: TwinProfile) -> Array:
