@@ -107,6 +107,8 @@ class _Limits:
     high: Array
     speed_positive: Array
     speed_negative: Array
+    speed_gain: Array
+    """What a joint may gain until a closed valve acts."""
     stop_per_speed_squared: Array
 
 
@@ -119,6 +121,7 @@ def _limits(spec: MachineSpec) -> _Limits:
         high=np.asarray(high) - LIMIT_MARGIN_RAD_M,
         speed_positive=OVER_SPEED_RATIO * np.asarray(spec.limits.speed_positive_rad_m_per_s),
         speed_negative=-OVER_SPEED_RATIO * np.asarray(spec.limits.speed_negative_rad_m_per_s),
+        speed_gain=STOP_DELAY_S * np.asarray(spec.limits.acceleration_rad_m_per_s2),
         stop_per_speed_squared=0.5 / np.asarray(spec.limits.acceleration_rad_m_per_s2),
     )
 
@@ -187,10 +190,12 @@ def _clip_valves(
 ) -> tuple[Array, IntArray]:
     """Range, rate, and last the position limits, which may close a valve faster than the rate."""
     ranged = np.minimum(np.maximum(wanted, -1.0), 1.0)
-    last = memory.valve_ratio
+    last = np.minimum(np.maximum(memory.valve_ratio, -1.0), 1.0)
     rated = np.minimum(np.maximum(ranged, last - VALVE_STEP_RATIO), last + VALVE_STEP_RATIO)
-    # Where each joint would come to rest if its valve closed now, seen in both directions.
-    up, down = np.maximum(velocity, 0.0), np.maximum(-velocity, 0.0)
+    # Where each joint would come to rest if its valve closed now, seen in both directions. What is still
+    # on its way to the valve may speed it up until then.
+    up = np.minimum(np.maximum(velocity, 0.0) + limits.speed_gain, limits.speed_positive)
+    down = np.minimum(np.maximum(-velocity, 0.0) + limits.speed_gain, -limits.speed_negative)
     slowing = limits.stop_per_speed_squared
     over = position + up * STOP_DELAY_S + slowing * up * up >= limits.high
     under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low
