@@ -5,11 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
 from machine.spec import load_spec
 from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
+
+# A busy machine must not fail a property: examples have no time limit of their own.
+settings.register_profile("downrange", deadline=None)
+settings.load_profile("downrange")
 
 RELEASE_SPEED_M_PER_S = 0.6
 """The 2D throw from the safe pose then takes 1.2 s and lands 6.0 m away."""

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
@@ -48,6 +48,7 @@ def test_steady_joint_speed_is_actuator_speed_over_the_moment_arm(boom: float) -
     np.testing.assert_allclose(velocity, wanted, rtol=2e-6, atol=1e-12)
 
 
+@settings(max_examples=25)
 @given(dead_s=st.floats(0.0, 0.5))
 def test_any_dead_time_delays_by_exactly_that(dead_s: float) -> None:
     """The area that a step response loses is speed times (dead time + 2 z / w)."""
