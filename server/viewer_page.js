@@ -41,7 +41,7 @@
           isDrawn = false;
           tell("connected");
         } else if (data?.type === "message_batch" && !isDrawn) {
-          isDrawn = data.messages.some((message) => message.name?.startsWith("/live/"));
+          isDrawn = data.messages.some((message) => message.name === "/ground");
           if (isDrawn) tell("drawn");
         } else if (data?.type === "closed") {
           closed();
@@ -58,7 +58,8 @@
         event.stopImmediatePropagation();
         if (window.parent === window) return;
         const { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat } = event;
-        const init = { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat, bubbles: true, cancelable: true };
+        const held = { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat };
+        const init = { ...held, bubbles: true, cancelable: true };
         const copy = new window.parent.KeyboardEvent(type, init);
         if (!window.parent.document.body.dispatchEvent(copy)) event.preventDefault();
       },

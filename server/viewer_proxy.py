@@ -209,7 +209,7 @@ class ViewerProxy:
             await asyncio.sleep(RECHECK_S)
             session = await self._session(websocket)
             if session is None or session.session_id != session_id:
-                await _close(websocket, CLOSED_SESSION_ENDED, "session ended")
+                await self.close_session(session_id)
                 return
 
     async def close_session(self, session_id: str) -> None:

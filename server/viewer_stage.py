@@ -30,6 +30,9 @@ FRAME_S = 1.0 / 30.0
 GHOST_LINGER_S = 0.8
 """The ghost stays this long at the end of its one play."""
 
+MAX_SESSIONS = 1000
+"""Beyond this the oldest session that no browser watches is forgotten; it is set anew when it returns."""
+
 OnPick = Callable[[str, Point], None]
 OnPickRefused = Callable[[str, PickRefusedError], None]
 Change = Callable[[SessionView], None]
@@ -117,7 +120,7 @@ class ViewerStage:
         """Change what a session shows and draw the change in all its browsers, in the drawing thread."""
 
         def job() -> None:
-            state = self._sessions.setdefault(session_id, SessionView())
+            state = self._state_of(session_id)
             change(state)
             if draw is None:
                 return
@@ -126,6 +129,13 @@ class ViewerStage:
                     draw(view, state)
 
         self._jobs.put(job)
+
+    def _state_of(self, session_id: str) -> SessionView:
+        if session_id not in self._sessions and len(self._sessions) >= MAX_SESSIONS:
+            watched = {owner for owner, _ in self._views.values()}
+            oldest = next((name for name in self._sessions if name not in watched), None)
+            self._sessions.pop(oldest or "", None)
+        return self._sessions.setdefault(session_id, SessionView())
 
     def forget(self, session_id: str) -> None:
         """Drop a session and stop drawing its browsers."""
@@ -206,7 +216,7 @@ class ViewerStage:
     def _add_view(self, session_id: str, client: viser.ClientHandle) -> None:
         if self._kit is None or not ViewerGate.is_open(client):
             return
-        state = self._sessions.setdefault(session_id, SessionView())
+        state = self._state_of(session_id)
         view = ClientView(client, self._kit, state, shadows=self._shadows)
         self._views[client.client_id] = (session_id, view)
         view.draw_all(state)

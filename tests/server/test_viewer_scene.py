@@ -335,6 +335,20 @@ def test_one_failing_job_does_not_end_the_view(
     assert "planted" in caplog.text
 
 
+def test_the_oldest_session_that_nobody_watches_is_forgotten(
+    app: ViewerApp, session: str, client: ViewClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.viewer_stage.MAX_SESSIONS", 3)
+    names = [f"{session}{i}" for i in range(6)]
+    for name in names:
+        app.scene.set_pick_height(name, 1.0)
+    wait_for(lambda: app.scene._stage.session(names[-1]), "the newest")
+    assert app.scene._stage.session(session) is not None
+    assert app.scene._stage.session(names[0]) is None
+    for name in names:
+        app.scene.end_session(name)
+
+
 def test_what_is_not_started_says_so() -> None:
     from machine.spec import load_spec
 
