@@ -57,6 +57,7 @@ SENSOR_AGE_MAX_NS = 50_000_000
 OVER_SPEED_RATIO = 1.5
 VALVE_STEP_RATIO = 0.2
 """Change of a valve a tick of 10 ms: end to end in 0.1 s, faster than a spool moves (A)."""
+TICK_S = 0.01
 STOP_DELAY_S = 0.10
 """From closing a valve until the joint begins to slow: dead time of the arm's valves, with reserve."""
 LIMIT_MARGIN_RAD_M = 0.01
@@ -74,6 +75,7 @@ _POSITION_LIMIT = int(Intervention.POSITION_LIMIT)
 _RANGE_CLIPPED = int(Intervention.RANGE_CLIPPED)
 _RATE_CLIPPED = int(Intervention.RATE_CLIPPED)
 _GRIPPER_KEPT_CLOSED = int(Intervention.GRIPPER_KEPT_CLOSED)
+_FADE = TICK_S / STOP_DELAY_S
 _HOLD, _THROW, _SETTLE, _STOP = (
     int(m) for m in (Motion.HOLD, Motion.THROW, Motion.SETTLE, Motion.STOP)
 )
@@ -81,10 +83,14 @@ _HOLD, _THROW, _SETTLE, _STOP = (
 
 @dataclass(frozen=True, slots=True)
 class SafetyMemory:
-    """What the gate remembers: only what it let through last."""
+    """What the gate remembers: only what it let through."""
 
     valve_ratio: Array
-    """(N, 4)"""
+    """(N, 4) last."""
+    recent_up_ratio: Array
+    """(N, 4) highest valve of the last 0.1 s: what is still on its way to the joint; none below 0."""
+    recent_down_ratio: Array
+    """(N, 4) the same in the negative direction."""
     gripper_open: BoolArray
     """(N,)"""
 
@@ -128,7 +134,8 @@ def _limits(spec: MachineSpec) -> _Limits:
 
 def closed_memory(count: int) -> SafetyMemory:
     """Memory of `count` machines at start-up: everything closed."""
-    return SafetyMemory(np.zeros((count, 4)), np.zeros(count, dtype=np.bool_))
+    shut = np.zeros((count, 4))
+    return SafetyMemory(shut, shut, shut, np.zeros(count, dtype=np.bool_))
 
 
 def apply(
@@ -157,7 +164,7 @@ def apply(
     """
     limits = _limits(spec)
     position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         numbers = requested_ratio + memory.valve_ratio + position + velocity
     broken: BoolArray = np.asarray(~np.isfinite(numbers).all(axis=1))
     age_ns = now_ns - sample.t_mono_ns
@@ -182,7 +189,13 @@ def apply(
     bits = bits + clip_bits * ~closed + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
     if closed.any():
         valve = np.where(closed[:, None], 0.0, valve)
-    return SafetyMemory(valve, opened), SafetyOutput(valve, opened, bits)
+    after = SafetyMemory(
+        valve_ratio=valve,
+        recent_up_ratio=np.fmax(valve, memory.recent_up_ratio - _FADE),
+        recent_down_ratio=np.fmax(-valve, memory.recent_down_ratio - _FADE),
+        gripper_open=opened,
+    )
+    return after, SafetyOutput(valve, opened, bits)
 
 
 def _clip_valves(
@@ -193,9 +206,12 @@ def _clip_valves(
     last = np.minimum(np.maximum(memory.valve_ratio, -1.0), 1.0)
     rated = np.minimum(np.maximum(ranged, last - VALVE_STEP_RATIO), last + VALVE_STEP_RATIO)
     # Where each joint would come to rest if its valve closed now, seen in both directions. What is still
-    # on its way to the valve may speed it up until then.
-    up = np.minimum(np.maximum(velocity, 0.0) + limits.speed_gain, limits.speed_positive)
-    down = np.minimum(np.maximum(-velocity, 0.0) + limits.speed_gain, -limits.speed_negative)
+    # on its way to the joint may speed it up until then.
+    up, down = np.maximum(velocity, 0.0), np.maximum(-velocity, 0.0)
+    up_coming = memory.recent_up_ratio * limits.speed_positive
+    down_coming = memory.recent_down_ratio * -limits.speed_negative
+    up = np.fmax(up, np.fmin(up + limits.speed_gain, up_coming))
+    down = np.fmax(down, np.fmin(down + limits.speed_gain, down_coming))
     slowing = limits.stop_per_speed_squared
     over = position + up * STOP_DELAY_S + slowing * up * up >= limits.high
     under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low

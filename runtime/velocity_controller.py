@@ -19,6 +19,8 @@ FLOW_SHARE_RATIO = 0.90
 """Share of the pump that references may ask for: above it axes starve each other unpredictably."""
 SOFT_STOP_ACCELERATION_RATIO = 0.5
 """Share of a joint's acceleration used to stop before a position limit; the rest is reserve."""
+SOFT_STOP_MARGIN_RAD_M = 0.02
+"""References end this far before a position limit, so that the safety gate has nothing to do there."""
 
 
 class _ShapeConstants(NamedTuple):
@@ -51,8 +53,8 @@ def _shape_constants(spec: MachineSpec) -> _ShapeConstants:
         stop_acceleration=SOFT_STOP_ACCELERATION_RATIO * acceleration,
         stop_delay=np.asarray(spec.response.dead_time_s) + np.asarray(spec.response.lag_s),
         # A continuous joint has limits too far away to matter; float32 must hold their square.
-        low=np.maximum(low, -1e6),
-        high=np.minimum(high, 1e6),
+        low=np.maximum(low + SOFT_STOP_MARGIN_RAD_M, -1e6),
+        high=np.minimum(high - SOFT_STOP_MARGIN_RAD_M, 1e6),
         # The dipper's cylinder shortens as the joint opens: its annulus fills on the positive side.
         area_positive=np.array([slew, full[0], annulus[1], full[2]]),
         area_negative=np.array([slew, annulus[0], full[1], annulus[2]]),

@@ -20,12 +20,19 @@ LOW, HIGH = SPEC.position_range_rad_m
 MIDDLE = np.array([0.0, 0.6, 0.0, 0.8])
 
 
+def remember(last, was_open, recent=0.0):
+    """Memory with these last valves (N, 4); `recent` is what the last 0.1 s held in both directions."""
+    held = np.full_like(last, recent)
+    return SafetyMemory(last, held, held, was_open)
+
+
 def gate(
     valve=(0.1, 0.1, 0.1, 0.1),
     *,
     opens=False,
     last=None,
     was_open=False,
+    recent=0.0,
     motion=Motion.THROW,
     now_ns=NOW_NS,
     **sample,
@@ -40,7 +47,7 @@ def gate(
     }
     given_sample = dataclasses.replace(given_sample, **sample)
     last = np.asarray([valve if last is None else last], dtype=np.float64)
-    memory = SafetyMemory(last, np.array([was_open]))
+    memory = remember(last, np.array([was_open]), recent)
     after, out = safety.apply(
         SPEC,
         np.asarray([valve], dtype=np.float64),
@@ -181,10 +188,12 @@ def test_rate(joint, sign):
 @pytest.mark.parametrize("joint", [1, 2, 3])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("speed_share", [0.0, 0.5, 1.0, 1.4])
-def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share):
+@pytest.mark.parametrize("recent", [0.0, 0.3, 1.0])
+def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share, recent):
     speed = speed_share * (POSITIVE if sign > 0 else NEGATIVE)[joint]
     fastest = 1.5 * (POSITIVE if sign > 0 else NEGATIVE)[joint]
-    later = min(speed + safety.STOP_DELAY_S * ACCELERATION[joint], fastest)
+    later = min(speed + safety.STOP_DELAY_S * ACCELERATION[joint], recent * fastest)
+    later = max(speed, later)
     stop = later * safety.STOP_DELAY_S + later**2 / (2.0 * ACCELERATION[joint])
     edge = (HIGH if sign > 0 else LOW)[joint] - sign * (safety.LIMIT_MARGIN_RAD_M + stop)
     velocity, request = np.zeros(4), np.zeros(4)
@@ -192,7 +201,11 @@ def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share):
     for offset, stops in ((-1e-6, False), (1e-6, True)):
         position = MIDDLE.copy()
         position[joint] = edge + sign * offset
-        known = {"joint_position_rad_m": position, "joint_velocity_rad_m_per_s": velocity}
+        known = {
+            "joint_position_rad_m": position,
+            "joint_velocity_rad_m_per_s": velocity,
+            "recent": recent,
+        }
         valve, _, bits, _ = gate(request, **known)
         assert (bits == Intervention.POSITION_LIMIT) is stops
         assert valve[joint] == (0.0 if stops else sign * 0.5)
@@ -206,11 +219,24 @@ def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_speed_away_from_a_limit_does_not_count(joint, sign):
     position, velocity, request = MIDDLE.copy(), np.zeros(4), np.zeros(4)
-    still = 1.5 * ACCELERATION[joint] * safety.STOP_DELAY_S**2
     limit = (HIGH if sign > 0 else LOW)[joint]
-    position[joint] = limit - sign * (safety.LIMIT_MARGIN_RAD_M + still + 1e-6)
+    position[joint] = limit - sign * (safety.LIMIT_MARGIN_RAD_M + 1e-6)
     velocity[joint], request[joint] = -sign * 0.3, sign * 0.5
     assert gate(request, joint_position_rad_m=position, joint_velocity_rad_m_per_s=velocity)[2] == 0
+
+
+@pytest.mark.parametrize("value", [0.7, -0.7])
+def test_what_was_let_through_is_remembered_for_a_tenth_of_a_second(value):
+    _, _, _, memory = gate((value, 0, 0, 0))
+    up = max(memory.recent_up_ratio[0, 0], 0.0)
+    down = max(memory.recent_down_ratio[0, 0], 0.0)
+    assert (up, down) == ((0.7, 0.0) if value > 0 else (0.0, 0.7))
+    for tick in range(1, 9):
+        memory, _ = safety.apply(
+            SPEC, np.zeros((1, 4)), np.array([False]), memory, at_rest(1), np.array([2]), NOW_NS
+        )
+        left = max(memory.recent_up_ratio[0, 0], memory.recent_down_ratio[0, 0])
+        assert left == pytest.approx(max(0.7 - 0.1 * tick, abs(memory.valve_ratio[0, 0])))
 
 
 def test_a_position_limit_closes_faster_than_the_rate():
@@ -263,7 +289,7 @@ def test_machines_of_a_batch_do_not_see_each_other():
     )
     request = np.full((3, 4), 0.1)
     request[2, 0] = np.nan
-    memory = SafetyMemory(np.full((3, 4), 0.1), np.zeros(3, dtype=np.bool_))
+    memory = remember(np.full((3, 4), 0.1), np.zeros(3, dtype=np.bool_))
     _, out = safety.apply(
         SPEC, request, np.ones(3, dtype=np.bool_), memory, sample, np.full(3, 2), NOW_NS
     )
@@ -292,10 +318,11 @@ WILD = st.floats(allow_nan=True, allow_infinity=True, width=64)
     stop=arrays(np.bool_, 5),
     opens=arrays(np.bool_, 5),
     was_open=arrays(np.bool_, 5),
+    recent=st.floats(0.0, 1.0) | WILD,
     age_ns=st.integers(-100, 200_000_000),
 )
 def test_whatever_comes_the_output_is_allowed(
-    request, last, position, velocity, motion, enable, stop, opens, was_open, age_ns
+    request, last, position, velocity, motion, enable, stop, opens, was_open, recent, age_ns
 ):
     sample = dataclasses.replace(
         at_rest(5),
@@ -305,7 +332,7 @@ def test_whatever_comes_the_output_is_allowed(
         emergency_stop=stop,
     )
     memory, out = safety.apply(
-        SPEC, request, opens, SafetyMemory(last, was_open), sample, motion, NOW_NS + age_ns
+        SPEC, request, opens, remember(last, was_open, recent), sample, motion, NOW_NS + age_ns
     )
     valve, bits = out.valve_ratio, out.intervention_count
     assert np.isfinite(valve).all() and (np.abs(valve) <= 1.0).all()
