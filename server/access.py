@@ -48,6 +48,11 @@ def check_write(connection: HTTPConnection, services: Services) -> None:
         )
 
 
+def check_own_page(connection: HTTPConnection, services: ServicesDep) -> None:
+    """`check_write` as a dependency: before the body is looked at."""
+    check_write(connection, services)
+
+
 def current_session(connection: HTTPConnection, services: ServicesDep) -> Session:
     """The caller's session.
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.routing import APIRoute
 from pydantic.json_schema import models_json_schema
@@ -21,7 +21,7 @@ from server.auth import COOKIE, Session
 from server.error_shape import add_error_handlers
 from server.errors import NotFoundError
 from server.instance_lock import instance_lock
-from server.middleware import RequestTimes, SecurityHeaders
+from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
     auth,
@@ -79,9 +79,9 @@ def _api_router() -> APIRouter:
     return api
 
 
-async def _no_such_api(path: str) -> None:
+async def _no_such_api(path: str, request: Request) -> None:
     # Without this the console's page would answer for every mistyped address of the interface.
-    raise NotFoundError("not_found", f"There is nothing at /api/{path[:100]}.")
+    raise NotFoundError("not_found", f"There is no {request.method} /api/{path[:100]}.")
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -113,7 +113,6 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
         generate_unique_id_function=_operation_id,
         lifespan=_lifespan(settings, scene, proxy),
-        max_body_size=MAX_BODY_BYTES,
     )
     app.include_router(_api_router())
     app.include_router(health.metrics_router)
@@ -128,6 +127,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.frontend("/", directory=settings.web_dir, fallback="index.html")
     add_error_handlers(app)
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=5)
+    app.add_middleware(JsonErrors)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(RequestTimes)
     return app

@@ -35,8 +35,8 @@ class Metrics:
         )
         self.requests_s = prometheus_client.Histogram(
             "downrange_http_request_seconds",
-            "HTTP requests by route",
-            ["method", "route", "status"],
+            "HTTP requests by operation",
+            ["operation", "status"],
             buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0),
             registry=self.registry,
         )

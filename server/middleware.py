@@ -1,5 +1,6 @@
-"""Around every answer: security headers, and how long it took."""
+"""Around every answer: security headers, the one error shape, and how long it took."""
 
+import json
 import time
 
 from starlette.datastructures import MutableHeaders
@@ -62,7 +63,7 @@ class SecurityHeaders:
 
 
 class RequestTimes:
-    """Observes the duration of requests by route; streams are not counted."""
+    """Observes the duration of requests by operation; streams are not counted."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -88,8 +89,48 @@ class RequestTimes:
             await self._app(scope, receive, note)
         finally:
             services = getattr(scope["app"].state, "services", None)
-            route = getattr(scope.get("route"), "path", None)
-            if services is not None and route is not None and not is_stream:
+            operation = getattr(scope.get("route"), "name", None)
+            if services is not None and operation is not None and not is_stream:
                 services.metrics.requests_s.labels(
-                    method=scope["method"], route=route, status=str(status_code)
+                    operation=operation, status=str(status_code)
                 ).observe(time.perf_counter() - began_s)
+
+
+class JsonErrors:
+    """Turns the plain-text errors of the framework's own middleware into the one error shape."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http" or not scope["path"].startswith("/api/"):
+            await self._app(scope, receive, send)
+            return
+        is_replaced = False
+
+        async def send_shaped(message: Message) -> None:
+            nonlocal is_replaced
+            if message["type"] == "http.response.start" and message["status"] >= 400:
+                headers = MutableHeaders(scope=message)
+                if headers.get("content-type", "").startswith("text/plain"):
+                    is_replaced = True
+                    body = _plain_error(message["status"])
+                    headers["content-type"] = "application/json"
+                    headers["content-length"] = str(len(body))
+                    await send(message)
+                    await send({"type": "http.response.body", "body": body})
+                    return
+            if not (is_replaced and message["type"] == "http.response.body"):
+                await send(message)
+
+        await self._app(scope, receive, send_shaped)
+
+
+def _plain_error(status_code: int) -> bytes:
+    code, text = (
+        ("too_large", "The body is too large.")
+        if status_code == 413
+        else ("http_error", f"The request failed with status {status_code}.")
+    )
+    return json.dumps({"error": {"code": code, "message": text, "detail": None}}).encode()

@@ -1,8 +1,8 @@
 """Sign in and out."""
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
-from server.access import SessionDep, check_write
+from server.access import SessionDep, check_own_page
 from server.auth import COOKIE
 from server.schemas import LoginRequest, SessionView
 from server.services import ServicesDep
@@ -10,12 +10,11 @@ from server.services import ServicesDep
 router = APIRouter(tags=["auth"])
 
 
-@router.post("/auth/login")
+@router.post("/auth/login", dependencies=[Depends(check_own_page)])
 def login(
     body: LoginRequest, request: Request, response: Response, services: ServicesDep
 ) -> SessionView:
     """Sign in; sets the session cookie."""
-    check_write(request, services)
     address = request.client.host if request.client else "unknown"
     token, session = services.accounts.login(body.username, body.password, address)
     response.set_cookie(

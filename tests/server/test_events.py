@@ -1,0 +1,155 @@
+import asyncio
+import json
+import threading
+import time
+
+import httpx
+import pytest
+from conftest import wait_for
+
+from server.events import QUEUE_LENGTH, EventHub
+from server.schemas_history import AlertEvent, ServerEvent
+
+
+class Listener:
+    """A browser's event stream in a thread."""
+
+    def __init__(self, client: httpx.Client, **params: str):
+        self.events: list[dict] = []
+        self.is_open = False
+        self._client, self._params = client, params
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        wait_for(lambda: self.is_open)
+        return self
+
+    def __exit__(self, *_):
+        self._response.close()
+        self._thread.join(timeout=5.0)
+
+    def _run(self):
+        with self._client.stream("GET", "/events", params=self._params, timeout=30.0) as response:
+            self._response = response
+            self.is_open = response.status_code == 200
+            name = ""
+            try:
+                for line in response.iter_lines():
+                    if line.startswith("event: "):
+                        name = line.removeprefix("event: ")
+                    elif line.startswith("data: ") and name != "ping":
+                        event = json.loads(line.removeprefix("data: "))
+                        assert event["kind"] == name
+                        ServerEvent.model_validate(event)
+                        self.events.append(event)
+            except (httpx.StreamError, httpx.ReadError, AttributeError, ValueError):
+                pass
+        self.is_open = False
+
+    def of(self, kind):
+        return [event for event in list(self.events) if event["kind"] == kind]
+
+
+def test_states_leases_targets_and_loss_are_streamed(running, ada):
+    with Listener(ada, machine_id="m001") as listener:
+        with running.machine():
+            wait_for(lambda: len(listener.of("machine.state")) > 3)
+            ada.post("/machines/m001/lease")
+            wait_for(lambda: listener.of("lease.changed"))
+            assert listener.of("lease.changed")[-1]["lease"]["holder"] == "ada"
+            ada.put("/machines/m001/target", json={"x_m": 30.0, "y_m": 0.0, "mode": "2d"})
+            proposed = wait_for(lambda: listener.of("target.proposed"))[-1]
+            assert "30.00 m" in proposed["refusal"]
+            ada.put("/machines/m001/target", json={"x_m": 9.0, "y_m": 0.0})
+            wait_for(lambda: listener.of("target.proposed")[-1]["refusal"] == "")
+            gone_s = time.monotonic()
+        wait_for(lambda: listener.of("machine.lost"))
+        assert time.monotonic() - gone_s < 5.0
+        wait_for(lambda: listener.of("machine.state")[-1]["machine"]["lamp"] == "lost")
+        shown = ada.get("/machines/m001").json()
+        assert shown["lamp_text"].startswith("lost since")
+        assert shown["state"] is not None
+        ada.delete("/machines/m001/lease")
+
+
+def test_private_events_stay_private(running, ada):
+    with running.client("bob") as bob, Listener(ada) as mine, Listener(bob) as other:
+        ada.put("/machines/m001/target", json={"x_m": 9.0, "y_m": 0.0})
+        wait_for(lambda: mine.of("target.proposed"))
+        running.services.hub.alert("test", "for everybody")
+        wait_for(lambda: other.of("alert"))
+        assert not other.of("target.proposed")
+
+
+def test_logout_ends_the_stream(running):
+    with running.client("bob") as bob, Listener(bob) as listener:
+        bob.post("/auth/logout")
+        wait_for(lambda: not listener.is_open)
+
+
+def test_streams_need_a_session(running):
+    with running.client() as nobody:
+        assert nobody.get("/events").status_code == 401
+
+
+def alert(number: int) -> AlertEvent:
+    return AlertEvent(severity="info", code="n", text=str(number), machine_id=None)
+
+
+def test_discrete_events_keep_their_order_and_are_all_there():
+    async def main():
+        hub = EventHub()
+        client = hub.subscribe("s", None)
+        for number in range(100):
+            hub.publish(alert(number))
+        frames = await client.wait(1.0)
+        assert [json.loads(f.data)["text"] for f in frames] == [str(n) for n in range(100)]
+        assert await client.wait(0.01) == []
+
+    asyncio.run(main())
+
+
+def test_a_client_that_does_not_read_is_closed_and_costs_a_bounded_queue():
+    async def main():
+        hub = EventHub()
+        slow, quick = hub.subscribe("s", None), hub.subscribe("s", None)
+        for number in range(QUEUE_LENGTH * 3):
+            hub.publish(alert(number))
+            if number % 100 == 0:
+                await quick.wait(0.1)
+        assert slow.is_closed
+        assert len(await slow.wait(0.1)) <= QUEUE_LENGTH
+        assert not quick.is_closed
+
+    asyncio.run(main())
+
+
+@pytest.fixture
+def state_event(parts):
+    from server.schemas_history import MachineStateEvent
+
+    parts.services.registry.enrol("m001", "", parts.session().actor)
+    return MachineStateEvent(machine=parts.services.views.view("m001"))
+
+
+def test_states_replace_each_other_and_are_made_only_when_due(state_event):
+    made = []
+
+    def make():
+        made.append(1)
+        return state_event
+
+    async def main():
+        hub = EventHub()
+        hub.publish_state("m001", make)
+        assert not made
+        client = hub.subscribe("s", "m002")
+        for _ in range(50):
+            hub.publish_state("m001", make)
+        assert len(made) == 1
+        hub.publish_state("m001", make, is_urgent=True)
+        assert len(await client.wait(0.1)) == 1
+        assert len(made) == 2
+
+    asyncio.run(main())
