@@ -1,0 +1,105 @@
+"""Lateness of the 100 Hz control loop: alone, and with other processes busy on every core beside it.
+
+Runs the loop of the control process (driver, checks, protocol, control step, rows to a socket) on the virtual
+machine in a process of its own. Targets: p99 2 ms, 1 % of the ticks later than 5 ms.
+
+    python benchmarks/loop.py [--ticks 2000]
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from machine.calibration import nominal_calibration
+from machine.conventions import CONTROL_PERIOD_NS
+from machine.spec import load_spec
+from runtime.clock import LATE_TICK_NS, RealTimeClock, Ticker
+from runtime.control_core import Fixed, MachineControl
+from runtime.driver_loader import load_driver
+from runtime.ipc import Kind, PacketSocket, pack_rows, packet_pair
+from runtime.real_time import GarbageRest, become_real_time
+
+HOG = "while True:\n    sum(range(10000))\n"
+
+
+def worker(driver_name: str, ticks: int, is_real_time: bool) -> dict[str, float]:
+    """The loop; returns its statistics."""
+    if is_real_time:
+        become_real_time()
+    spec = load_spec()
+    driver = load_driver(driver_name, {}, 0)
+    control = MachineControl(
+        driver, Fixed("m001", "benchmark", spec, nominal_calibration(spec), {}, "benchmark")
+    )
+    mine, theirs = packet_pair()
+    port, other = PacketSocket(mine), PacketSocket(theirs)
+    GarbageRest()
+    start_ns = driver.now_ns()
+    for period in range(1, 101):
+        control.tick(start_ns + period * CONTROL_PERIOD_NS, [])
+    start_ns = driver.now_ns()
+    ticker = Ticker(RealTimeClock(), CONTROL_PERIOD_NS)
+    lateness_ns, cost_ns = np.zeros(ticks), np.zeros(ticks)
+    for index in range(ticks):
+        tick = ticker.next()
+        began_ns = time.monotonic_ns()
+        report = control.tick(start_ns + tick.period_count * CONTROL_PERIOD_NS, [], 0)
+        port.send(Kind.TICK, pack_rows({1: report.rows["control"]}))
+        other.receive()
+        cost_ns[index] = time.monotonic_ns() - began_ns
+        lateness_ns[index] = tick.lateness_ns
+    control.close()
+    late = np.count_nonzero(lateness_ns > LATE_TICK_NS) + ticker.skipped_count
+    return {
+        **{f"late_p{p:g}_us": float(np.percentile(lateness_ns, p)) / 1e3 for p in (50, 99, 99.9)},
+        "late_max_us": float(lateness_ns.max()) / 1e3,
+        "late_over_5ms_percent": 100.0 * float(late) / (ticks + ticker.skipped_count),
+        "tick_p50_us": float(np.percentile(cost_ns, 50)) / 1e3,
+        "tick_p99_us": float(np.percentile(cost_ns, 99)) / 1e3,
+    }
+
+
+def measure(ticks: int, driver: str, is_real_time: bool, hogs: int) -> dict[str, float]:
+    """Run the loop beside so many busy processes."""
+    busy = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(hogs)]
+    try:
+        command = [sys.executable, __file__, "--worker", "--ticks", str(ticks), "--driver", driver]
+        root = str(Path(__file__).parents[1])
+        answer = subprocess.run(
+            [*command, *([] if is_real_time else ["--ordinary"])],
+            check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": root},
+        )  # fmt: skip
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    return json.loads(answer.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--ticks", type=int, default=2000)
+    parser.add_argument("--driver", default="sim_twin.virtual_machine:VirtualMachine")
+    parser.add_argument("--worker", action="store_true")
+    parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")
+    given = parser.parse_args()
+    if given.worker:
+        print(json.dumps(worker(given.driver, given.ticks, not given.ordinary)))
+        return
+    cores = os.cpu_count() or 1
+    print(f"{given.ticks} ticks of 10 ms, {cores} cores, load {os.getloadavg()[0]:.1f}")
+    for is_real_time in (True, False):
+        for hogs in (0, cores):
+            found = measure(given.ticks, given.driver, is_real_time, hogs)
+            name = ("real-time" if is_real_time else "ordinary") + f", {hogs} busy processes"
+            print(f"{name:34}", "  ".join(f"{key} {value:.0f}" for key, value in found.items()))
+
+
+if __name__ == "__main__":
+    main()
