@@ -4,13 +4,14 @@ import { api, take } from "../session/client";
 import type { Plan } from "../session/live";
 import { errorWords } from "../words/errors";
 import { ARM_RING_MS, type Effect, type Hold, type HoldEvent } from "./hold";
-import { HoldLink, holdUrl } from "./holdLink";
+import { holdUrl } from "./holdLink";
+import { HoldPort } from "./holdPort";
 
 type Send = (event: HoldEvent) => void;
 
 export class HoldCalls {
   private readonly ring: ReturnType<typeof setTimeout>;
-  private readonly link: HoldLink;
+  private readonly link: HoldPort;
 
   /** Opens the hold socket with the press, so that it stands before the ring is full. */
   constructor(
@@ -19,10 +20,7 @@ export class HoldCalls {
     private readonly send: Send,
   ) {
     this.ring = setTimeout(() => send({ kind: "ring_full" }), ARM_RING_MS);
-    this.link = new HoldLink(
-      () => new WebSocket(holdUrl(machineId)),
-      () => send({ kind: "link_lost" }),
-    );
+    this.link = new HoldPort(holdUrl(machineId), () => send({ kind: "link_lost" }));
   }
 
   run(effect: Effect, state: Hold): void {

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { HoldLink, holdUrl, type Socket } from "./holdLink";
+import { FRESH_LIMIT_MS, HoldLink, holdUrl, type Socket } from "./holdLink";
 
 class FakeSocket implements Socket {
   readyState = 1;
@@ -25,12 +25,30 @@ describe("HoldLink", () => {
     const socket = new FakeSocket();
     const link = new HoldLink(() => socket, vi.fn());
     link.beat("t1");
-    vi.advanceTimersByTime(1000);
+    for (let tick = 0; tick < 20; tick++) {
+      link.fresh();
+      vi.advanceTimersByTime(50);
+    }
     expect(socket.sent).toHaveLength(21);
     link.rest();
     vi.advanceTimersByTime(1000);
     expect(socket.sent).toHaveLength(22);
     expect(socket.sent.at(-1)).toEqual({ throw_id: "t1", holding: false });
+  });
+
+  it("falls silent when the page hangs, and speaks again when it is back", () => {
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, vi.fn());
+    link.beat("t1");
+    vi.advanceTimersByTime(FRESH_LIMIT_MS);
+    const said = socket.sent.length;
+    expect(said).toBe(1 + FRESH_LIMIT_MS / 50);
+    vi.advanceTimersByTime(5000);
+    expect(socket.sent).toHaveLength(said);
+    link.fresh();
+    vi.advanceTimersByTime(50);
+    expect(socket.sent).toHaveLength(said + 1);
+    expect(socket.sent.every((message) => message.holding)).toBe(true);
   });
 
   it("never queues what cannot be sent", () => {

@@ -1,11 +1,16 @@
 /**
  * The hold signal: a WebSocket that says 20 times a second that the button is held. It has no memory and
- * never queues: what cannot be sent now is not sent.
+ * never queues: what cannot be sent now is not sent. It runs in a worker of its own, so that a page that is
+ * busy drawing does not sound like an operator who let go; but only for as long as the page, which alone
+ * sees the hand, has shown within `FRESH_LIMIT_MS` that it is alive.
  */
 
 import { HEARTBEAT_MS } from "./hold";
 
 export type Socket = Pick<WebSocket, "send" | "close" | "readyState" | "addEventListener">;
+
+/** With the machine's 300 ms of silence a page that hangs counts as let go after 0.55 s at most. */
+export const FRESH_LIMIT_MS = 250;
 
 const OPEN = 1;
 
@@ -13,10 +18,12 @@ export class HoldLink {
   private readonly socket: Socket;
   private timer: ReturnType<typeof setInterval> | null = null;
   private throwId: string | null = null;
+  private freshMs = 0;
 
   constructor(
     open: () => Socket,
     private readonly onLost: () => void,
+    private readonly now: () => number = () => performance.now(),
   ) {
     this.socket = open();
     this.socket.addEventListener("close", () => this.lost());
@@ -26,9 +33,15 @@ export class HoldLink {
   /** Start saying "holding". */
   beat(throwId: string): void {
     this.throwId = throwId;
+    this.fresh();
     this.say(true);
     this.stopTimer();
-    this.timer = setInterval(() => this.say(true), HEARTBEAT_MS);
+    this.timer = setInterval(() => this.sayIfFresh(), HEARTBEAT_MS);
+  }
+
+  /** The page is alive and still sees the button held. */
+  fresh(): void {
+    this.freshMs = this.now();
   }
 
   /** Stop, and say so once. */
@@ -42,6 +55,10 @@ export class HoldLink {
   close(): void {
     this.rest();
     this.socket.close();
+  }
+
+  private sayIfFresh(): void {
+    if (this.now() - this.freshMs <= FRESH_LIMIT_MS) this.say(true);
   }
 
   private say(holding: boolean): void {

@@ -21,10 +21,9 @@ export function landingVerdict(thrown: Throw, plan: Plan | null): Verdict | null
   const isLong = along > prediction.downrange_error_m;
   const outside = `Outside the 2σ ellipse, ${fixed(sigma, 1)}σ out.`;
   if (Math.abs(faster) >= SPEED_DIFFERENCE_M_PER_S && faster > 0 === isLong) {
-    return {
-      isInside: false,
-      text: `${outside} It left ${signed(faster)} m/s against the preview.`,
-    };
+    const how = faster > 0 ? "faster" : "slower";
+    const text = `${outside} It left ${fixed(Math.abs(faster))} m/s ${how} than previewed.`;
+    return { isInside: false, text };
   }
   return { isInside: false, text: `${outside} The release speed does not explain it.` };
 }

@@ -1,5 +1,6 @@
 import { useComputedColorScheme } from "@mantine/core";
 import { useEffect, useState } from "react";
+import { useSession } from "../session/useSession";
 import { useSlot, useWasWanted } from "./slot";
 import { useViewRequest } from "./useView";
 import classes from "./ViewerHost.module.css";
@@ -15,6 +16,9 @@ export function ViewerHost() {
   const slot = useSlot();
   const wasWanted = useWasWanted();
   const scheme = useComputedColorScheme("dark");
+  const session = useSession();
+  // Only the first paint needs the scheme in the address; later the server colours the scene.
+  const [firstScheme] = useState(scheme);
   const [news, setNews] = useState<ViewerNews>(LOADING);
 
   const request = useViewRequest();
@@ -42,9 +46,9 @@ export function ViewerHost() {
       data-state={news.state}
     >
       <iframe
-        key={scheme}
+        key={session?.session_id}
         title="3D view of the machine: click the ground to set the target"
-        src={`/viewer/?theme=${scheme}`}
+        src={`/viewer/?theme=${firstScheme}`}
         className={classes.view}
       />
       {sentence && (
