@@ -108,8 +108,7 @@ def _armed(
     machine: ThrowMachine, facts: Facts, now_ns: int
 ) -> tuple[ThrowMachine, tuple[Event, ...]]:
     """An armed machine only waits; whatever speaks against the throw disarms it."""
-    waited_s = (now_ns - machine.since_ns) * 1e-9
-    if waited_s > NONCE_VALID_S:
+    if _past(machine.since_ns, NONCE_VALID_S, now_ns):
         machine = replace(machine, expired_nonce=machine.nonce)
         return disarm(machine, f"not fired within {NONCE_VALID_S:.0f} s", now_ns)
     for check in facts.checks:
@@ -142,8 +141,6 @@ def _running(
 
 def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> str:
     """Why a throw before its commit point may not go on; empty = it may."""
-    in_state_s = (now_ns - machine.since_ns) * 1e-9
-    silent_s = (now_ns - machine.heartbeat_ns) * 1e-9
     aligning = machine.state is ThrowState.ALIGNING
     if not facts.local_enable:
         return "the enable switch at the machine is off"
@@ -152,16 +149,17 @@ def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> str:
     if not facts.payload_held:
         return "the load left the gripper before the release"
     if machine.heartbeat_ns == 0:
-        late = in_state_s > FIRST_HEARTBEAT_S
+        late = _past(machine.since_ns, FIRST_HEARTBEAT_S, now_ns)
         return f"no heartbeat within {FIRST_HEARTBEAT_S:.1f} s of the fire" if late else ""
-    if silent_s > HEARTBEAT_SILENCE_S:
+    if _past(machine.heartbeat_ns, HEARTBEAT_SILENCE_S, now_ns):
+        silent_s = (now_ns - machine.heartbeat_ns) * 1e-9
         return (
             f"no heartbeat for {silent_s:.2f} s, {HEARTBEAT_SILENCE_S:.2f} s are allowed; "
             "hold the button until the load is gone"
         )
-    if aligning and in_state_s > ALIGN_TIMEOUT_S:
+    if aligning and _past(machine.since_ns, ALIGN_TIMEOUT_S, now_ns):
         return f"not aligned and calm within {ALIGN_TIMEOUT_S:.0f} s"
-    if not aligning and in_state_s > RELEASE_TIMEOUT_S:
+    if not aligning and _past(machine.since_ns, RELEASE_TIMEOUT_S, now_ns):
         return f"the policy did not release within {RELEASE_TIMEOUT_S:.0f} s"
     return ""
 
@@ -175,7 +173,7 @@ def _committed(
             if facts.load_gone
             else "the gripper was told to open, but its switch still sees a load"
         )
-    elif (now_ns - machine.since_ns) * 1e-9 > COMMIT_TIMEOUT_S:
+    elif _past(machine.since_ns, COMMIT_TIMEOUT_S, now_ns):
         fault = f"the control step did not end the throw within {COMMIT_TIMEOUT_S:.0f} s"
     else:
         return machine, ()
@@ -185,13 +183,18 @@ def _committed(
 def _settling(
     machine: ThrowMachine, facts: Facts, now_ns: int
 ) -> tuple[ThrowMachine, tuple[Event, ...]]:
-    in_state_s = (now_ns - machine.since_ns) * 1e-9
     if machine.end_reason:
-        done = in_state_s >= HOLD_AFTER_ABORT_S
+        done = _past(machine.since_ns, HOLD_AFTER_ABORT_S, now_ns)
     else:
         settled = facts.motion is Motion.SETTLE and facts.settled
-        done = settled or not facts.local_enable or in_state_s > SETTLE_TIMEOUT_S
+        late = _past(machine.since_ns, SETTLE_TIMEOUT_S, now_ns)
+        done = settled or not facts.local_enable or late
     return end_throw(machine, now_ns) if done else (machine, ())
+
+
+def _past(since_ns: int, allowed_s: float, now_ns: int) -> bool:
+    """Whether more than the allowed time has passed; in whole nanoseconds, so that the edge is exact."""
+    return now_ns - since_ns > round(allowed_s * 1e9)
 
 
 def _plan_id(machine: ThrowMachine) -> str | None:
