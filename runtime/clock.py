@@ -9,8 +9,6 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-import numpy as np
-
 LATE_TICK_NS: Final = 5_000_000
 """A tick that starts later than this counts as late (half a period)."""
 LATENESS_WINDOW_COUNT: Final = 1000
@@ -128,7 +126,3 @@ class Lateness:
     def late_tick_ratio(self) -> float:
         """Share of the window's ticks that started later than `LATE_TICK_NS`."""
         return self._late_count / len(self._values) if self._values else 0.0
-
-    def percentile_ns(self, percent: float) -> float:
-        """Percentile of the window's lateness, ns; 0 before the first tick."""
-        return float(np.percentile(list(self._values), percent)) if self._values else 0.0

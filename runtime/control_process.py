@@ -74,7 +74,13 @@ class ControlProcess:
         self._log_result: dict[str, Any] | None = None
 
     def run(self) -> None:
-        """Until the supervisor leaves and the machine rests."""
+        """Until the supervisor leaves and the machine rests; the valves are closed whatever ends it."""
+        try:
+            self._loop()
+        finally:
+            self._control.close()
+
+    def _loop(self) -> None:
         rest = GarbageRest()
         ticker = Ticker(self._clock, CONTROL_PERIOD_NS)
         start_ns = self._control.driver.now_ns()
@@ -95,7 +101,6 @@ class ControlProcess:
                 self._control.around.late_tick_ratio = ticker.lateness.late_tick_ratio
                 if self._control.is_waiting:
                     rest.collect()
-        self._control.close()
 
     # In -------------------------------------------------------------------------------------------
 

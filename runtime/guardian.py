@@ -5,7 +5,6 @@ and a killed supervisor leaves no child behind.
 """
 
 import json
-import os
 import signal
 import socket
 from typing import Any, Final
@@ -85,11 +84,3 @@ def hand_port(cord: socket.socket, port: socket.socket) -> None:
         socket.send_fds(cord, [_PORT], [port.fileno()])
     finally:
         port.close()
-
-
-def close_descriptor(descriptor: int) -> None:
-    """Close an inherited descriptor; one that is closed already is no error."""
-    try:
-        os.close(descriptor)
-    except OSError:
-        return

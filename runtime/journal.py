@@ -163,6 +163,16 @@ class Journal:
             ).fetchall()
         return tuple(str(row[0]) for row in rows)
 
+    def surplus_logs(self, kept_count: int) -> tuple[str, ...]:
+        """Uploaded throws older than the newest `kept_count` throws: their files may go."""
+        with self._outbox.transaction() as database:
+            rows = database.execute(
+                "SELECT throw_id FROM throws WHERE has_log=1 AND is_uploaded=1 AND id <="
+                " (SELECT max(id) FROM throws) - ? ORDER BY id",
+                (kept_count,),
+            ).fetchall()
+        return tuple(str(row[0]) for row in rows)
+
     def mark_uploaded(self, throw_id: str) -> None:
         """The server has the log (or it can never have it)."""
         with self._outbox.transaction() as database:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from runtime.outbox import OutboxError
 from runtime.recorder import PART_SUFFIX, StoredLog, ThrowRecorder, log_path, part_path
 
 logger = logging.getLogger(__name__)
+
+KEPT_LOGS_COUNT: Final = 500
+"""Uploaded logs kept on the machine, about 200 MB; those that were never uploaded are all kept."""
 
 
 class Records:
@@ -117,7 +120,9 @@ class Records:
         # On the recorder's thread, or on the link's main thread after a crash.
         try:
             self._journal.add_log(self._journal.boot_id(), stored, self._last_ns)
-        except OutboxError as error:
+            for throw_id in self._journal.surplus_logs(KEPT_LOGS_COUNT):
+                log_path(self._folder, throw_id).unlink(missing_ok=True)
+        except (OutboxError, OSError) as error:
             logger.error("the log of %s is stored but not reported: %s", stored.throw_id, error)
             return
         self._on_reported()

@@ -101,6 +101,19 @@ def test_frozen_link_lets_go_before_the_commit_point(yard):
     yard.wait_for_log(throw_id)
 
 
+def test_frozen_control_is_said_and_what_waited_for_it_is_too_old(yard):
+    server = yard.server
+    fire = yard.fire_command(yard.arm(), throw_id := yard.new_throw_id())
+    yard.machine.kill_child(CONTROL, signal.SIGSTOP)
+    assert "silent" in server.wait_state(ThrowState.FAULT).fault
+    assert server.send(fire, timeout_s=0.3) is None
+    time.sleep(1.0)
+    yard.machine.kill_child(CONTROL, signal.SIGCONT)
+    server.wait_state(ThrowState.ARMED, ThrowState.DISARMED)
+    wait_for(lambda: server.events[-1].kind in ("command_refused", "disarmed"))
+    assert server.kinds(throw_id) == []
+
+
 def test_link_cut_in_the_middle_and_lost_acknowledgements(yard):
     server, repeats = yard.server, yard.server.repeats
     throw_id = yard.fire_until("release_commanded")
