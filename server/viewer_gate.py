@@ -12,6 +12,7 @@ import secrets
 from typing import Any
 
 import viser
+from viser._messages import SetOrientationMessage
 
 SESSION_HEADER = "X-Downrange-Session"
 SECRET_HEADER = "X-Downrange-Viewer-Secret"
@@ -73,3 +74,11 @@ class ViewerGate:
         """Close all connections and stop the server's threads."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
+
+
+def send_orientation(
+    scene: viser.SceneApi, name: str, wxyz: tuple[float, float, float, float]
+) -> None:
+    """Turn a node, without viser's comparison with its last pose, which costs more than the message."""
+    queue: Any = scene._queue_scene_message  # pyright: ignore[reportPrivateUsage]
+    queue(SetOrientationMessage(name, wxyz))

@@ -9,8 +9,9 @@ import viser
 
 from machine.conventions import Array
 from machine.spec import MJCF_PATH, MachineSpec
+from server.viewer_gate import send_orientation
 from server.viewer_meshes import PartMesh, Surface, cylinder_meshes, part_meshes
-from server.viewer_pose import CylinderPart, Part, local_pose, machine_parts
+from server.viewer_pose import CylinderPart, JointPart, Part, local_pose, machine_parts
 from server.viewer_theme import Rgb
 
 PAYLOAD = "payload"
@@ -117,9 +118,11 @@ class MachineNodes:
             if type(part) is Part:
                 continue
             pose = local_pose(part, self._joints)
-            frame = self._frames[part.name]
-            frame.wxyz = pose.quaternion_wxyz
-            frame.position = pose.position_m
+            # A joint turns or slides, never both: comparing the other half costs as much as sending it.
+            if isinstance(part, JointPart) and part.is_slide:
+                self._frames[part.name].position = pose.position_m
+            else:
+                send_orientation(self._scene, self._root_path + part.path, pose.quaternion_wxyz)
 
     def show_load(self, is_held: bool) -> None:
         """Show or hide the load in the gripper."""

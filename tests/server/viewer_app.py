@@ -114,11 +114,22 @@ def click(
     }
 
 
+@dataclass(frozen=True)
+class Port:
+    """A service of another process."""
+
+    port: int
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+
 class ViewClient:
     """What viser's page does on the wire: sends its camera, reads batches of messages."""
 
     def __init__(
-        self, app: ViewerApp, session_id: str | None = "s1", origin: str | None = None
+        self, app: ViewerApp | Port, session_id: str | None = "s1", origin: str | None = None
     ) -> None:
         headers = {} if session_id is None else {"Cookie": f"sid={session_id}"}
         self.socket: ClientConnection = connect(
