@@ -45,9 +45,7 @@ def handle_command(
     machine: ThrowMachine, command: Command, facts: Facts, now_ns: int
 ) -> tuple[ThrowMachine, Effects]:
     """Execute or refuse one command and answer it; a repeated id gets its first answer."""
-    known = find_reply(machine.replies, command.command_id)
-    if known is None and isinstance(command, FireRequest):
-        known = find_reply(machine.throw_replies, command.throw_id)
+    known = _first_answer(machine, command)
     if known is not None:
         repeat = known.model_copy(update={"command_id": command.command_id, "is_repeat": True})
         return machine, Effects(reply=repeat)
@@ -66,6 +64,18 @@ def handle_command(
             machine = replace(machine, throw_replies=kept)
     load = isinstance(command, LoadRequest) and refusal is None and not facts.payload_held
     return machine, Effects(reply=reply, events=events, load=load)
+
+
+def _first_answer(machine: ThrowMachine, command: Command) -> CommandReply | None:
+    """What a repeated command, or another fire of a known throw under the same lease, was answered."""
+    if command.machine_id != machine.machine_id:
+        return None
+    known = find_reply(machine.replies, command.command_id)
+    if known is not None or not isinstance(command, FireRequest):
+        return known
+    if command.epoch_count != machine.epoch_count:
+        return None
+    return find_reply(machine.throw_replies, command.throw_id)
 
 
 def _reply(machine: ThrowMachine, command: Command, refusal: Refusal | None) -> CommandReply:
