@@ -80,7 +80,5 @@ def _to_numpy(leaf: jax.Array) -> np.ndarray:
 
 def _from_numpy(stored: np.ndarray, template: jax.Array) -> jax.Array:
     if jax.dtypes.issubdtype(template.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(
-            jnp.asarray(stored), impl=jax.random.key_impl(template)
-        )
+        return jax.random.wrap_key_data(jnp.asarray(stored), impl=jax.random.key_impl(template))
     return jnp.asarray(stored)

@@ -46,7 +46,9 @@ def clearance_shapes(spec: MachineSpec, chassis_height_m: float = 0.85) -> Clear
         elif shape.body == "gripper":
             spheres.append((-shape.position_m[2], shape.size_m[0]))
         elif shape.kind == "box":
-            lift = chassis_height_m if shape.body == "chassis" else spec.geometry.slew_frame_height_m
+            lift = (
+                chassis_height_m if shape.body == "chassis" else spec.geometry.slew_frame_height_m
+            )
             x, y, z = shape.position_m
             (chassis if shape.body == "chassis" else upper).append(((x, y, z + lift), shape.size_m))
     return ClearanceShapes(

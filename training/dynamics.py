@@ -5,14 +5,62 @@ Newton-Euler for hanger and gripper with load; the driven joints are prescribed 
 Checked against MuJoCo on machine/m545.xml (tests/training/test_dynamics.py).
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from machine.conventions import GRAVITY_M_PER_S2
 from machine.kinematics import namespace
-from machine.spec import MachineSpec
+from machine.spec import MachineSpec, Passive
 
 Field = Any
 """Array of numpy or JAX, shape (N,) unless said otherwise."""
+
+
+class ChainGeometry(NamedTuple):
+    """The lengths of machine.spec.Geometry, where some are drawn a machine (N,)."""
+
+    slew_frame_height_m: Field
+    boom_pivot_m: tuple[Field, Field, Field]
+    boom_length_m: Field
+    telescope_axis_offset_m: Field
+    dipper_to_telescope_m: Field
+    telescope_to_pin_m: Field
+    pitch_to_roll_m: Field
+    roll_to_grip_centre_m: Field
+
+    @property
+    def arm_plane_offset_m(self) -> Field:
+        """Signed y of the arm plane in the slew frame."""
+        return self.boom_pivot_m[1]
+
+
+class DrawnMachine(NamedTuple):
+    """Stands where kinematics take a spec: only the geometry is asked for."""
+
+    geometry: ChainGeometry
+    passive: Passive
+
+
+def drawn_machine(
+    spec: MachineSpec,
+    *,
+    telescope_to_pin_error_m: Field = 0.0,
+    pitch_to_roll_error_m: Field = 0.0,
+    roll_to_grip_error_m: Field = 0.0,
+) -> MachineSpec:
+    """The machine as built, not as drawn: lengths with their errors (N,)."""
+    g = spec.geometry
+    geometry = ChainGeometry(
+        slew_frame_height_m=g.slew_frame_height_m,
+        boom_pivot_m=g.boom_pivot_m,
+        boom_length_m=g.boom_length_m,
+        telescope_axis_offset_m=g.telescope_axis_offset_m,
+        dipper_to_telescope_m=g.dipper_to_telescope_m,
+        telescope_to_pin_m=g.telescope_to_pin_m + telescope_to_pin_error_m,
+        pitch_to_roll_m=g.pitch_to_roll_m + pitch_to_roll_error_m,
+        roll_to_grip_centre_m=g.roll_to_grip_centre_m + roll_to_grip_error_m,
+    )
+    # The kinematics read attributes by name; a drawn machine has the same ones, with arrays.
+    return cast(MachineSpec, DrawnMachine(geometry, spec.passive))
 
 
 class PassiveBody(NamedTuple):
@@ -34,21 +82,22 @@ def passive_body(
     payload_mass_kg: Field,
     *,
     friction_scale: Field = 1.0,
-    com_scale: Field = 1.0,
+    com_error_m: Field = 0.0,
     inertia_scale: Field = 1.0,
+    mass_scale: Field = 1.0,
 ) -> PassiveBody:
     """Combine gripper and ball; friction torques are the paper's accelerations times nominal inertias."""
     p, g, ball = spec.passive, spec.geometry, spec.ball
-    com = p.gripper_com_m * com_scale
-    mass = p.gripper_mass_kg + payload_mass_kg
-    load_com = (p.gripper_mass_kg * com + payload_mass_kg * g.roll_to_grip_centre_m) / mass
+    com, gripper = p.gripper_com_m + com_error_m, p.gripper_mass_kg * mass_scale
+    mass = gripper + payload_mass_kg
+    load_com = (gripper * com + payload_mass_kg * g.roll_to_grip_centre_m) / mass
     spread = (
-        p.gripper_mass_kg * (com - load_com) ** 2
+        gripper * (com - load_com) ** 2
         + payload_mass_kg * (g.roll_to_grip_centre_m - load_com) ** 2
     )
     # A basketball is a shell: 2/3 m r^2.
     own = 2.0 / 3.0 * payload_mass_kg * ball.radius_m**2
-    ix, iy, iz = (value * inertia_scale for value in p.gripper_inertia_kg_m2)
+    ix, iy, iz = (value * inertia_scale * mass_scale for value in p.gripper_inertia_kg_m2)
     # The nominal inertias turn the paper's friction acceleration into the torque the MJCF carries.
     roll_inertia = p.gripper_inertia_kg_m2[0] + p.gripper_mass_kg * p.gripper_com_m**2
     pitch_inertia = (
@@ -150,7 +199,7 @@ def passive_acceleration(
     rx, ry, rz = _offset(hx, hy, hz, wx, wy, wz, bx, xp.zeros_like(bx), drop)
     fx, fy, fz = rx, cr * ry + sr * rz, -sr * ry + cr * rz
     com, mass = body.load_com_m, body.load_mass_kg
-    cx, cy, cz = _offset(fx, fy, fz, gx, gy, gz, ex, ey, com)
+    cx, cy, _ = _offset(fx, fy, fz, gx, gy, gz, ex, ey, com)
     ix, iy, iz = body.load_inertia_kg_m2
     torque_x = ix * ex + (iz - iy) * gy * gz + com * mass * cy
     torque_y = iy * ey + (ix - iz) * gx * gz - com * mass * cx
@@ -201,24 +250,41 @@ class Response(NamedTuple):
     """Parameters of the driven joints' velocity response, each (N, 4) in joint order."""
 
     dead_time_s: Field
+    lag_s: Field
     natural_frequency_rad_per_s: Field
     damping_ratio: Field
-    gain_ratio: Field
+    gain_positive_ratio: Field
+    gain_negative_ratio: Field
+
+
+class ResponseState(NamedTuple):
+    """Where the driven joints' response stands, each (N, 4)."""
+
+    lagged: Field
+    """Behind the first-order lag."""
+    acceleration: Field
+    """Of the second-order lag."""
 
 
 def respond(
     response: Response,
+    state: ResponseState,
     velocity: Field,
-    acceleration: Field,
     reference: Field,
     disturbance: Field,
     step_s: float,
-) -> tuple[Field, Field]:
-    """One semi-implicit step of v'' = wn^2 (K r + d - v) - 2 zeta wn v'; all (N, 4)."""
+) -> tuple[Field, ResponseState]:
+    """One step of x' = (K r - x) / lag, v'' = wn^2 (x + d - v) - 2 zeta wn v'; all (N, 4).
+
+    The damping is taken at the end of the step: stiff, overdamped drives stay stable at 100 Hz.
+    """
+    xp = namespace(reference)
+    gain = xp.where(reference > 0.0, response.gain_positive_ratio, response.gain_negative_ratio)
+    share = 1.0 - xp.exp(-step_s / response.lag_s)
+    lagged = state.lagged + share * (gain * reference - state.lagged)
     wn = response.natural_frequency_rad_per_s
-    jerk = (
-        wn**2 * (response.gain_ratio * reference + disturbance - velocity)
-        - 2.0 * response.damping_ratio * wn * acceleration
+    pull = wn**2 * (lagged + disturbance - velocity)
+    acceleration = (state.acceleration + step_s * pull) / (
+        1.0 + 2.0 * response.damping_ratio * wn * step_s
     )
-    acceleration = acceleration + step_s * jerk
-    return velocity + step_s * acceleration, acceleration
+    return velocity + step_s * acceleration, ResponseState(lagged, acceleration)

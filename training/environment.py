@@ -35,10 +35,17 @@ from runtime.observation import (
 )
 from runtime.velocity_controller import shape_reference
 from training.clearance import clearance, clearance_shapes
-from training.dynamics import passive_acceleration, passive_body, respond
+from training.dynamics import (
+    ResponseState,
+    drawn_machine,
+    passive_acceleration,
+    passive_body,
+    respond,
+)
 from training.episode import EpisodeDraw, Failure, StepInfo, draw_episode, privileged_values
 from training.flight import flight_step, landing
 from training.reward import RewardInputs, step_reward
+from training.settling import settle_request
 from training.task import TaskConfig
 
 Field = Any
@@ -79,8 +86,8 @@ class EnvironmentState(NamedTuple):
     """(N, 6) rad, m."""
     velocity: Field
     """(N, 6)."""
-    acceleration: Field
-    """(N, 4) of the response's lag."""
+    response: ResponseState
+    """(N, 4) each: the driven joints' lags."""
     reference: Field
     """(N, 4) last shaped velocity reference."""
     delay_line: Field
@@ -105,8 +112,10 @@ class EnvironmentState(NamedTuple):
     """(N, 2) smallest horizontal and 3D distance of the load to the target so far (paper)."""
     ball: Field
     """(N, 6) flying load: position, velocity; only where it has left."""
-    flight_left_s: Field
-    """(N,) time to the landing, inf before the load has left."""
+    gone_s: Field
+    """(N,) time since the load has left; -1 while it is held."""
+    flight_s: Field
+    """(N,) time of flight of the present (or hypothetical) throw."""
     landing_m: Field
     """(N, 2) where it will land."""
     draw: EpisodeDraw
@@ -131,7 +140,6 @@ class ThrowEnvironment:
         low, high = spec.position_range_rad_m
         margin = task.episode.joint_limit_margin_rad_m
         self._low, self._high = jnp.asarray(low + margin), jnp.asarray(high - margin)
-        self._hard_low, self._hard_high = jnp.asarray(low), jnp.asarray(high)
 
     def reset(self, key: Field, table: StartTable, rows: Field) -> EnvironmentState:
         """Start episodes at rest from these rows (N,) of the table."""
@@ -148,13 +156,13 @@ class ThrowEnvironment:
         )
         zeros4, zeros = jnp.zeros((count, ACTIVE_COUNT)), jnp.zeros(count)
         seen_q, seen_v = self._sense(keys[2], position, velocity, draw)
-        grip = grip_centre(self.spec, position, velocity)
+        grip = grip_centre(self._built(draw), position, velocity)
         offset = grip.position_m - target
         horizontal = jnp.hypot(offset[:, 0], offset[:, 1])
         return EnvironmentState(
             position=position,
             velocity=velocity,
-            acceleration=zeros4,
+            response=ResponseState(zeros4, zeros4),
             reference=zeros4,
             delay_line=jnp.zeros((count, DELAY_TICKS, ACTIVE_COUNT)),
             disturbance=zeros4,
@@ -168,7 +176,8 @@ class ThrowEnvironment:
             impact_distance_m=horizontal,
             best_error_m=jnp.stack([horizontal, jnp.linalg.norm(offset, axis=-1)], axis=-1),
             ball=jnp.zeros((count, 6)),
-            flight_left_s=jnp.full(count, jnp.inf),
+            gone_s=zeros - 1.0,
+            flight_s=zeros,
             landing_m=grip.position_m[:, :2],
             draw=draw,
         )
@@ -194,6 +203,12 @@ class ThrowEnvironment:
         hidden = privileged_values(state)
         return observation.astype(jnp.float32), hidden
 
+    def drives(self, state: EnvironmentState) -> Field:
+        """(N,) bool: whether the policy's next action moves anything."""
+        if self.task.episode.after_release == "policy":
+            return jnp.ones_like(state.gone_s, dtype=jnp.bool_)
+        return state.gone_s < 0.0
+
     def step(
         self, key: Field, state: EnvironmentState, action: Field
     ) -> tuple[EnvironmentState, Field, StepInfo]:
@@ -205,12 +220,10 @@ class ThrowEnvironment:
         request = jnp.zeros((count, ACTIVE_COUNT))
         request = request.at[:, self._first_joint :].set(clipped[:, :-1] * self.action_scale)
         response = self.task.response
-        keep = float(np.exp(-POLICY_PERIOD_S / response.disturbance_correlation_s))
+        keep = np.exp(-POLICY_PERIOD_S / np.asarray(response.disturbance_correlation_s))
         shock = jax.random.normal(keys[1], (count, ACTIVE_COUNT))
         spread = jnp.asarray(response.disturbance_sd_rad_m_per_s) * np.sqrt(1.0 - keep**2)
-        state = state._replace(
-            opened=opened, disturbance=keep * state.disturbance + spread * shock
-        )
+        state = state._replace(opened=opened, disturbance=keep * state.disturbance + spread * shock)
         after, leaving, touched = self._ticks(state, request)
         after = self._fly(state, after, leaving)
         after = after._replace(time_s=state.time_s + POLICY_PERIOD_S)
@@ -227,95 +240,108 @@ class ThrowEnvironment:
         commanded = (action[:, -1] > RELEASE_THRESHOLD_RATIO) | (slow & near & lucky)
         return jnp.where(commanded, 1.0, state.opened)
 
+    def _built(self, draw: EpisodeDraw) -> MachineSpec:
+        """The machine of this episode: the drawn lengths in the place of the drawing's."""
+        return drawn_machine(
+            self.spec,
+            telescope_to_pin_error_m=draw.telescope_to_pin_error_m,
+            pitch_to_roll_error_m=draw.pitch_to_roll_error_m,
+            roll_to_grip_error_m=draw.roll_to_grip_error_m,
+        )
+
     def _ticks(
         self, state: EnvironmentState, request: Field
     ) -> tuple[EnvironmentState, tuple[Field, Field, Field], Field]:
         """Eight physics ticks; also the joints when the load left (q, v, whether), and clearance."""
-        draw = state.draw
+        draw, built, dt = state.draw, self._built(state.draw), CONTROL_PERIOD_S
         ticks = jnp.arange(DELAY_TICKS)[:, None]
         # Linear interpolation between the two references around the dead time.
-        dead_ticks = draw.response.dead_time_s[:, None] / CONTROL_PERIOD_S
+        dead_ticks = draw.response.dead_time_s[:, None] / dt
         weights = jnp.maximum(1.0 - jnp.abs(dead_ticks - ticks), 0.0)
         body = passive_body(
             self.spec,
             draw.payload_mass_kg,
             friction_scale=draw.friction_scale_ratio,
-            com_scale=draw.com_scale_ratio,
+            com_error_m=draw.com_error_m,
             inertia_scale=draw.inertia_scale_ratio,
+            mass_scale=draw.mass_scale_ratio,
         )
-        dt = CONTROL_PERIOD_S
+        settles = self.task.episode.after_release == "settle"
 
-        def tick(carry: Any, index: Field) -> tuple[Any, None]:
-            q, v, acc, reference, line, leave_in, leave_q, leave_v, left, closest = carry
-            reference = shape_reference(self.spec, request, reference, q[:, :ACTIVE_COUNT], dt)
+        def tick(carry: Any, _: Field) -> tuple[Any, None]:
+            q, v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest = carry
+            wanted = request
+            if settles:
+                settling = (gone > draw.settle_delay_s)[:, None]
+                wanted = jnp.where(settling, settle_request(self.spec, q, v), request)
+            reference = shape_reference(self.spec, wanted, reference, q[:, :ACTIVE_COUNT], dt)
             line = jnp.concatenate([reference[:, None], line[:, :-1]], axis=1)
             delayed = jnp.sum(line * weights, axis=1)
             active = v[:, :ACTIVE_COUNT]
-            new_active, acc = respond(draw.response, active, acc, delayed, state.disturbance, dt)
+            new_active, lags = respond(draw.response, lags, active, delayed, state.disturbance, dt)
             middle = jnp.concatenate([0.5 * (active + new_active), v[:, ACTIVE_COUNT:]], axis=-1)
             free = passive_acceleration(
-                self.spec, body, q + 0.5 * dt * middle, middle, (new_active - active) / dt
+                built, body, q + 0.5 * dt * middle, middle, (new_active - active) / dt
             )
             new_v = jnp.concatenate([new_active, v[:, ACTIVE_COUNT:] + dt * free], axis=-1)
             new_q = q + 0.5 * dt * (v + new_v)
+            leaves = (state.opened > 0.0) & (leave_in <= dt) & (gone < 0.0)
             share = jnp.clip(leave_in / dt, 0.0, 1.0)[:, None]
-            now = (state.opened > 0.0) & (leave_in <= dt) & ~left
-            leave_q = jnp.where(now[:, None], q + share * (new_q - q), leave_q)
-            leave_v = jnp.where(now[:, None], v + share * (new_v - v), leave_v)
+            leave_q = jnp.where(leaves[:, None], q + share * (new_q - q), leave_q)
+            leave_v = jnp.where(leaves[:, None], v + share * (new_v - v), leave_v)
+            gone = jnp.where(gone < 0.0, jnp.where(leaves, 0.0, gone), gone + dt)
             leave_in = leave_in - dt * state.opened
-            closest = jnp.minimum(closest, clearance(self.spec, self._shapes, new_q))
-            left = left | now
-            return (
-                new_q, new_v, acc, reference, line, leave_in, leave_q, leave_v, left, closest,
-            ), None  # fmt: skip
+            closest = jnp.minimum(closest, clearance(built, self._shapes, new_q))
+            new = (new_q, new_v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest)
+            return new, None
 
-        gone = jnp.isfinite(state.flight_left_s)
         first = (
-            state.position, state.velocity, state.acceleration, state.reference, state.delay_line,
-            state.leave_in_s, state.position, state.velocity, gone,
+            state.position, state.velocity, state.response, state.reference, state.delay_line,
+            state.leave_in_s, state.gone_s, state.position, state.velocity,
             jnp.full_like(state.time_s, jnp.inf),
         )  # fmt: skip
         last, _ = jax.lax.scan(tick, first, jnp.arange(POLICY_DECIMATION), unroll=self.unroll)
-        q, v, acc, reference, line, leave_in, leave_q, leave_v, left, closest = last
+        q, v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest = last
         after = state._replace(
             position=q,
             velocity=v,
-            acceleration=acc,
+            response=lags,
             reference=reference,
             delay_line=line,
             leave_in_s=leave_in,
+            gone_s=gone,
         )
-        return after, (leave_q, leave_v, left & ~gone), closest
+        return after, (leave_q, leave_v, (gone >= 0.0) & (state.gone_s < 0.0)), closest
 
     def _fly(
         self, before: EnvironmentState, after: EnvironmentState, leaving: tuple[Field, Field, Field]
     ) -> EnvironmentState:
         """Hypothetical impact of a held load, true landing of one that left in this step."""
-        leave_q, leave_v, now = leaving
+        leave_q, leave_v, leaves = leaving
         draw = before.draw
-        q = jnp.where(now[:, None], leave_q, after.position)
-        v = jnp.where(now[:, None], leave_v, after.velocity)
-        grip = grip_centre(self.spec, q, v)
-        x, y, flight = landing(
-            grip.position_m, grip.velocity_m_per_s, draw.plane_m, draw.drag_per_m
-        )
-        gone = jnp.isfinite(before.flight_left_s)
+        q = jnp.where(leaves[:, None], leave_q, after.position)
+        v = jnp.where(leaves[:, None], leave_v, after.velocity)
+        grip = grip_centre(self._built(draw), q, v)
+        position, velocity = grip.position_m + draw.grasp_m, grip.velocity_m_per_s
+        # The claws' push is not foreseen: it belongs to the throw, not to the hypothesis.
+        velocity = velocity + jnp.where(leaves[:, None], draw.slip_m_per_s, 0.0)
+        x, y, flight = landing(position, velocity, draw.plane_m, draw.drag_per_m)
+        gone = before.gone_s >= 0.0
         point = jnp.where(gone[:, None], before.landing_m, jnp.stack([x, y], axis=-1))
         miss = point - draw.target_m[:, :2]
-        fresh = jnp.concatenate([grip.position_m, grip.velocity_m_per_s], axis=-1)
-        old = flight_step(*(before.ball[:, i] for i in range(6)), draw.drag_per_m, POLICY_PERIOD_S)
+        fresh = jnp.concatenate([position, velocity], axis=-1)
+        ball = before.ball
+        if self.task.episode.after_release == "policy":
+            old = flight_step(*(ball[:, i] for i in range(6)), draw.drag_per_m, POLICY_PERIOD_S)
+            ball = jnp.stack(old, axis=-1)
         return after._replace(
             landing_m=point,
             impact_distance_m=jnp.hypot(miss[:, 0], miss[:, 1]),
-            ball=jnp.where(gone[:, None], jnp.stack(old, axis=-1), fresh),
-            flight_left_s=jnp.where(
-                now, flight, before.flight_left_s - POLICY_PERIOD_S
-            ),
+            ball=jnp.where(gone[:, None], ball, fresh),
+            flight_s=jnp.where(gone, before.flight_s, flight),
         )
 
-    def _remember(
-        self, key: Field, after: EnvironmentState, action: Field
-    ) -> EnvironmentState:
+    def _remember(self, key: Field, after: EnvironmentState, action: Field) -> EnvironmentState:
         """Sense, and push what was sensed and commanded into the histories."""
         seen_q, seen_v = self._sense(key, after.position, after.velocity, after.draw)
         return after._replace(
@@ -345,25 +371,25 @@ class ThrowEnvironment:
         q = after.position
         swing = q[:, 1] + q[:, 2] + q[:, 4]
         active = q[:, :ACTIVE_COUNT]
-        gone = jnp.isfinite(after.flight_left_s)
-        landed = gone & ((after.flight_left_s <= 0.0) | episode.ends_at_release)
+        gone = after.gone_s >= 0.0
+        lasts = episode.settle_s if episode.after_release == "settle" else after.flight_s
+        landed = gone & (after.gone_s >= lasts)
+        swing_limit = jnp.where(gone, episode.settle_swing_limit_rad, episode.swing_limit_rad)
         bounded = (jnp.abs(q) < 50.0).all(-1) & (jnp.abs(after.velocity) < 20.0).all(-1)
         sane = bounded & jnp.isfinite(after.impact_distance_m)
         tests = (
             (Failure.NUMERIC, ~sane),
             (Failure.COLLISION, closest < episode.clearance_m),
-            (Failure.LIMIT, ((active < self._low) | (active > self._high)).any(-1)),
+            (Failure.LIMIT, ~gone & ((active < self._low) | (active > self._high)).any(-1)),
             (
                 Failure.SWING,
-                (jnp.abs(swing) > episode.swing_limit_rad)
-                | (jnp.abs(q[:, 5]) > episode.roll_limit_rad),
+                (jnp.abs(swing) > swing_limit) | (jnp.abs(q[:, 5]) > episode.roll_limit_rad),
             ),
             (Failure.TIMEOUT, (after.time_s > episode.time_limit_s) & (after.opened == 0.0)),
         )
         failure = jnp.zeros(q.shape[0], jnp.int32)
         for code, is_so in reversed(tests):
             failure = jnp.where(is_so, int(code), failure)
-        # A load that left before the fault in the same step has still been thrown.
         done = landed | (failure > 0)
         landed = landed & (failure == 0)
         target = before.draw.target_m

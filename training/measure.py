@@ -36,9 +36,7 @@ class Accuracy:
 def act(actor: Layers, normaliser: Normaliser, observation: Field) -> Field:
     """Deterministic action (N, A) for observations (N, D): the mean, as in the exported file."""
     width = observation.shape[-1]
-    moments = Normaliser(
-        normaliser.mean[:width], normaliser.variance[:width], normaliser.count
-    )
+    moments = Normaliser(normaliser.mean[:width], normaliser.variance[:width], normaliser.count)
     return apply_layers(actor, normalise(moments, observation))
 
 
@@ -87,12 +85,11 @@ def measure(
     table = start_table(spec, task.mode, distance, np.zeros_like(distance), rng)
     run = jax.jit(lambda a, n, t, k: throw_once(env, a, n, t, k))
     end = jax.tree.map(np.asarray, run(actor, normaliser, table, jax.random.key(seed)))
-    return [
-        _accuracy(range_m, jax.tree.map(lambda x: x[rows], end))
-        for range_m, rows in zip(
-            ranges_m, np.split(np.arange(distance.size), len(ranges_m)), strict=True
-        )
-    ]
+    result: list[Accuracy] = []
+    for index, range_m in enumerate(ranges_m):
+        rows = slice(index * throw_count, (index + 1) * throw_count)
+        result.append(_accuracy(range_m, StepInfo(*(part[rows] for part in end))))
+    return result
 
 
 def _accuracy(range_m: float, end: StepInfo) -> Accuracy:

@@ -1,5 +1,6 @@
 """Actor and critic: multilayer perceptrons with ELU, and the running normaliser of what they see."""
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -34,7 +35,7 @@ def make_layers(key: Field, sizes: tuple[int, ...], last_scale: float) -> Layers
     """Orthogonal weights (gain sqrt 2, the last layer `last_scale`), zero biases."""
     keys = jax.random.split(key, len(sizes) - 1)
     layers: list[tuple[Field, Field]] = []
-    for index, (fan_in, fan_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for index, (fan_in, fan_out) in enumerate(pairwise(sizes)):
         scale = last_scale if index == len(sizes) - 2 else 2.0**0.5
         weights = jax.nn.initializers.orthogonal(scale)(keys[index], (fan_in, fan_out), jnp.float32)
         layers.append((weights, jnp.zeros(fan_out)))

@@ -47,10 +47,11 @@ class Batch(NamedTuple):
     """Observation and privileged values, not normalised."""
     action: Field
     log_probability: Field
-    mean: Field
     value: Field
     reward: Field
     done: Field
+    drives: Field
+    """1.0 where the action had a say: after the release the settle motion drives."""
     advantage: Field
     target: Field
 
@@ -139,9 +140,7 @@ class Trainer:
         )
         return learner, metrics
 
-    def _collect(
-        self, key: Field, learner: Learner
-    ) -> tuple[EnvironmentState, Batch, Metrics]:
+    def _collect(self, key: Field, learner: Learner) -> tuple[EnvironmentState, Batch, Metrics]:
         """Run the policy for `step_count` steps in every environment, then estimate advantages."""
         env, config = self.environment, self.config
         networks, normaliser = learner.networks, learner.normaliser
@@ -150,20 +149,19 @@ class Trainer:
         def step(state: EnvironmentState, step_key: Field) -> tuple[EnvironmentState, Any]:
             keys = jax.random.split(step_key, 4)
             seen, hidden = env.observe(state)
+            drives = env.drives(state).astype(jnp.float32)
             full = jnp.concatenate([seen, hidden], axis=-1)
             scaled = normalise(normaliser, full)
             mean = apply_layers(networks.actor, scaled[:, : seen.shape[1]])
             value = apply_layers(networks.critic, scaled)[:, 0]
             action = mean + deviation * jax.random.normal(keys[0], mean.shape)
             after, reward, info = env.step(keys[1], state, action)
-            rows = jax.random.randint(
-                keys[2], info.done.shape, 0, self.table.start_rad_m.shape[0]
-            )
+            rows = jax.random.randint(keys[2], info.done.shape, 0, self.table.start_rad_m.shape[0])
             fresh = env.reset(keys[3], self.table, rows)
             after = _select(info.done, fresh, after)
             log_probability = log_density(mean, networks.log_deviation, action)
             row = Batch(
-                full, action, log_probability, mean, value, reward, info.done, value, value
+                full, action, log_probability, value, reward, info.done, drives, value, value
             )
             return after, (row, _count(reward, info))
 
@@ -196,11 +194,13 @@ class Trainer:
         """Epochs of minibatches, split along the environments; returns mean (KL, value loss, entropy)."""
         config = self.config
         parts = config.minibatch_count
-        spread = batch.advantage
-        batch = batch._replace(advantage=(spread - spread.mean()) / (spread.std() + 1e-8))
-        share = jnp.minimum(1.0, 1.5 * learner.iteration / config.iteration_count)
+        share = batch.drives / batch.drives.sum()
+        mean = (share * batch.advantage).sum()
+        spread = jnp.sqrt((share * jnp.square(batch.advantage - mean)).sum())
+        batch = batch._replace(advantage=(batch.advantage - mean) / (spread + 1e-8))
+        done = jnp.minimum(1.0, 1.5 * learner.iteration / config.iteration_count)
         first, last = config.log_deviation_floor_ratio
-        floor = first + (last - first) * share
+        floor = first + (last - first) * done
 
         def minibatch(carry: Any, rows: Field) -> tuple[Any, Field]:
             networks, optimiser, rate = carry
@@ -236,11 +236,12 @@ class Trainer:
         ratio = jnp.exp(jnp.clip(difference, -20.0, 20.0))
         clipped = jnp.clip(ratio, 1.0 - config.clip_ratio, 1.0 + config.clip_ratio)
         # L_clip = -E[min(r A, clip(r, 1 - eps, 1 + eps) A)]
-        surrogate = -jnp.minimum(ratio * part.advantage, clipped * part.advantage).mean()
+        share = part.drives / jnp.maximum(part.drives.sum(), 1.0)
+        surrogate = -(share * jnp.minimum(ratio * part.advantage, clipped * part.advantage)).sum()
         value_loss = jnp.square(value - part.target).mean()
         entropy = (log_deviation + 0.5 * jnp.log(2.0 * jnp.pi * jnp.e)).sum()
         # Estimator of KL(old || new) that is never negative: r - 1 - log r.
-        divergence = jax.lax.stop_gradient((ratio - 1.0 - difference).mean())
+        divergence = jax.lax.stop_gradient((share * (ratio - 1.0 - difference)).sum())
         total = surrogate + config.value_ratio * value_loss - config.entropy_ratio * entropy
         return total, jnp.stack([divergence, value_loss, entropy])
 

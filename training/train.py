@@ -89,7 +89,13 @@ def train(
         near, far = task.episode.target_range_m
         ranges = [r for r in MEASURED_RANGES_M if near <= r <= far]
         accuracy = measure(
-            spec, task, host[0], host[1], ranges, options.measured_throw_count, seed=options.seed_count + 1
+            spec,
+            task,
+            host[0],
+            host[1],
+            ranges,
+            options.measured_throw_count,
+            seed=options.seed_count + 1,
         )
         for entry in accuracy:
             say(accuracy_line(entry))
@@ -100,7 +106,9 @@ def train(
     record = TrainingRecord(
         commit=options.commit or current_commit(),
         seed_count=options.seed_count,
-        environment_step_count=int(learner.iteration) * config.environment_count * config.step_count,
+        environment_step_count=int(learner.iteration)
+        * config.environment_count
+        * config.step_count,
         iteration_count=int(learner.iteration),
         wall_s=round(wall_s, 1),
         device=jax.devices()[0].device_kind,
