@@ -58,12 +58,12 @@ def login_from_file(path: Path, username: str) -> str:
         raise UsageError(
             f"password file {path} cannot be read ({error.strerror}); name one with --password-file"
         ) from error
-    lines = [line.split() for line in text.splitlines() if line.strip()]
-    if len(lines) == 1 and len(lines[0]) == 1:
-        return lines[0][0]
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     for line in lines:
-        if len(line) == 2 and line[0] == username:
-            return line[1]
+        if line.split()[0] == username and len(line.split()) == 2:
+            return line.split()[1]
+    if len(lines) == 1:
+        return lines[0]
     raise UsageError(f"{path} holds no password for '{username}'; name another --user")
 
 

@@ -1,0 +1,177 @@
+"""Starts, stops and restarts of the whole service, and what machines make of them."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import httpx
+import pytest
+from conftest import add_people, free_port, make_settings, running_server, wait_for
+from sqlalchemy import text
+
+from machine.errors import UsageError
+from machine.messages import ThrowState
+from machine.spec import load_spec
+from server.database import Database, DatabaseError, upgrade
+from server.instance_lock import instance_lock
+from server.serve import open_socket, serve
+from server.services import LinkError, open_services
+from server.viewer_scene import ViewerScene
+
+PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
+
+
+def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, swing_policies):
+    settings = make_settings(tmp_path / "data", swing_policies)
+    with running_server(settings) as first:
+        add_people(first.services)
+        machine = first.machine()
+        machine.__enter__()
+        wait_for(lambda: first.services.registry.is_connected("m001"))
+        with first.client("ada") as ada:
+            cookies = dict(ada.cookies)
+            epoch = ada.post("/machines/m001/lease").json()["epoch_count"]
+            plan = ada.post("/machines/m001/plans", json=PLAN).json()
+            path = f"/plans/{plan['plan_id']}"
+            wait_for(lambda: ada.get(path).json()["state"] == "ready", 60.0)
+            assert ada.post(f"{path}/arm", json={}).status_code == 200
+            assert machine.state is ThrowState.ARMED
+    try:
+        with running_server(settings) as second:
+            wait_for(lambda: machine.state is ThrowState.DISARMED, 20.0)
+            assert machine.epoch_count > epoch
+            with second.client() as ada:
+                ada.cookies.update(cookies)
+                assert ada.get("/auth/me").json()["username"] == "ada"
+                assert ada.get("/machines/m001").json()["lease"]["holder"] is None
+                reply = ada.post(f"{path}/fire")
+                assert reply.json()["error"]["code"] == "no_lease"
+                ada.post("/machines/m001/lease")
+                assert ada.post(f"{path}/fire").json()["error"]["code"] == "not_armed"
+                rows = second.services.audit.verify()
+                assert rows.is_intact
+        assert not machine.executed
+    finally:
+        machine.__exit__()
+
+
+def test_loss_is_seen_within_a_second(running):
+    with running.machine() as machine:
+        registry = running.services.registry
+        wait_for(lambda: registry.is_connected("m001"))
+        machine.publishes_state = False  # frozen: the token stands, the state does not come
+        frozen_s = time.monotonic()
+        lost = threading.Event()
+        registry.on_lost.append(lambda _: lost.set())
+        wait_for(lambda: not registry.is_connected("m001"))
+        assert wait_for(lost.is_set, 5.0)
+        # Generous for a loaded computer; the limit itself is machines.FRESH_S.
+        assert time.monotonic() - frozen_s < 4.0
+        with running.client("vic") as viewer:
+            reply = viewer.post("/machines/m001/stop").json()
+            assert reply["is_pending"]
+        machine.publishes_state = True
+        wait_for(lambda: machine.stop_latched)
+
+
+def test_a_second_server_on_the_same_folder_is_refused(tmp_path):
+    with (
+        instance_lock(tmp_path),
+        pytest.raises(UsageError, match="another server"),
+        instance_lock(tmp_path),
+    ):
+        pass
+    with instance_lock(tmp_path):
+        pass
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(UsageError, match="DOWNRANGE_DATA_DIR"),
+        instance_lock(tmp_path / "file" / "data"),
+    ):
+        pass
+
+
+def test_a_used_port_is_a_clear_error():
+    with open_socket("127.0.0.1", 0) as taken:
+        taken.listen()
+        with pytest.raises(UsageError, match="DOWNRANGE_PORT"):
+            open_socket("127.0.0.1", taken.getsockname()[1])
+
+
+def test_a_used_link_endpoint_is_a_clear_error(running, tmp_path):
+    settings = make_settings(
+        tmp_path, running.settings.policies_dir, link_listen=running.settings.link_listen
+    )
+    scene = ViewerScene(load_spec(), lambda *_: None)
+    with pytest.raises(LinkError, match="DOWNRANGE_LINK_LISTEN"), open_services(settings, scene):
+        pass
+
+
+def test_an_older_or_newer_database_is_told_in_one_line(tmp_path, swing_policies):
+    settings = make_settings(tmp_path / "data", swing_policies)
+    upgrade(settings.resolved_database_url)
+    database = Database(settings.resolved_database_url)
+    with database.engine.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = 'from-the-future'"))
+    database.close()
+    with pytest.raises(DatabaseError, match="newer than this software"):
+        serve(settings)
+
+
+def test_the_verb_serves_and_ends_in_order(tmp_path, swing_policies):
+    port, link = free_port(), free_port()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cli.main", "server", "--port", str(port), "--data", str(tmp_path)],
+        env={
+            "PATH": "/usr/bin:/bin",
+            "DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{link}",
+            "DOWNRANGE_POLICIES_DIR": str(swing_policies),
+            "DOWNRANGE_PREVIEW_WORKER_COUNT": "1",
+        },
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+    def answers():
+        assert process.poll() is None
+        try:
+            return (
+                httpx.get(f"http://127.0.0.1:{port}/api/v1/health", timeout=2.0).status_code == 200
+            )
+        except httpx.TransportError:
+            return False
+
+    try:
+        wait_for(answers, 120.0)
+        again = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "cli.main",
+                "server",
+                "--port",
+                str(port),
+                "--data",
+                str(tmp_path),
+            ],
+            env={"PATH": "/usr/bin:/bin"},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert again.returncode == 1
+        assert f"port {port}" in again.stderr
+        assert len(again.stderr.strip().splitlines()) == 1
+    finally:
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, output
+    assert "leaked" not in output
+    assert "Traceback" not in output
