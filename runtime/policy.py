@@ -4,6 +4,7 @@ It never trains, downloads or repairs a policy; a file that is not exactly what 
 """
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from machine.policy_card import POLICY_FILE, PolicyCard, load_card
 from machine.spec import MachineSpec
 from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
 
+POLICY_ID = re.compile(r"[a-z0-9][a-z0-9._-]{2,63}")
+"""As in the card (machine.policy_card.PolicyCard)."""
 ACTIVE_FILE = "active.json"
 INPUT_NAME = "observation"
 OUTPUT_NAME = "action"
@@ -40,7 +43,7 @@ def find_policy(policies_dir: Path, mode: Mode) -> Path:
         )
     folder = policies_dir / policy_id
     # An id is a name, never a path out of the folder.
-    if folder.parent != policies_dir or not folder.is_dir():
+    if not POLICY_ID.fullmatch(policy_id) or not folder.is_dir():
         raise PolicyError(
             f"{path} names policy {policy_id!r} for mode {mode.value}, but {folder} is no policy folder"
         )
@@ -72,13 +75,15 @@ class PolicyRunner:
     def infer(self, observation: Array) -> Array:
         """Raw actions (N, A) for observations (N, D); may hold NaN, never raises for values."""
         given = np.ascontiguousarray(observation, dtype=np.float32)
+        if given.ndim != 2 or given.shape[1] != self._observation_count:
+            raise PolicyError(
+                f"policy {self.card.policy_id} got observations of shape {given.shape}, "
+                f"needs (N, {self._observation_count})"
+            )
         try:
             result = self._session.run([OUTPUT_NAME], {INPUT_NAME: given})[0]
         except Exception as error:  # onnxruntime raises bare exceptions of its own C++ types
-            raise PolicyError(
-                f"policy {self.card.policy_id} failed on an observation of shape {given.shape} "
-                f"({error}); expected (N, {self._observation_count})"
-            ) from error
+            raise PolicyError(f"policy {self.card.policy_id} failed to run ({error})") from error
         return np.asarray(result, dtype=np.float64)
 
     def act(self, observation: Array) -> Array:
