@@ -111,14 +111,14 @@ class MachineNodes:
 
     def pose(self, joints_rad_m: Array) -> None:
         """Move to joint positions of shape (6,); sends only what changed."""
-        if np.array_equal(joints_rad_m, self._joints):
+        moved = joints_rad_m != self._joints
+        if not moved.any():
             return
         self._joints = np.array(joints_rad_m, dtype=np.float64)
         for part in self._kit.parts:
-            if type(part) is Part:
+            if not isinstance(part, JointPart | CylinderPart) or not moved[part.joint_index]:
                 continue
             pose = local_pose(part, self._joints)
-            # A joint turns or slides, never both: comparing the other half costs as much as sending it.
             if isinstance(part, JointPart) and part.is_slide:
                 self._frames[part.name].position = pose.position_m
             else:

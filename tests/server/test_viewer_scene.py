@@ -155,6 +155,8 @@ def test_a_click_marks_the_target_and_tells(
     app: ViewerApp, session: str, client: ViewClient
 ) -> None:
     app.scene.set_pick_height(session, 1.0)
+    state = app.scene._stage.session(session)
+    wait_for(lambda: state is not None and state.pick_height_m == 1.0, "the raised plane")
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
     client.until(lambda: "/target" in client.nodes, "the mark")
     assert client.nodes["/target"]["position"] == pytest.approx([9.0, 3.0, 1.03])
