@@ -94,18 +94,17 @@ class Ticker:
     def next(self) -> Tick:
         """Wait for the next period's start; when it has passed, take the running period instead."""
         due = self._period_count + 1
+        self._clock.wait_until(self._start_ns + due * self._period_ns)
+        # Looked at after the wait: the process may have been stopped in it.
         elapsed_ns = self._clock.now_ns() - self._start_ns
         skipped = max(elapsed_ns // self._period_ns - due, 0)
-        due += skipped
-        due_ns = self._start_ns + due * self._period_ns
-        self._clock.wait_until(due_ns)
-        lateness_ns = max(self._clock.now_ns() - due_ns, 0)
-        self._period_count = due
+        self._period_count = due + skipped
+        lateness_ns = max(elapsed_ns - self._period_count * self._period_ns, 0)
         for missed in range(min(skipped, LATENESS_WINDOW_COUNT), 0, -1):
             self._lateness.add(lateness_ns + missed * self._period_ns)
         self._lateness.add(lateness_ns)
         self._skipped_count += skipped
-        return Tick(due, lateness_ns, skipped)
+        return Tick(self._period_count, lateness_ns, skipped)
 
 
 class Lateness:

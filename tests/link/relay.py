@@ -80,9 +80,10 @@ class Relay:
             writer.transport.abort()
             return
         self._writers |= {writer, up_writer}
-        await asyncio.gather(
-            self._pipe(reader, up_writer, "up"), self._pipe(up_reader, writer, "down")
-        )
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.gather(
+                self._pipe(reader, up_writer, "up"), self._pipe(up_reader, writer, "down")
+            )
         self._writers -= {writer, up_writer}
 
     async def _pipe(

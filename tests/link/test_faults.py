@@ -101,7 +101,7 @@ def test_stop_is_delivered_after_the_link_heals_and_stays_latched(yard):
 def test_silence_before_the_commit_point_brings_the_machine_to_hold(yard):
     server = yard.server
     throw_id = yard.fire()
-    server.wait_state(ThrowState.THROWING, ThrowState.ALIGNING)
+    wait_for(lambda: server.state.heartbeat_age_s is not None)
     server.go_silent()
     reason = abort_reason(server, throw_id)
     # On the machine's own clock: 300 ms and the tick that finds out, with room for late ticks.
