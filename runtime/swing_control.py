@@ -14,6 +14,7 @@ from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray
 from machine.spec import MachineSpec
 from machine.starts import SAFE_ACTIVE_RAD_M
 from runtime.arm_motion import ArmMotion
+from runtime.follow_through import LEAD_S, follow_through
 from runtime.imu_estimator import ImuEstimate, swing_frequency_rad_per_s
 
 ALIGN_SPEED_RAD_PER_S = 0.45
@@ -55,6 +56,8 @@ RETURN_SPEED_RAD_M_PER_S = (0.0, 0.15, 0.22, 0.15)
 RETURN_SWING_RAD = 0.15
 """Swing at which the return to the safe pose runs at half speed."""
 HOMED_RAD_M = 0.03
+_ARM = np.array([False, True, True, True])
+"""The axes of the arm plane."""
 SETTLED_POSITION_RAD_M = 0.05
 SETTLED_SWING_RAD = 0.05
 
@@ -212,6 +215,8 @@ def settle(
 ) -> tuple[SwingState, SwingOutput]:
     """Damp the swing with dipper and slew while going to the safe pose, the calmer the faster.
 
+    After a throw the large swing is first led away from the arm (runtime/follow_through.py).
+
     Args:
         spec: machine.
         state: memory.
@@ -237,6 +242,10 @@ def settle(
     )
     request[:, 2] += dipper * outward
     request[:, 3] += telescope * outward
+    ahead = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, LEAD_S)
+    first = follow_through(spec, time_s, active_position, ahead, amplitude)
+    arm_axes = first.runs[:, None] & _ARM
+    request = np.where(arm_axes, first.request_rad_m_per_s, request)
     quiet = (
         (np.abs(gap[:, 1:]).max(axis=1) < SETTLED_POSITION_RAD_M)
         & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)

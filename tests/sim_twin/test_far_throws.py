@@ -1,0 +1,45 @@
+"""Far throws of the shipped policies end well: nothing touches anything, before the release or after it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine.conventions import Mode
+from machine.spec import load_spec
+from machine.starts import sample_starts
+from runtime.control_loop import ControlParams
+from runtime.policy import PolicyRunner, find_policy
+from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.campaign import Outcome, run_throws
+from sim_twin.virtual_machine import VirtualMachine
+
+SPEC = load_spec()
+POLICIES = Path(__file__).parents[2] / "policies"
+UNIT_SEED = 4
+THROW_COUNT = 20
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    plant = VirtualMachine(count=CALIBRATION_STEP_COUNT, unit_seed=UNIT_SEED)
+    try:
+        return calibrate(plant, SPEC, "m004")
+    finally:
+        plant.close()
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_ten_metres_on_a_machine_of_its_own(calibration, mode):
+    policy = PolicyRunner(find_policy(POLICIES, mode), SPEC)
+    params = ControlParams(SPEC, calibration, mode, policy)
+    targets = np.tile([10.0, 0.0, 0.0], (THROW_COUNT, 1))
+    starts = sample_starts(SPEC, mode, targets, np.random.default_rng(8))
+    plant = VirtualMachine(count=THROW_COUNT, unit_seed=UNIT_SEED)
+    try:
+        results = run_throws(plant, params, targets, starts, seed=8)
+    finally:
+        plant.close()
+    assert [result.outcome for result in results] == [Outcome.LANDED] * THROW_COUNT
+    misses = [np.hypot(r.downrange_error_m, r.crossrange_error_m) for r in results]
+    assert np.median(misses) < 1.0
