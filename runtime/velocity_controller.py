@@ -19,6 +19,8 @@ FLOW_SHARE_RATIO = 0.90
 """Share of the pump that references may ask for: above it axes starve each other unpredictably."""
 SOFT_STOP_ACCELERATION_RATIO = 0.5
 """Share of a joint's acceleration used to stop before a position limit; the rest is reserve."""
+SOFT_STOP_DELAY_RATIO = 1.25
+"""Of dead time and lag together: with less the late position lets a joint overshoot its stop (tested)."""
 SOFT_STOP_MARGIN_RAD_M = 0.02
 """References end this far before a position limit, so that the safety gate has nothing to do there."""
 
@@ -46,12 +48,13 @@ def _shape_constants(spec: MachineSpec) -> _ShapeConstants:
     slew = h.slew_displacement_m3_per_rad
     acceleration = np.asarray(limits.acceleration_rad_m_per_s2)
     low, high = spec.position_range_rad_m
+    delay = np.asarray(spec.response.dead_time_s) + np.asarray(spec.response.lag_s)
     return _ShapeConstants(
         speed_positive=np.asarray(limits.speed_positive_rad_m_per_s),
         speed_negative=np.asarray(limits.speed_negative_rad_m_per_s),
         acceleration=acceleration,
         stop_acceleration=SOFT_STOP_ACCELERATION_RATIO * acceleration,
-        stop_delay=np.asarray(spec.response.dead_time_s) + np.asarray(spec.response.lag_s),
+        stop_delay=SOFT_STOP_DELAY_RATIO * delay,
         # A continuous joint has limits too far away to matter; float32 must hold their square.
         low=np.maximum(low + SOFT_STOP_MARGIN_RAD_M, -1e6),
         high=np.minimum(high - SOFT_STOP_MARGIN_RAD_M, 1e6),
