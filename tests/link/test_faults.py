@@ -127,6 +127,19 @@ def test_letting_go_is_heard_over_a_slow_link(yard):
     assert abort_reason(server, throw_id) == "the operator let go"
 
 
+def test_machine_that_cannot_be_seen_lets_go(yard):
+    # Half open: heartbeats arrive, but the operator's server no longer hears the machine.
+    server = yard.server
+    throw_id = yard.fire()
+    wait_for(lambda: server.state.heartbeat_age_s is not None)
+    yard.relay.hold("up")
+    time.sleep(1.5)
+    yard.relay.heal()
+    abort_reason(server, throw_id)
+    wait_for(lambda: server.ends(throw_id) == ["aborted"])
+    assert "release_commanded" not in server.kinds(throw_id)
+
+
 def test_duplicates_are_answered_not_executed(yard):
     server, throw_id = yard.server, yard.new_throw_id()
     fire = yard.fire_command(yard.arm(), throw_id)

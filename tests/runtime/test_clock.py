@@ -1,5 +1,8 @@
 """Beats of the loop: absolute, never bunched, missed ones counted."""
 
+import ast
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -75,3 +78,17 @@ def test_real_clock_never_wakes_early():
         due_ns = clock.now_ns() + 2_000_000
         clock.wait_until(due_ns)
         assert clock.now_ns() >= due_ns
+
+
+def test_only_text_for_people_reads_the_wall_clock():
+    # A jump of the computer's clock cannot reach control: nothing there looks at it.
+    found = [
+        f"{path.name}:{node.attr}"
+        for path in sorted((Path(__file__).parents[2] / "runtime").glob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and (node.value.id, node.attr)
+        in {("time", "time"), ("time", "time_ns"), ("datetime", "now")}
+    ]
+    assert found == ["outbox.py:now"]
