@@ -94,11 +94,11 @@ class MarkNodes:
             return
         theme = THEMES[state.theme]
         nodes += ground.dim_outside(reach.min_m, reach.dimmed_beyond_m)
-        rings = [("static", reach.static_m, f"{reach.static_m:.1f} m static reach", 112.0)]
+        rings = [("static", reach.static_m, f"{reach.static_m:.1f} m static reach", 122.0)]
         if reach.planar_m is not None:
-            rings.append(("planar", reach.planar_m, f"{reach.planar_m:.1f} m 2D", 101.0))
+            rings.append(("planar", reach.planar_m, f"{reach.planar_m:.1f} m 2D", 114.0))
         if reach.spatial_m is not None:
-            rings.append(("spatial", reach.spatial_m, f"{reach.spatial_m:.1f} m 3D", 90.0))
+            rings.append(("spatial", reach.spatial_m, f"{reach.spatial_m:.1f} m 3D", 103.0))
         for name, radius, text, degrees in rings:
             solid = name == "static"
             circle = (

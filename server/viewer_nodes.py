@@ -109,6 +109,11 @@ class MachineNodes:
         if tint != self._tint:
             self._draw(tint)
 
+    @property
+    def joints_rad_m(self) -> Array:
+        """Joint positions as drawn, shape (6,)."""
+        return self._joints
+
     def pose(self, joints_rad_m: Array) -> None:
         """Move to joint positions of shape (6,); sends only what changed."""
         moved = joints_rad_m != self._joints

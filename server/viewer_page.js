@@ -57,11 +57,11 @@
       (event) => {
         event.stopImmediatePropagation();
         if (window.parent === window) return;
+        event.preventDefault();
         const { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat } = event;
-        const held = { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat };
-        const init = { ...held, bubbles: true, cancelable: true };
-        const copy = new window.parent.KeyboardEvent(type, init);
-        if (!window.parent.document.body.dispatchEvent(copy)) event.preventDefault();
+        const init = { key, code, shiftKey, ctrlKey, altKey, metaKey, repeat };
+        const message = { source: "downrange-viewer", type, init };
+        window.parent.postMessage(message, location.origin);
       },
       { capture: true },
     );
@@ -70,6 +70,18 @@
     if (window.parent !== window) setTimeout(() => window.parent.focus(), 0);
   });
 
-  const probe = document.createElement("canvas");
-  if (!probe.getContext("webgl2")) tell("unsupported", "This browser shows no WebGL 2 graphics.");
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) {
+    tell("unsupported", "This browser shows no WebGL 2 graphics.");
+    return;
+  }
+  // Drawn by the processor, a picture takes all of it: a pause after each leaves time for the rest.
+  const named = gl.getExtension("WEBGL_debug_renderer_info");
+  const renderer = String(gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  if (/swiftshader|llvmpipe|software|basic render/i.test(renderer)) {
+    const draw = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = (callback) => setTimeout(() => draw(callback), 150);
+    window.cancelAnimationFrame = clearTimeout.bind(window);
+  }
 })();

@@ -95,6 +95,9 @@ def page_headers(host: str) -> dict[str, str]:
         "form-action": "'none'",
     }
     return {
+        # A process of its own where the browser can: however long a frame takes to draw, the console
+        # around it still sees STOP pressed and the hold button let go.
+        "Document-Isolation-Policy": "isolate-and-require-corp",
         "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
         "X-Frame-Options": "SAMEORIGIN",
         "X-Content-Type-Options": "nosniff",

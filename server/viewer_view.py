@@ -1,7 +1,9 @@
 """One browser's scene: draws a session's view and keeps it in step. Runs in the view's own thread only."""
 
+import numpy as np
 import viser
 
+from machine.conventions import wrap_angle_rad
 from server.viewer_ground import GroundNodes
 from server.viewer_marks import MarkNodes
 from server.viewer_nodes import PAYLOAD, MachineKit, MachineNodes, Tint
@@ -10,8 +12,7 @@ from server.viewer_state import LiveSample, Point, SessionView
 from server.viewer_theme import MAX_ORBIT_M, MIN_ORBIT_M, THEMES, VIEWPOINTS
 
 GHOST_RATIO = 0.34
-GHOST_SKIPS = frozenset({"chassis"})
-"""Stands where the live machine's stands, and would only muddy its colours."""
+SAME_SLEW_RAD = 0.02
 LOST_RATIO = 0.45
 
 
@@ -103,11 +104,22 @@ class ClientView:
             return
         if self._ghost is None:
             tint = Tint(THEMES[state.theme].accent, GHOST_RATIO)
-            self._ghost = MachineNodes(self._scene, "/ghost", self._kit, tint, skip=GHOST_SKIPS)
+            skip = self._ghost_skips(state)
+            self._ghost = MachineNodes(self._scene, "/ghost", self._kit, tint, skip=skip)
         with self.client.atomic():
             self._ghost.pose(moment.joints_rad_m)
             self._ghost.show_load(moment.ball_m is None)
             self._show_ball("ghost", moment.ball_m)
+
+    def _ghost_skips(self, state: SessionView) -> frozenset[str]:
+        """What stands where the solid machine's stands, and would only muddy its colours."""
+        playback = state.replay_ghost or state.preview
+        solid = self._replay or self._live
+        if playback is None or solid is None:
+            return frozenset({"chassis"})
+        away = wrap_angle_rad(playback.motion.frames_rad_m[:, 0] - solid.joints_rad_m[0])
+        stays = bool(np.abs(away).max() < SAME_SLEW_RAD)
+        return frozenset({"chassis", "upper"} if stays else {"chassis"})
 
     def _drop_ghost(self) -> None:
         if self._ghost is not None:

@@ -212,6 +212,19 @@ def test_a_plan_is_drawn_and_its_ghost_plays_once(
     assert "/target" in client.nodes
 
 
+def test_a_ghost_draws_only_what_leaves_the_live_machine(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    frames = np.tile(POSE, (4, 1))
+    frames[:, 0] += 2.0 * np.pi
+    still = ThrowMotion(frames, 5.0, np.zeros((0, 3)))
+    app.scene.show_plan(session, (9.0, 1.0, 0.0), still)
+    client.until(lambda: "/ghost/chassis/upper/boom/skin" in client.nodes, "the ghost")
+    client.until(lambda: "/ghost/chassis/upper/boom/dipper/skin" in client.nodes, "its arm")
+    assert "/ghost/chassis/upper/skin" not in client.nodes
+    assert "/ghost/chassis/skin" not in client.nodes
+
+
 def test_a_replay_hides_the_live_machine(app: ViewerApp, session: str, client: ViewClient) -> None:
     app.scene.replay(session, motion(30.0), predicted=motion(30.0), is_playing=False)
     client.until(lambda: "/replay/chassis/upper" in client.nodes, "the replay")
