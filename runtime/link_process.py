@@ -70,7 +70,6 @@ class LinkProcess:
         self._heard_s = time.monotonic()
         self._fault = "the control process has not started yet"
         self._packet_count = 0
-        self._lost_packets_count = 0
         self._joints_ns = 0
         self._beat_s = 0.0
         self._uploader: LogUploader | None = None
@@ -239,10 +238,10 @@ class LinkProcess:
         parts = unpack_rows(body, TICK_DTYPES)
         head = parts[TICK_TAGS["tick"]][0]
         count = int(head["packet_count"])
-        if self._packet_count and count > self._packet_count + 1:
-            self._lost_packets_count += count - self._packet_count - 1
+        lost = count - self._packet_count - 1 if self._packet_count else 0
         self._packet_count = count
         if head["is_logged"]:
+            self._records.count_lost(lost)
             rows = {name: parts[tag] for name, tag in TICK_TAGS.items() if tag and tag in parts}
             self._records.add_rows(rows, int(head["t_mono_ns"]))
         if int(head["t_mono_ns"]) - self._joints_ns >= JOINTS_PERIOD_NS:
@@ -279,7 +278,7 @@ class LinkProcess:
         complete = state.model_copy(
             update={
                 "outbox_count": self._outbox.count(),
-                "recorder_dropped_count": self._dropped_count(),
+                "recorder_dropped_count": self._records.dropped_count,
                 "fault": state.fault or self._records.failure,
             }
         )
@@ -307,7 +306,7 @@ class LinkProcess:
         body = {
             "is_connected": self._link.is_connected,
             "outbox_count": self._outbox.count(),
-            "recorder_dropped_count": self._dropped_count(),
+            "recorder_dropped_count": self._records.dropped_count,
         }
         self._send(Kind.LINK, body)
         fault = self._fault
@@ -316,9 +315,6 @@ class LinkProcess:
         if fault and self._state is not None:
             state = self._state.model_copy(update={"state": ThrowState.FAULT, "fault": fault})
             self._publish_state(state)
-
-    def _dropped_count(self) -> int:
-        return self._records.dropped_count + self._lost_packets_count
 
     def _log_stored(self) -> None:
         self._pump.wake()

@@ -191,6 +191,8 @@ class _Impact:
 @dataclass(slots=True)
 class _End:
     result: dict[str, Any]
+    dropped_count: int
+    """Of the recorder, when this throw ended."""
 
 
 _Item = _Begin | _Rows | MachineEvent | _Impact | _End | None
@@ -250,6 +252,10 @@ class ThrowRecorder:
             return
         self._put(_Rows(name, rows, log_t_mono_ns))
 
+    def count_lost(self, count: int) -> None:
+        """Rows that were lost before they got here: the log is not complete."""
+        self.dropped_count += count
+
     def add_event(self, event: MachineEvent) -> None:
         """Add an event of the throw."""
         self._put(event)
@@ -260,7 +266,7 @@ class ThrowRecorder:
 
     def end(self, result: Mapping[str, Any]) -> None:
         """Close the log of the throw; `on_stored` is called from the recorder's thread."""
-        self._put(_End(dict(result)))
+        self._put(_End(dict(result), self.dropped_count))
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Write what waits, then stop; an open log stays a part file, to be recovered at the next start."""
@@ -301,11 +307,11 @@ class ThrowRecorder:
         elif isinstance(item, _Impact):
             writer.add_impact(item.impact, item.t_mono_ns)
         elif isinstance(item, _End):
-            self._end(item.result)
+            self._end(item)
 
     def _begin(self, item: _Begin) -> None:
         if self._writer is not None:
-            self._end({"outcome": "interrupted"})
+            self._end(_End({"outcome": "interrupted"}, item.dropped_count))
         self._throw_id = item.throw_id
         self._dropped_at_begin_count = item.dropped_count
         self._stream = part_path(self._folder, item.throw_id).open("wb")
@@ -315,10 +321,10 @@ class ThrowRecorder:
             _write_rows(self._writer, item.earlier)
         self._sync()
 
-    def _end(self, result: dict[str, Any]) -> None:
+    def _end(self, item: _End) -> None:
         if self._writer is None or self._stream is None:
             return
-        dropped = self.dropped_count - self._dropped_at_begin_count
+        result, dropped = item.result, item.dropped_count - self._dropped_at_begin_count
         is_complete = dropped == 0 and not self._has_gap and result.get("is_complete", True)
         self._writer.close({**result, "is_complete": is_complete, "dropped_count": dropped})
         self._stream.close()

@@ -102,6 +102,10 @@ class Records:
         for name, part in rows.items():
             self._recorder.add_rows(name, part, log_t_mono_ns)
 
+    def count_lost(self, tick_count: int) -> None:
+        """Ticks of the open log that never reached this process."""
+        self._recorder.count_lost(tick_count)
+
     def add_event(self, event: MachineEvent) -> None:
         """An event; kept if it belongs to the open log."""
         if event.throw_id is not None and event.throw_id == self._open_id:

@@ -98,6 +98,18 @@ def test_finished_throw_with_a_whole_file_is_left_alone(tmp_path, journal):
     assert path.read_bytes() == before
 
 
+def test_ticks_lost_on_the_way_make_a_log_incomplete(tmp_path, journal):
+    found, _ = make(tmp_path, journal)
+    for throw_id, lost in (("t1", 0), ("t2", 3)):
+        found.begin(throw_id, {"throw_id": throw_id})
+        found.count_lost(lost)
+        found.end({"outcome": "landed"})
+    assert found.dropped_count == 3
+    found.close()
+    logs = [read_throw_log(log_path(tmp_path / "throws", name)) for name in ("t1", "t2")]
+    assert [log.is_complete for log in logs] == [True, False]
+
+
 def test_log_of_a_control_process_that_died_is_closed_as_interrupted(tmp_path, journal):
     add_throw(journal, 1, "t1", has_ended=False)
     found, _ = make(tmp_path, journal)
