@@ -26,8 +26,11 @@ PARENT = """<!doctype html><html><head><link rel="icon" href="data:,"></head>
 <body style="margin:0"><iframe id="view" src="/viewer/" style="border:0;width:100vw;height:100vh">
 </iframe><script>
 window.states = []; window.keys = [];
-addEventListener("message", (event) => states.push(event.data));
 addEventListener("keydown", (event) => keys.push(event.code));
+addEventListener("message", ({ data }) => {
+  if (data.type === "keydown") keys.push(data.init.code);
+  else if (!data.type) states.push(data);
+});
 </script></body></html>"""
 
 

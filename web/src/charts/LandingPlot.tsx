@@ -39,10 +39,9 @@ export function LandingPlot({ ellipse, predicted, measured }: Props) {
           {[1, 2].map((sigma) => (
             <text
               key={sigma}
-              x={x(ellipse.mean_downrange_error_m)}
-              y={y(ellipse.mean_crossrange_error_m - sigma * ellipse.sd_crossrange_m) + 11}
+              x={x(ellipse.mean_downrange_error_m + sigma * ellipse.sd_downrange_m) + 3}
+              y={y(ellipse.mean_crossrange_error_m) + 12}
               className={classes.text}
-              textAnchor="middle"
             >
               {sigma}σ
             </text>
@@ -88,7 +87,7 @@ function halfHeight(ellipse: Props["ellipse"], points: (Point | null)[]): number
     reach.push(Math.abs(ellipse.mean_crossrange_error_m) + 2 * ellipse.sd_crossrange_m);
     reach.push((Math.abs(ellipse.mean_downrange_error_m) + 2 * ellipse.sd_downrange_m) / 2);
   }
-  return Math.max(0.1, ...reach) * 1.25;
+  return Math.max(0.04, ...reach) * 1.25;
 }
 
 function label(predicted: Point | null, measured: Point | null): string {

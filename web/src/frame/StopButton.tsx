@@ -3,7 +3,7 @@ import { useMachine } from "../machine/useMachine";
 import { useStop } from "../machine/useStop";
 import classes from "./StopButton.module.css";
 
-/** Shift+S, on every page; the 3D view hands its keys to this document (docs/viewer.md). */
+/** Shift+S, on every page; keys pressed in the 3D view arrive here as well (docs/viewer.md). */
 function isStopKey(event: KeyboardEvent): boolean {
   return (
     event.shiftKey && event.code === "KeyS" && !event.ctrlKey && !event.metaKey && !event.altKey

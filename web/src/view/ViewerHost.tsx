@@ -4,7 +4,7 @@ import { useSession } from "../session/useSession";
 import { useSlot, useWasWanted } from "./slot";
 import { useViewRequest } from "./useView";
 import classes from "./ViewerHost.module.css";
-import { readNews, type ViewerNews, viewerSentence } from "./viewerMessages";
+import { readKey, readNews, type ViewerNews, viewerSentence } from "./viewerMessages";
 
 const LOADING: ViewerNews = { state: "loading", detail: "" };
 
@@ -30,6 +30,8 @@ export function ViewerHost() {
     const onMessage = (event: MessageEvent) => {
       const fresh = readNews(event.data, event.origin, window.location.origin);
       if (fresh) setNews(fresh);
+      const key = readKey(event.data, event.origin, window.location.origin);
+      if (key) document.body.dispatchEvent(key);
     };
     window.addEventListener("message", onMessage);
     return () => window.removeEventListener("message", onMessage);

@@ -43,3 +43,17 @@ export function viewerSentence({ state, detail }: ViewerNews): string {
       return "";
   }
 }
+
+const MODIFIERS = ["shiftKey", "ctrlKey", "altKey", "metaKey", "repeat"] as const;
+
+/** A key that was pressed while the view had the keyboard, as an event for this document; else null. */
+export function readKey(data: unknown, origin: string, ownOrigin: string): KeyboardEvent | null {
+  if (origin !== ownOrigin || typeof data !== "object" || data === null) return null;
+  const { source, type, init } = data as Record<string, unknown>;
+  if (source !== "downrange-viewer" || (type !== "keydown" && type !== "keyup")) return null;
+  if (typeof init !== "object" || init === null) return null;
+  const { key, code, ...rest } = init as Record<string, unknown>;
+  if (typeof key !== "string" || typeof code !== "string") return null;
+  const modifiers = Object.fromEntries(MODIFIERS.map((name) => [name, rest[name] === true]));
+  return new KeyboardEvent(type, { key, code, ...modifiers, bubbles: true, cancelable: true });
+}
