@@ -223,7 +223,6 @@ def _begin(state: ImuState, gyro: Array, accel: Array, first: BoolArray) -> ImuS
         angle_rad=np.where(first, outside, state.angle_rad),
         gyro_bias_rad_per_s=bias,
         gyro_mean_rad_per_s=np.where(first, gyro, state.gyro_mean_rad_per_s),
-        tilt_offset_rad=np.where(first, tilt - outside, state.tilt_offset_rad),
     )
 
 

@@ -33,7 +33,7 @@ SMALL_TURN_RAD_PER_S = 0.03
 first away; a slower one would stay inside the valve's dead band."""
 TINY_TURN_RAD = 0.008
 """A correction that swings the gripper by less than a throw may start with goes at once."""
-BREAKAWAY_S = 0.05
+BREAKAWAY_S = 0.03
 """Friction and the valve's hysteresis swallow about this much of every pulse."""
 ALIGNED_SWING_RAD = 0.030
 """Residual swing a throw may start with: three times what friction holds."""
