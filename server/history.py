@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, select
+from sqlalchemy import ColumnElement, func, select
+from sqlalchemy.orm import InstrumentedAttribute
 from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.conventions import Mode
@@ -21,7 +22,10 @@ from server.schemas_history import Outcome, ThrowPage, ThrowRow
 from server.throws import throw_row
 
 PROBE_COUNT = 10_000
-"""Newest throws that are looked through for a range of distances before the index of ranges is asked."""
+"""Newest throws that are looked through for a range of distances before anything else is tried."""
+SORT_COUNT = 20_000
+"""So many throws of a range of distances are fetched by their distance and sorted by time; more are common
+enough to be met soon when walking back in time."""
 _EXPORT_CHUNK = 1000
 
 
@@ -39,8 +43,10 @@ class ThrowFilter:
     since: datetime | None = None
     until: datetime | None = None
 
-    def equalities(self) -> list[ColumnElement[bool]]:
-        """Conditions that an index serves in order of time."""
+    def conditions(
+        self, before: str | None = None, *, is_plain: bool = False
+    ) -> list[ColumnElement[bool]]:
+        """Everything but the distance; `is_plain` keeps the database from using an index for it."""
         pairs = (
             (Throw.machine_id, self.machine_id),
             (Throw.mode, None if self.mode is None else self.mode.value),
@@ -49,21 +55,28 @@ class ThrowFilter:
             (Throw.outcome, None if self.outcome is None else self.outcome.value),
         )
         conditions: list[ColumnElement[bool]] = [
-            column == value for column, value in pairs if value is not None
+            (column.concat("") if is_plain else column) == value
+            for column, value in pairs
+            if value is not None
         ]
+        throw_id = _plain_id() if is_plain else Throw.throw_id
         if self.since is not None:
-            conditions.append(Throw.throw_id >= first_id_at(self.since))
+            conditions.append(throw_id >= first_id_at(self.since))
         if self.until is not None:
-            conditions.append(Throw.throw_id < first_id_at(self.until))
+            conditions.append(throw_id < first_id_at(self.until))
+        if before is not None:
+            conditions.append(throw_id < before)
         return conditions
 
-    def ranges(self) -> list[ColumnElement[bool]]:
+    def within(
+        self, distance_m: ColumnElement[float] | InstrumentedAttribute[float]
+    ) -> list[ColumnElement[bool]]:
         """Conditions on the distance of the target."""
         conditions: list[ColumnElement[bool]] = []
         if self.min_range_m is not None:
-            conditions.append(Throw.range_m >= self.min_range_m)
+            conditions.append(distance_m >= self.min_range_m)
         if self.max_range_m is not None:
-            conditions.append(Throw.range_m <= self.max_range_m)
+            conditions.append(distance_m <= self.max_range_m)
         return conditions
 
 
@@ -104,44 +117,70 @@ class History:
 
 
 def newest(
+    database: DatabaseSession, wanted: ThrowFilter, limit: int, *, before: str | None = None
+) -> list[Throw]:
+    """The newest throws that match, newest first."""
+    ids = newest_ids(database, wanted, limit, before=before)
+    rows = database.scalars(select(Throw).where(Throw.throw_id.in_(ids)))
+    return sorted(rows, key=lambda row: row.throw_id, reverse=True)
+
+
+def newest_ids(
     database: DatabaseSession,
     wanted: ThrowFilter,
     limit: int,
     *,
     before: str | None = None,
     extra: tuple[ColumnElement[bool], ...] = (),
-) -> list[Throw]:
-    """The newest throws that match, newest first.
+) -> list[str]:
+    """Ids of the newest throws that match, newest first.
 
-    A filter on distance cannot be served in order of time by one index. The newest few thousand throws
-    are looked through first; only a filter that finds too little there is rare enough to sort.
+    One index cannot serve a filter on distance in order of time. The newest few thousand throws are looked
+    through first; if they do not fill the page, a distance that is rare is served by the index of
+    distances, and a common one by walking on.
     """
-    conditions = [*wanted.equalities(), *extra]
-    if before is not None:
-        conditions.append(Throw.throw_id < before)
-    base = select(Throw).order_by(Throw.throw_id.desc())
-    ranges = wanted.ranges()
-    if not ranges:
-        return _all(database, base.where(*conditions).limit(limit))
-    edge = database.scalar(
+    walk = (
         select(Throw.throw_id)
-        .where(*conditions)
+        .where(*wanted.conditions(before), *extra)
         .order_by(Throw.throw_id.desc())
-        .offset(PROBE_COUNT)
-        .limit(1)
     )
-    near = [] if edge is None else [Throw.throw_id >= edge]
-    rows = _all(database, base.where(*conditions, *ranges, *near).limit(limit))
-    if len(rows) >= limit or edge is None:
-        return rows
-    return rows + _all(
-        database,
-        base.where(*conditions, *ranges, Throw.throw_id < edge).limit(limit - len(rows)),
+    if not wanted.within(_plain_range()):
+        return list(database.scalars(walk.limit(limit)))
+    recent = walk.add_columns(Throw.range_m).limit(PROBE_COUNT).subquery()
+    near = (
+        select(recent.c.throw_id)
+        .where(*wanted.within(recent.c.range_m))
+        .order_by(recent.c.throw_id.desc())
     )
+    found = list(database.scalars(near.limit(limit)))
+    if len(found) >= limit:
+        return found
+    if _is_rare(database, wanted):
+        matching = (
+            select(Throw.throw_id)
+            .where(*wanted.within(Throw.range_m), *wanted.conditions(before, is_plain=True), *extra)
+            .order_by(_plain_id().desc())
+        )
+    else:
+        matching = walk.where(*wanted.within(_plain_range()))
+    return list(database.scalars(matching.limit(limit)))
 
 
-def _all(database: DatabaseSession, query: Select[Throw]) -> list[Throw]:
-    return list(database.scalars(query))
+def _is_rare(database: DatabaseSession, wanted: ThrowFilter) -> bool:
+    """Whether few throws have these distances; counts in the index of distances alone."""
+    some = select(Throw.range_m).where(*wanted.within(Throw.range_m)).limit(SORT_COUNT + 1)
+    count = database.scalar(select(func.count()).select_from(some.subquery())) or 0
+    return count <= SORT_COUNT
+
+
+def _plain_id() -> ColumnElement[str]:
+    """The id as an expression that no index serves."""
+    return Throw.throw_id.concat("")
+
+
+def _plain_range() -> ColumnElement[float]:
+    """The distance as an expression that no index serves."""
+    return Throw.range_m + 0.0
 
 
 def _csv_row(row: ThrowRow, names: list[str]) -> str:

