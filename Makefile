@@ -34,7 +34,8 @@ runtime: .tools/bin/uv  ## Only what a machine's computer needs: .venv/bin/downr
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 $(STAMP)/web: $(STAMP)/python $(WEB_SOURCES)
 	@echo "== building the console (web/dist)"
-	@$(BIN)/python scripts/node.py npm --prefix web ci --no-audit --no-fund --loglevel=error
+	@# Not `npm ci`: it refuses a lock file from a registry that leaves out other platforms' packages.
+	@$(BIN)/python scripts/node.py npm --prefix web install --no-save --no-audit --no-fund --loglevel=error
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent build
 	@mkdir -p $(@D) && touch $@
 
