@@ -62,6 +62,11 @@ def wait_state(page: Page, state: str, count: int = 1) -> None:
     )
 
 
+def wait_key(page: Page, code: str) -> None:
+    """Without a request for animation frames: software rendering may make those wait for seconds."""
+    page.wait_for_function(f"keys.includes('{code}')", polling=100, timeout=90_000)
+
+
 def yellow_pixels(page: Page) -> int:
     """Pixels of the machine's paint in what the canvas shows."""
     script = """() => {
@@ -111,11 +116,11 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
     # After a click the keys are the console's: STOP must not depend on where the focus is.
     page.wait_for_timeout(200)
     page.keyboard.press("Shift+KeyS")
-    page.wait_for_function("keys.includes('KeyS')")
+    wait_key(page, "KeyS")
     page.frames[1].locator("body").focus()
     page.frames[1].evaluate("window.focus()")
     page.keyboard.press("ArrowUp")
-    page.wait_for_function("keys.includes('ArrowUp')")
+    wait_key(page, "ArrowUp")
 
     # The socket breaks while the focus is in the console: the view comes back by itself.
     page.evaluate("window.focus(); document.body.focus()")
