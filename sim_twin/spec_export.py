@@ -39,74 +39,106 @@ def _collision_shapes(model: mujoco.MjModel) -> list[dict[str, Any]]:
     ]
 
 
+class _Source:
+    """The compiled MJCF and how the spec reads it."""
+
+    def __init__(self, path: Path) -> None:
+        self.model = mujoco.MjModel.from_xml_path(str(path))
+
+    def numbers(self, name: str) -> list[float]:
+        return [float(v) for v in self.model.numeric(name).data]
+
+    def number(self, name: str) -> float:
+        return self.numbers(name)[0]
+
+    def limit(self, joint: str, what: str, unit: str) -> list[float]:
+        length = "m" if joint == "telescope" else "rad"
+        return self.numbers(f"{joint}_{what}_limit_{length}_{unit}")
+
+    def body(self, name: str) -> Any:
+        return self.model.body(name)
+
+
+def _geometry(source: _Source) -> dict[str, Any]:
+    slew_frame = source.body("chassis").pos + source.body("upper").pos
+    return {
+        "slew_frame_height_m": float(slew_frame[2]),
+        "boom_pivot_m": [float(v) for v in source.body("boom").pos],
+        "boom_length_m": float(source.body("dipper").pos[0]),
+        "telescope_axis_offset_m": float(source.body("telescope").pos[0]),
+        "dipper_to_telescope_m": -float(source.body("telescope").pos[2]),
+        "telescope_to_pin_m": -float(source.body("hanger").pos[2]),
+        "pitch_to_roll_m": -float(source.body("gripper").pos[2]),
+        "roll_to_grip_centre_m": -float(source.model.site("grip_centre").pos[2]),
+    }
+
+
+def _limits(source: _Source) -> dict[str, Any]:
+    joints = [source.model.joint(name) for name in ACTIVE_JOINTS]
+    ranges = [[float(v) for v in j.range] if j.limited[0] else [None, None] for j in joints]
+    speeds = [source.limit(name, "speed", "per_s") for name in ACTIVE_JOINTS]
+    return {
+        "position_min_rad_m": [r[0] for r in ranges],
+        "position_max_rad_m": [r[1] for r in ranges],
+        "speed_positive_rad_m_per_s": [s[0] for s in speeds],
+        "speed_negative_rad_m_per_s": [s[1] for s in speeds],
+        "acceleration_rad_m_per_s2": [
+            source.limit(name, "acceleration", "per_s2")[0] for name in ACTIVE_JOINTS
+        ],
+        "swing_rad": source.number("swing_limit_rad"),
+    }
+
+
+def _cylinder(source: _Source, name: str) -> dict[str, Any]:
+    bore, rod = source.numbers(f"{name}_cylinder_bore_rod_m")
+    return {
+        "bore_m": bore,
+        "rod_m": rod,
+        "base_xz_m": source.numbers(f"{name}_cylinder_base_xz_m"),
+        "rod_xz_m": source.numbers(f"{name}_cylinder_rod_xz_m"),
+    }
+
+
+def _hydraulics(source: _Source) -> dict[str, Any]:
+    telescope_bore, telescope_rod = source.numbers("telescope_cylinder_bore_rod_m")
+    return {
+        "pump_flow_m3_per_s": source.number("pump_flow_m3_per_s"),
+        "supply_pressure_pa": source.number("supply_pressure_pa"),
+        "boom_cylinder": _cylinder(source, "boom"),
+        "dipper_cylinder": _cylinder(source, "dipper"),
+        "telescope_bore_m": telescope_bore,
+        "telescope_rod_m": telescope_rod,
+        "slew_displacement_m3_per_rad": source.number("slew_displacement_m3_per_rad"),
+        "valve_dead_band_ratio": source.number("valve_dead_band_ratio"),
+    }
+
+
+def _passive(source: _Source) -> dict[str, Any]:
+    tree: dict[str, Any] = {
+        "viscous_friction_per_s": source.number("passive_viscous_friction_per_s"),
+        "coulomb_friction_rad_per_s2": source.number("passive_coulomb_friction_rad_per_s2"),
+    }
+    for name in ("hanger", "gripper"):
+        body = source.body(name)
+        tree[f"{name}_mass_kg"] = float(body.mass[0])
+        tree[f"{name}_com_m"] = -float(body.ipos[2])
+        tree[f"{name}_inertia_kg_m2"] = [float(v) for v in body.inertia]
+    return tree
+
+
 def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
     """Compile the MJCF and read every constant of the spec from the compiled model.
 
     Raises:
         KeyError: a numeric, body or joint that the spec needs is missing in the MJCF.
     """
-    model = mujoco.MjModel.from_xml_path(str(mjcf_path))
-
-    def numbers(name: str) -> list[float]:
-        return [float(v) for v in model.numeric(name).data]
-
-    def number(name: str) -> float:
-        return numbers(name)[0]
-
-    def speeds(direction: int) -> list[float]:
-        return [
-            numbers(f"{j}_speed_limit_{'m' if j == 'telescope' else 'rad'}_per_s")[direction]
-            for j in ACTIVE_JOINTS
-        ]
-
-    def cylinder(name: str) -> dict[str, Any]:
-        bore, rod = numbers(f"{name}_cylinder_bore_rod_m")
-        return {
-            "bore_m": bore,
-            "rod_m": rod,
-            "base_xz_m": numbers(f"{name}_cylinder_base_xz_m"),
-            "rod_xz_m": numbers(f"{name}_cylinder_rod_xz_m"),
-        }
-
-    ranges = [
-        [float(v) for v in model.joint(j).range] if model.joint(j).limited[0] else [None, None]
-        for j in ACTIVE_JOINTS
-    ]
-    telescope_bore, telescope_rod = numbers("telescope_cylinder_bore_rod_m")
-    slew_frame = model.body("chassis").pos + model.body("upper").pos
+    source = _Source(mjcf_path)
+    number = source.number
     tree: dict[str, Any] = {
         "model_name": "m545",
-        "geometry": {
-            "slew_frame_height_m": float(slew_frame[2]),
-            "boom_pivot_m": [float(v) for v in model.body("boom").pos],
-            "boom_length_m": float(model.body("dipper").pos[0]),
-            "telescope_axis_offset_m": float(model.body("telescope").pos[0]),
-            "dipper_to_telescope_m": -float(model.body("telescope").pos[2]),
-            "telescope_to_pin_m": -float(model.body("hanger").pos[2]),
-            "pitch_to_roll_m": -float(model.body("gripper").pos[2]),
-            "roll_to_grip_centre_m": -float(model.site("grip_centre").pos[2]),
-        },
-        "limits": {
-            "position_min_rad_m": [r[0] for r in ranges],
-            "position_max_rad_m": [r[1] for r in ranges],
-            "speed_positive_rad_m_per_s": speeds(0),
-            "speed_negative_rad_m_per_s": speeds(1),
-            "acceleration_rad_m_per_s2": [
-                number(f"{j}_acceleration_limit_{'m' if j == 'telescope' else 'rad'}_per_s2")
-                for j in ACTIVE_JOINTS
-            ],
-            "swing_rad": number("swing_limit_rad"),
-        },
-        "hydraulics": {
-            "pump_flow_m3_per_s": number("pump_flow_m3_per_s"),
-            "supply_pressure_pa": number("supply_pressure_pa"),
-            "boom_cylinder": cylinder("boom"),
-            "dipper_cylinder": cylinder("dipper"),
-            "telescope_bore_m": telescope_bore,
-            "telescope_rod_m": telescope_rod,
-            "slew_displacement_m3_per_rad": number("slew_displacement_m3_per_rad"),
-            "valve_dead_band_ratio": number("valve_dead_band_ratio"),
-        },
+        "geometry": _geometry(source),
+        "limits": _limits(source),
+        "hydraulics": _hydraulics(source),
         "response": {
             "dead_time_s": [number("slew_dead_time_s")] + [number("arm_dead_time_s")] * 3,
             "lag_s": [number("slew_lag_s")] + [number("arm_lag_s")] * 3,
@@ -115,16 +147,7 @@ def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
             "delay_s": number("release_delay_s"),
             "delay_sd_s": number("release_delay_sd_s"),
         },
-        "passive": {
-            "viscous_friction_per_s": number("passive_viscous_friction_per_s"),
-            "coulomb_friction_rad_per_s2": number("passive_coulomb_friction_rad_per_s2"),
-            "hanger_mass_kg": float(model.body("hanger").mass[0]),
-            "hanger_com_m": -float(model.body("hanger").ipos[2]),
-            "hanger_inertia_kg_m2": [float(v) for v in model.body("hanger").inertia],
-            "gripper_mass_kg": float(model.body("gripper").mass[0]),
-            "gripper_com_m": -float(model.body("gripper").ipos[2]),
-            "gripper_inertia_kg_m2": [float(v) for v in model.body("gripper").inertia],
-        },
+        "passive": _passive(source),
         "ball": {
             "mass_kg": number("ball_mass_kg"),
             "radius_m": number("ball_radius_m"),
@@ -132,7 +155,7 @@ def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
             "air_density_kg_per_m3": number("air_density_kg_per_m3"),
         },
         "static_reach_m": number("static_reach_m"),
-        "collision_shapes": _collision_shapes(model),
+        "collision_shapes": _collision_shapes(source.model),
     }
     return MachineSpec.model_validate(_rounded(tree))
 

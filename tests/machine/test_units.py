@@ -12,6 +12,8 @@ from pydantic import BaseModel
 from machine.conventions import UNIT_SUFFIXES
 from machine.telemetry import CONTROL_ROW, POLICY_ROW
 
+FOREIGN = {"server.viewer_frames"}
+"""Frames of the 3D view's own protocol: their field names are not ours to choose."""
 PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
 
 
@@ -21,6 +23,8 @@ def models() -> list[type[BaseModel]]:
         for module in pkgutil.iter_modules(
             importlib.import_module(package).__path__, f"{package}."
         ):
+            if module.name in FOREIGN:
+                continue
             for item in vars(importlib.import_module(module.name)).values():
                 if (
                     isinstance(item, type)
