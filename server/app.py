@@ -36,7 +36,8 @@ from server.routes import (
     policies,
     view,
 )
-from server.schemas import ErrorBody, HoldMessage, HoldReply
+from server.schemas import ErrorBody
+from server.schemas_plans import HoldMessage, HoldReply
 from server.services import Services, open_services
 from server.settings import Settings
 from server.version import SOFTWARE

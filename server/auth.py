@@ -48,7 +48,7 @@ PERMISSIONS = MappingProxyType(
         Role.ADMIN: frozenset(Permission),
     }
 )
-"""What each role may do; docs/console.md shows the same table."""
+"""What each role may do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from server.events import EventHub
 from server.machines import Registry
 from server.models import Lease
 from server.schemas import LeaseView
-from server.schemas_history import LeaseChangedEvent
+from server.schemas_events import LeaseChangedEvent
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from server.machines import Known, Registry
 from server.metrics import Metrics
 from server.policies import PolicyShelf
 from server.schemas import Lamp, LinkView, MachineView, TargetView
-from server.schemas_history import MachineLostEvent, MachineStateEvent
+from server.schemas_events import MachineLostEvent, MachineStateEvent
 from server.stops import StopDesk
 from server.throws import ThrowBook
 from server.viewer_scene import ViewerScene

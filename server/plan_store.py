@@ -18,7 +18,7 @@ from server.database import Database
 from server.errors import NotFoundError, from_reason
 from server.models import Plan
 from server.plan_views import canonical, is_expired, plan_view, throw_plan, unpack_frames
-from server.schemas import PlanFrames, PlanState, PlanView
+from server.schemas_plans import PlanFrames, PlanState, PlanView
 
 MOVED_LIMIT_RAD_M = 0.05
 """A machine that moved farther than this since the preview needs a new one."""

@@ -11,14 +11,14 @@ from server.clock import utc_now
 from server.impacts import errors_of
 from server.models import Plan
 from server.preview_worker import unit_of
-from server.schemas import (
+from server.schemas import TargetView
+from server.schemas_plans import (
     ClearanceView,
     PlanFrames,
     PlanState,
     PlanView,
     PredictionView,
     RefusalView,
-    TargetView,
 )
 from sim_twin.clearances import Clearance
 from sim_twin.preview import ThrowPreview

@@ -26,8 +26,8 @@ from server.plan_views import frames_of, pack_frames, plan_view, take_preview, t
 from server.policies import PolicyShelf, ShelfPolicy
 from server.preview_pool import PreviewPool
 from server.preview_worker import CancelledPreviewError, PreviewJob
-from server.schemas import PlanRequest, PlanState, PlanView
-from server.schemas_history import PlanUpdatedEvent
+from server.schemas_events import PlanUpdatedEvent
+from server.schemas_plans import PlanRequest, PlanState, PlanView
 from server.twins import TwinFiles
 from server.viewer_replay import ThrowMotion
 from server.viewer_scene import ViewerScene

@@ -7,8 +7,8 @@ import numpy as np
 from server.auth import Session
 from server.errors import ConflictError, NotFoundError
 from server.plan_store import PlanStore
-from server.schemas import PlanFrames
 from server.schemas_history import ReplayRequest, ReplayView
+from server.schemas_plans import PlanFrames
 from server.throw_logs import LogStore
 from server.throw_series import motion_of
 from server.viewer_replay import ThrowMotion

@@ -7,14 +7,15 @@ from the slew axis to the target.
 from collections.abc import Sequence
 from datetime import datetime
 from enum import StrEnum
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
-from pydantic import Field, JsonValue, RootModel, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from machine.conventions import Mode
 from machine.messages import EventKind
 from machine.policy_card import PolicyCard
-from server.schemas import LeaseView, MachineView, PlanView, Request, TargetView, View
+from server.schemas import Request, TargetView, View
+from server.schemas_plans import PlanView
 
 
 class ThrowPhase(StrEnum):
@@ -294,82 +295,3 @@ class AuditVerdict(View):
     row_count: int
     first_bad_sequence_count: int | None
     problem: str | None
-
-
-class MachineStateEvent(View):
-    """A machine's state, at most 10 Hz; superseded ones may be left out."""
-
-    kind: Literal["machine.state"] = "machine.state"
-    machine: MachineView
-
-
-class MachineLostEvent(View):
-    """The link to a machine is gone."""
-
-    kind: Literal["machine.lost"] = "machine.lost"
-    machine_id: str
-    last_seen_utc: datetime | None
-    detail: str
-
-
-class LeaseChangedEvent(View):
-    """A lease was acquired, taken, released or has run out."""
-
-    kind: Literal["lease.changed"] = "lease.changed"
-    lease: LeaseView
-    cause: Literal["acquired", "released", "taken", "expired", "idle", "session_ended"]
-    by: str
-    reason: str
-
-
-class TargetProposedEvent(View):
-    """This session's target, from a click in the 3D view or from the fields; null when removed."""
-
-    kind: Literal["target.proposed"] = "target.proposed"
-    machine_id: str
-    session_id: str
-    target: TargetView | None
-    source: Literal["pick", "fields"]
-    refusal: str
-    """Why the point cannot be a target; empty if it can."""
-
-
-class PlanUpdatedEvent(View):
-    """A plan has news: first numbers, a better ellipse, the end."""
-
-    kind: Literal["plan.updated"] = "plan.updated"
-    plan: PlanView
-
-
-class ThrowUpdatedEvent(View):
-    """A throw has news."""
-
-    kind: Literal["throw.updated"] = "throw.updated"
-    throw: ThrowRow
-
-
-class AlertEvent(View):
-    """Something a person should look at."""
-
-    kind: Literal["alert"] = "alert"
-    severity: Literal["info", "warning", "error"]
-    code: str
-    text: str
-    machine_id: str | None
-
-
-class ServerEvent(
-    RootModel[
-        Annotated[
-            MachineStateEvent
-            | MachineLostEvent
-            | LeaseChangedEvent
-            | TargetProposedEvent
-            | PlanUpdatedEvent
-            | ThrowUpdatedEvent
-            | AlertEvent,
-            Field(discriminator="kind"),
-        ]
-    ]
-):
-    """Payload of every server-sent event; `kind` is also the event's name."""

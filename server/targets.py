@@ -12,7 +12,7 @@ from server.errors import ApiError
 from server.events import EventHub
 from server.policies import PolicyShelf
 from server.schemas import TargetView, ViewRequest
-from server.schemas_history import TargetProposedEvent
+from server.schemas_events import TargetProposedEvent
 from server.viewer_pick import PickRefusedError
 from server.viewer_scene import ViewerScene
 from server.viewer_state import Reach

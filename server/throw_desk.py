@@ -19,8 +19,8 @@ from server.hold import HoldDesk
 from server.leases import LeaseBook
 from server.machines import Registry
 from server.plan_store import PlanStore
-from server.schemas import ArmView, FireView
 from server.schemas_history import Outcome, ThrowPhase
+from server.schemas_plans import ArmView, FireView
 from server.throws import ThrowBook
 
 logger = logging.getLogger(__name__)

@@ -25,7 +25,8 @@ from server.machines import Known, Registry
 from server.models import Throw
 from server.policies import PolicyShelf
 from server.schemas import TargetView
-from server.schemas_history import Outcome, ThrowPhase, ThrowRow, ThrowUpdatedEvent
+from server.schemas_events import ThrowUpdatedEvent
+from server.schemas_history import Outcome, ThrowPhase, ThrowRow
 
 PHASE_ORDER = tuple(ThrowPhase)
 """Phases only move forward in this order."""

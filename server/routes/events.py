@@ -10,7 +10,7 @@ from fastapi.responses import StreamingResponse
 from server.access import Viewer
 from server.auth import COOKIE
 from server.events import Frame, HubClient
-from server.schemas_history import ServerEvent
+from server.schemas_events import ServerEvent
 from server.services import Services, ServicesDep
 
 router = APIRouter(tags=["events"])

@@ -10,7 +10,8 @@ from starlette.websockets import WebSocketDisconnect
 from server.access import check_origin
 from server.auth import COOKIE, Session
 from server.errors import ForbiddenError
-from server.schemas import HoldMessage, HoldReply, Permission
+from server.schemas import Permission
+from server.schemas_plans import HoldMessage, HoldReply
 from server.services import Services, get_services
 
 logger = logging.getLogger(__name__)

@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 
 from server.access import Thrower, Viewer
-from server.schemas import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
+from server.schemas_plans import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
 from server.services import ServicesDep
 
 router = APIRouter(tags=["plans"])

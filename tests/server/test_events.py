@@ -8,7 +8,7 @@ import pytest
 from conftest import wait_for
 
 from server.events import QUEUE_LENGTH, EventHub
-from server.schemas_history import AlertEvent, ServerEvent
+from server.schemas_events import AlertEvent, ServerEvent
 
 
 class Listener:
@@ -127,7 +127,7 @@ def test_a_client_that_does_not_read_is_closed_and_costs_a_bounded_queue():
 
 @pytest.fixture
 def state_event(parts):
-    from server.schemas_history import MachineStateEvent
+    from server.schemas_events import MachineStateEvent
 
     parts.services.registry.enrol("m001", "", parts.session().actor)
     return MachineStateEvent(machine=parts.services.views.view("m001"))
