@@ -59,6 +59,9 @@ lint: $(STAMP)/python
 
 check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent check
+	@echo "== generated API client"
+	@$(BIN)/downrange openapi --out build/openapi.json > build/openapi.log
+	@cmp build/openapi.json web/openapi.json || { echo "web/openapi.json is old: run make types"; exit 1; }
 
 test: check $(STAMP)/browser  ## All checks and all tests, those in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
