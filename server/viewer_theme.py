@@ -84,8 +84,8 @@ VIEWPOINTS: dict[CameraPreset, Viewpoint] = {
     # From the right and above: long is to the right. The console's panel covers the right edge.
     # Near enough for shadows: viser draws them up to 20 m from the camera.
     "3d": Viewpoint((3.5, -14.0, 9.2), (6.2, -0.9, 0.0), 0.88),
-    # From far above with a narrow lens: close to a map. The hair's breadth of tilt keeps x upward.
-    "top": Viewpoint((3.7, 0.0, 52.0), (3.9, 0.0, 0.0), 0.52),
+    # From far above with a narrow lens: close to a map, left of the panel. A hair of tilt keeps x upward.
+    "top": Viewpoint((-0.2, -4.5, 52.0), (0.0, -4.5, 0.0), 0.52),
     "side": Viewpoint((3.6, -27.0, 3.4), (3.6, 0.0, 1.9), 0.52),
 }
 MIN_ORBIT_M = 2.0
