@@ -272,8 +272,9 @@ class ThrowEnvironment:
             q, v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest = carry
             wanted = request
             if settles:
-                settling = (gone > draw.settle_delay_s)[:, None]
-                wanted = jnp.where(settling, settle_request(self.spec, q, v), request)
+                since = gone - draw.settle_delay_s
+                settle = settle_request(self.spec, since, q, v)
+                wanted = jnp.where((since > 0.0)[:, None], settle, request)
             reference = shape_reference(self.spec, wanted, reference, q[:, :ACTIVE_COUNT], dt)
             line = jnp.concatenate([reference[:, None], line[:, :-1]], axis=1)
             delayed = jnp.sum(line * weights, axis=1)

@@ -1,23 +1,24 @@
 """What the arm does after the load has left: the runtime's SETTLE motion as a function of the true state.
 
 Only its request for velocities; limits and pump flow are applied where every request is. The same law as
-runtime.swing_control.settle on noise-free joints (tests/training/test_settling.py), in numpy or JAX, so
-that policies learn throws after which the gripper stays clear of arm and ground.
+runtime.swing_control.settle with runtime.follow_through, on noise-free joints, in numpy or JAX
+(tests/training/test_settling.py), so that policies learn throws after which the gripper stays clear of
+arm and ground.
 """
 
 from typing import Any
 
-from machine.kinematics import namespace
+from machine.kinematics import namespace, pin_in_plane
 from machine.spec import MachineSpec
 from machine.starts import SAFE_ACTIVE_RAD_M
-from runtime import swing_control
+from runtime import follow_through, swing_control
 from runtime.imu_estimator import swing_frequency_rad_per_s
 
 Field = Any
 
 
-def settle_request(spec: MachineSpec, q: Field, v: Field) -> Field:
-    """Requested velocities (N, 4) for joints (N, 6) at velocities (N, 6)."""
+def settle_request(spec: MachineSpec, time_s: Field, q: Field, v: Field) -> Field:
+    """Requested velocities (N, 4) for joints (N, 6) at velocities (N, 6), time_s (N,) after the throw."""
     xp, g = namespace(q), spec.geometry
     pitch, roll = swing_frequency_rad_per_s(spec)
     tube = q[..., 1] + q[..., 2]
@@ -41,12 +42,33 @@ def settle_request(spec: MachineSpec, q: Field, v: Field) -> Field:
     arm = xp.sin(tube)
     telescope = swing_control.TELESCOPE_WEIGHT * arm
     outward = outward / (along * along + telescope * arm + 0.1)
-    return xp.stack(
+    damped = xp.stack(
         [
             sideways / xp.maximum(radius, 2.0),
             home[1],
             home[2] + along * outward,
             home[3] + telescope * outward,
+        ],
+        axis=-1,
+    )
+    first = _follow_through(spec, q, _ahead(swing, swing_rate, pitch, follow_through.LEAD_S))
+    first = xp.concatenate([damped[..., :1], first], axis=-1)
+    large = amplitude > follow_through.LARGE_SWING_RAD
+    runs = (time_s < follow_through.LASTS_S) & large
+    return xp.where(runs[..., None], first, damped)
+
+
+def _follow_through(spec: MachineSpec, q: Field, swing_ahead: Field) -> Field:
+    """Requests (N, 3) of boom, dipper and telescope while the swing is large."""
+    xp, f = namespace(q), follow_through
+    out = swing_ahead > 0.0
+    height = pin_in_plane(spec, q)[..., 1]
+    folds = ~out & (q[..., 1] + q[..., 2] > f.FOLDED_RAD)
+    return xp.stack(
+        [
+            xp.clip(f.LIFT_PER_S * (f.PIN_HEIGHT_M - height), 0.0, f.LIFT_RAD_PER_S),
+            xp.where(folds, -f.FOLD_RAD_PER_S, 0.0),
+            xp.where(out, f.OUTWARD_M_PER_S, 0.0),
         ],
         axis=-1,
     )

@@ -19,39 +19,39 @@ class ResponseConfig:
     """Closed-loop velocity response of the active joints, drawn once an episode, in joint order.
 
     Reference -> dead time -> first-order lag -> second-order lag -> joint velocity, under the runtime's
-    velocity controller. Ranges: fitted to throws of the virtual machine's units 100..107 (2D: boom,
-    dipper, telescope) and 100..105 (3D: slew), sensor delay taken off, and widened a little; the fits
-    explain 96-98 % of the arm's and 99.5 % of the slew's velocity (docs/training.md).
+    velocity controller. Ranges: fitted to throws of the virtual machine's units 100, 102, .. 114, both
+    modes, sensor delay taken off; the fits explain 96-99 % of the arm's and 99.6 % of the slew's velocity
+    (docs/training.md).
     """
 
-    dead_time_min_s: Four = (0.02, 0.065, 0.03, 0.025)
+    dead_time_min_s: Four = (0.0, 0.06, 0.035, 0.025)
     """Shortest dead time, valve and pressure build-up together."""
-    dead_time_max_s: Four = (0.14, 0.12, 0.09, 0.075)
+    dead_time_max_s: Four = (0.145, 0.145, 0.085, 0.07)
     """Longest dead time."""
-    lag_min_s: Four = (0.27, 0.001, 0.001, 0.001)
+    lag_min_s: Four = (0.29, 0.001, 0.001, 0.001)
     """Shortest first-order lag."""
-    lag_max_s: Four = (0.38, 0.001, 0.001, 0.001)
+    lag_max_s: Four = (0.39, 0.001, 0.001, 0.001)
     """Longest first-order lag."""
-    natural_frequency_min_rad_per_s: Four = (11.5, 9.0, 16.0, 27.0)
+    natural_frequency_min_rad_per_s: Four = (11.5, 10.0, 20.0, 27.0)
     """Lowest natural frequency of the second-order lag."""
-    natural_frequency_max_rad_per_s: Four = (15.5, 18.0, 36.0, 36.0)
+    natural_frequency_max_rad_per_s: Four = (15.8, 22.0, 36.0, 36.0)
     """Highest natural frequency."""
-    damping_min_ratio: Four = (0.13, 0.55, 0.95, 0.85)
+    damping_min_ratio: Four = (0.14, 0.60, 0.90, 0.80)
     """Smallest damping ratio."""
-    damping_max_ratio: Four = (0.25, 1.0, 1.6, 1.6)
+    damping_max_ratio: Four = (0.29, 1.2, 1.6, 1.6)
     """Largest damping ratio."""
-    gain_positive_min_ratio: Four = (0.97, 0.94, 0.88, 0.95)
+    gain_positive_min_ratio: Four = (0.98, 0.93, 0.87, 0.95)
     """Smallest steady gain from a positive reference to velocity."""
-    gain_positive_max_ratio: Four = (1.03, 1.05, 0.96, 1.01)
+    gain_positive_max_ratio: Four = (1.02, 1.05, 0.97, 1.00)
     """Largest steady gain of positive references."""
-    gain_negative_min_ratio: Four = (0.97, 1.02, 0.97, 0.92)
+    gain_negative_min_ratio: Four = (0.98, 1.02, 0.93, 0.90)
     """Smallest steady gain of negative references."""
-    gain_negative_max_ratio: Four = (1.04, 1.19, 1.07, 1.10)
+    gain_negative_max_ratio: Four = (1.03, 1.15, 1.13, 1.15)
     """Largest steady gain of negative references."""
-    disturbance_sd_rad_m_per_s: Four = (0.03, 0.03, 0.04, 0.013)
+    disturbance_sd_rad_m_per_s: Four = (0.03, 0.028, 0.038, 0.012)
     """Stationary deviation of the correlated velocity disturbance, the size of what the fits leave (paper,
     section III-A: velocity command randomisation)."""
-    disturbance_correlation_s: Four = (0.25, 0.10, 0.15, 0.12)
+    disturbance_correlation_s: Four = (0.35, 0.10, 0.15, 0.12)
     """Correlation time of that disturbance."""
 
 
@@ -67,11 +67,11 @@ class PassiveConfig:
     """Factor on the gripper's inertia about its centre of mass."""
     gripper_mass_scale_ratio: Range = (0.87, 1.13)
     """Factor on the gripper's mass."""
-    telescope_to_pin_error_m: Range = (-0.06, 0.06)
+    telescope_to_pin_error_m: Range = (-0.03, 0.03)
     """Error of the length from telescope frame to tool pin."""
-    pitch_to_roll_error_m: Range = (-0.03, 0.03)
+    pitch_to_roll_error_m: Range = (-0.02, 0.02)
     """Error of the distance between the free axes."""
-    roll_to_grip_error_m: Range = (-0.06, 0.06)
+    roll_to_grip_error_m: Range = (-0.03, 0.03)
     """Error of the distance from roll axis to grip centre."""
     grasp_error_m: float = 0.02
     """Largest distance of the held load from the grip centre, any direction."""

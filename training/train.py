@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from machine.errors import UsageError
@@ -147,6 +148,9 @@ def _prepare(
     path = options.out / CHECKPOINT_FILE
     if options.warm_start is not None and not path.is_file():
         learner = load_weights(options.warm_start, learner)
+        # Enough to explore again, not so much that what was learned drowns in it.
+        spread = jnp.full_like(learner.networks.log_deviation, config.log_deviation_floor_ratio[0])
+        learner = learner._replace(networks=learner.networks._replace(log_deviation=spread))
         say(f"networks taken from {options.warm_start}")
     if path.is_file():
         learner = load_checkpoint(path, learner, fingerprint)

@@ -47,4 +47,6 @@ def test_settle_request_is_the_runtimes():
     q[:, 4] = hanging_pitch_rad(q[:, :4]) + rng.uniform(-1.2, 1.2, 64)
     q[:, 5] = rng.uniform(-0.8, 0.8, 64)
     v = rng.uniform(-1.0, 1.0, (64, 6)) * np.array([0.9, 0.5, 0.7, 0.5, 3.0, 2.0])
-    np.testing.assert_allclose(settle_request(SPEC, q, v), _runtime_request(q, v), atol=1e-9)
+    np.testing.assert_allclose(
+        settle_request(SPEC, np.zeros(64), q, v), _runtime_request(q, v), atol=1e-9
+    )
