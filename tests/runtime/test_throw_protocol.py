@@ -59,7 +59,10 @@ class Protocol(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([0.01, 0.05, 0.2, 0.31, 1.01, 1.6, 9.0, 10.5]))
     def time_passes(self, seconds):
+        # The loop ticks a hundred times a second: time never passes without the machine noticing.
         self.bench.wait(seconds)
+        motion, self.motion = self.motion, self.bench.machine.motion
+        self.do(lambda: self.bench.tick(motion=motion))
 
     @rule(epoch=EPOCHS, issuer=ISSUERS)
     def lease(self, epoch, issuer):
