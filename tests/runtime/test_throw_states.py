@@ -175,6 +175,32 @@ def test_after_commit_silence_does_not_stop_the_throw():
     assert bench.outcome == (S.COMMITTED, Motion.THROW)
 
 
+def test_the_silence_is_told_in_seconds():
+    bench = at(S.ALIGNING)
+    bench.wait(0.41)
+    bench.tick()
+    assert bench.machine.end_reason.startswith("no heartbeat for 0.41 s, 0.30 s are allowed")
+
+
+def test_events_of_a_throw_carry_its_plan():
+    bench = Bench()
+    bench.arm()
+    bench.disarm()
+    assert bench.effects.events[0].plan_id == "plan-1"
+    bench = Bench()
+    seen = []
+    for state in (S.ARMED, S.ALIGNING, S.THROWING, S.COMMITTED):
+        bench = at(state)
+        seen += bench.effects.events
+        bench.beat(is_holding=False)
+        seen += bench.effects.events
+        bench.stop()
+        seen += bench.effects.events
+    kinds = {event.kind.value for event in seen}
+    assert {"armed", "throw_started", "release_commanded", "aborted", "throw_ended"} <= kinds
+    assert {event.plan_id for event in seen} == {"plan-1"}
+
+
 # The server is gone
 
 
