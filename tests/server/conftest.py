@@ -1,15 +1,12 @@
-"""A running server on a free port, its database on SQLite or PostgreSQL, and people to use it."""
+"""Databases on SQLite and PostgreSQL, a running server, a machine that answers, people."""
 
 import contextlib
 import functools
 import shutil
-import socket
 import subprocess
 import tempfile
-import threading
-import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -19,39 +16,17 @@ import psycopg
 import pytest
 from argon2 import PasswordHasher
 from fake_machine import FakeMachine
+from server_bench import Running, add_people, make_settings, running_server
 from sqlalchemy import make_url
 
-from machine.conventions import Mode
-from machine.policy_card import load_card
 from machine.spec import load_spec
 from server import auth
 from server.auth import FIRST_LOGIN_FILE, Session
 from server.clock import new_id, utc_now
 from server.database import upgrade
 from server.schemas import Role
-from server.serve import make_server, open_socket
 from server.services import Services, assemble, prepare_database
-from server.settings import Settings
 from server.viewer_scene import ViewerScene
-
-PASSWORD = "correct horse battery"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> object:
-    """Poll until a condition holds; fails the test if it never does."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.01)
-    raise AssertionError(f"not within {timeout_s} s: {condition}")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -134,91 +109,14 @@ def schema_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
         yield url
 
 
-@dataclass
-class Running:
-    """A server that answers."""
-
-    url: str
-    settings: Settings
-    services: Services
-
-    @contextlib.contextmanager
-    def client(self, username: str = "", password: str = PASSWORD) -> Iterator[httpx.Client]:
-        """A browser-like client, signed in if a name is given."""
-        with httpx.Client(
-            base_url=f"{self.url}/api/v1",
-            headers={"Origin": self.url, "X-Requested-With": "downrange"},
-            timeout=20.0,
-        ) as client:
-            if username:
-                body = {"username": username, "password": password}
-                reply = client.post("/auth/login", json=body)
-                assert reply.status_code == 200, reply.text
-            yield client
-
-    def machine(self, machine_id: str = "m001") -> FakeMachine:
-        return FakeMachine(
-            self.settings.link_listen,
-            machine_id,
-            self.services.registry.secret_path(machine_id).read_text().strip(),
-            {
-                mode.value: load_card(
-                    self.settings.policies_dir / f"swing-{mode.value}"
-                ).policy_sha256
-                for mode in Mode
-            },
-        )
-
-
-@contextlib.contextmanager
-def running_server(settings: Settings) -> Iterator[Running]:
-    """Run a server in a thread until the block ends."""
-    ready = threading.Event()
-    with open_socket(settings.host, settings.port_count) as listener:
-        server, app = make_server(settings, ready.set)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-        thread.start()
-        try:
-            while not ready.wait(0.05):
-                assert thread.is_alive(), getattr(app.state, "startup_error", "server died")
-            url = f"http://{settings.host}:{settings.port_count}"
-            yield Running(url, settings, app.state.services)
-        finally:
-            server.should_exit = True
-            thread.join(timeout=30.0)
-            assert not thread.is_alive(), "the server did not stop"
-
-
-def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settings:
-    values: dict[str, object] = {
-        "data_dir": data_dir,
-        "policies_dir": policies,
-        "web_dir": data_dir / "no-web",
-        "port_count": free_port(),
-        "link_listen": f"tcp/127.0.0.1:{free_port()}",
-        "machine_slot_count": 2,
-        "preview_worker_count": 1,
-        "lease_ttl_s": 300.0,
-    }
-    return Settings.model_validate(values | overrides)
-
-
-def add_people(services: Services) -> None:
-    for name, role in (
-        ("ada", Role.OPERATOR),
-        ("bob", Role.OPERATOR),
-        ("sue", Role.SUPERVISOR),
-        ("vic", Role.VIEWER),
-        ("root", Role.ADMIN),
+@pytest.fixture(scope="session")
+def running(swing_policies: Path) -> Iterator[Running]:
+    """One server for all tests that need nothing of it but to run."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        running_server(make_settings(Path(folder), swing_policies)) as found,
     ):
-        services.accounts.create_user(name, PASSWORD, role)
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory, swing_policies: Path) -> Iterator[Running]:
-    """One server for the tests of a module."""
-    settings = make_settings(tmp_path_factory.mktemp("data"), swing_policies)
-    with running_server(settings) as found:
+        settings = found.settings
         assert (settings.data_dir / FIRST_LOGIN_FILE).exists()
         add_people(found.services)
         yield found
