@@ -16,7 +16,7 @@ import psycopg
 import pytest
 from argon2 import PasswordHasher
 from fake_machine import FakeMachine
-from server_bench import Running, add_people, make_settings, running_server
+from server_bench import Running, add_people, make_settings, running_server, wait_for
 from sqlalchemy import make_url
 
 from machine.spec import load_spec

@@ -4,7 +4,7 @@ import json
 
 import httpx
 import pytest
-from conftest import wait_for
+from server_bench import wait_for
 
 from server.app import create_app
 from server.settings import Settings

@@ -1,6 +1,6 @@
 import httpx
 import pytest
-from conftest import add_people, make_settings, running_server
+from server_bench import add_people, make_settings, running_server
 
 from server.auth import COOKIE
 

@@ -3,7 +3,7 @@ import threading
 import pytest
 from alembic import command
 from alembic.util import CommandError
-from conftest import make_settings
+from server_bench import make_settings
 from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import IntegrityError
 

@@ -5,7 +5,7 @@ import time
 
 import httpx
 import pytest
-from conftest import wait_for
+from server_bench import wait_for
 
 from server.events import QUEUE_LENGTH, EventHub
 from server.schemas_events import AlertEvent, ServerEvent

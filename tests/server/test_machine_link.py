@@ -2,7 +2,7 @@ import time
 
 import pytest
 import zenoh
-from conftest import wait_for
+from server_bench import wait_for
 
 from machine.channels import machine_key
 from machine.messages import CommandReply, EventKind, LoadRequest, ThrowState

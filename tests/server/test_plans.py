@@ -2,7 +2,7 @@ import os
 import signal
 
 import pytest
-from conftest import wait_for
+from server_bench import wait_for
 from test_events import Listener
 
 from machine.messages import RejectReason

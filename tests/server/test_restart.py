@@ -8,7 +8,7 @@ import time
 
 import httpx
 import pytest
-from conftest import add_people, free_port, make_settings, running_server, wait_for
+from server_bench import add_people, free_port, make_settings, running_server, wait_for
 from sqlalchemy import text
 
 from machine.errors import UsageError

@@ -1,7 +1,7 @@
 import time
 
 import pytest
-from conftest import add_people, make_settings, running_server, wait_for
+from server_bench import add_people, make_settings, running_server, wait_for
 
 from machine.messages import RejectReason, ThrowState
 from server.models import Audit, Machine

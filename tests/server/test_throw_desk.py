@@ -1,8 +1,8 @@
 import time
 
 import pytest
-from conftest import wait_for
 from hold_client import Hold
+from server_bench import wait_for
 
 from machine.messages import EventKind, RejectReason, ThrowState
 from server.models import Audit, Throw

@@ -3,7 +3,7 @@ import hashlib
 import httpx
 import numpy as np
 import pytest
-from conftest import wait_for
+from server_bench import wait_for
 
 from machine.conventions import Mode, Motion
 from machine.messages import Target, ThrowPlan

@@ -1,0 +1,22 @@
+"""What the browser's console said during a test."""
+
+from playwright.sync_api import ConsoleMessage
+
+# Said by the browser itself on a first visit (nobody is signed in yet), and by the 3D library, whose
+# attempt to compile code the view's own policy refuses.
+EXPECTED = ("/api/v1/auth/me", "unsafe-eval")
+
+
+class Console:
+    """What the browser's console said."""
+
+    def __init__(self) -> None:
+        self.errors: list[str] = []
+        self.allowed: list[str] = list(EXPECTED)
+
+    def take(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            self.errors.append(f"{message.text} {message.location.get('url', '')}")
+
+    def unexpected(self) -> list[str]:
+        return [e for e in self.errors if not any(allowed in e for allowed in self.allowed)]

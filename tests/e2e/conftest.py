@@ -1,0 +1,87 @@
+"""A real Chromium in front of the real product; every test fails on an error in the browser's console."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from browser_console import Console
+from playwright.sync_api import Browser, Page, sync_playwright
+from stack import ServerAlone, Stack, running_demo
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+TIMEOUT_MS = 90_000
+"""Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.e2e)
+            item.add_marker(pytest.mark.timeout(600))
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium found; make test says how to get one")
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """One demo for all tests of a run; tests leave it disarmed and without a lease."""
+    with running_demo(tmp_path_factory.mktemp("demo")) as stack:
+        yield stack
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[ServerAlone]:
+    alone = ServerAlone(tmp_path)
+    yield alone
+    alone.kill()
+
+
+@pytest.fixture
+def console() -> Console:
+    return Console()
+
+
+@pytest.fixture
+def open_page(browser: Browser, console: Console) -> Iterator[Callable[..., Page]]:
+    """Opens pages, each in a profile of its own; small pictures, drawn without graphics hardware."""
+    contexts = []
+
+    def open_one(stack: Stack, width: int = 1024, height: int = 768) -> Page:
+        context = browser.new_context(
+            base_url=stack.url,
+            viewport={"width": width, "height": height},
+            device_scale_factor=0.5,
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(TIMEOUT_MS)
+        page.on("console", console.take)
+        page.on("pageerror", lambda error: console.errors.append(str(error)))
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    assert console.unexpected() == []

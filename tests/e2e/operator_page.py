@@ -1,0 +1,112 @@
+"""What an operator does in the console, in words."""
+
+import re
+
+from playwright.sync_api import Locator, Page
+from playwright.sync_api import TimeoutError as BrowserTimeoutError
+from stack import Stack
+
+HOLD = '[data-testid="hold"]'
+STARVED = "heartbeat"
+"""The machine's word for a hold signal that came too late; a computer that is busy with other tests may
+starve it, and the machine then aborts, as it must."""
+
+
+def sign_in(page: Page, stack: Stack, username: str = "operator", path: str = "/operate") -> None:
+    page.goto(path)
+    page.get_by_label("Name").fill(username)
+    page.locator("input[type=password]").fill(stack.passwords[username])
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_test_id("stop").wait_for()
+
+
+def without_view(page: Page) -> None:
+    """The console must work without the 3D view; and a computer without graphics is quicker so."""
+    body = "<!doctype html><title>no view</title>"
+    page.route("**/viewer/**", lambda route: route.fulfill(body=body, content_type="text/html"))
+
+
+def take_control(page: Page) -> None:
+    page.get_by_test_id("gate").get_by_role("button", name="Take control").click()
+    page.get_by_test_id("lease-words").filter(has_text="You are in control").wait_for()
+
+
+def gate(page: Page, gate_id: str) -> Locator:
+    return page.locator(f'[data-testid="gate"][data-gate="{gate_id}"]')
+
+
+def lamp(page: Page, phase: str) -> Locator:
+    return page.locator(f'header [data-testid="lamp"][data-phase="{phase}"]')
+
+
+def load_if_empty(page: Page) -> None:
+    """Load when the console asks for it; otherwise the button is there already."""
+    ready = page.locator(f'{HOLD}:not([aria-disabled="true"])')
+    empty = gate(page, "no_payload")
+    ready.or_(empty).first.wait_for()
+    if empty.count():
+        empty.get_by_role("button", name="Load").click()
+    ready.wait_for()
+
+
+def open_step(page: Page, title: str) -> None:
+    heading = page.get_by_role("complementary").get_by_role("button", name=re.compile(title))
+    if heading.get_attribute("aria-expanded") != "true":
+        heading.click()
+
+
+def result_text(page: Page) -> str:
+    page.get_by_test_id("result").wait_for()
+    return page.get_by_test_id("result").inner_text()
+
+
+def throw_until_landed(page: Page, press: str, attempts: int = 4) -> None:
+    """Hold until the load has landed, by pointer or by key; again if this computer starved the signal."""
+    for _ in range(attempts):
+        load_if_empty(page)
+        button = page.locator(HOLD)
+        _press(page, button, press)
+        text = _outcome(page)
+        _let_go(page, press)
+        if STARVED not in text:
+            return
+        again = page.get_by_role("button", name="Throw again")
+        if again.count():
+            again.click()
+    raise AssertionError(f"{attempts} throws and none landed; the last said: {text}")
+
+
+def _press(page: Page, button: Locator, press: str) -> None:
+    if press == "key":
+        button.focus()
+        page.keyboard.down("Space")
+        return
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+
+
+def _let_go(page: Page, press: str) -> None:
+    if press == "key":
+        page.keyboard.up("Space")
+    else:
+        page.mouse.up()
+
+
+def _outcome(page: Page) -> str:
+    """The result, or why there was no throw at all."""
+    note = page.get_by_test_id("hold-note")
+    try:
+        page.get_by_test_id("result").or_(note).first.wait_for()
+    except BrowserTimeoutError as error:
+        words = page.get_by_role("complementary").inner_text()
+        raise AssertionError(f"no result; the panel says:\n{words}") from error
+    return page.get_by_role("complementary").inner_text()
+
+
+def metres_of(text: str) -> float:
+    """`-0.08 m short` to -0.08."""
+    found = re.match(r"([+\u2212]?)(\d+\.\d+) m", text)
+    assert found, text
+    return float(found.group(2)) * (-1.0 if found.group(1) == "\u2212" else 1.0)

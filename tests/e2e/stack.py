@@ -1,0 +1,152 @@
+"""The product as a user starts it: `downrange demo` or `downrange server` as processes of their own."""
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CONSOLE = ROOT / "web" / "dist" / "index.html"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass
+class Stack:
+    """A running product and who may sign in."""
+
+    url: str
+    passwords: dict[str, str]
+
+
+class Command:
+    """A `downrange` verb in a process of its own, its output kept."""
+
+    def __init__(self, *arguments: str, **environment: str) -> None:
+        if not CONSOLE.is_file():
+            pytest.fail(f"{CONSOLE} is missing; build the console first: make web")
+        self.output = ""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "cli.main", *arguments],
+            cwd=ROOT,
+            env={**os.environ, **environment, "PYTHONUNBUFFERED": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.output += line
+
+    def wait_for(self, pattern: str, timeout_s: float) -> re.Match[str]:
+        """Wait for a line of its output."""
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s:
+            found = re.search(pattern, self.output)
+            if found:
+                return found
+            if self._process.poll() is not None:
+                break
+            time.sleep(0.1)
+        raise AssertionError(f"no {pattern!r} within {timeout_s} s; it said:\n{self.output}")
+
+    def kill(self) -> None:
+        """As a power cut would."""
+        self._end(signal.SIGKILL)
+
+    def stop(self) -> None:
+        """Ask it to end."""
+        self._end(signal.SIGTERM)
+
+    def _end(self, how: signal.Signals) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(how)
+        try:
+            self._process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._reader.join(5.0)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+
+def logins(data: Path) -> dict[str, str]:
+    """Names and passwords that the first start made."""
+    lines = (data / "demo-login.txt").read_text(encoding="utf-8").split("\n")
+    return dict(line.split() for line in lines if line.strip())
+
+
+@contextlib.contextmanager
+def running_demo(data: Path) -> Iterator[Stack]:
+    """`downrange demo`: server, router, console and one virtual machine."""
+    demo = Command("demo", "--port", "0", "--data", str(data))
+    try:
+        url = demo.wait_for(r"Downrange is at (http://\S+)", 240.0).group(1)
+        yield Stack(url, logins(data))
+    finally:
+        demo.stop()
+
+
+class ServerAlone:
+    """`downrange server` without a machine, on one address through its restarts."""
+
+    def __init__(self, data: Path) -> None:
+        self.data = data
+        self.port, self._link = free_port(), free_port()
+        self._command: Command | None = None
+
+    def start(self) -> Stack:
+        self._command = Command(
+            *("server", "--port", str(self.port), "--data", str(self.data)),
+            DOWNRANGE_LINK_LISTEN=f"tcp/127.0.0.1:{self._link}",
+            DOWNRANGE_DATABASE_UPGRADE="1",
+        )
+        self._command.wait_for("Downrange answers at", 120.0)
+        return Stack(f"http://127.0.0.1:{self.port}", logins(self.data))
+
+    def kill(self) -> None:
+        if self._command is not None:
+            self._command.kill()
+            self._command = None
+
+
+def until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
+    """Poll until a condition holds; fails the test if it never does."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"{what}: not within {timeout_s} s")
+
+
+def client(stack: Stack, username: str) -> httpx.Client:
+    """A signed-in client of the HTTP interface, beside the browser."""
+    opened = httpx.Client(
+        base_url=f"{stack.url}/api/v1",
+        headers={"Origin": stack.url, "X-Requested-With": "downrange"},
+        timeout=30.0,
+    )
+    body = {"username": username, "password": stack.passwords[username]}
+    opened.post("/auth/login", json=body).raise_for_status()
+    return opened

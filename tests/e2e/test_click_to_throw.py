@@ -1,0 +1,118 @@
+"""The product in one test: click on the ground, see what the throw will do, hold, see where it landed."""
+
+from collections.abc import Callable
+
+from operator_page import (
+    gate,
+    load_if_empty,
+    metres_of,
+    open_step,
+    sign_in,
+    take_control,
+    throw_until_landed,
+)
+from playwright.sync_api import Page, expect
+from stack import Stack
+
+
+def _click_the_ground(page: Page) -> None:
+    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
+    box = page.get_by_test_id("viewer").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.85 * box["height"])
+
+
+def _aim(page: Page) -> None:
+    """Keep the bearing of the click; nudge it; make it a range that 2D reaches."""
+    open_step(page, "Target")
+    range_m, azimuth = page.get_by_label("Range, m"), page.get_by_label("Azimuth, °")
+    expect(range_m).not_to_have_value("")
+    clicked = azimuth.input_value()
+    range_m.fill("9")
+    range_m.press("Tab")
+    page.locator("body").press("ArrowUp")
+    expect(range_m).to_have_value("9.05")
+    assert azimuth.input_value() == clicked
+
+
+def test_click_preview_hold_impact_history_replay(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    sign_in(page, demo)
+    take_control(page)
+    _click_the_ground(page)
+    _aim(page)
+
+    # What the operator sees before anything moves.
+    load_if_empty(page)
+    open_step(page, "Preview")
+    numbers = page.get_by_test_id("preview-numbers")
+    expect(numbers).to_contain_text("of 200")
+    expect(numbers).to_contain_text("m/s")
+    expect(page.get_by_role("img", name="Landing around the target")).to_be_visible()
+    expect(page.get_by_role("complementary")).to_contain_text("checks passed")
+
+    throw_until_landed(page, "pointer")
+    along = metres_of(page.get_by_test_id("measured-downrange").inner_text())
+    across = metres_of(page.get_by_test_id("measured-crossrange").inner_text())
+    assert abs(along) < 1.0
+    assert abs(across) < 1.0
+
+    # The history has it, with the same numbers.
+    page.get_by_role("button", name="Release").click()
+    page.get_by_role("navigation", name="Pages").get_by_role("link", name="Throws").click()
+    row = page.locator("tbody tr[data-throw]").first
+    expect(row).to_contain_text("Landed")
+    expect(row).to_contain_text("9.05")
+    row.get_by_role("link").click()
+
+    _replay(page)
+    _correct_impact(page)
+
+
+def _replay(page: Page) -> None:
+    page.get_by_test_id("play").wait_for()
+    expect(page.locator(".uplot")).to_have_count(10)
+    slider = page.get_by_role("slider", name="Time of the replay")
+    page.get_by_test_id("play").click()
+    expect(slider).not_to_have_value("0")
+    page.get_by_role("button", name="Pause the replay").click()
+    held = slider.input_value()
+    slider.press("ArrowRight")
+    assert float(slider.input_value()) > float(held)
+    log = page.get_by_role("link", name="Throw log, MCAP")
+    answer = page.request.get(log.get_attribute("href") or "")
+    assert answer.ok
+    assert answer.body().startswith(b"\x89MCAP")
+
+
+def _correct_impact(page: Page) -> None:
+    records = page.get_by_role("complementary").get_by_role("listitem")
+    expect(records).to_have_count(1)
+    page.get_by_role("button", name="Correct impact").click()
+    page.get_by_label("Long +").fill("0.25")
+    page.get_by_label("Left +").fill("-0.1")
+    page.get_by_label("Note").fill("tape measure")
+    page.get_by_role("button", name="Save as a new record").click()
+    expect(records).to_have_count(2)
+    expect(page.get_by_test_id("measured-downrange")).to_have_text("+0.25 m long")
+    expect(page.get_by_test_id("measured-crossrange")).to_have_text("\u22120.10 m right")
+    expect(records.filter(has_text="tape measure")).to_contain_text("counts")
+
+
+def test_a_target_out_of_reach_is_refused_with_its_numbers(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    page.route("**/viewer/**", lambda route: route.fulfill(body="", content_type="text/html"))
+    sign_in(page, demo)
+    take_control(page)
+    open_step(page, "Target")
+    page.get_by_label("Range, m").fill("14")
+    page.get_by_label("Range, m").press("Tab")
+    panel = page.get_by_role("complementary")
+    expect(panel).to_contain_text("14.00 m")
+    expect(panel).to_contain_text("reaches")
+    expect(gate(page, "refused").or_(gate(page, "plan_error"))).to_be_visible()
+    page.get_by_role("button", name="Release").click()

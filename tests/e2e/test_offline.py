@@ -1,0 +1,59 @@
+"""When the server is gone the console says so and since when; when it is back, so is the truth."""
+
+from collections.abc import Callable
+
+from browser_console import Console
+from operator_page import sign_in, without_view
+from playwright.sync_api import Page, expect
+from stack import ServerAlone
+
+
+def test_server_dies_and_comes_back(
+    server: ServerAlone, open_page: Callable[..., Page], console: Console
+) -> None:
+    console.allowed += ["ERR_CONNECTION_REFUSED", "ERR_INCOMPLETE_CHUNKED_ENCODING", "ERR_EMPTY"]
+    stack = server.start()
+    page = open_page(stack)
+    without_view(page)
+    sign_in(page, stack)
+    expect(page.get_by_text("No machine has connected")).to_be_visible()
+    banner = page.get_by_test_id("offline")
+    expect(banner).to_have_count(0)
+
+    server.kill()
+    expect(banner).to_contain_text("Not live: last data")
+    expect(banner).to_contain_text("5 s ago")  # it counts
+    page.get_by_test_id("stop").click()
+    expect(page.get_by_role("alert").filter(has_text="STOP not confirmed")).to_be_visible()
+
+    server.start()
+    expect(banner).to_have_count(0)
+    expect(page.get_by_role("alert").filter(has_text="STOP not confirmed")).to_have_count(0)
+
+
+def test_an_ended_session_leads_to_the_login_and_back(
+    server: ServerAlone, open_page: Callable[..., Page], console: Console
+) -> None:
+    console.allowed += ["401"]
+    stack = server.start()
+    page = open_page(stack)
+    without_view(page)
+    sign_in(page, stack, path="/throws?mode=2d&min=8")
+    expect(page.get_by_text("No throw matches these filters")).to_be_visible()
+    page.context.clear_cookies()
+    page.reload()
+    page.get_by_label("Name").fill("operator")
+    page.locator("input[type=password]").fill(stack.passwords["operator"])
+    page.get_by_role("button", name="Sign in").click()
+    expect(page).to_have_url(f"{stack.url}/throws?mode=2d&min=8")
+    expect(page.get_by_text("No throw matches these filters")).to_be_visible()
+
+
+def test_a_link_cannot_lead_the_login_astray(
+    server: ServerAlone, open_page: Callable[..., Page]
+) -> None:
+    stack = server.start()
+    page = open_page(stack)
+    without_view(page)
+    sign_in(page, stack, path="/login?back=//evil.example/")
+    expect(page).to_have_url(f"{stack.url}/operate")

@@ -1,0 +1,84 @@
+"""STOP: on every page, one press or Shift+S, latched until somebody with the right to clear it does."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from operator_page import gate, lamp, sign_in, take_control, without_view
+from playwright.sync_api import Page, expect
+from stack import Stack, client, until
+
+
+@pytest.fixture(autouse=True)
+def cleared(demo: Stack) -> Iterator[None]:
+    """Every test begins and ends with a machine that is not stopped."""
+    yield
+    with client(demo, "admin") as admin:
+        admin.post("/machines/m001/lease").raise_for_status()
+        admin.post("/machines/m001/stop/clear")
+        until(
+            lambda: admin.get("/machines/m001").json()["lamp"] == "disarmed",
+            "the stop to be cleared",
+        )
+        admin.delete("/machines/m001/lease")
+
+
+@pytest.mark.parametrize("path", ["/operate", "/throws", "/policies", "/fleet"])
+def test_one_press_on_every_page(demo: Stack, open_page: Callable[..., Page], path: str) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, path=path)
+    lamp(page, "disarmed").wait_for()
+    button = page.get_by_test_id("stop")
+    box, bar = button.bounding_box(), page.locator("header").first.bounding_box()
+    assert box is not None and bar is not None
+    assert box["height"] >= 48.0
+    assert abs((box["x"] + box["width"]) - (bar["x"] + bar["width"])) < 1.0  # the far right
+    expect(button).to_contain_text("Shift+S")
+    button.click()
+    lamp(page, "stopped").wait_for()
+    expect(page.get_by_role("dialog")).to_have_count(0)
+
+
+def test_key_stops_and_only_the_right_person_clears(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo)
+    take_control(page)
+    page.keyboard.press("Shift+S")
+    lamp(page, "stopped").wait_for()
+    expect(gate(page, "stopped")).to_contain_text("supervisor clears it")
+    expect(gate(page, "stopped").get_by_role("button")).to_have_count(0)
+    page.get_by_role("button", name="Release").click()
+
+    admin = open_page(demo)
+    without_view(admin)
+    sign_in(admin, demo, "admin")
+    take_control(admin)
+    admin.get_by_role("button", name="Clear STOP").click()
+    lamp(admin, "disarmed").wait_for()
+    lamp(page, "disarmed").wait_for()  # the other browser sees it too
+    admin.get_by_role("button", name="Release").click()
+
+
+def test_typing_a_capital_s_into_a_field_does_not_swallow_stop(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, path="/throws")
+    page.get_by_label("Person").focus()
+    page.keyboard.press("Shift+S")
+    lamp(page, "stopped").wait_for()
+
+
+def test_stop_while_the_3d_view_has_the_keyboard(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    sign_in(page, demo)
+    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
+    page.frame_locator("iframe").locator("body").focus()
+    page.keyboard.press("Shift+S")
+    lamp(page, "stopped").wait_for()

@@ -1,0 +1,118 @@
+"""A running server on a free port, and people to use it."""
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+from fake_machine import FakeMachine
+
+from machine.conventions import Mode
+from machine.policy_card import load_card
+from server.schemas import Role
+from server.serve import make_server, open_socket
+from server.services import Services
+from server.settings import Settings
+
+PASSWORD = "correct horse battery"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> object:
+    """Poll until a condition holds; fails the test if it never does."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"not within {timeout_s} s: {condition}")
+
+
+@dataclass
+class Running:
+    """A server that answers."""
+
+    url: str
+    settings: Settings
+    services: Services
+
+    @contextlib.contextmanager
+    def client(self, username: str = "", password: str = PASSWORD) -> Iterator[httpx.Client]:
+        """A browser-like client, signed in if a name is given."""
+        with httpx.Client(
+            base_url=f"{self.url}/api/v1",
+            headers={"Origin": self.url, "X-Requested-With": "downrange"},
+            timeout=20.0,
+        ) as client:
+            if username:
+                body = {"username": username, "password": password}
+                reply = client.post("/auth/login", json=body)
+                assert reply.status_code == 200, reply.text
+            yield client
+
+    def machine(self, machine_id: str = "m001") -> FakeMachine:
+        return FakeMachine(
+            self.settings.link_listen,
+            machine_id,
+            self.services.registry.secret_path(machine_id).read_text().strip(),
+            {
+                mode.value: load_card(
+                    self.settings.policies_dir / f"swing-{mode.value}"
+                ).policy_sha256
+                for mode in Mode
+            },
+        )
+
+
+@contextlib.contextmanager
+def running_server(settings: Settings) -> Iterator[Running]:
+    """Run a server in a thread until the block ends."""
+    ready = threading.Event()
+    with open_socket(settings.host, settings.port_count) as listener:
+        server, app = make_server(settings, ready.set)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        try:
+            while not ready.wait(0.05):
+                assert thread.is_alive(), getattr(app.state, "startup_error", "server died")
+            url = f"http://{settings.host}:{settings.port_count}"
+            yield Running(url, settings, app.state.services)
+        finally:
+            server.should_exit = True
+            thread.join(timeout=30.0)
+            assert not thread.is_alive(), "the server did not stop"
+
+
+def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settings:
+    values: dict[str, object] = {
+        "data_dir": data_dir,
+        "policies_dir": policies,
+        "web_dir": data_dir / "no-web",
+        "port_count": free_port(),
+        "link_listen": f"tcp/127.0.0.1:{free_port()}",
+        "machine_slot_count": 2,
+        "preview_worker_count": 1,
+        "lease_ttl_s": 300.0,
+    }
+    return Settings.model_validate(values | overrides)
+
+
+def add_people(services: Services) -> None:
+    for name, role in (
+        ("ada", Role.OPERATOR),
+        ("bob", Role.OPERATOR),
+        ("sue", Role.SUPERVISOR),
+        ("vic", Role.VIEWER),
+        ("root", Role.ADMIN),
+    ):
+        services.accounts.create_user(name, PASSWORD, role)
