@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -35,59 +34,50 @@ class Stack:
 
 
 class Command:
-    """A `downrange` verb in a process of its own, its output kept."""
+    """A `downrange` verb in a process group of its own, its output in a file."""
 
-    def __init__(self, *arguments: str, **environment: str) -> None:
+    def __init__(self, log: Path, *arguments: str, **environment: str) -> None:
         if not CONSOLE.is_file():
             pytest.fail(f"{CONSOLE} is missing; build the console first: make web")
-        self.output = ""
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "cli.main", *arguments],
-            cwd=ROOT,
-            env={**os.environ, **environment, "PYTHONUNBUFFERED": "1"},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self.output += line
+        self._log = log
+        with log.open("ab") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "cli.main", *arguments],
+                cwd=ROOT,
+                env={**os.environ, **environment, "PYTHONUNBUFFERED": "1"},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
 
     def wait_for(self, pattern: str, timeout_s: float) -> re.Match[str]:
         """Wait for a line of its output."""
         end_s = time.monotonic() + timeout_s
+        output = ""
         while time.monotonic() < end_s:
-            found = re.search(pattern, self.output)
+            output = self._log.read_text(encoding="utf-8", errors="replace")
+            found = re.search(pattern, output)
             if found:
                 return found
             if self._process.poll() is not None:
                 break
             time.sleep(0.1)
-        raise AssertionError(f"no {pattern!r} within {timeout_s} s; it said:\n{self.output}")
+        raise AssertionError(f"no {pattern!r} within {timeout_s} s; it said:\n{output}")
 
     def kill(self) -> None:
-        """As a power cut would."""
-        self._end(signal.SIGKILL)
+        """As a power cut would: the whole group at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait(30.0)
 
     def stop(self) -> None:
         """Ask it to end."""
-        self._end(signal.SIGTERM)
-
-    def _end(self, how: signal.Signals) -> None:
         if self._process.poll() is None:
-            self._process.send_signal(how)
-        try:
+            self._process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._reader.join(5.0)
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+        self.kill()
 
 
 def logins(data: Path) -> dict[str, str]:
@@ -99,7 +89,7 @@ def logins(data: Path) -> dict[str, str]:
 @contextlib.contextmanager
 def running_demo(data: Path) -> Iterator[Stack]:
     """`downrange demo`: server, router, console and one virtual machine."""
-    demo = Command("demo", "--port", "0", "--data", str(data))
+    demo = Command(data / "demo.log", "demo", "--port", "0", "--data", str(data))
     try:
         url = demo.wait_for(r"Downrange is at (http://\S+)", 240.0).group(1)
         yield Stack(url, logins(data))
@@ -112,11 +102,14 @@ class ServerAlone:
 
     def __init__(self, data: Path) -> None:
         self.data = data
+        self._starts_count = 0
         self.port, self._link = free_port(), free_port()
         self._command: Command | None = None
 
     def start(self) -> Stack:
+        self._starts_count += 1
         self._command = Command(
+            self.data / f"server-{self._starts_count}.log",
             *("server", "--port", str(self.port), "--data", str(self.data)),
             DOWNRANGE_LINK_LISTEN=f"tcp/127.0.0.1:{self._link}",
             DOWNRANGE_DATABASE_UPGRADE="1",

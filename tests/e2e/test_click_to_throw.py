@@ -24,6 +24,10 @@ def _click_the_ground(page: Page) -> None:
 
 def _aim(page: Page) -> None:
     """Keep the bearing of the click; nudge it; make it a range that 2D reaches."""
+    # The clicked target moves the panel on to its preview; only then does the first step stay open.
+    page.get_by_role("complementary").get_by_role(
+        "button", name="2 Preview", expanded=True
+    ).wait_for()
     open_step(page, "Target")
     range_m, azimuth = page.get_by_label("Range, m"), page.get_by_label("Azimuth, °")
     expect(range_m).not_to_have_value("")
