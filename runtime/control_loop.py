@@ -5,13 +5,11 @@ eighth tick of a throw. It keeps no clock, does no I/O and decides no motion: th
 """
 
 from dataclasses import dataclass
-from enum import IntFlag
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.calibration import ValveCalibration, actuator_ratio
+from machine.calibration import actuator_ratio
 from machine.conventions import (
     CONTROL_PERIOD_S,
     Array,
@@ -21,15 +19,20 @@ from machine.conventions import (
     Motion,
     wrap_angle_rad,
 )
-from machine.errors import PolicyError
 from machine.kinematics import aligned_slew_rad
 from machine.spec import MachineSpec
 from machine.starts import is_valid_start
 from machine.telemetry import CONTROL_ROW
 from runtime import imu_estimator, safety, swing_control
 from runtime.arm_motion import ArmMotion
+from runtime.control_types import (
+    ControlInputs,
+    ControlOutputs,
+    ControlParams,
+    ControlState,
+    Violation,
+)
 from runtime.driver import SensorSample, ValveCommand
-from runtime.policy import PolicyRunner
 from runtime.policy_step import (
     PolicyInputs,
     PolicyOutputs,
@@ -37,7 +40,18 @@ from runtime.policy_step import (
     initial_throw,
     run_policies,
 )
-from runtime.velocity_controller import ControllerState, VelocityController, shape_with_ratio
+from runtime.velocity_controller import ControllerState, shape_with_ratio
+
+__all__ = [
+    "ControlInputs",
+    "ControlOutputs",
+    "ControlParams",
+    "ControlState",
+    "Violation",
+    "initial_state",
+    "next_motion",
+    "step",
+]
 
 RELEASE_WAIT_S = 0.6
 """The load leaves 0.258 s after the command (paper, III-F); a throw whose switch never says so ends here."""
@@ -49,101 +63,10 @@ _HOLD, _ALIGN, _THROW, _SETTLE = (
 )
 _CLOSING = int(safety.CLOSING)
 _RELEASE_WAIT_TICKS = round(RELEASE_WAIT_S / CONTROL_PERIOD_S)
-
-
-class Violation(IntFlag):
-    """Why a motion must not go on; bits of `ControlOutputs.violation_count`."""
-
-    SAFETY = 1
-    """The safety gate closed all valves."""
-    SWING = 2
-    """The gripper swung beyond `spec.limits.swing_rad`."""
-    IMU = 4
-    """No usable gripper IMU sample for too long while it is needed."""
-    POLICY = 8
-    """The policy gave a number that is not finite."""
-
-
 _VIOLATIONS = tuple(
     int(v) for v in (Violation.SAFETY, Violation.SWING, Violation.IMU, Violation.POLICY)
 )
 _CLOSING_ON_ITS_OWN = int(safety.CLOSING & ~safety.Intervention.STOPPED)
-
-
-@dataclass(frozen=True)
-class ControlParams:
-    """What stays constant while machines are controlled."""
-
-    spec: MachineSpec
-    calibration: ValveCalibration
-    mode: Mode
-    policy: PolicyRunner | None
-    """Needed for THROW only."""
-
-    def __post_init__(self) -> None:
-        """Refuse a policy of the other mode."""
-        if self.policy is not None and self.policy.card.mode is not self.mode:
-            raise PolicyError(
-                f"policy {self.policy.card.policy_id} is for mode {self.policy.card.mode.value}, "
-                f"the control step runs mode {self.mode.value}; load the policy of that mode"
-            )
-
-    @cached_property
-    def controller(self) -> VelocityController:
-        """Velocity controller with this machine's tables inverted."""
-        return VelocityController(self.spec, self.calibration)
-
-
-@dataclass(frozen=True, slots=True)
-class ControlInputs:
-    """What one tick is given."""
-
-    sample: SensorSample
-    motion: IntArray
-    """(N,) conventions.Motion"""
-    target_m: Array
-    """(N, 3) frame `machine`; NaN where there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class ControlOutputs:
-    """What one tick gives."""
-
-    command: ValveCommand
-    row: NDArray[np.void]
-    """(N,) telemetry.CONTROL_ROW; tick_count counts from `initial_state`."""
-    policy_row: NDArray[np.void] | None
-    """(N,) telemetry.POLICY_ROW where any policy ran this tick; t_mono_ns 0 where this machine's did not."""
-    release_commanded: BoolArray
-    """(N,) latched from the release action until the next ALIGN or THROW begins."""
-    load_gone: BoolArray
-    """(N,) the release was commanded and the gripper switch says the load has left."""
-    throw_done: BoolArray
-    """(N,) the load has gone, or 0.6 s have passed since the release was commanded."""
-    aligned: BoolArray
-    """(N,) ALIGN has come to rest on the target line."""
-    settled: BoolArray
-    """(N,) SETTLE has come to rest in the safe pose."""
-    violation_count: IntArray
-    """(N,) bits of `Violation`."""
-    motion_time_s: Array
-    """(N,) since the present motion began."""
-
-
-@dataclass(frozen=True, slots=True)
-class ControlState:
-    """What the control step remembers from tick to tick; opaque, made by `initial_state`."""
-
-    tick_count: int
-    motion: IntArray
-    motion_tick_count: IntArray
-    speed_rad_m_per_s: Array
-    """(N, 4) filtered."""
-    imu: imu_estimator.ImuState
-    swing: swing_control.SwingState
-    throw: ThrowMemory
-    controller: ControllerState
-    safety: safety.SafetyMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +81,17 @@ class _Sensed:
     velocity: Array
     begins: BoolArray
     motion_tick: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Driven:
+    """What becomes of the requests of one tick."""
+
+    controller: ControllerState
+    memory: safety.SafetyMemory
+    reference: Array
+    valve: Array
+    gated: safety.SafetyOutput
 
 
 def initial_state(
@@ -203,7 +137,6 @@ def step(
         PolicyError: a machine throws and there is no policy, or the policy cannot run.
     """
     spec, sample, motion = params.spec, inputs.sample, inputs.motion
-    active, speed = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
     imu_state, sensed = _sense(params, state, inputs, now_ns)
     policy = run_policies(
         spec,
@@ -222,16 +155,7 @@ def step(
     )
     throw = policy.memory
     swing, request, aligned, settled = _motions(params, state, inputs, sensed, throw)
-    ratio = np.abs(actuator_ratio(spec, active))
-    previous = state.controller.delay_line[0]
-    reference = shape_with_ratio(spec, request, previous, active, ratio, CONTROL_PERIOD_S)
-    controller, valve = params.controller.update(state.controller, reference, speed, ratio)
-    opening = throw.released & ((motion == _THROW) | (motion == _SETTLE))
-    memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
-    closed: BoolArray = np.not_equal(gated.intervention_count & int(safety.CLOSING), 0)
-    if closed.any():
-        # A machine whose valves were closed starts again from standstill, not from old wishes.
-        controller = controller.forget(closed)
+    driven = _drive(params, state, inputs, throw, request, now_ns)
     gone = throw.released & ~sample.payload_held
     waited = throw.released_tick_count >= _RELEASE_WAIT_TICKS
     after = ControlState(
@@ -242,23 +166,19 @@ def step(
         imu=imu_state,
         swing=swing,
         throw=throw,
-        controller=controller,
-        safety=memory,
+        controller=driven.controller,
+        safety=driven.memory,
     )
-    row = _row(state.tick_count, inputs, sensed, gated, now_ns)
-    row["velocity_request_rad_m_per_s"] = request
-    row["velocity_reference_rad_m_per_s"] = reference
-    row["valve_requested_ratio"] = valve
     return after, ControlOutputs(
-        command=ValveCommand(gated.valve_ratio, gated.gripper_open),
-        row=row,
+        command=ValveCommand(driven.gated.valve_ratio, driven.gated.gripper_open),
+        row=_row(state.tick_count, inputs, sensed, request, driven, now_ns),
         policy_row=policy.row,
         release_commanded=throw.released,
         load_gone=gone,
         throw_done=throw.released & (gone | waited),
         aligned=aligned,
         settled=settled,
-        violation_count=_violations(spec, motion, sensed, policy, gated),
+        violation_count=_violations(spec, motion, sensed, policy, driven.gated),
         motion_time_s=np.multiply(sensed.motion_tick, CONTROL_PERIOD_S, dtype=np.float64),
     )
 
@@ -330,6 +250,30 @@ def _motions(
     return swing, request, aligned, settled
 
 
+def _drive(
+    params: ControlParams,
+    state: ControlState,
+    inputs: ControlInputs,
+    throw: ThrowMemory,
+    request: Array,
+    now_ns: int,
+) -> _Driven:
+    """From velocity requests (N, 4) to what the safety gate lets through."""
+    spec, sample, motion = params.spec, inputs.sample, inputs.motion
+    active, speed = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
+    ratio = np.abs(actuator_ratio(spec, active))
+    previous = state.controller.delay_line[0]
+    reference = shape_with_ratio(spec, request, previous, active, ratio, CONTROL_PERIOD_S)
+    controller, valve = params.controller.update(state.controller, reference, speed, ratio)
+    opening = throw.released & ((motion == _THROW) | (motion == _SETTLE))
+    memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
+    closed: BoolArray = np.not_equal(gated.intervention_count & _CLOSING, 0)
+    if closed.any():
+        # A machine whose valves were closed starts again from standstill, not from old wishes.
+        controller = controller.forget(closed)
+    return _Driven(controller, memory, reference, valve, gated)
+
+
 def _violations(
     spec: MachineSpec,
     motion: IntArray,
@@ -353,7 +297,8 @@ def _row(
     tick_count: int,
     inputs: ControlInputs,
     sensed: _Sensed,
-    gated: safety.SafetyOutput,
+    request: Array,
+    driven: _Driven,
     now_ns: int,
 ) -> NDArray[np.void]:
     sample = inputs.sample
@@ -366,9 +311,12 @@ def _row(
     row["sensor_velocity_rad_m_per_s"] = sample.joint_velocity_rad_m_per_s
     row["joint_position_rad_m"] = sensed.position
     row["joint_velocity_rad_m_per_s"] = sensed.velocity
-    row["valve_applied_ratio"] = gated.valve_ratio
-    row["safety_code_count"] = gated.intervention_count
-    row["gripper_open_commanded"] = gated.gripper_open
+    row["velocity_request_rad_m_per_s"] = request
+    row["velocity_reference_rad_m_per_s"] = driven.reference
+    row["valve_requested_ratio"] = driven.valve
+    row["valve_applied_ratio"] = driven.gated.valve_ratio
+    row["safety_code_count"] = driven.gated.intervention_count
+    row["gripper_open_commanded"] = driven.gated.gripper_open
     row["payload_held"] = sample.payload_held
     row["supply_pressure_pa"] = sample.supply_pressure_pa
     return row

@@ -163,27 +163,13 @@ def apply(
         so that the valves open again only through the rate limit.
     """
     limits = _limits(spec)
-    position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
-    with np.errstate(invalid="ignore", over="ignore"):
-        numbers = requested_ratio + memory.valve_ratio + position + velocity
-    broken: BoolArray = np.asarray(~np.isfinite(numbers).all(axis=1))
-    age_ns = now_ns - sample.t_mono_ns
-    stale = age_ns > SENSOR_AGE_MAX_NS or age_ns < 0
-    fast = ((velocity > limits.speed_positive) | (velocity < limits.speed_negative)).any(axis=1)
-    bits: IntArray = (
-        broken * _NOT_FINITE
-        + stale * _STALE_SENSORS
-        + ~sample.local_enable * _LOCAL_DISABLED
-        + sample.emergency_stop * _EMERGENCY_STOP
-        + fast * _OVER_SPEED
-        + ((motion < _HOLD) | (motion >= _STOP)) * _STOPPED
-    )
+    bits = _closing_bits(limits, requested_ratio, memory, sample, motion, now_ns)
     closed: BoolArray = np.not_equal(bits, 0)
     if closed.any():
         # Nothing is wanted of machines that are closed; their numbers may be NaN.
         requested_ratio = np.where(closed[:, None], 0.0, requested_ratio)
     with np.errstate(invalid="ignore", over="ignore"):
-        valve, clip_bits = _clip_valves(limits, requested_ratio, position, velocity, memory)
+        valve, clip_bits = _clip_valves(limits, requested_ratio, sample, memory)
     may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
     opened = open_requested & may_open & ~closed
     bits = bits + clip_bits * ~closed + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
@@ -198,10 +184,37 @@ def apply(
     return after, SafetyOutput(valve, opened, bits)
 
 
+def _closing_bits(
+    limits: _Limits,
+    requested_ratio: Array,
+    memory: SafetyMemory,
+    sample: SensorSample,
+    motion: IntArray,
+    now_ns: int,
+) -> IntArray:
+    """Every reason (N,) to close all valves of a machine."""
+    position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
+    with np.errstate(invalid="ignore", over="ignore"):
+        numbers = requested_ratio + memory.valve_ratio + position + velocity
+    broken: BoolArray = np.asarray(~np.isfinite(numbers).all(axis=1))
+    age_ns = now_ns - sample.t_mono_ns
+    stale = age_ns > SENSOR_AGE_MAX_NS or age_ns < 0
+    fast = ((velocity > limits.speed_positive) | (velocity < limits.speed_negative)).any(axis=1)
+    return (
+        broken * _NOT_FINITE
+        + stale * _STALE_SENSORS
+        + ~sample.local_enable * _LOCAL_DISABLED
+        + sample.emergency_stop * _EMERGENCY_STOP
+        + fast * _OVER_SPEED
+        + ((motion < _HOLD) | (motion >= _STOP)) * _STOPPED
+    )
+
+
 def _clip_valves(
-    limits: _Limits, wanted: Array, position: Array, velocity: Array, memory: SafetyMemory
+    limits: _Limits, wanted: Array, sample: SensorSample, memory: SafetyMemory
 ) -> tuple[Array, IntArray]:
     """Range, rate, and last the position limits, which may close a valve faster than the rate."""
+    position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
     ranged = np.minimum(np.maximum(wanted, -1.0), 1.0)
     last = np.minimum(np.maximum(memory.valve_ratio, -1.0), 1.0)
     rated = np.minimum(np.maximum(ranged, last - VALVE_STEP_RATIO), last + VALVE_STEP_RATIO)

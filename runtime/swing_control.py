@@ -227,25 +227,8 @@ def settle(
         amplitude: (N,) of the swing.
     """
     time_s = state.time_s + CONTROL_PERIOD_S
-    pitch, roll = swing_frequency_rad_per_s(spec)
-    swing = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, DAMPING_LEAD_S[0])
-    lean = _ahead(imu.roll_rad, imu.roll_rate_rad_per_s, roll, DAMPING_LEAD_S[1])
     gap = np.asarray(SAFE_ACTIVE_RAD_M) - active_position
-    calm = 1.0 / (1.0 + (amplitude / RETURN_SWING_RAD) ** 2)
-    fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
-    request = np.clip(RETURN_GAIN_PER_S * gap, -fastest, fastest) * calm[:, None]
-    request[:, 0] = _pin_speed(lean, amplitude) / np.maximum(arm.radius_m, 2.0)
-    # Outward speed by the dipper while the tube stands, by the telescope while it lies (least effort).
-    dipper, telescope = arm.dipper_arm_m, TELESCOPE_WEIGHT * arm.telescope_arm_ratio
-    outward = _pin_speed(swing, amplitude) / (
-        dipper * dipper + telescope * arm.telescope_arm_ratio + 0.1
-    )
-    request[:, 2] += dipper * outward
-    request[:, 3] += telescope * outward
-    ahead = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, LEAD_S)
-    first = follow_through(spec, time_s, active_position, ahead, amplitude)
-    arm_axes = first.runs[:, None] & _ARM
-    request = np.where(arm_axes, first.request_rad_m_per_s, request)
+    request = _settle_request(spec, time_s, active_position, gap, arm, imu, amplitude)
     quiet = (
         (np.abs(gap[:, 1:]).max(axis=1) < SETTLED_POSITION_RAD_M)
         & (np.abs(speed).max(axis=1) < STILL_RAD_M_PER_S)
@@ -261,6 +244,36 @@ def settle(
         quiet_s,
     )
     return after, SwingOutput(request, quiet_s >= DWELL_S)
+
+
+def _settle_request(
+    spec: MachineSpec,
+    time_s: Array,
+    active_position: Array,
+    gap: Array,
+    arm: ArmMotion,
+    imu: ImuEstimate,
+    amplitude: Array,
+) -> Array:
+    """Requests (N, 4) that damp the swing and close the gap (N, 4) to the safe pose."""
+    pitch, roll = swing_frequency_rad_per_s(spec)
+    swing = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, DAMPING_LEAD_S[0])
+    lean = _ahead(imu.roll_rad, imu.roll_rate_rad_per_s, roll, DAMPING_LEAD_S[1])
+    calm = 1.0 / (1.0 + (amplitude / RETURN_SWING_RAD) ** 2)
+    fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
+    request = np.clip(RETURN_GAIN_PER_S * gap, -fastest, fastest) * calm[:, None]
+    request[:, 0] = _pin_speed(lean, amplitude) / np.maximum(arm.radius_m, 2.0)
+    # Outward speed by the dipper while the tube stands, by the telescope while it lies (least effort).
+    dipper, telescope = arm.dipper_arm_m, TELESCOPE_WEIGHT * arm.telescope_arm_ratio
+    outward = _pin_speed(swing, amplitude) / (
+        dipper * dipper + telescope * arm.telescope_arm_ratio + 0.1
+    )
+    request[:, 2] += dipper * outward
+    request[:, 3] += telescope * outward
+    ahead = _ahead(imu.swing_rad, imu.swing_rate_rad_per_s, pitch, LEAD_S)
+    first = follow_through(spec, time_s, active_position, ahead, amplitude)
+    arm_axes = first.runs[:, None] & _ARM
+    return np.where(arm_axes, first.request_rad_m_per_s, request)
 
 
 def _ahead(angle: Array, rate: Array, frequency: float, lead_s: float) -> Array:
