@@ -4,12 +4,15 @@ A command whose answer was lost is reported as unknown; it is not sent again.
 """
 
 import logging
+from collections.abc import Callable
 
 from pydantic import JsonValue
+from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.messages import Command, CommandReply, RejectReason
 from server.audit import Actor, AuditChain, Entry
 from server.clock import utc_now
+from server.database import Database
 from server.errors import UnavailableError, UnknownOutcomeError, from_reason
 from server.machine_link import MachineLink, MachineLostError, NoAnswerError
 from server.machines import Registry
@@ -17,13 +20,21 @@ from server.metrics import Metrics
 
 logger = logging.getLogger(__name__)
 
+Change = Callable[[DatabaseSession], None]
+
 
 class CommandDesk:
     """The only way a command reaches a machine (STOP has its own, which may never wait)."""
 
     def __init__(
-        self, audit: AuditChain, link: MachineLink, registry: Registry, metrics: Metrics
+        self,
+        database: Database,
+        audit: AuditChain,
+        link: MachineLink,
+        registry: Registry,
+        metrics: Metrics,
     ) -> None:
+        self._database = database
         self._audit = audit
         self._link = link
         self._registry = registry
@@ -35,7 +46,8 @@ class CommandDesk:
         actor: Actor,
         *,
         throw_id: str | None = None,
-        is_intent_recorded: bool = False,
+        with_intent: Change | None = None,
+        with_acceptance: Change | None = None,
     ) -> CommandReply:
         """Send a command that the machine must accept.
 
@@ -43,15 +55,15 @@ class CommandDesk:
             command: what to send.
             actor: who wants it.
             throw_id: for the audit.
-            is_intent_recorded: the caller's own transaction has committed the intent row.
+            with_intent: what else is written in the transaction of the intent, or nothing is sent.
+            with_acceptance: what else is written in the transaction of the outcome when it is accepted.
 
         Raises:
             UnavailableError: the audit could not be written, or the machine is lost; nothing was sent.
             UnknownOutcomeError: sent, but no answer.
             ApiError: the machine refused.
         """
-        if not is_intent_recorded:
-            self._record_intent(command, actor, throw_id)
+        self._record_intent(command, actor, throw_id, with_intent)
         try:
             reply = self._link.send(command)
         except MachineLostError as error:
@@ -78,6 +90,7 @@ class CommandDesk:
                 "state": reply.state,
                 "is_repeat": reply.is_repeat,
             },
+            with_acceptance if reply.accepted else None,
         )
         if not reply.accepted:
             reason = reply.reason or RejectReason.MALFORMED
@@ -98,14 +111,19 @@ class CommandDesk:
         )
         return f"{machine_id} {since}; nothing was sent. Check its computer and its network."
 
-    def _record_intent(self, command: Command, actor: Actor, throw_id: str | None) -> None:
+    def _record_intent(
+        self, command: Command, actor: Actor, throw_id: str | None, change: Change | None
+    ) -> None:
         try:
-            self._audit.record(intent_of(command, actor, throw_id))
+            with self._database.write() as session:
+                if change is not None:
+                    change(session)
+                self._audit.append(session, intent_of(command, actor, throw_id))
         except Exception as error:
             logger.exception("audit cannot be written; '%s' is not sent", command.kind)
             raise UnavailableError(
                 "audit_failed",
-                f"The audit could not be written, so '{command.kind}' was not sent. "
+                f"The record could not be written, so '{command.kind}' was not sent. "
                 "Check disk space and database.",
             ) from error
 
@@ -116,19 +134,22 @@ class CommandDesk:
         throw_id: str | None,
         result: str,
         detail: dict[str, JsonValue],
+        change: Change | None = None,
     ) -> None:
         self._metrics.commands_count.labels(kind=command.kind, result=result).inc()
+        outcome = Entry(
+            actor,
+            command.kind,
+            "outcome",
+            machine_id=command.machine_id,
+            throw_id=throw_id,
+            detail={"command_id": command.command_id, "result": result, **detail},
+        )
         try:
-            self._audit.record(
-                Entry(
-                    actor,
-                    command.kind,
-                    "outcome",
-                    machine_id=command.machine_id,
-                    throw_id=throw_id,
-                    detail={"command_id": command.command_id, "result": result, **detail},
-                )
-            )
+            with self._database.write() as session:
+                if change is not None:
+                    change(session)
+                self._audit.append(session, outcome)
         except Exception:
             # The machine has acted: the caller must learn of it even if the disk is full now.
             logger.exception("outcome of '%s' could not be written to the audit", command.kind)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from typing import Literal
 
-from sqlalchemy import select
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.messages import RejectReason
@@ -26,6 +26,8 @@ from server.schemas_events import LeaseChangedEvent
 
 logger = logging.getLogger(__name__)
 
+USE_NOTED_EVERY = timedelta(seconds=20)
+"""How often the use of a lease is written down; small against the time after which it is given back."""
 Cause = Literal["acquired", "released", "taken", "expired", "idle", "session_ended"]
 LeaseListener = Callable[[str, int], None]
 
@@ -136,12 +138,13 @@ class LeaseBook:
         """
         self._registry.get(machine_id)
         now = self._now()
-        with self._database.write() as database:
-            row = self._row(database, machine_id)
-            if self._is_held(row, now) and row.holder_session_id == session.session_id:
-                row.active_utc = now
-                return self._view(row)
-            holder = row.holder if self._is_held(row, now) else None
+        with self._database.read() as database:
+            row = database.get(Lease, machine_id)
+        is_held = row is not None and self._is_held(row, now)
+        if row is not None and is_held and row.holder_session_id == session.session_id:
+            self._note_use(row, session.session_id, now)
+            return self._view(row)
+        holder = row.holder if row is not None and is_held else None
         raise from_reason(
             RejectReason.NO_LEASE,
             f"Control of {machine_id} is with {holder}. Ask them, or let a supervisor take it."
@@ -150,16 +153,17 @@ class LeaseBook:
             {"holder": holder},
         )
 
-    def is_held_by(self, machine_id: str, session_id: str, epoch_count: int) -> bool:
-        """Whether this session holds the lease of this epoch now."""
-        with self._database.read() as database:
-            row = database.get(Lease, machine_id)
-        return (
-            row is not None
-            and row.holder_session_id == session_id
-            and row.epoch_count == epoch_count
-            and self._is_held(row, self._now())
-        )
+    def _note_use(self, row: Lease, session_id: str, now: datetime) -> None:
+        # A fire must not wait for the disk to learn that its lease is in use.
+        if row.active_utc is not None and now - row.active_utc < USE_NOTED_EVERY:
+            return
+        with self._database.write() as database:
+            database.execute(
+                update(Lease)
+                .where(Lease.machine_id == row.machine_id, Lease.holder_session_id == session_id)
+                .values(active_utc=now)
+            )
+        row.active_utc = now
 
     def view(self, machine_id: str) -> LeaseView:
         """Who holds a machine's lease."""

@@ -7,8 +7,10 @@ frozen, no other.
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field
+from typing import Any
 
 from sqlalchemy import update
+from sqlalchemy.orm import Session as DatabaseSession
 from sqlalchemy.orm import undefer
 
 from machine.conventions import ACTIVE_COUNT
@@ -121,7 +123,7 @@ class PlanStore:
         return unpack_frames(row.frames)
 
     def freeze(self, plan_id: str, shown_hash: str | None, state: MachineState) -> ThrowPlan:
-        """The message to arm with, stored with its hash.
+        """The message to arm with; store it by `store_frozen` in the transaction of the intent.
 
         Raises:
             ApiError: refused, expired or fired plan, another hash than any shown, or a moved machine.
@@ -144,19 +146,25 @@ class PlanStore:
                 if shown_hash is not None
                 else "The plan has no prediction yet. Wait for its numbers.",
             )
-        self._store_frozen(row, message)
         return message
 
-    def _store_frozen(self, row: Plan, message: ThrowPlan) -> None:
-        now = utc_now()
+    def store_frozen(self, database: DatabaseSession, message: ThrowPlan) -> None:
+        """Keep what is armed as it is armed."""
         text = canonical(message)
-        with self._database.write() as database:
-            database.execute(
-                update(Plan)
-                .where(Plan.plan_id == row.plan_id)
-                .values(plan_json=text, plan_hash=message.plan_hash, armed_utc=now)
-            )
-        row.plan_json, row.plan_hash, row.armed_utc = text, message.plan_hash, now
+        values = {"plan_json": text, "plan_hash": message.plan_hash, "armed_utc": utc_now()}
+        self._update(database, message.plan_id, values)
+
+    def note_fired(self, database: DatabaseSession, plan_id: str) -> None:
+        """A plan is thrown once."""
+        self._update(database, plan_id, {"fired_utc": utc_now()})
+
+    def _update(self, database: DatabaseSession, plan_id: str, values: dict[str, Any]) -> None:
+        database.execute(update(Plan).where(Plan.plan_id == plan_id).values(**values))
+        with self._lock:
+            running = self._running.get(plan_id)
+        if running is not None:
+            for name, value in values.items():
+                setattr(running.row, name, value)
 
     @staticmethod
     def _check_usable(row: Plan, state: MachineState) -> None:
@@ -185,13 +193,3 @@ class PlanStore:
                 f"The machine moved by {moved:.3f} (rad or m) since the preview, at most "
                 f"{MOVED_LIMIT_RAD_M} allowed. Preview again.",
             )
-
-    def note_fired(self, plan_id: str) -> None:
-        """A plan is thrown once."""
-        now = utc_now()
-        with self._database.write() as database:
-            database.execute(update(Plan).where(Plan.plan_id == plan_id).values(fired_utc=now))
-        with self._lock:
-            running = self._running.get(plan_id)
-        if running is not None:
-            running.row.fired_utc = now

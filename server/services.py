@@ -176,7 +176,7 @@ def assemble(
     throws = ThrowBook(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
-    commands = CommandDesk(audit, link, registry, metrics)
+    commands = CommandDesk(database, audit, link, registry, metrics)
     leases = LeaseBook(
         database, audit, registry, hub, ttl_s=settings.lease_ttl_s, idle_s=settings.lease_idle_s
     )
@@ -187,7 +187,7 @@ def assemble(
     twins = TwinFiles(settings.data_dir)
     planner = Planner(plans, registry, policies, pool, twins, hub, scene, spec, settings.plan_ttl_s)
     holds = HoldDesk(link, registry, metrics)
-    throw_desk = ThrowDesk(database, audit, registry, leases, plans, throws, commands, holds)
+    throw_desk = ThrowDesk(database, registry, leases, plans, throws, commands, holds)
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     replays = Replays(logs, plans, scene)
     views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)

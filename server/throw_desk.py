@@ -3,27 +3,25 @@
 The nonce of an armed machine stays here and is used once. A fire whose answer is lost is not repeated.
 """
 
-import logging
 import threading
 import time
 from dataclasses import dataclass
 
+from sqlalchemy.orm import Session as DatabaseSession
+
 from machine.messages import ArmRequest, FireRequest, RejectReason, ThrowPlan
-from server.audit import AuditChain
 from server.auth import Session
 from server.clock import new_id
-from server.commands import CommandDesk, intent_of
+from server.commands import CommandDesk
 from server.database import Database
 from server.errors import ApiError, UnavailableError, UnknownOutcomeError, from_reason
 from server.hold import HoldDesk
 from server.leases import LeaseBook
 from server.machines import Registry
 from server.plan_store import PlanStore
-from server.schemas_history import Outcome, ThrowPhase
+from server.schemas_history import Outcome
 from server.schemas_plans import ArmView, FireView
 from server.throws import ThrowBook
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,6 @@ class ThrowDesk:
     def __init__(
         self,
         database: Database,
-        audit: AuditChain,
         registry: Registry,
         leases: LeaseBook,
         plans: PlanStore,
@@ -53,7 +50,6 @@ class ThrowDesk:
         holds: HoldDesk,
     ) -> None:
         self._database = database
-        self._audit = audit
         self._registry = registry
         self._leases = leases
         self._plans = plans
@@ -85,7 +81,11 @@ class ThrowDesk:
             epoch_count=lease.epoch_count,
             plan=plan,
         )
-        reply = self._commands.send(request, session.actor)
+        reply = self._commands.send(
+            request,
+            session.actor,
+            with_intent=lambda database: self._plans.store_frozen(database, plan),
+        )
         if reply.nonce is None:
             raise UnknownOutcomeError(
                 RejectReason.UNKNOWN_OUTCOME.value,
@@ -131,14 +131,24 @@ class ThrowDesk:
             plan_hash=armed.plan.plan_hash,
             seen_t_mono_ns=self._registry.seen_t_mono_ns(machine_id),
         )
-        self._record(request, armed, session)
+        row = self._throws.new_row(throw_id, armed.plan, session, armed.epoch_count)
         self._holds.begin(machine_id, throw_id, session.session_id, armed.epoch_count)
+
+        def accepted(database: DatabaseSession) -> None:
+            self._plans.note_fired(database, plan_id)
+            self._throws.note_accepted(database, throw_id)
+
         try:
             reply = self._commands.send(
-                request, session.actor, throw_id=throw_id, is_intent_recorded=True
+                request,
+                session.actor,
+                throw_id=throw_id,
+                with_intent=lambda database: database.add(row),
+                with_acceptance=accepted,
             )
         except UnknownOutcomeError as error:
-            self._plans.note_fired(plan_id)
+            with self._database.write() as database:
+                self._plans.note_fired(database, plan_id)
             self._throws.mark_unknown(machine_id, throw_id)
             return FireView(
                 throw_id=throw_id, machine_id=machine_id, state="unknown", detail=error.message
@@ -149,8 +159,7 @@ class ThrowDesk:
         except ApiError as error:
             self._throws.end(throw_id, Outcome.REFUSED, error.message)
             raise
-        self._plans.note_fired(plan_id)
-        self._throws.move(throw_id, ThrowPhase.ACCEPTED)
+        self._throws.publish(throw_id)
         return FireView(
             throw_id=throw_id, machine_id=machine_id, state="accepted", detail=reply.detail
         )
@@ -173,17 +182,3 @@ class ThrowDesk:
                 f"{machine_id} is not armed for this plan (any more). Arm it, then fire in time.",
             )
         return armed
-
-    def _record(self, request: FireRequest, armed: Armed, session: Session) -> None:
-        """The throw's row and the audit's intent, in one transaction, before anything is sent."""
-        row = self._throws.new_row(request.throw_id, armed.plan, session, armed.epoch_count)
-        try:
-            with self._database.write() as database:
-                database.add(row)
-                self._audit.append(database, intent_of(request, session.actor, request.throw_id))
-        except Exception as error:
-            logger.exception("throw cannot be recorded; nothing is sent")
-            raise UnavailableError(
-                "audit_failed",
-                "The throw could not be recorded, so it was not fired. Check disk space and database.",
-            ) from error

@@ -204,6 +204,13 @@ class ThrowBook:
             raise NotFoundError("no_throw", f"There is no throw '{throw_id[:40]}'.")
         return row
 
+    @staticmethod
+    def note_accepted(database: DatabaseSession, throw_id: str) -> None:
+        """The machine accepted; its own events may already have said more."""
+        row = database.get(Throw, throw_id, with_for_update=True)
+        if row is not None:
+            move_row(row, ThrowPhase.ACCEPTED)
+
     def move(self, throw_id: str, phase: ThrowPhase) -> None:
         """Move a throw forward and tell the browsers."""
         with self._database.write() as database:
