@@ -145,7 +145,7 @@ def run(
     port: int = 8000,
     data: Path = Path("data"),
     policies: Path = Path("policies"),
-    unit_seed: int = 1,
+    unit_seed: int = 0,
 ) -> int:
     """Run everything on this computer and print the address and the login; Ctrl-C ends it.
 
