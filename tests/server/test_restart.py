@@ -1,6 +1,7 @@
 """Starts, stops and restarts of the whole service, and what machines make of them."""
 
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -101,6 +102,12 @@ def test_a_used_port_is_a_clear_error():
         taken.listen()
         with pytest.raises(UsageError, match="DOWNRANGE_PORT"):
             open_socket("127.0.0.1", taken.getsockname()[1])
+
+
+def test_the_socket_lets_answers_leave_at_once():
+    with open_socket("127.0.0.1", 0) as listener:
+        # What asyncio looks at before it turns Nagle's algorithm off.
+        assert listener.proto == socket.IPPROTO_TCP
 
 
 def test_a_used_link_endpoint_is_a_clear_error(running, tmp_path):
