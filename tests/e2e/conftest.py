@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from browser_console import Console
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 from stack import ServerAlone, Stack, running_demo
 
 CHROMIUM = next(
