@@ -1,0 +1,114 @@
+"""Fire pressed to machine accepted, STOP pressed to machine latched: over HTTP, server, Zenoh, loopback.
+
+    PYTHONPATH=. python benchmarks/commands.py [--repeats 50]
+
+The machine is the tests' stand-in (tests/server/fake_machine.py), in this process like the server. The
+floor is the bare command over Zenoh, without HTTP, rights, lease and audit.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import tyro
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "server"))
+
+from fake_machine import FakeMachine
+from httpx import Client
+from server_bench import Running, add_people, make_settings, running_server, wait_for
+
+from machine.messages import LoadRequest
+from server.clock import new_id
+from server.plan_store import PlanStore
+from server.policies import PolicyShelf
+
+
+def show(name: str, seconds: list[float]) -> None:
+    ordered = sorted(seconds)
+    p50, p99 = ordered[len(ordered) // 2], ordered[int(len(ordered) * 0.99)]
+    print(f"{name:<28}{p50 * 1e3:>8.1f}{p99 * 1e3:>8.1f}{ordered[-1] * 1e3:>8.1f}")
+
+
+def timed(action: Callable[[], object]) -> float:
+    began_s = time.perf_counter()
+    action()
+    return time.perf_counter() - began_s
+
+
+def main(repeats: int = 50, policies: Path = Path("policies")) -> None:
+    """Start a server and a stand-in for a machine, and press the buttons."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = make_settings(Path(folder), policies)
+        with running_server(settings) as running:
+            add_people(running.services)
+            with stand_in(running) as machine, running.client("sue") as client:
+                wait_for(lambda: running.services.registry.is_connected("m001"))
+                print(f"{'ms':<28}{'p50':>8}{'p99':>8}{'max':>8}")
+                measure(running, machine, client, repeats)
+
+
+def stand_in(running: Running) -> FakeMachine:
+    shelf: PolicyShelf = running.services.policies
+    shelf.refresh()
+    machine = FakeMachine(
+        running.settings.link_listen,
+        "m001",
+        running.services.registry.secret_path("m001").read_text().strip(),
+        {item.mode.value: item.policy_sha256 for item in shelf.reach().modes},
+    )
+    machine.needs_hold, machine.swing_s = False, 0.0
+    return machine
+
+
+def measure(running: Running, machine: FakeMachine, client: Client, repeats: int) -> None:
+    arms: list[float] = []
+    fires: list[float] = []
+    for _ in range(repeats):
+        client.post("/machines/m001/lease")
+        machine.payload_held = True
+        time.sleep(0.15)
+        plan_id = ready_plan(running.services.plans, client)
+        arms.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/arm", json={})))
+        fires.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/fire").raise_for_status()))
+        wait_for(lambda: machine.state.value == "disarmed")
+    show("arm -> answered", arms)
+    show("fire -> accepted", fires)
+    stops: list[float] = []
+    for _ in range(repeats):
+        began_s = time.perf_counter()
+        latch, seen = machine._latch, []
+
+        def note(seen: list[float] = seen, latch: Callable[[], None] = latch) -> None:
+            seen.append(time.perf_counter())
+            latch()
+
+        machine._latch = note
+        client.post("/machines/m001/stop").raise_for_status()
+        stops.append(seen[0] - began_s)
+        machine._latch = latch
+        client.post("/machines/m001/stop/clear").raise_for_status()
+    show("STOP -> latched", stops)
+    epoch = machine.epoch_count
+    bare = [
+        timed(
+            lambda: running.services.link.send(
+                LoadRequest(command_id=new_id(), machine_id="m001", issuer="b", epoch_count=epoch)
+            )
+        )
+        for _ in range(repeats)
+    ]
+    show("floor: bare command", bare)
+
+
+def ready_plan(plans: PlanStore, client: Client) -> str:
+    body = {"mode": "2d", "target": {"x_m": 8.0, "y_m": 0.0}, "rollout_count": 0}
+    plan_id = client.post("/machines/m001/plans", json=body).json()["plan_id"]
+    wait_for(lambda: plans.view(plan_id).state.value != "previewing", 60.0)
+    return plan_id
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
