@@ -21,7 +21,7 @@ def save_checkpoint(path: Path, learner: Learner, fingerprint: str) -> None:
     arrays = {name: _to_numpy(leaf) for name, leaf in _named(learner)}
     partial = path.with_suffix(".partial.npz")
     with partial.open("wb") as stream:
-        np.savez(stream, fingerprint=np.asarray(fingerprint), **arrays)
+        np.savez(stream, allow_pickle=False, fingerprint=np.asarray(fingerprint), **arrays)
         stream.flush()
         os.fsync(stream.fileno())
     os.replace(partial, path)
@@ -73,12 +73,12 @@ def _named(learner: Learner) -> list[tuple[str, jax.Array]]:
 
 
 def _to_numpy(leaf: jax.Array) -> np.ndarray:
-    if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
         leaf = jax.random.key_data(leaf)
     return np.asarray(leaf)
 
 
 def _from_numpy(stored: np.ndarray, template: jax.Array) -> jax.Array:
-    if jax.dtypes.issubdtype(template.dtype, jax.dtypes.prng_key):
+    if jnp.issubdtype(template.dtype, jax.dtypes.prng_key):
         return jax.random.wrap_key_data(jnp.asarray(stored), impl=jax.random.key_impl(template))
     return jnp.asarray(stored)

@@ -53,6 +53,11 @@ DELAY_TICKS = 40
 """Length of the delay line: the longest dead time is 0.39 s."""
 
 
+def _untyped(values: jax.Array) -> Any:
+    """The machine's own functions are annotated for numpy and run on JAX arrays as well."""
+    return values
+
+
 class StartTable(NamedTuple):
     """Start poses with their targets, frame `throw`."""
 
@@ -150,13 +155,13 @@ class ThrowEnvironment:
         swing = jax.random.normal(keys[1], (2, count, 2))
         passive = self.task.passive
         position = start.at[:, 4:].add(swing[0] * jnp.asarray(passive.start_swing_sd_rad))
-        velocity = jnp.zeros((count, JOINT_COUNT))
+        velocity: Field = jnp.zeros((count, JOINT_COUNT))
         velocity = velocity.at[:, 4:].set(
             swing[1] * jnp.asarray(passive.start_swing_rate_sd_rad_per_s)
         )
         zeros4, zeros = jnp.zeros((count, ACTIVE_COUNT)), jnp.zeros(count)
         seen_q, seen_v = self._sense(keys[2], position, velocity, draw)
-        grip = grip_centre(self._built(draw), position, velocity)
+        grip = grip_centre(self._built(draw), _untyped(position), _untyped(velocity))
         offset = grip.position_m - target
         horizontal = jnp.hypot(offset[:, 0], offset[:, 1])
         return EnvironmentState(
@@ -190,7 +195,7 @@ class ThrowEnvironment:
             state.q_history[:, 0],
             state.v_history[:, 0],
             state.draw.target_m,
-            jnp.zeros_like(state.time_s),
+            _untyped(jnp.zeros_like(state.time_s)),
         )
         observation = build(
             self.task.mode,
@@ -275,7 +280,9 @@ class ThrowEnvironment:
                 since = gone - draw.settle_delay_s
                 settle = settle_request(self.spec, since, q, v)
                 wanted = jnp.where((since > 0.0)[:, None], settle, request)
-            reference = shape_reference(self.spec, wanted, reference, q[:, :ACTIVE_COUNT], dt)
+            reference = shape_reference(
+                self.spec, _untyped(wanted), reference, q[:, :ACTIVE_COUNT], dt
+            )
             line = jnp.concatenate([reference[:, None], line[:, :-1]], axis=1)
             delayed = jnp.sum(line * weights, axis=1)
             active = v[:, :ACTIVE_COUNT]
@@ -322,7 +329,7 @@ class ThrowEnvironment:
         draw = before.draw
         q = jnp.where(leaves[:, None], leave_q, after.position)
         v = jnp.where(leaves[:, None], leave_v, after.velocity)
-        grip = grip_centre(self._built(draw), q, v)
+        grip = grip_centre(self._built(draw), _untyped(q), _untyped(v))
         position, velocity = grip.position_m + draw.grasp_m, grip.velocity_m_per_s
         # The claws' push is not foreseen: it belongs to the throw, not to the hypothesis.
         velocity = velocity + jnp.where(leaves[:, None], draw.slip_m_per_s, 0.0)
@@ -333,7 +340,8 @@ class ThrowEnvironment:
         fresh = jnp.concatenate([position, velocity], axis=-1)
         ball = before.ball
         if self.task.episode.after_release == "policy":
-            old = flight_step(*(ball[:, i] for i in range(6)), draw.drag_per_m, POLICY_PERIOD_S)
+            x, y, z, vx, vy, vz = (ball[:, i] for i in range(6))
+            old = flight_step(x, y, z, vx, vy, vz, draw.drag_per_m, POLICY_PERIOD_S)
             ball = jnp.stack(old, axis=-1)
         return after._replace(
             landing_m=point,

@@ -4,7 +4,7 @@ import csv
 import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -129,10 +129,11 @@ def read_rows(path: Path) -> list[ProgressRow]:
         return []
     whole = {field.name for field in fields(ProgressRow) if field.type in (int, "int")}
     with path.open(newline="", encoding="utf-8") as stream:
-        return [
-            ProgressRow(**{k: int(v) if k in whole else float(v) for k, v in row.items()})
+        rows: list[dict[str, Any]] = [
+            {k: int(v) if k in whole else float(v) for k, v in row.items()}
             for row in csv.DictReader(stream)
         ]
+    return [ProgressRow(**row) for row in rows]
 
 
 def write_summary(path: Path, rows: list[ProgressRow], accuracy: "list[Accuracy]") -> None:
