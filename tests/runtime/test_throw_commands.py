@@ -283,6 +283,14 @@ def test_fire_with_another_plan():
     assert bench.machine.state is S.ARMED
 
 
+def test_an_accepted_fire_names_throw_and_plan():
+    bench = at(S.ARMED)
+    bench.fire()
+    (event,) = bench.effects.events
+    assert (event.kind.value, event.throw_id, event.plan_id) == ("throw_accepted", "t1", "plan-1")
+    assert event.data == {"issuer": "anna", "epoch_count": 3}
+
+
 # Repeats
 
 
