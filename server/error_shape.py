@@ -1,6 +1,7 @@
 """Every error of the HTTP interface in one shape: {"error": {code, message, detail}}."""
 
 import logging
+
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import JsonValue
@@ -52,7 +53,10 @@ async def _invalid(_request: Request, error: Exception) -> Response:
     ]
     first = problems[0] if problems else {"field": "request", "problem": "not valid"}
     return error_response(
-        422, "invalid", f"{first['field']}: {first['problem']}.", {"problems": list[JsonValue](problems[:20])}
+        422,
+        "invalid",
+        f"{first['field']}: {first['problem']}.",
+        {"problems": list[JsonValue](problems[:20])},
     )
 
 

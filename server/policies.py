@@ -170,7 +170,7 @@ class PolicyShelf:
             counted = session.execute(
                 select(Throw.policy_sha256, func.count()).group_by(Throw.policy_sha256)
             )
-            counts = {sha256: count for sha256, count in counted}
+            counts = {row[0]: row[1] for row in counted}
         views = [self._view(row, counts.get(row.policy_sha256, 0)) for row in rows]
         return sorted(views, key=lambda v: (not v.is_active, not v.is_present, v.policy_id))
 
