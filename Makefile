@@ -9,9 +9,9 @@ STAMP := build/stamps
 export UV_PYTHON_DOWNLOADS = never
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: help setup runtime web demo test check lint types spec bench clean
+.PHONY: help setup runtime web demo test e2e check lint types spec bench clean
 help:  ## Show this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 # --- set-up ---------------------------------------------------------------------------------------
 .tools/bin/uv:
@@ -63,9 +63,12 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@$(BIN)/downrange openapi --out build/openapi.json > build/openapi.log
 	@cmp build/openapi.json web/openapi.json || { echo "web/openapi.json is old: run make types"; exit 1; }
 
-test: check $(STAMP)/browser  ## All checks and all tests, those in a real browser included
+test: check $(STAMP)/browser  ## All checks and tests, those of the 3D view in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
-	@$(BIN)/pytest
+	@$(BIN)/pytest --ignore tests/e2e
+
+e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, preview, hold, impact, STOP
+	@$(BIN)/pytest tests/e2e
 
 types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
 	@$(BIN)/downrange openapi --out web/openapi.json
