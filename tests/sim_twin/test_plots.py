@@ -12,7 +12,10 @@ from sim_twin.plots import TargetScatter, accuracy_figure, ellipse_points, plot_
 def scatter(range_m: float, count: int, seed: int = 0) -> TargetScatter:
     rng = np.random.default_rng(seed)
     return TargetScatter(
-        range_m, 0.1 + 0.2 * rng.standard_normal(count), 0.05 * rng.standard_normal(count), count + 3
+        range_m,
+        0.1 + 0.2 * rng.standard_normal(count),
+        0.05 * rng.standard_normal(count),
+        count + 3,
     )
 
 
