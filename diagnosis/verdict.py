@@ -1,0 +1,160 @@
+"""What a diagnosis says: the result of `downrange diagnose`, with units in the names.
+
+The same shape for whole throws and for one stage alone. All lengths in frame `throw` (downrange, crossrange).
+"""
+
+from collections.abc import Mapping
+from enum import IntEnum, StrEnum
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Interval = tuple[float, float]
+"""Lower and upper end of a 90 % interval."""
+
+
+class VerdictKind(StrEnum):
+    """The answer in one word."""
+
+    NONE = "none"
+    """The twin explains the data as well as it explains a machine without any further effect."""
+    EXPLAINED = "explained"
+    AMBIGUOUS = "ambiguous"
+    """Two causes that these data cannot tell apart; a motion that would is named."""
+    UNKNOWN = "unknown"
+    """Something is there that no effect of the library explains."""
+    BAD_DATA = "bad_data"
+
+
+class ExitCode(IntEnum):
+    """Exit codes of `downrange diagnose`."""
+
+    EXPLAINED = 0
+    ERROR = 1
+    AMBIGUOUS = 2
+    UNKNOWN = 3
+    BAD_DATA = 4
+
+
+EXIT_CODES: Mapping[VerdictKind, ExitCode] = {
+    VerdictKind.NONE: ExitCode.EXPLAINED,
+    VerdictKind.EXPLAINED: ExitCode.EXPLAINED,
+    VerdictKind.AMBIGUOUS: ExitCode.AMBIGUOUS,
+    VerdictKind.UNKNOWN: ExitCode.UNKNOWN,
+    VerdictKind.BAD_DATA: ExitCode.BAD_DATA,
+}
+
+
+class Stage(StrEnum):
+    """Links of the chain from command to impact, in its order."""
+
+    ACTUATION = "actuation"
+    """Command to joint motion, per joint."""
+    SWING = "swing"
+    """Joint motion to gripper motion."""
+    RELEASE = "release"
+    """Command to opening."""
+    FLIGHT = "flight"
+    """Release state to impact."""
+    AIM = "aim"
+    """Base pose, sensors, survey."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Miss(_Part):
+    """A horizontal displacement in frame `throw`."""
+
+    downrange: float
+    crossrange: float
+
+
+class Gap(_Part):
+    """Twin against measured, before anything is added. None where it was not measured."""
+
+    impact_rms_m: float | None = None
+    downrange_bias_m: float | None = None
+    crossrange_bias_m: float | None = None
+    trajectory_rms_ratio: float | None = None
+    """Residual of the recorded channels over what noise and a healthy machine's scatter leave; 1 = none."""
+
+
+class StageGap(_Part):
+    """What one stage contributes to the miss; the terms of all stages sum to measured minus twin."""
+
+    stage: Stage
+    joint: str | None = None
+    miss_m: Miss
+    share_ratio: float
+    """Of the sum of the magnitudes of all terms."""
+    ci90_m: Interval
+    """Of the term's downrange mean over throws, by bootstrap."""
+
+
+class FittedParameter(_Part):
+    """A magnitude with its interval."""
+
+    value: float
+    ci90: Interval
+    unit: str
+
+
+class FittedEffect(_Part):
+    """An effect of the library at its fitted size."""
+
+    effect: str
+    joint: str | None = None
+    parameters: Mapping[str, FittedParameter]
+
+
+class Cause(_Part):
+    """A hypothesis: a set of effects, ``none`` or ``unknown``, and its probability."""
+
+    effects: tuple[FittedEffect, ...]
+    probability: float = Field(ge=0.0, le=1.0)
+    name: str = ""
+    """``none``, ``unknown``, or the effects in words."""
+
+
+class Ambiguity(_Part):
+    """Causes that these data cannot tell apart."""
+
+    members: tuple[str, ...]
+    separating_motion: Mapping[str, Any]
+    """What to record next: ``{kind, joint, ...}`` with units in the names, and ``words`` for people."""
+    why: str
+
+
+class Shrink(_Part):
+    """How far the gap shrinks on throws that were not used to find the cause."""
+
+    predicted_ratio: float | None
+    """Share of the removable gap, said before the effect was added."""
+    before_m: float
+    after_m: float
+    ratio: float
+    """Realised share of the removable gap."""
+    ci90: Interval
+    held_out_throws: int
+    removable_ratio: float
+    """Share of the gap that is not noise or jitter."""
+
+
+class Diagnosis(_Part):
+    """The result."""
+
+    verdict: VerdictKind
+    sentence: str = ""
+    """The verdict for people, with its numbers."""
+    gap: Gap = Gap()
+    stages: tuple[StageGap, ...] = ()
+    causes: tuple[Cause, ...] = ()
+    """Ranked; includes ``none`` and ``unknown``."""
+    ambiguity: Ambiguity | None = None
+    shrink: Shrink | None = None
+    evidence: Mapping[str, Any] = {}
+    """Data used, rates, clocks, refused channels, what was ruled out and why; ``unknown`` adds stage and signature."""
+    plots: Mapping[str, Any] = {}
+    """Series for the report: ``{name: {x, y..., unit}}``; numbers only."""
