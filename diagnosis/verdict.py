@@ -155,6 +155,6 @@ class Diagnosis(_Part):
     ambiguity: Ambiguity | None = None
     shrink: Shrink | None = None
     evidence: Mapping[str, Any] = {}
-    """Data used, rates, clocks, refused channels, what was ruled out and why; ``unknown`` adds stage and signature."""
+    """Data used, rates, clocks, refused channels, what was ruled out, why; ``unknown``: signature."""
     plots: Mapping[str, Any] = {}
     """Series for the report: ``{name: {x, y..., unit}}``; numbers only."""
