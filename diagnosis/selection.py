@@ -1,0 +1,245 @@
+"""Which effects: spike and slab over the library in information form, averaged over bootstraps of throws.
+
+Model of one throw, whitened (unit noise): r = J theta + N eta + e, with effect parameters theta, nuisances
+of the throw eta ~ N(0, 1) (N is scaled) and e ~ N(0, 1). Marginalising eta (Woodbury) leaves what the
+data say about theta: a precision A, a gradient b and a square c; the throws of a set add up.
+
+Every parameter always has a prior N(0, spike^2) that is not a point: it is what a healthy machine
+scatters, so that scatter never becomes a cause. A hypothesis is a set of effects whose parameters get the
+wide prior, the slab, instead. Its evidence against "no effect" is closed in A and b (docstring of
+`SetEvidence`). Probabilities are averaged over bootstraps of the throws ("BayesBag", Huggins and
+Miller 2019, arXiv:1912.07104), because the discrepancy of the twin is not the noise that the formula assumes.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from machine.conventions import Array, IntArray
+
+Set = tuple[int, ...]
+"""A hypothesis: indices of groups, increasing; () is "no effect"."""
+
+SLAB_SCALES_RATIO = (1.0, 0.35, 0.12)
+"""The slab is a mixture of these multiples of the prior's width: effects come in all sizes."""
+MIN_SLAB_OVER_SPIKE_RATIO = 2.5
+"""A slab narrower than this would only be a second spike."""
+
+
+class Information(NamedTuple):
+    """What data say about the parameters: log likelihood = -(c - 2 b'theta + theta'A theta) / 2."""
+
+    precision: Array
+    """A (p, p)"""
+    gradient: Array
+    """b (p,)"""
+    square: float
+    """c"""
+    residual_count: int
+    """Residuals in it."""
+
+
+class Priors(NamedTuple):
+    """Priors of p parameters in g groups; a group is one effect at one joint."""
+
+    spike_sd: Array
+    """(p,)"""
+    slab_sd: Array
+    """(p,)"""
+    low: Array
+    """(p,)"""
+    high: Array
+    """(p,)"""
+    groups: tuple[IntArray, ...]
+    """Parameter indices of each group."""
+    log_prior: Array
+    """(g,) log odds of each group's presence before the data."""
+
+
+class SetEvidence(NamedTuple):
+    """A hypothesis weighed against "no effect"."""
+
+    members: Set
+    log_odds: float
+    """Log evidence against that of "no effect", prior odds included."""
+    mean: Array
+    """Posterior of the members' parameters, group after group."""
+    covariance: Array
+
+
+class Screen(NamedTuple):
+    """The "no effect" posterior, from which every hypothesis is a small update."""
+
+    covariance: Array
+    """C = (A + spike^-2)^-1"""
+    mean: Array
+    """m = C b"""
+
+
+def inform(residual: Array, jacobian: Array, nuisance: Array) -> Information:
+    """Marginalise a throw's nuisances.
+
+    Args:
+        residual: (n,) whitened.
+        jacobian: (n, p) whitened.
+        nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
+    """
+    inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
+    on_jacobian, on_residual = nuisance.T @ jacobian, nuisance.T @ residual
+    solved = np.linalg.solve(inner, np.column_stack([on_jacobian, on_residual]))
+    precision = jacobian.T @ jacobian - on_jacobian.T @ solved[:, :-1]
+    gradient = jacobian.T @ residual - on_jacobian.T @ solved[:, -1]
+    square = float(residual @ residual - on_residual @ solved[:, -1])
+    return Information(precision, gradient, square, residual.size)
+
+
+def total(informations: Sequence[Information], weights: Array | None = None) -> Information:
+    """Sum over throws, each taken `weights` (throws,) times."""
+    weight = np.ones(len(informations)) if weights is None else weights
+    parts = list(zip(weight, informations, strict=True))
+    return Information(
+        precision=np.sum([w * i.precision for w, i in parts], axis=0),
+        gradient=np.sum([w * i.gradient for w, i in parts], axis=0),
+        square=float(sum(w * i.square for w, i in parts)),
+        residual_count=int(sum(w * i.residual_count for w, i in parts)),
+    )
+
+
+def screen(information: Information, priors: Priors) -> Screen:
+    """The posterior when every parameter has its spike."""
+    covariance = np.linalg.inv(information.precision + np.diag(priors.spike_sd**-2.0))
+    covariance = 0.5 * (covariance + covariance.T)
+    return Screen(covariance, covariance @ information.gradient)
+
+
+def members_index(priors: Priors, members: Set) -> IntArray:
+    """Parameter indices of a hypothesis, group after group."""
+    parts = [priors.groups[group] for group in members]
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
+    """Evidence of a hypothesis.
+
+    With D = slab^-2 - spike^-2 of the members' parameters, and C, m of the screen restricted to them:
+    2 log odds = -m'(D^-1 + C)^-1 m - log|I + D C| - sum log(slab^2 / spike^2). Bounds enter as the
+    posterior's mass within them over the prior's, parameter by parameter.
+    """
+    index = members_index(priors, members)
+    if index.size == 0:
+        return SetEvidence((), 0.0, np.zeros(0), np.zeros((0, 0)))
+    spike = priors.spike_sd[index]
+    mean0, covariance0 = base.mean[index], base.covariance[np.ix_(index, index)]
+    found = [
+        _weigh_slab(mean0, covariance0, spike, slab, priors.low[index], priors.high[index])
+        for slab in _slabs(priors, index)
+    ]
+    logs = np.array([entry[0] for entry in found])
+    best = found[int(np.argmax(logs))]
+    log_odds = float(logsumexp(logs) - np.log(len(found)))
+    prior = float(sum(priors.log_prior[group] for group in members))
+    return SetEvidence(members, log_odds + prior, best[1], best[2])
+
+
+def _slabs(priors: Priors, index: IntArray) -> list[Array]:
+    least = MIN_SLAB_OVER_SPIKE_RATIO * priors.spike_sd[index]
+    return [np.maximum(scale * priors.slab_sd[index], least) for scale in SLAB_SCALES_RATIO]
+
+
+def _weigh_slab(
+    mean0: Array, covariance0: Array, spike: Array, slab: Array, low: Array, high: Array
+) -> tuple[float, Array, Array]:
+    change = slab**-2.0 - spike**-2.0
+    gain = np.linalg.inv(np.diag(1.0 / change) + covariance0)
+    mean = mean0 - covariance0 @ gain @ mean0
+    covariance = covariance0 - covariance0 @ gain @ covariance0
+    inner: Array = np.eye(spike.size) + change[:, None] * covariance0
+    log_det = float(np.linalg.slogdet(inner)[1])
+    quadratic = -float(mean0 @ gain @ mean0)
+    log_odds = 0.5 * (quadratic - log_det - 2.0 * float(np.sum(np.log(slab / spike))))
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    inside = _log_mass(mean, sd, low, high) - _log_mass(np.zeros_like(slab), slab, low, high)
+    return log_odds + float(np.sum(inside)), mean, covariance
+
+
+def _log_mass(mean: Array, sd: Array, low: Array, high: Array) -> Array:
+    """Log of a normal's mass between bounds; the smaller tail decides when both are far."""
+    above = np.asarray(log_ndtr((mean - low) / sd))
+    below = np.asarray(log_ndtr((high - mean) / sd))
+    return np.minimum(above, 0.0) + np.minimum(below, 0.0)
+
+
+def search(
+    base: Screen, priors: Priors, *, width: int = 24, largest: int = 3, candidates: int = 40
+) -> list[SetEvidence]:
+    """Hypotheses worth keeping, best first; "no effect" is always among them.
+
+    All singles; all pairs that contain one of the best `width` singles; triples that extend the best
+    `width` pairs.
+    """
+    groups = range(len(priors.groups))
+    singles = sorted((weigh(base, priors, (g,)) for g in groups), key=_best_first)
+    leaders = [single.members[0] for single in singles[:width]]
+    found = {evidence.members: evidence for evidence in singles}
+    if largest >= 2:
+        pairs = {tuple(sorted((a, b))) for a in leaders for b in groups if a != b}
+        found |= {members: weigh(base, priors, members) for members in sorted(pairs)}
+    if largest >= 3:
+        best_pairs = sorted((e for e in found.values() if len(e.members) == 2), key=_best_first)
+        triples = {tuple(sorted({*pair.members, g})) for pair in best_pairs[:8] for g in leaders}
+        found |= {
+            members: weigh(base, priors, members)
+            for members in sorted(triples)
+            if len(members) == 3
+        }
+    ranked = sorted(found.values(), key=_best_first)[:candidates]
+    return sorted([*ranked, weigh(base, priors, ())], key=_best_first)
+
+
+def _best_first(evidence: SetEvidence) -> float:
+    return -evidence.log_odds
+
+
+def bootstrap_weights(throw_count: int, draws: int, seed: int = 0) -> Array:
+    """How often each throw is taken in each bootstrap (draws, throws); the first row is the data itself."""
+    rng = np.random.default_rng(seed)
+    weights = rng.multinomial(throw_count, np.full(throw_count, 1.0 / throw_count), draws)
+    weights[0] = 1
+    return weights.astype(np.float64)
+
+
+def bagged_probability(log_odds: Array) -> Array:
+    """Probabilities (hypotheses,) averaged over bootstraps, from log odds (draws, hypotheses)."""
+    norm = np.asarray(logsumexp(log_odds, axis=1, keepdims=True))
+    return np.exp(log_odds - norm).mean(axis=0)
+
+
+def expected_log_odds(
+    information: Information, priors: Priors, truth: SetEvidence, rival: Set
+) -> float:
+    """Log odds of `truth` over `rival` that these throws would give on average if it were true.
+
+    Noise-free data of the hypothesis at its fitted size stand for the average: b = A theta. Small
+    values mean that the throws cannot tell the two apart, whoever looks at them.
+    """
+    index = members_index(priors, truth.members)
+    gradient = information.precision[:, index] @ truth.mean
+    base = screen(information, priors)
+    ideal = Screen(base.covariance, base.covariance @ gradient)
+    own, other = weigh(ideal, priors, truth.members), weigh(ideal, priors, rival)
+    prior = sum(priors.log_prior[g] for g in truth.members)
+    prior -= sum(priors.log_prior[g] for g in rival)
+    return float(own.log_odds - other.log_odds - prior)
+
+
+def shares_member(a: Set, b: Set) -> bool:
+    """Whether two hypotheses have an effect in common."""
+    return bool(set(a) & set(b))
+
+
+def subsets(members: Set) -> list[Set]:
+    """All proper subsets, the empty one too."""
+    return [s for size in range(len(members)) for s in combinations(members, size)]
