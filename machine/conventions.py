@@ -43,6 +43,7 @@ UNIT_SUFFIXES: Final = (
     "_rad_per_s2",
     "_rad_per_s",
     "_rad",
+    "_per_s2",
     "_m3_per_rad",
     "_m3_per_s",
     "_m2",

@@ -6,12 +6,13 @@ cannot quietly leave an effect out.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine.errors import UsageError
 from machine.spec import MachineSpec
+from sim_twin.effects import Effect, acting_effect
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -64,7 +65,8 @@ class TwinProfile(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    schema_version: Literal[1] = 1
+    schema_version: Literal[2] = 2
+    """2 brought `effects`; files of version 1 are read as having none."""
     machine_id: str
     version_count: int = Field(ge=0)
     """0 is the nominal twin of the machine type; each published correction counts one up."""
@@ -82,16 +84,33 @@ class TwinProfile(BaseModel):
     drag_coefficient_ratio: NonNegative
     wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Frame `machine`."""
+    effects: tuple[Effect, ...] = ()
+    """What a diagnosis found on top of the values above (sim_twin.effect_library)."""
     noise: SensorNoise = SensorNoise()
     spread: Spread = Spread()
     intervals: Mapping[str, Interval] = {}
-    """90 % interval of an effect, by field name (which has the unit) or ``field.joint``."""
+    """90 % interval of a value, by field name (which has the unit) or ``field.joint``; of an effect's
+    parameter by ``effect.parameter`` or ``effect.joint.parameter``."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _migrate(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            tree = cast("dict[str, Any]", data)
+            if tree.get("schema_version") == 1:
+                return {**tree, "schema_version": 2}
+        return cast("Any", data)
 
     @model_validator(mode="after")
     def _intervals_name_effects(self) -> "TwinProfile":
         known = set(type(self).model_fields)
+        parameters = {
+            ".".join(part for part in (e.effect, e.joint, name) if part)
+            for e in self.effects
+            for name in e.parameters
+        }
         for name, (low, high) in self.intervals.items():
-            if name.split(".")[0] not in known:
+            if name.split(".")[0] not in known and name not in parameters:
                 raise ValueError(f"interval '{name}' names no effect of the profile")
             if low > high:
                 raise ValueError(f"interval '{name}' runs from {low} down to {high}")
@@ -129,6 +148,7 @@ def exact_profile(profile: TwinProfile) -> TwinProfile:
     nothing = (0.0, 0.0, 0.0, 0.0)
     return profile.model_copy(
         update={
+            "effects": tuple(e for e in profile.effects if acting_effect(e) != "release_jitter"),
             "release_delay_sd_s": 0.0,
             "noise": SensorNoise(
                 joint_position_sd_rad_m=nothing,
