@@ -23,6 +23,10 @@ HISTORY_S: Final = 2.0
 GRID_TOLERANCE_S: Final = 0.003
 """A row this close to its tick counts as the tick; loops jitter by less."""
 
+_CLOCK_SET: Final = (
+    "the control computer's clock was set, or two logs were joined. Record with the monotonic clock"
+)
+
 
 class ControlGrid(NamedTuple):
     """Control rows on ticks of 10 ms; 0 s is the first tick of `Motion.THROW`."""
@@ -139,8 +143,14 @@ def _check_clock(time_s: Array, tick_count: Array, audit: ClockAudit) -> None:
     if audit.backward_count:
         at = int(np.argmin(steps))
         raise RefusedLog(
-            f"its clock jumps back by {-steps[at]:.3f} s at row {at + 1} of {len(time_s)}: the control "
-            "computer's clock was set, or two logs were joined. Record with the monotonic clock"
+            f"its clock jumps back by {-steps[at]:.3f} s at row {at + 1} of {len(time_s)}: {_CLOCK_SET}"
+        )
+    if np.any(ticks < 0.0):
+        # A writer that sorts by time interleaves the rows before and after a jump.
+        at = int(np.argmax(ticks < 0.0))
+        raise RefusedLog(
+            f"its clock jumps back: the tick counter goes from {tick_count[at]:.0f} to "
+            f"{tick_count[at + 1]:.0f} while time goes on, {int(np.sum(ticks < 0.0))} times: {_CLOCK_SET}"
         )
     if audit.rate_hz < MIN_RATE_HZ:
         raise RefusedLog(
@@ -151,15 +161,14 @@ def _check_clock(time_s: Array, tick_count: Array, audit: ClockAudit) -> None:
         raise RefusedLog(
             f"its clock says {audit.rate_hz:.3g} Hz: swapped units (microseconds for nanoseconds)"
         )
-    if np.all(ticks >= 0.0) and np.any(ticks > 0.0):
+    if np.any(ticks > 0.0):
         # Without jitter, time advances with the tick counter; what is left is the clock's own doing.
         surprise = steps - ticks * CONTROL_PERIOD_S
         at = int(np.argmax(np.abs(surprise)))
         if abs(surprise[at]) > CLOCK_JUMP_S and ticks[at] > 0.0:
             raise RefusedLog(
                 f"its clock jumps by {surprise[at]:+.3f} s at row {at + 1} of {len(time_s)} (the tick "
-                f"counter advances by {ticks[at]:.0f}): the clock was set during the throw. Record with "
-                "the monotonic clock"
+                f"counter advances by {ticks[at]:.0f}): {_CLOCK_SET}"
             )
     allowed_s = (MAX_REPAIRED_TICKS + 1) * max(CONTROL_PERIOD_S, 1.0 / audit.rate_hz)
     if audit.longest_gap_s > allowed_s + GRID_TOLERANCE_S:

@@ -291,8 +291,8 @@ def _check_outcome(log: ThrowLog) -> None:
 def _check_grid(grid: ControlGrid, spec: MachineSpec) -> None:
     position, velocity = grid.sensor_position_rad_m, grid.sensor_velocity_rad_m_per_s
     check_valve_and_supply(grid.valve_ratio, grid.supply_pressure_pa)
-    check_joint_units(spec, position, velocity, grid.joint_position_rad_m)
     check_stuck(position, velocity, grid.valve_ratio)
+    check_joint_units(spec, position, velocity, grid.joint_position_rad_m)
 
 
 def _samples(
