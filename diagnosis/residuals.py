@@ -1,0 +1,464 @@
+"""Measured minus twin, channel by channel, each stage driven by the measured motion above it; and its slopes.
+
+Three simulations of every throw (`View`): the joints from their valve commands; the swing from the measured
+joints; the flight from the measured joints, swing and opening. Slopes are finite differences of the very
+same simulations, all in one batch. Blocks (channels) of a throw:
+
+    actuation.<joint>   joint velocity, rad/s or m/s, given the valve commands
+    swing.gyro.<axis>, swing.accel.<axis>   IMU, given the measured joints
+    release.switch      time of the opening given the command, s
+    flight.ball, flight.impact    tracked and surveyed positions given the measured motion of the gripper, m
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.logs import ThrowData
+from diagnosis.measured import MeasuredMotion, measured_motion, measured_opening_s, replay_input
+from diagnosis.parameters import Parameter, View, index_of, joint_index, library
+from machine.ballistics import drag_per_m, landing
+from machine.calibration import ValveCalibration
+from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, IntArray
+from machine.spec import load_spec
+from sim_twin.effects import Effect
+from sim_twin.profile import TwinProfile
+from sim_twin.replay import FourFlags, ReplayElement, ReplayInput, ReplayOutput, replay
+
+ALL: FourFlags = (True, True, True, True)
+NONE: FourFlags = (False, False, False, False)
+AXES = ("x", "y", "z")
+MEAN_OF_COUNT = 2
+"""Samples averaged before comparison: 50 Hz is enough for what the twin knows."""
+START_STEP_RAD = 0.01
+START_RATE_STEP_RAD_PER_S = 0.02
+OPENING_STEP_S = 0.005
+LANDING_STEP = 1e-3
+IMU_UNTIL_AFTER_OPENING_S = 0.6
+"""The swing is compared up to here after the opening: later the settling controller is judged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A channel of one throw: when and where it was sampled, and how much moved there."""
+
+    name: str
+    rows: slice
+    """In the throw's residual vector."""
+    t_s: Array
+    """(n,)"""
+    rate: Array
+    """(n,) first motion level of the discrepancy."""
+    push: Array
+    """(n,) second one."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedThrow:
+    """A throw, its measured motion, and the layout of its residual vector."""
+
+    throw: ThrowData
+    motion: MeasuredMotion
+    input: ReplayInput
+    blocks: tuple[Block, ...]
+    measured: Array
+    """(n,) measured values, block after block."""
+    joint_at_s: Array
+    imu_at_s: Array
+    imu_pair: Array
+    """(k, K) averages the IMU samples that are compared."""
+    joint_pair: Array
+    """(j, T)"""
+
+    def block(self, name: str) -> Block | None:
+        """A block by name; None where the log has no such channel."""
+        return next((block for block in self.blocks if block.name == name), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A throw about a set of effects: residual and slopes, not whitened.
+
+    residual(theta) = residual - jacobian @ (theta - where it was linearised).
+    """
+
+    residual: Array
+    """(n,) measured minus twin; NaN rows are taken out by the whitening."""
+    jacobian: Array
+    """(n, p) of the twin's prediction, in the order of `library()`."""
+    start: Array
+    """(n, 4) slopes by the free joints' start angles and rates."""
+    opening: Array
+    """(n,) slope by the moment of opening."""
+    release_t_s: float
+    """Of the flight view."""
+    landing_slope: Array
+    """(2, 6) of the impact by position and velocity at the release."""
+
+
+def prepare(throws: Sequence[ThrowData], profile: TwinProfile) -> list[PreparedThrow]:
+    """Measured motion and residual layout of every throw, in the order in which they were thrown."""
+    ordered = sorted(throws, key=lambda throw: (throw.recorded_at_ns, throw.throw_id))
+    last = max(len(ordered) - 1, 1)
+    return [_prepare(throw, profile, number / last) for number, throw in enumerate(ordered)]
+
+
+def _prepare(throw: ThrowData, profile: TwinProfile, progress_ratio: float) -> PreparedThrow:
+    motion = measured_motion(throw)
+    data = replay_input(
+        throw, motion, progress_ratio, throw.open_command_t_s + profile.release_delay_s
+    )
+    end_s = float(motion.t_s[-1])
+    joint_at = throw.sensor_t_s
+    joint_rows = np.flatnonzero((joint_at >= 0.0) & (joint_at <= end_s))
+    joint_pair = _pairs(joint_rows, joint_at.size)
+    opening = data.opening_t_s
+    imu_at = throw.imu_t_s
+    imu_rows = np.flatnonzero(
+        (imu_at >= 0.0) & (imu_at <= min(end_s, opening + IMU_UNTIL_AFTER_OPENING_S))
+    )
+    imu_pair = _pairs(imu_rows, imu_at.size)
+    prepared = PreparedThrow(
+        throw, motion, data, (), np.zeros(0), joint_at, imu_at, imu_pair, joint_pair
+    )
+    blocks, measured = _layout(prepared)
+    return PreparedThrow(
+        throw, motion, data, tuple(blocks), measured, joint_at, imu_at, imu_pair, joint_pair
+    )
+
+
+def _pairs(rows: IntArray, columns: int) -> Array:
+    """Matrix that averages neighbours of the chosen rows."""
+    groups = [rows[i : i + MEAN_OF_COUNT] for i in range(0, rows.size - 1, MEAN_OF_COUNT)]
+    matrix = np.zeros((len(groups), columns))
+    for i, group in enumerate(groups):
+        matrix[i, group] = 1.0 / group.size
+    return matrix
+
+
+def _layout(prepared: PreparedThrow) -> tuple[list[Block], Array]:
+    throw, motion = prepared.throw, prepared.motion
+    blocks: list[Block] = []
+    values: list[Array] = []
+
+    def add(name: str, t_s: Array, measured: Array, rate: Array, push: Array) -> None:
+        first = blocks[-1].rows.stop if blocks else 0
+        blocks.append(Block(name, slice(first, first + measured.size), t_s, rate, push))
+        values.append(measured)
+
+    joint_t = prepared.joint_pair @ prepared.joint_at_s
+    for joint, name in enumerate(ACTIVE_JOINTS):
+        add(
+            f"{View.ACTUATION}.{name}",
+            joint_t,
+            prepared.joint_pair @ throw.sensor_velocity_rad_m_per_s[:, joint],
+            np.interp(joint_t, motion.t_s, _recent(np.abs(motion.velocity_rad_m_per_s[:, joint]))),
+            np.interp(
+                joint_t, motion.t_s, _recent(np.abs(motion.acceleration_rad_m_per_s2[:, joint]))
+            ),
+        )
+    imu_t = prepared.imu_pair @ prepared.imu_at_s
+    turning = _recent(np.abs(motion.swing_rate_rad_per_s + 0.0).sum(axis=1))
+    driving = _recent(np.abs(motion.acceleration_rad_m_per_s2).sum(axis=1))
+    levels = [np.interp(imu_t, motion.t_s, level) for level in (turning, driving)]
+    for kind, samples in (("gyro", throw.gyro_rad_per_s), ("accel", throw.accel_m_per_s2)):
+        for axis, letter in enumerate(AXES):
+            add(
+                f"swing.{kind}.{letter}",
+                imu_t,
+                prepared.imu_pair @ samples[:, axis],
+                levels[0],
+                levels[1],
+            )
+    one = np.ones(1)
+    opening = measured_opening_s(throw)
+    if np.isfinite(opening):
+        add("release.switch", np.array([opening]), np.array([opening]), one, one)
+    if throw.ball_t_s.size:
+        # One row after the other: x, y, z of each sample.
+        count = throw.ball_t_s.size
+        add(
+            "flight.ball",
+            np.repeat(throw.ball_t_s, 3),
+            throw.ball_m.ravel(),
+            np.zeros(3 * count),
+            np.zeros(3 * count),
+        )
+    if np.isfinite(throw.impact_m[:2]).all():
+        add("flight.impact", np.zeros(2), throw.impact_m[:2].copy(), np.zeros(2), np.zeros(2))
+    return blocks, np.concatenate(values)
+
+
+def _recent(level: Array) -> Array:
+    """Largest value of a level (T,) within the last 0.15 s and the next 0.05 s."""
+    out = level.copy()
+    for shift in range(-5, 16):
+        moved = np.roll(level, shift)
+        if shift > 0:
+            moved[:shift] = level[0]
+        elif shift < 0:
+            moved[shift:] = level[-1]
+        np.maximum(out, moved, out=out)
+    return out
+
+
+# --- simulations -----------------------------------------------------------------------------------
+
+
+class _Plan:
+    """Elements of one batch, and what each of them is for."""
+
+    def __init__(self) -> None:
+        self.elements: list[ReplayElement] = []
+
+    def add(self, throw: int, effects: tuple[Effect, ...], view: View) -> int:
+        """Index of the new element."""
+        flight = view is View.FLIGHT
+        self.elements.append(
+            ReplayElement(
+                throw=throw,
+                effects=effects,
+                measured_joints=NONE if view is View.ACTUATION else ALL,
+                measured_swing=flight,
+                measured_opening=flight,
+            )
+        )
+        return len(self.elements) - 1
+
+
+def linearise(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    about: Sequence[tuple[Effect, ...]] | None = None,
+    only: Sequence[Parameter] | None = None,
+    *,
+    with_nuisances: bool = True,
+) -> list[Linear]:
+    """Residuals and slopes of every throw, in one batched simulation.
+
+    Args:
+        prepared: the throws.
+        profile: of the machine.
+        calibration: of its valves.
+        about: effects of each throw at which to linearise; none if left out.
+        only: parameters whose slopes are wanted; all if left out (the other columns are 0).
+        with_nuisances: simulate the slopes by start swing and opening, too.
+    """
+    wanted = library() if only is None else tuple(only)
+    base = [()] * len(prepared) if about is None else list(about)
+    inputs = [p.input for p in prepared]
+    plan = _Plan()
+    count = len(prepared)
+    bases = [{view: plan.add(i, base[i], view) for view in View} for i in range(count)]
+    moved = [_moved(plan, i, base[i], wanted) for i in range(count)]
+    nuisances: list[tuple[list[int], int]] = []
+    if with_nuisances:
+        for i in range(count):
+            nuisances.append(_nuisance_elements(plan, inputs, i, base[i]))
+    output = replay(inputs, plan.elements, profile, calibration)
+    return [
+        _linear(
+            prepared[i],
+            output,
+            bases[i],
+            moved[i],
+            nuisances[i] if with_nuisances else None,
+            wanted,
+            profile,
+            base[i],
+        )
+        for i in range(count)
+    ]
+
+
+_Moves = dict[tuple[int, View], tuple[int, float]]
+"""(parameter, view) -> (element, step)."""
+
+
+def _moved(
+    plan: _Plan, throw: int, base: tuple[Effect, ...], wanted: Sequence[Parameter]
+) -> _Moves:
+    """Elements that move one parameter each; in the actuation view one moves it at all joints."""
+    moves: _Moves = {}
+    together: dict[str, list[Parameter]] = {}
+    for p in wanted:
+        for view in p.views:
+            if view is View.ACTUATION and p.joint is not None:
+                together.setdefault(f"{p.effect}.{p.name}", []).append(p)
+                continue
+            step = _step(p, base)
+            moves[index_of()[p.key], view] = (plan.add(throw, (*base, p.at(step)), view), step)
+    for parameters in together.values():
+        steps = [_step(p, base) for p in parameters]
+        effects = tuple(p.at(step) for p, step in zip(parameters, steps, strict=True))
+        element = plan.add(throw, (*base, *effects), View.ACTUATION)
+        for p, step in zip(parameters, steps, strict=True):
+            moves[index_of()[p.key], View.ACTUATION] = (element, step)
+    return moves
+
+
+def _step(p: Parameter, base: tuple[Effect, ...]) -> float:
+    """The library's step, backwards where the sum with `base` would leave the bounds."""
+    size = sum(
+        e.parameters.get(p.name, 0.0) for e in base if (e.effect, e.joint) == (p.effect, p.joint)
+    )
+    return p.step if size + p.step <= p.high else -p.step
+
+
+def _nuisance_elements(
+    plan: _Plan, inputs: list[ReplayInput], throw: int, base: tuple[Effect, ...]
+) -> tuple[list[int], int]:
+    """Elements with moved start swing (4) and moved opening; adds the moved inputs."""
+    data = inputs[throw]
+    starts: list[int] = []
+    for axis in range(4):
+        angle, rate = data.swing_start_rad.copy(), data.swing_rate_start_rad_per_s.copy()
+        if axis < 2:
+            angle[axis] += START_STEP_RAD
+        else:
+            rate[axis - 2] += START_RATE_STEP_RAD_PER_S
+        inputs.append(data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate))
+        starts.append(plan.add(len(inputs) - 1, base, View.SWING))
+    inputs.append(data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S))
+    return starts, plan.add(len(inputs) - 1, base, View.FLIGHT)
+
+
+# --- from simulations to the residual vector -------------------------------------------------------
+
+
+def _linear(
+    prepared: PreparedThrow,
+    output: ReplayOutput,
+    bases: dict[View, int],
+    moves: _Moves,
+    nuisance: tuple[list[int], int] | None,
+    wanted: Sequence[Parameter],
+    profile: TwinProfile,
+    base: tuple[Effect, ...],
+) -> Linear:
+    n = prepared.measured.size
+    elements: dict[View, list[int]] = {view: [bases[view]] for view in View}
+    place: dict[int, int] = {bases[view]: 0 for view in View}
+    extra = [] if nuisance is None else [(e, View.SWING) for e in nuisance[0]]
+    extra += [] if nuisance is None else [(nuisance[1], View.FLIGHT)]
+    for element, view in [(e, v) for (_, v), (e, _) in moves.items()] + extra:
+        if element not in place:
+            place[element] = len(elements[view])
+            elements[view].append(element)
+    predicted = {
+        view: _predict(prepared, output, np.asarray(elements[view]), view) for view in View
+    }
+    residual = prepared.measured.copy()
+    for view in View:
+        residual -= np.nan_to_num(predicted[view][0], nan=0.0)
+    missing = np.isnan(sum(predicted[view][0] for view in View))
+    switch = prepared.block("release.switch")
+    jacobian = np.zeros((n, len(library())))
+    for (parameter, view), (element, step) in moves.items():
+        slope = (predicted[view][place[element]] - predicted[view][0]) / step
+        joint = library()[parameter].joint
+        if view is View.ACTUATION and joint is not None:
+            own = prepared.block(f"{View.ACTUATION}.{joint}")
+            if own is not None:
+                jacobian[own.rows, parameter] += slope[own.rows]
+        else:
+            jacobian[:, parameter] += np.nan_to_num(slope, nan=0.0)
+    if switch is not None:
+        delay = profile.release_delay_s + sum(
+            e.parameters.get("extra_delay_s", 0.0) for e in base if e.effect == "release_delay"
+        )
+        residual[switch.rows] = prepared.measured[switch.rows] - (
+            prepared.throw.open_command_t_s + delay
+        )
+        missing[switch.rows] = False
+        if any(p.effect == "release_delay" for p in wanted):
+            jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
+    residual[missing] = np.nan
+    start, opening = np.zeros((n, 4)), np.zeros(n)
+    if nuisance is not None:
+        steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
+        for axis, (element, step) in enumerate(zip(nuisance[0], steps, strict=True)):
+            rows = predicted[View.SWING]
+            start[:, axis] = np.nan_to_num((rows[place[element]] - rows[0]) / step)
+        rows = predicted[View.FLIGHT]
+        opening = np.nan_to_num((rows[place[nuisance[1]]] - rows[0]) / OPENING_STEP_S)
+    flight = bases[View.FLIGHT]
+    slope = _landing_slope(
+        output.release_position_m[flight],
+        output.release_velocity_m_per_s[flight],
+        prepared.input.surface_height_m,
+    )
+    return Linear(residual, jacobian, start, opening, float(output.release_t_s[flight]), slope)
+
+
+def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) -> Array:
+    """Impact (2,) by release position and velocity (6,), numerically, with the nominal drag."""
+    ball = load_spec().ball
+    state = np.concatenate([position_m, velocity_m_per_s])
+    states = state + LANDING_STEP * np.vstack([np.zeros(6), np.eye(6)])
+    end = landing(states[:, :3], states[:, 3:], height_m + ball.radius_m, drag_per_m(ball))
+    return np.nan_to_num((end.position_m[1:, :2] - end.position_m[0, :2]).T / LANDING_STEP)
+
+
+def _predict(
+    prepared: PreparedThrow, output: ReplayOutput, elements: IntArray, view: View
+) -> Array:
+    """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
+    out = np.zeros((elements.size, prepared.measured.size))
+    for block in prepared.blocks:
+        if block.name == "release.switch":
+            continue
+        stage, _, channel = block.name.partition(".")
+        if stage != view:
+            continue
+        if view is View.ACTUATION:
+            track = output.joint_velocity_rad_m_per_s[elements, :, joint_index(channel)]
+            out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
+        elif view is View.SWING:
+            kind, letter = channel.split(".")
+            source = output.gyro_rad_per_s if kind == "gyro" else output.accel_m_per_s2
+            track = source[elements, :, AXES.index(letter)]
+            out[:, block.rows] = _at(track, prepared.imu_at_s) @ prepared.imu_pair.T
+        elif channel == "ball":
+            out[:, block.rows] = _ball(output, elements, prepared.throw.ball_t_s)
+        else:
+            out[:, block.rows] = output.impact_m[elements, :2]
+    return out
+
+
+def _at(track: Array, t_s: Array) -> Array:
+    """Linear interpolation of ticks (m, T) at times (n,), held beyond the ends."""
+    last = track.shape[1] - 1
+    place = np.clip(t_s / CONTROL_PERIOD_S, 0.0, last)
+    whole = np.minimum(np.floor(place).astype(np.int64), last - 1)
+    share = place - whole
+    return (
+        np.nan_to_num(track[:, whole]) * (1.0 - share) + np.nan_to_num(track[:, whole + 1]) * share
+    )
+
+
+def _ball(output: ReplayOutput, elements: IntArray, t_s: Array) -> Array:
+    """Ball positions (m, 3 n) at times (n,): the simulated track, parabolas beyond its ends."""
+    out = np.full((elements.size, t_s.size, 3), np.nan)
+    for row, element in enumerate(elements):
+        track = output.ball_position_m[element]
+        known = np.flatnonzero(np.isfinite(track[:, 0]))
+        if known.size < 3:
+            continue
+        ticks, points = known * CONTROL_PERIOD_S, track[known]
+        inside = (t_s >= ticks[0]) & (t_s <= ticks[-1])
+        for axis in range(3):
+            out[row, inside, axis] = np.interp(t_s[inside], ticks, points[:, axis])
+        early, late = t_s < ticks[0], t_s > ticks[-1]
+        out[row, early] = _parabola(points[0], points[1], t_s[early] - ticks[0])
+        out[row, late] = _parabola(points[-1], points[-2], ticks[-1] - t_s[late])
+    return out.reshape(elements.size, -1)
+
+
+def _parabola(end: Array, inner: Array, after_s: Array) -> Array:
+    """Free flight beyond an end of a track: points (n, 3), `after_s` counted towards `inner`."""
+    gravity = np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
+    speed = (inner - end) / CONTROL_PERIOD_S - 0.5 * gravity * CONTROL_PERIOD_S
+    return end + speed * after_s[:, None] + 0.5 * gravity * after_s[:, None] ** 2

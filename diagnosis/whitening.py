@@ -1,0 +1,174 @@
+"""From residuals and slopes of a throw to what they say about the parameters: whitening and nuisances.
+
+A nuisance is something that differs on a healthy machine, from throw to throw (oil temperature, bus phase,
+grasp, jitter of the opening, swing at the start) or from set to set (sensor offsets). Each is a column of
+slopes times its standard deviation; all of them are marginalised, none is ever a cause.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.noise import NoiseModel, whiten, whitener
+from diagnosis.parameters import index_of
+from diagnosis.residuals import Linear, PreparedThrow
+from diagnosis.selection import Information, inform
+from machine.conventions import ACTIVE_JOINTS, Array
+from machine.kinematics import rotate_z
+
+SET_NUISANCES = (
+    "gyro_bias_x_rad_per_s",
+    "gyro_bias_y_rad_per_s",
+    "gyro_bias_z_rad_per_s",
+    "accel_bias_x_m_per_s2",
+    "accel_bias_y_m_per_s2",
+    "accel_bias_z_m_per_s2",
+    "switch_lag_s",
+    "grip_radial_m",
+    "grip_lateral_m",
+    "grip_vertical_m",
+)
+OIL_LAG_S = 0.05 * 0.06
+"""Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """A throw in units of its own noise."""
+
+    residual: Array
+    """(n,)"""
+    jacobian: Array
+    """(n, p) of the whole vector of the layout."""
+    nuisance: Array
+    """(n, q), each column times its standard deviation."""
+    rows: Mapping[str, slice]
+    """Rows of each block."""
+
+
+def set_nuisance_sd(model: NoiseModel) -> list[float]:
+    """Standard deviations in the order of `SET_NUISANCES`."""
+    return [model.set_nuisance_sd[name] for name in SET_NUISANCES]
+
+
+def whiten_throw(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Whitened:
+    """Whiten a throw's blocks; rows that the twin could not predict are left out."""
+    columns = np.column_stack(
+        [
+            linear.residual,
+            linear.jacobian,
+            linear.jacobian * prepared.input.progress_ratio,
+            _set_columns(prepared, linear),
+            _throw_columns(prepared, linear, model),
+        ]
+    )
+    parameters = 2 * linear.jacobian.shape[1] + len(SET_NUISANCES)
+    parts: list[Array] = []
+    rows: dict[str, slice] = {}
+    at = 0
+    for block in prepared.blocks:
+        chosen = columns[block.rows]
+        good = np.isfinite(chosen[:, 0])
+        channel = model.channels[block.name]
+        factor = whitener(channel, block.t_s[good], block.rate[good], block.push[good])
+        parts.append(whiten(factor, chosen[good]))
+        rows[block.name] = slice(at, at + int(good.sum()))
+        at += int(good.sum())
+    white = np.concatenate(parts)
+    return Whitened(white[:, 0], white[:, 1 : 1 + parameters], white[:, 1 + parameters :], rows)
+
+
+def information(whitened: Sequence[Whitened]) -> list[Information]:
+    """What each throw says, nuisances marginalised."""
+    return [inform(w.residual, w.jacobian, w.nuisance) for w in whitened]
+
+
+def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
+    """Power of what is left in each block of a throw after the parameters `mean` (p,), and its rows.
+
+    The throw's nuisances are set to their best values first.
+    """
+    left = whitened.residual - whitened.jacobian @ mean
+    nuisance = whitened.nuisance
+    inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
+    left = left - nuisance @ np.linalg.solve(inner, nuisance.T @ left)
+    return {
+        name: (float(left[rows] @ left[rows]), rows.stop - rows.start)
+        for name, rows in whitened.rows.items()
+    }
+
+
+def _set_columns(prepared: PreparedThrow, linear: Linear) -> Array:
+    """Slopes (n, q) by the set's nuisances."""
+    out = np.zeros((linear.residual.size, len(SET_NUISANCES)))
+    for kind, first in (("gyro", 0), ("accel", 3)):
+        for axis, letter in enumerate("xyz"):
+            block = prepared.block(f"swing.{kind}.{letter}")
+            if block is not None:
+                out[block.rows, first + axis] = 1.0
+    _switch_and_flight(prepared, linear, out[:, 6])
+    angle = np.interp(
+        prepared.input.opening_t_s, prepared.motion.t_s, prepared.motion.position_rad_m[:, 0]
+    )
+    directions = rotate_z(np.eye(3), np.full(3, angle))
+    for axis in range(3):
+        _flight_shift(prepared, linear, out[:, 7 + axis], np.r_[directions[axis], np.zeros(3)])
+    return out
+
+
+def _switch_and_flight(prepared: PreparedThrow, linear: Linear, out: Array) -> None:
+    """Column of a switch that reports late: the opening was earlier than we think."""
+    switch = prepared.block("release.switch")
+    if switch is not None:
+        out[switch.rows] = 1.0
+    out -= linear.opening
+
+
+def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
+    """Column of a shift (6,) of position and velocity at the release."""
+    ball, impact = prepared.block("flight.ball"), prepared.block("flight.impact")
+    if ball is not None:
+        since = (prepared.throw.ball_t_s - linear.release_t_s)[:, None]
+        out[ball.rows] = (state[:3] + since * state[3:]).ravel()
+    if impact is not None:
+        out[impact.rows] = linear.landing_slope @ state
+
+
+def _throw_columns(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Array:
+    """Slopes (n, q) by the throw's nuisances, times their standard deviations."""
+    sd, index, slopes = model.nuisance_sd, index_of(), linear.jacobian
+    n = linear.residual.size
+    found: list[Array] = []
+    gains = [
+        slopes[:, index[f"valve_gain.{joint}.positive_ratio"]]
+        + slopes[:, index[f"valve_gain.{joint}.negative_ratio"]]
+        for joint in ACTIVE_JOINTS
+    ]
+    lags = [slopes[:, index[f"valve_lag.{joint}.extra_lag_s"]] for joint in ACTIVE_JOINTS]
+    oil = sd["oil_flow_ratio"] * np.sum(gains, axis=0) - sd["oil_flow_ratio"] / 0.01 * (
+        OIL_LAG_S * np.sum(lags, axis=0)
+    )
+    found.append(oil)
+    found += [sd["joint_flow_ratio"] * gain for gain in gains]
+    found += [
+        sd["dead_time_s"] * slopes[:, index[f"valve_dead_time.{joint}.extra_dead_time_s"]]
+        for joint in ACTIVE_JOINTS
+    ]
+    found += [sd["start_swing_rad"] * linear.start[:, axis] for axis in (0, 1)]
+    found += [sd["start_swing_rate_rad_per_s"] * linear.start[:, axis] for axis in (2, 3)]
+    jitter = np.zeros(n)
+    switch = prepared.block("release.switch")
+    if switch is not None:
+        jitter[switch.rows] = sd["release_delay_s"]
+    found.append(jitter)
+    late = np.zeros(n)
+    _switch_and_flight(prepared, linear, late)
+    found.append(sd["switch_lag_s"] * late)
+    for axis in range(6):
+        shift = np.zeros(n)
+        state = np.zeros(6)
+        state[axis] = 1.0
+        _flight_shift(prepared, linear, shift, state)
+        found.append(sd["grasp_m" if axis < 3 else "slip_m_per_s"] * shift)
+    return np.column_stack(found)
