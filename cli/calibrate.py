@@ -7,13 +7,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_JOINTS
+from machine.conventions import ACTIVE_JOINTS, Mode
+from machine.registration import Registration
 from machine.spec import load_spec
+from runtime.control_loop import ControlParams
+from runtime.policy import PolicyRunner, find_policy
 from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.excite import identify_profile
 from sim_twin.identify import ResponseFit
-from sim_twin.plants import plant_maker
+from sim_twin.plants import PlantMaker, plant_maker
 from sim_twin.profile import save_profile
+from sim_twin.register import REGISTRATION_THROW_COUNT, register_machine
 
 RESPONSE_COPY_COUNT = 24
 """Copies of the machine that move at random, six a joint, six seconds each."""
@@ -26,10 +30,14 @@ def run(
     unit_seed: int = 0,
     machine_id: str = "m001",
     seed: int = 0,
+    policies: Path = Path("policies"),
 ) -> int:
-    """Measure one simulated machine by itself: valve staircases, then random motion of each joint.
+    """Measure one simulated machine by itself: valves, response of each joint, mean miss of its policies.
 
-    Writes OUT/MACHINE.calibration.json (valve tables for the runtime's feed-forward),
+    Valve staircases, then random motion of each joint, then registration throws with the active policy of
+    each mode: the machine aims by its mean miss at each range from then on.
+
+    Writes OUT/MACHINE.calibration.json (valve tables for the runtime's feed-forward, registrations),
     OUT/MACHINE.profile.json (dead time, natural frequency, damping and gain for the twin) and
     OUT/MACHINE.valves.png. Only what the machine's own sensors show is used.
 
@@ -40,7 +48,8 @@ def run(
         plant: virtual, or package.module:Class of your own simulated machine.
         unit_seed: which machine of its kind; 0 is the nominal one.
         machine_id: names the files.
-        seed: of the random motion and of the sensors' noise.
+        seed: of the random motion, the throws and the sensors' noise.
+        policies: folder of policy versions; its active.json names the one of each mode.
     """
     spec = load_spec()
     make = plant_maker(plant, unit_seed=unit_seed, profile=None, calibration=None, spec=spec)
@@ -57,6 +66,7 @@ def run(
         profile, fits = identify_profile(machine, spec, tables, machine_id, seed)
     finally:
         machine.close()
+    tables = _registered(make, tables, policies, seed)
     calibration_path = out / f"{machine_id}.calibration.json"
     profile_path = out / f"{machine_id}.profile.json"
     calibration_path.write_text(tables.model_dump_json(indent=2) + "\n", encoding="utf-8")
@@ -71,6 +81,26 @@ def run(
         )
     print(f"wrote {calibration_path}, {profile_path}, {plot_path}")
     return 0
+
+
+def _registered(
+    make: PlantMaker, tables: ValveCalibration, policies: Path, seed: int
+) -> ValveCalibration:
+    """The tables with a registration of the active policy of each mode."""
+    spec, found = load_spec(), list[Registration]()
+    for mode in Mode:
+        runner = PolicyRunner(find_policy(policies, mode), spec)
+        print(
+            f"registration: {REGISTRATION_THROW_COUNT} throws with {runner.card.policy_id} ...",
+            flush=True,
+        )
+        machine = make(REGISTRATION_THROW_COUNT)
+        try:
+            params = ControlParams(spec, tables, mode, runner)
+            found.append(register_machine(machine, params, spec, seed))
+        finally:
+            machine.close()
+    return tables.model_copy(update={"registrations": tuple(found)})
 
 
 def _plot(path: Path, tables: ValveCalibration, fits: tuple[ResponseFit, ...], title: str) -> None:

@@ -177,7 +177,12 @@ def run(
     try:
         if not (data / "machines" / f"{MACHINE_ID}.profile.json").is_file():
             print("first start: measuring the virtual machine", flush=True)
-            calibrate_machine(out=data / "machines", unit_seed=unit_seed, machine_id=MACHINE_ID)
+            calibrate_machine(
+                out=data / "machines",
+                unit_seed=unit_seed,
+                machine_id=MACHINE_ID,
+                policies=policies,
+            )
         server.start()
         password = data / "machines" / f"{MACHINE_ID}.password"
         _wait_for(server, data, "the machine's account", password.is_file)

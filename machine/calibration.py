@@ -1,4 +1,4 @@
-"""What was measured on one machine about its valves: the feed-forward table of the velocity controller.
+"""What was measured on one machine: the valves' feed-forward tables, and where its throws come down.
 
 Speeds are actuator speeds: m/s of the cylinder for boom, dipper and telescope, rad/s for the slew, so that
 the changing moment arm of a cylinder does not enter the table.
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from machine.conventions import ACTIVE_COUNT, Array
 from machine.errors import UsageError
 from machine.kinematics import cylinder_arm_m, namespace
+from machine.registration import Registration
 from machine.spec import MachineSpec
 
 
@@ -34,12 +35,25 @@ class ValveTable(BaseModel):
 
 
 class ValveCalibration(BaseModel):
-    """Tables of all four joints of one machine."""
+    """Tables of all four joints of one machine, and its registrations, one a policy at most."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     schema_version: Literal[1] = 1
     machine_id: str
     tables: tuple[ValveTable, ValveTable, ValveTable, ValveTable]
+    registrations: tuple[Registration, ...] = ()
+    """Empty: the policy is told the target itself."""
+
+    def aim(self, policy_sha256: str, target_m: Array) -> Array:
+        """Points (N, 3) that this policy must aim at to hit `target_m` (N, 3); frame `machine`."""
+        for registration in self.registrations:
+            if registration.policy_sha256 == policy_sha256:
+                return registration.aim(target_m)
+        return target_m
+
+    def without_registrations(self) -> "ValveCalibration":
+        """The valve tables alone: what the twin throws with, whose misses are not the machine's."""
+        return self.model_copy(update={"registrations": ()})
 
 
 def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:

@@ -146,7 +146,7 @@ def step(
         PolicyInputs(
             sensed.position,
             sensed.velocity,
-            inputs.target_m,
+            params.aim(inputs.target_m),
             motion,
             sensed.begins,
             sensed.motion_tick,

@@ -51,6 +51,12 @@ class ControlParams:
                 f"the control step runs mode {self.mode.value}; load the policy of that mode"
             )
 
+    def aim(self, target_m: Array) -> Array:
+        """What the policy is told to hit (N, 3): the target, corrected by the machine's registration."""
+        if self.policy is None:
+            return target_m
+        return self.calibration.aim(self.policy.card.policy_sha256, target_m)
+
     @cached_property
     def controller(self) -> VelocityController:
         """Velocity controller with this machine's tables inverted."""

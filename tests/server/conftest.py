@@ -126,7 +126,14 @@ def running(swing_policies: Path) -> Iterator[Running]:
 def machine(running: Running) -> Iterator[FakeMachine]:
     """Machine m001, connected, disarmed, nothing going wrong."""
     with running.machine() as fake:
-        wait_for(lambda: running.services.registry.is_connected("m001"))
+        # Connected is not enough: what the registry knows may still be the last test's machine.
+        wait_for(
+            lambda: (
+                (state := running.services.registry.get("m001").state) is not None
+                and state.boot_id == fake.boot_id
+                and running.services.registry.is_connected("m001")
+            )
+        )
         yield fake
     wait_for(lambda: not running.services.registry.is_connected("m001"))
 
