@@ -1,8 +1,9 @@
 """Flight of a released load: quadratic drag, wind, to a horizontal plane at the target's height; batched.
 
-Equation of motion (frame `machine`, z up): a = -g e_z - k |v - w| (v - w), with
-k = rho Cd pi r^2 / (2 m). Classical fourth-order Runge-Kutta with steps of 10 ms; the crossing of the
-plane is interpolated with the cubic through both ends of the last step (error below 1 mm, tested).
+Equation of motion (frame `machine`, z up): a = -g e_z - k |u| u + |u| (l x u), u = v - w, with
+k = rho Cd pi r^2 / (2 m) and, for a spinning load, l = rho C_L pi r^2 / (2 m) along its spin.
+Classical fourth-order Runge-Kutta with steps of 10 ms; the crossing of the plane is interpolated with the
+cubic through both ends of the last step (error below 1 mm, tested).
 """
 
 from typing import NamedTuple
@@ -33,12 +34,19 @@ def drag_per_m(ball: Ball) -> float:
     return ball.air_density_kg_per_m3 * ball.drag_coefficient_ratio * area_m2 / (2.0 * ball.mass_kg)
 
 
-def acceleration(velocity_m_per_s: Array, drag_per_m: Array | float, wind_m_per_s: Array) -> Array:
-    """Acceleration (..., 3) of the load at a velocity (..., 3), m/s^2."""
+def acceleration(
+    velocity_m_per_s: Array,
+    drag_per_m: Array | float,
+    wind_m_per_s: Array,
+    lift_per_m: Array | None = None,
+) -> Array:
+    """Acceleration (..., 3) of the load at a velocity (..., 3), m/s^2; `lift_per_m` (..., 3) is l."""
     relative = velocity_m_per_s - wind_m_per_s
     speed = np.linalg.norm(relative, axis=-1, keepdims=True)
     result = -np.asarray(drag_per_m)[..., None] * speed * relative
     result[..., 2] -= GRAVITY_M_PER_S2
+    if lift_per_m is not None:
+        result += speed * np.cross(lift_per_m, relative)
     return result
 
 
@@ -48,17 +56,18 @@ def step_flight(
     drag_per_m: Array | float,
     wind_m_per_s: Array,
     step_s: Array | float = STEP_S,
+    lift_per_m: Array | None = None,
 ) -> tuple[Array, Array]:
     """One Runge-Kutta step of the flight; shapes (..., 3)."""
     h = np.asarray(step_s)[..., None]
     v1 = velocity_m_per_s
-    a1 = acceleration(v1, drag_per_m, wind_m_per_s)
+    a1 = acceleration(v1, drag_per_m, wind_m_per_s, lift_per_m)
     v2 = v1 + 0.5 * h * a1
-    a2 = acceleration(v2, drag_per_m, wind_m_per_s)
+    a2 = acceleration(v2, drag_per_m, wind_m_per_s, lift_per_m)
     v3 = v1 + 0.5 * h * a2
-    a3 = acceleration(v3, drag_per_m, wind_m_per_s)
+    a3 = acceleration(v3, drag_per_m, wind_m_per_s, lift_per_m)
     v4 = v1 + h * a3
-    a4 = acceleration(v4, drag_per_m, wind_m_per_s)
+    a4 = acceleration(v4, drag_per_m, wind_m_per_s, lift_per_m)
     position = position_m + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
     velocity = velocity_m_per_s + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     return position, velocity
@@ -70,6 +79,7 @@ def landing(
     plane_height_m: Array | float,
     drag_per_m: Array | float,
     wind_m_per_s: Array | None = None,
+    lift_per_m: Array | None = None,
 ) -> Landing:
     """Fly loads (..., 3) until they come down through the plane ``z = plane_height_m``.
 
@@ -79,6 +89,7 @@ def landing(
         plane_height_m: height of the target plane plus the load's radius where its bottom counts.
         drag_per_m: k of the equation above; 0 for a vacuum.
         wind_m_per_s: wind, same frame; none if omitted.
+        lift_per_m: (..., 3) l of the equation above; no spin if omitted.
     """
     shape = np.broadcast_shapes(position_m.shape, velocity_m_per_s.shape)
     position = np.broadcast_to(position_m, shape).astype(np.float64).reshape(-1, 3)
@@ -88,6 +99,7 @@ def landing(
     drag = np.broadcast_to(np.asarray(drag_per_m, dtype=np.float64), shape[:-1]).reshape(-1)
     wind = np.zeros(3) if wind_m_per_s is None else wind_m_per_s
     wind = np.broadcast_to(wind, shape).reshape(-1, 3)
+    lift = None if lift_per_m is None else np.broadcast_to(lift_per_m, shape).reshape(-1, 3)
     end_position = np.full((count, 3), np.nan)
     end_velocity = np.full((count, 3), np.nan)
     end_time = np.full(count, np.nan)
@@ -97,13 +109,15 @@ def landing(
         if flying.size == 0:
             break
         p0, v0 = position[flying], velocity[flying]
-        p1, v1 = step_flight(p0, v0, drag[flying], wind[flying])
+        turn = None if lift is None else lift[flying]
+        p1, v1 = step_flight(p0, v0, drag[flying], wind[flying], lift_per_m=turn)
         down = (p0[:, 2] >= plane[flying]) & (p1[:, 2] < plane[flying])
         if down.any():
             hit = flying[down]
             u = _crossing(p0[down, 2], p1[down, 2], v0[down, 2], v1[down, 2], plane[hit])
+            turn = None if lift is None else lift[hit]
             end_position[hit], end_velocity[hit] = step_flight(
-                p0[down], v0[down], drag[hit], wind[hit], u * STEP_S
+                p0[down], v0[down], drag[hit], wind[hit], u * STEP_S, turn
             )
             end_time[hit] = (tick + u) * STEP_S
         position[flying], velocity[flying] = p1, v1

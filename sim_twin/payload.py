@@ -9,23 +9,44 @@ from machine.ballistics import drag_per_m, landing, step_flight
 from machine.conventions import Array, BoolArray, IntArray
 from machine.kinematics import ToolState
 from machine.spec import MachineSpec
+from sim_twin.effect_arrays import EffectArrays
+from sim_twin.load_effects import LoadEffects
 from sim_twin.profile import TwinProfile
 
 NEVER_NS = np.iinfo(np.int64).max
 
 
 class Payload:
-    """Loads of N machines; times in ns of the driver's clock, positions (N, 3) in frame `machine`."""
+    """Loads of N machines; times in ns of the driver's clock, positions (N, 3) in the survey frame.
 
-    def __init__(self, spec: MachineSpec, profile: TwinProfile, count: int) -> None:
+    That is frame `machine` of a machine that stands where it was surveyed (sim_twin.base_pose).
+    """
+
+    def __init__(
+        self,
+        spec: MachineSpec,
+        profile: TwinProfile,
+        count: int,
+        effects: EffectArrays | None = None,
+    ) -> None:
         self._profile, self._count = profile, count
+        self._effects = None if effects is None else LoadEffects(spec, effects)
+        drag_coefficient = profile.drag_coefficient_ratio
+        wind = np.asarray(profile.wind_m_per_s, dtype=np.float64)
+        nominal = drag_per_m(spec.ball)
+        if self._effects is None:
+            share, self.wind_m_per_s = 1.0, np.broadcast_to(wind, (count, 3))
+        else:
+            drag_coefficient = self._effects.drag_coefficient(drag_coefficient)
+            share, self.wind_m_per_s = self._effects.mass_share, wind + self._effects.wind_m_per_s
         self._drag_nominal_per_m = (
-            drag_per_m(spec.ball)
-            * profile.drag_coefficient_ratio
-            / spec.ball.drag_coefficient_ratio
+            nominal * drag_coefficient / spec.ball.drag_coefficient_ratio * share
         )
         self._radius_m = spec.ball.radius_m
-        self.wind_m_per_s = np.asarray(profile.wind_m_per_s, dtype=np.float64)
+        self.lift_per_m: Array | None = None
+        """Spin lift of machine.ballistics (N, 3), from the release on; None without spin."""
+        if self._effects is not None and self._effects.spins:
+            self.lift_per_m = np.zeros((count, 3))
         self.surface_height_m = np.zeros(count)
         """Height of the ground the load lands on; a target off the ground raises it."""
         self.held = np.zeros(count, dtype=np.bool_)
@@ -41,14 +62,20 @@ class Payload:
         """True point of the surface that the load touched."""
         self._velocity = np.full((count, 3), np.nan)
         self._delay_ns: IntArray = np.zeros(count, dtype=np.int64)
-        self.drag_per_m: Array = np.full(count, self._drag_nominal_per_m)
+        self.drag_per_m: Array = np.zeros(count) + self._drag_nominal_per_m
         self._last_open = np.zeros(count, dtype=np.bool_)
         self._survey_error = np.zeros((count, 2))
 
     def reset(self, normal: Array) -> None:
         """Take up a load and new per-throw numbers: standard normal (N, 4): delay, drag, survey x and y."""
-        p = self._profile
-        delay_s = p.release_delay_s + normal[:, 0] * p.release_delay_sd_s
+        p, mean_s, sd_s = (
+            self._profile,
+            self._profile.release_delay_s,
+            self._profile.release_delay_sd_s,
+        )
+        if self._effects is not None:
+            mean_s, sd_s = self._effects.delay(mean_s, sd_s)
+        delay_s = mean_s + normal[:, 0] * sd_s
         self._delay_ns = np.round(np.clip(delay_s, 0.0, None) * 1e9).astype(np.int64)
         self.drag_per_m = self._drag_nominal_per_m * np.clip(
             1.0 + normal[:, 1] * p.spread.drag_sd_ratio, 0.0, None
@@ -80,6 +107,20 @@ class Payload:
         self.release_t_ns[~gripper_open & self.held] = NEVER_NS
         self._last_open = gripper_open.copy()
 
+    def open_at(self, command_t_ns: IntArray, gone_t_ns: IntArray | None = None) -> None:
+        """Fix when the loads leave, in place of commands.
+
+        Args:
+            command_t_ns: (N,) when the openings are commanded, or `NEVER_NS`.
+            gone_t_ns: (N,) when the loads leave, where that is known; `NEVER_NS` elsewhere.
+        """
+        commanded = command_t_ns != NEVER_NS
+        self.release_t_ns[:] = NEVER_NS
+        self.release_t_ns[commanded] = (command_t_ns + self._delay_ns)[commanded]
+        if gone_t_ns is not None:
+            known = gone_t_ns != NEVER_NS
+            self.release_t_ns[known] = gone_t_ns[known]
+
     def due(self, until_ns: int) -> IntArray:
         """Indices of the machines whose load leaves by `until_ns`."""
         return np.flatnonzero(self.held & (self.release_t_ns <= until_ns))
@@ -103,6 +144,10 @@ class Payload:
             + (u3 - u2) * tick_s * v1
         )
         velocity = v0 + share * (v1 - v0)
+        if self._effects is not None:
+            velocity = self._effects.slowed(rows, velocity)
+            if self.lift_per_m is not None:
+                self.lift_per_m[rows] = self._effects.lift(rows, velocity)
         self.held[rows] = False
         self.flying[rows] = True
         self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity
@@ -115,7 +160,8 @@ class Payload:
         rows = np.flatnonzero(self.flying)
         step_s = np.minimum((now_ns - self.release_t_ns[rows]) * 1e-9, tick_s)
         p0, v0, drag = self.position_m[rows], self._velocity[rows], self.drag_per_m[rows]
-        p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s, step_s)
+        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
+        p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s[rows], step_s, lift)
         self.position_m[rows], self._velocity[rows] = p1, v1
         plane = self.surface_height_m[rows] + self._radius_m
         # A load that never rose above a raised surface falls beside it, to the ground.
@@ -129,7 +175,10 @@ class Payload:
         self, rows: IntArray, position: Array, velocity: Array, plane: Array, begin_ns: IntArray
     ) -> None:
         """End the flight of `rows`, which cross their plane within a tick of `begin_ns`."""
-        end = landing(position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s)
+        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
+        end = landing(
+            position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s[rows], lift
+        )
         self.impact_m[rows] = end.position_m
         # The survey measures the mark on the surface, not the ball's centre above it.
         self.impact_m[rows, 2] = plane - self._radius_m
@@ -149,6 +198,7 @@ class Payload:
             plane,
             self.drag_per_m,
             self.wind_m_per_s,
+            self.lift_per_m,
         )
         point = end.position_m
         point[:, 2] -= self._radius_m

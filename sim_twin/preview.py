@@ -227,7 +227,12 @@ class _NominalThrow:
         flight_s = result.simulated_s - result.throw_duration_s
         for _ in range(int(flight_s / FRAME_PERIOD_S)):
             position, velocity = step_flight(
-                position, velocity, load.drag_per_m, load.wind_m_per_s, FRAME_PERIOD_S
+                position,
+                velocity,
+                load.drag_per_m,
+                load.wind_m_per_s,
+                FRAME_PERIOD_S,
+                load.lift_per_m,
             )
             points.append(position[0])
         points.append(np.array(result.impact_m) + np.array([0.0, 0.0, self._spec.ball.radius_m]))

@@ -1,7 +1,8 @@
 """From valve command to joint velocity, for N machines at once: dead time, steady curve, second-order lag.
 
-The response is linear behind the valve's steady curve; it knows neither pressures nor the shared pump.
-Those belong to the virtual machine, so that a result in one simulator says something about the other.
+The response is linear behind the valve's steady curve, but for the effects that a diagnosis adds
+(sim_twin.valve_effects). It knows no pressures: those belong to the virtual machine, so that a result in
+one simulator says something about the other.
 """
 
 import math
@@ -11,7 +12,9 @@ import numpy as np
 from machine.calibration import ValveCalibration, actuator_ratio
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
+from sim_twin.effect_arrays import EffectArrays
 from sim_twin.profile import TwinProfile
+from sim_twin.valve_effects import ValveEffects
 
 RATIO_POINT_COUNT = 1000
 MIN_DEAD_TIME_S = 0.0
@@ -72,19 +75,25 @@ class VelocityResponse:
     """State of the four drives of N machines; one `step` a control tick."""
 
     def __init__(
-        self, spec: MachineSpec, profile: TwinProfile, calibration: ValveCalibration, count: int
+        self,
+        spec: MachineSpec,
+        profile: TwinProfile,
+        calibration: ValveCalibration,
+        count: int,
+        effects: EffectArrays | None = None,
     ) -> None:
         self._profile, self._count = profile, count
+        acts = effects is not None and effects.acts_on("actuation")
+        self._effects = ValveEffects(spec, effects) if effects is not None and acts else None
         self._tables = [
             (np.asarray(t.valve_ratio), np.asarray(t.actuator_speed_rad_m_per_s))
             for t in calibration.tables
         ]
-        spread = max(
-            d + 6.0 * sd
-            for d, sd in zip(profile.dead_time_s, profile.spread.dead_time_sd_s, strict=True)
-        )
+        longest = np.asarray(profile.dead_time_s) + 6.0 * np.asarray(profile.spread.dead_time_sd_s)
+        if self._effects is not None and self._effects.dead_time_s is not None:
+            longest = longest + np.maximum(self._effects.dead_time_s, 0.0)
         self._ratio = _RatioTable(spec)
-        self._depth = math.ceil(spread / CONTROL_PERIOD_S) + 3
+        self._depth = math.ceil(float(longest.max()) / CONTROL_PERIOD_S) + 3
         shape = (count, ACTIVE_COUNT)
         self._history = np.zeros((self._depth, *shape))
         self._columns = np.arange(count * ACTIVE_COUNT).reshape(shape)
@@ -101,8 +110,10 @@ class VelocityResponse:
         Args:
             normal: standard normal numbers (N, 3, 4) that choose dead time, frequency and gain.
         """
-        p, spread = self._profile, self._profile.spread
+        p, spread, effects = self._profile, self._profile.spread, self._effects
         dead_s = np.asarray(p.dead_time_s) + normal[:, 0] * np.asarray(spread.dead_time_sd_s)
+        if effects is not None and effects.dead_time_s is not None:
+            dead_s = dead_s + effects.dead_time_s
         ticks = np.clip(dead_s, MIN_DEAD_TIME_S, None) / CONTROL_PERIOD_S
         self._whole = np.minimum(np.floor(ticks).astype(np.int64), self._depth - 2)
         self._fraction = np.clip(ticks - self._whole, 0.0, 1.0)
@@ -114,6 +125,9 @@ class VelocityResponse:
             1.0 + normal[:, 2] * np.asarray(spread.gain_sd_ratio), MIN_FREQUENCY_SHARE_RATIO
         )
         damping = np.broadcast_to(np.asarray(p.damping_ratio), frequency.shape)
+        if effects is not None:
+            effects.reset()
+            frequency = effects.frequency(frequency, damping)
         self._matrix = lag_matrices(frequency, damping, CONTROL_PERIOD_S)
         self._history[:] = 0.0
         self._velocity[:] = 0.0
@@ -132,17 +146,28 @@ class VelocityResponse:
 
         A dead time between two ticks takes the mean of the two delayed commands that act in the tick.
         """
-        depth, tick = self._depth, self._tick
-        self._history[tick % depth] = self.command(valve_ratio)
+        depth, tick, effects = self._depth, self._tick, self._effects
+        if effects is None:
+            self._history[tick % depth] = self.command(valve_ratio)
+        else:
+            self._history[tick % depth] = effects.on_speed(
+                self.command(effects.on_command(valve_ratio))
+            )
         self._tick = tick + 1
         flat = self._history.reshape(-1)
         stride = self._count * ACTIVE_COUNT
         row = ((tick - self._whole) % depth) * stride + self._columns
         newer, older = flat[row], flat.take(row - stride, mode="wrap")
         speed = newer + self._fraction * (older - newer)
-        target = self._gain * speed / self._ratio.at(active_position_rad_m)
+        ratio = self._ratio.at(active_position_rad_m)
+        target = self._gain * speed / ratio
+        if effects is not None:
+            target = effects.on_target(target, active_position_rad_m, ratio)
         a11, a12, a21, a22 = self._matrix
-        error = self._velocity - target
+        before, error = self._velocity, self._velocity - target
         self._velocity = target + a11 * error + a12 * self._slope
         self._slope = a21 * error + a22 * self._slope
-        return self._velocity
+        if effects is None:
+            return self._velocity
+        self._velocity, self._slope = effects.on_motion(target, before, self._velocity, self._slope)
+        return effects.on_joint(self._velocity)

@@ -4,6 +4,7 @@ It implements `runtime.driver.SimulatedDriver`; it knows no pressures (the virtu
 decides anything about a throw.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -19,19 +20,23 @@ from machine.conventions import (
     JOINT_COUNT,
     Array,
     BoolArray,
+    IntArray,
 )
 from machine.errors import PlantError, UsageError
-from machine.kinematics import grip_centre
+from machine.kinematics import ToolState, grip_centre
 from machine.spec import MachineSpec, load_spec
 from runtime.driver import SensorSample, ValveCommand
+from sim_twin.effect_arrays import effect_arrays
+from sim_twin.effects import Effect
 from sim_twin.payload import Payload
 from sim_twin.profile import TwinProfile, nominal_profile
 from sim_twin.response import VelocityResponse
+from sim_twin.twin_effects import PrescribedMotion, Readings, TwinEffects
 from sim_twin.twin_model import twin_model
 
 FRICTION_WIDTH_RAD_PER_S = 0.004
 """Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
-stable from 0.0005 on."""
+stable from 0.0005 on. Dry friction above 0.4 rad/s2 gets a wider one, which one step just stops."""
 START_NS = 1_000_000_000
 THREADED_FROM_COUNT = 16
 """Smaller batches are faster on one thread."""
@@ -57,6 +62,8 @@ class Twin:
         calibration: ValveCalibration,
         seed: int = 0,
         thread_count: int = 2,
+        effects: Sequence[Sequence[Effect]] | None = None,
+        progress_ratio: Array | float = 1.0,
     ) -> None:
         """Build the machines and put them, loaded, into the model's zero pose; call `reset` to begin.
 
@@ -66,26 +73,34 @@ class Twin:
             calibration: its valves' steady curve (speed over command in actuator space).
             seed: of the first per-throw draw; `reset` takes new ones.
             thread_count: threads of the physics.
+            effects: one set for each machine, on top of the profile's own.
+            progress_ratio: (N,) how far drifts have gone; 1, what a set of throws ended with.
 
         Raises:
-            UsageError: `count` is not positive.
+            UsageError: `count` is not positive, or there are not as many sets of effects.
         """
         if count < 1:
             raise UsageError(f"a twin needs at least 1 machine, not {count}")
+        if effects is not None and len(effects) != count:
+            raise UsageError(f"{count} machines but {len(effects)} sets of effects")
         self.count = count
         self.profile = profile
         self.spec: MachineSpec = load_spec()
         model, self._friction_moment = twin_model()
         threads = thread_count if count >= THREADED_FROM_COUNT else 1
         self._batch: Any = batch.Batch(model, count, threads)
+        arrays = effect_arrays(count, profile.effects, effects, progress_ratio)
+        self._effects = None if arrays is None else TwinEffects(self.spec, arrays, self._batch)
         self._bind()
-        self._response = VelocityResponse(self.spec, profile, calibration, count)
-        self._payload = Payload(self.spec, profile, count)
+        self._response = VelocityResponse(self.spec, profile, calibration, count, arrays)
+        self._payload = Payload(self.spec, profile, count, arrays)
         self._low, self._high = self.spec.position_range_rad_m
         self._now_ns = START_NS
         self._valve = np.zeros((count, ACTIVE_COUNT))
         self._collided = np.zeros(count, dtype=np.bool_)
         self._friction = np.zeros((2, count, 2))
+        self._friction_width = np.full((count, 2), FRICTION_WIDTH_RAD_PER_S)
+        self._prescribed: PrescribedMotion | None = None
         self._noise_offset = np.zeros((count, 1), dtype=np.int64)
         self._noise_sd = _noise_sd(profile)
         # The same in every sample, and nobody's to change.
@@ -145,6 +160,9 @@ class Twin:
     def reset(self, joint_position_rad_m: Array, seed: int) -> None:
         """Start over at rest at these poses (N, 6), loaded, with the per-throw draws of `seed`.
 
+        The poses are those that the machines' own sensors report: a biased sensor or a tilted base makes
+        the true ones others.
+
         Raises:
             PlantError: poses of the wrong shape or not finite.
         """
@@ -161,16 +179,40 @@ class Twin:
         )
         self._response.reset(normal[:, : 3 * ACTIVE_COUNT].reshape(self.count, 3, ACTIVE_COUNT))
         self._payload.reset(normal[:, 12:16])
-        scale = np.clip(1.0 + normal[:, 16:17] * self.profile.spread.friction_sd_ratio, 0.0, None)
-        p = self.profile
-        self._friction[0] = scale * np.asarray(p.viscous_friction_per_s) * self._friction_moment
-        self._friction[1] = (
-            scale * np.asarray(p.coulomb_friction_rad_per_s2) * self._friction_moment
-        )
+        self._draw_friction(normal[:, 16:17])
         self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._position[:] = pose
         self._valve[:] = 0.0
+        self._prescribed = None
+        if self._effects is not None:
+            pose = self._effects.true_pose(pose)
+        self._place(pose, np.zeros_like(pose))
+
+    def _draw_friction(self, normal: Array) -> None:
+        p = self.profile
+        viscous = np.asarray(p.viscous_friction_per_s)
+        coulomb = np.asarray(p.coulomb_friction_rad_per_s2)
+        if self._effects is not None and self._effects.body is not None:
+            viscous, coulomb = self._effects.body.friction(viscous, coulomb)
+        scale = np.clip(1.0 + normal * p.spread.friction_sd_ratio, 0.0, None)
+        self._friction[0] = scale * viscous * self._friction_moment
+        self._friction[1] = scale * coulomb * self._friction_moment
+        self._friction_width[:] = np.maximum(
+            scale * coulomb * CONTROL_PERIOD_S, FRICTION_WIDTH_RAD_PER_S
+        )
+
+    def start_moving(self, position_rad_m: Array, velocity_rad_m_per_s: Array) -> None:
+        """Go on from other true joint states (N, 6) than the reset's, before the first tick."""
+        self._place(position_rad_m, velocity_rad_m_per_s)
+
+    def _place(self, position: Array, velocity: Array) -> None:
+        self._position[:], self._velocity[:] = position, velocity
+        if self._effects is not None:
+            self._effects.begin(position, velocity)
         self._batch.forward()
+        if self._effects is not None:
+            self._effects.fill_sensors(
+                self._imu, position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT]
+            )
         self._collided = self._contacts > 0
         self._frozen_rows = None
         self._sample = None
@@ -178,6 +220,18 @@ class Twin:
     def freeze(self, frozen: BoolArray) -> None:
         """Stop moving machines (N,) whose throw is over; their sensors keep their last values."""
         self._frozen_rows = None if not frozen.any() else np.flatnonzero(~frozen).astype(np.int32)
+
+    def prescribe(self, motion: PrescribedMotion | None) -> None:
+        """Make joints reach these true states in the next tick, whatever their valves do.
+
+        A driven joint feels the velocity's change as its acceleration; the position is then exactly the
+        one given.
+        """
+        self._prescribed = motion
+
+    def true_pose(self, reported_rad_m: Array) -> Array:
+        """True joint positions (N, 6) where the sensors, in the mean and at rest, report these."""
+        return reported_rad_m if self._effects is None else self._effects.true_pose(reported_rad_m)
 
     def advance(self, until_ns: int) -> None:
         """Step whole control ticks up to `until_ns`."""
@@ -191,23 +245,46 @@ class Twin:
         room_high = (self._high - q[:, :ACTIVE_COUNT]) / CONTROL_PERIOD_S
         # A cylinder at its end stop stands still, whatever its valve does.
         reference = np.minimum(np.maximum(reference, room_low), room_high)
+        given = self._prescribed
+        if given is not None:
+            follows = given.mask[:, :ACTIVE_COUNT]
+            reference = np.where(follows, given.velocity_rad_m_per_s[:, :ACTIVE_COUNT], reference)
         self._control[:] = reference - v[:, :ACTIVE_COUNT]
-        swing = v[:, ACTIVE_COUNT:]
-        viscous, coulomb = self._friction
-        self._applied[:, ACTIVE_COUNT:] = -(
-            viscous * swing + coulomb * np.tanh(swing / FRICTION_WIDTH_RAD_PER_S)
-        )
+        self._push_free_joints(q, v)
         end_ns = self._now_ns + CONTROL_PERIOD_NS
         due = self._payload.due(end_ns)
-        before = grip_centre(self.spec, q[due], v[due]) if due.size else None
+        before = self._load_state(due) if due.size else None
         self._batch.step(self._frozen_rows)
         self._now_ns = end_ns
         self._collided |= self._contacts > 0
+        if given is not None:
+            np.copyto(q, given.position_rad_m, where=given.mask)
+            np.copyto(v, given.velocity_rad_m_per_s, where=given.mask)
         if before is not None:
-            after = grip_centre(self.spec, q[due], v[due])
-            self._payload.release(due, before, after, end_ns, CONTROL_PERIOD_S)
+            self._payload.release(due, before, self._load_state(due), end_ns, CONTROL_PERIOD_S)
         self._payload.fly(end_ns, CONTROL_PERIOD_S)
+        if self._effects is not None:
+            self._effects.after_step(self._imu, q, v)
         self._sample = None
+
+    def _push_free_joints(self, q: Array, v: Array) -> None:
+        """Friction and hoses for the tick to come."""
+        swing = v[:, ACTIVE_COUNT:]
+        viscous, coulomb = self._friction
+        self._applied[:, ACTIVE_COUNT:] = -(
+            viscous * swing + coulomb * np.tanh(swing / self._friction_width)
+        )
+        if self._effects is not None:
+            pull = self._effects.before_step(q, v)
+            if pull is not None:
+                self._applied[:, ACTIVE_COUNT:] += pull * self._friction_moment
+
+    def _load_state(self, rows: IntArray) -> ToolState:
+        """Where the held loads of `rows` are and how fast, survey frame."""
+        q, v = self._position[rows], self._velocity[rows]
+        if self._effects is None:
+            return grip_centre(self.spec, q, v)
+        return self._effects.load_state(rows, q, v)
 
     def read(self) -> SensorSample:
         """Sensor values of the present tick; reading twice gives the same sample."""
@@ -219,17 +296,23 @@ class Twin:
         tick = self._now_ns // CONTROL_PERIOD_NS
         start = (self._noise_offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE
         noise = _noise_table()[start + _NOISE_COLUMNS] * self._noise_sd
-        load = self._payload
+        load, effects = self._payload, self._effects
+        if effects is None:
+            seen = Readings(
+                self._position[:, :4], self._velocity[:, :4], self._imu[:, 0:3], self._imu[:, 3:6]
+            )
+        else:
+            seen = effects.readings(self._imu, self._position, self._velocity)
         impact_t_ns, impact_m = load.survey()
         # MuJoCo's sensors describe the state in which the last step began.
         imu_t_ns = self._now_ns - CONTROL_PERIOD_NS
         return SensorSample(
             t_mono_ns=self._now_ns,
-            joint_position_rad_m=self._position[:, :4] + noise[:, 0:4],
-            joint_velocity_rad_m_per_s=self._velocity[:, :4] + noise[:, 4:8],
+            joint_position_rad_m=seen.position_rad_m + noise[:, 0:4],
+            joint_velocity_rad_m_per_s=seen.velocity_rad_m_per_s + noise[:, 4:8],
             imu_t_mono_ns=np.full(self.count, imu_t_ns),
-            imu_gyro_rad_per_s=self._imu[:, 0:3] + noise[:, 8:11],
-            imu_accel_m_per_s2=self._imu[:, 3:6] + noise[:, 11:14],
+            imu_gyro_rad_per_s=seen.gyro_rad_per_s + noise[:, 8:11],
+            imu_accel_m_per_s2=seen.accel_m_per_s2 + noise[:, 11:14],
             payload_held=load.held.copy(),
             supply_pressure_pa=self._pressure,
             local_enable=self._enabled,

@@ -1,0 +1,131 @@
+"""How the machine stands on the surveyed ground: tilt, yaw, height, and a chassis that gives way.
+
+The survey frame is frame `machine` of a machine that stands level where it was surveyed. The chassis
+follows the arm's moment without delay; its own oscillation is not modelled.
+"""
+
+import numpy as np
+
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, IntArray
+from machine.kinematics import ToolState, pin_in_plane, rotate_z
+from machine.spec import MachineSpec
+from sim_twin.arm_load import gravity_load_ratio
+from sim_twin.effect_arrays import EffectArrays
+from sim_twin.grip_point import rotation_zyx
+
+DIFFERENCE_S = 1e-4
+"""Half of the time step of derivatives along the motion."""
+_BOOM = 1
+
+
+class BasePose:
+    """Base of N machines; rotations from frame `machine` to the survey frame."""
+
+    def __init__(self, spec: MachineSpec, arrays: EffectArrays) -> None:
+        """Look up what any of the machines has."""
+        self._spec, self._count = spec, arrays.count
+        roll, pitch = (
+            arrays.filled("base_tilt", "roll_rad"),
+            arrays.filled("base_tilt", "pitch_rad"),
+        )
+        self._level = rotation_zyx(np.zeros(arrays.count), pitch, roll)
+        """(N, 3, 3) Ry(pitch) Rx(roll)."""
+        self._yaw = arrays.filled("base_yaw_drift", "yaw_rad")
+        self._height = arrays.filled("base_height", "extra_height_m")
+        self._compliance = arrays.get("chassis_compliance", "pitch_rad")
+        self.leans = self._compliance is not None or arrays.has("base_tilt")
+        """Whether gravity in frame `machine` is other than straight down."""
+        self.moves = self._compliance is not None
+        """Whether the base moves with the arm."""
+        self._everything = np.arange(arrays.count)
+        self._pin_rate = np.zeros((arrays.count, 3))
+
+    def to_survey(
+        self, rows: IntArray, point: ToolState, position: Array, velocity: Array
+    ) -> ToolState:
+        """State of a point of the machines `rows` in the survey frame.
+
+        Args:
+            rows: (K,) indices of machines.
+            point: (K, 3) frame `machine`.
+            position: (K, 6) true joint positions.
+            velocity: (K, 6) true joint velocities.
+        """
+        where, speed = point.position_m, point.velocity_m_per_s
+        if self._compliance is not None:
+            lean = self._lean(rows, position)
+            where = _turned(where, lean)
+            turning = self._lean_rate(rows, position, velocity)
+            speed = _turned(speed, lean) + np.cross(turning, where)
+        where = rotate_z(np.einsum("nij,nj->ni", self._level[rows], where), self._yaw[rows])
+        speed = rotate_z(np.einsum("nij,nj->ni", self._level[rows], speed), self._yaw[rows])
+        where[:, 2] += self._height[rows]
+        return ToolState(where, speed)
+
+    def plumb_shift(self, position: Array) -> Array:
+        """Pitch and roll (N, 2) by which a gripper that hangs at rest is off the machine's z axis."""
+        down = self._down(position)
+        slew = position[:, 0]
+        down = rotate_z(down, -slew)
+        outward, left, below = down[:, 0], down[:, 1], -down[:, 2]
+        return np.stack(
+            [np.arctan2(outward, below), np.arctan2(left, np.hypot(outward, below))], -1
+        )
+
+    def start(self, position: Array, velocity: Array) -> None:
+        """Begin a throw with joints (N, 6) in this state."""
+        self._pin_rate = self._pin_motion(position, velocity) if self.moves else self._pin_rate
+
+    def gravity(self, position: Array, velocity: Array) -> Array:
+        """Gravity (N, 3) felt in frame `machine`, m/s2, with what the moving base does to the tool pin."""
+        felt = GRAVITY_M_PER_S2 * self._down(position)
+        if self._compliance is not None:
+            rate = self._pin_motion(position, velocity)
+            felt -= (rate - self._pin_rate) / CONTROL_PERIOD_S
+            self._pin_rate = rate
+        return felt
+
+    def turning(self, position: Array, velocity: Array) -> Array:
+        """Angular velocity (N, 3) of the moving base, frame `machine`, rad/s."""
+        return self._lean_rate(self._everything, position, velocity)
+
+    def _down(self, position: Array) -> Array:
+        """Direction of gravity (N, 3) in frame `machine`."""
+        down = -self._level[:, 2, :]
+        if self._compliance is None:
+            return down
+        return _turned(down, -self._lean(self._everything, position))
+
+    def _lean(self, rows: IntArray, position: Array) -> Array:
+        """Rotation vector (K, 3) of the chassis, frame `machine`: the arm's side goes down."""
+        if self._compliance is None:
+            return np.zeros((rows.size, 3))
+        load = gravity_load_ratio(self._spec, position[:, :ACTIVE_COUNT])[:, _BOOM]
+        angle, slew = self._compliance[rows] * load, position[:, 0]
+        return np.stack([-angle * np.sin(slew), angle * np.cos(slew), np.zeros(slew.size)], -1)
+
+    def _lean_rate(self, rows: IntArray, position: Array, velocity: Array) -> Array:
+        step = DIFFERENCE_S * velocity
+        later, earlier = self._lean(rows, position + step), self._lean(rows, position - step)
+        return (later - earlier) / (2.0 * DIFFERENCE_S)
+
+    def _pin_motion(self, position: Array, velocity: Array) -> Array:
+        """Velocity (N, 3) that the leaning base adds to the tool pin."""
+        step = DIFFERENCE_S * velocity
+        later, earlier = self._pin_shift(position + step), self._pin_shift(position - step)
+        return (later - earlier) / (2.0 * DIFFERENCE_S)
+
+    def _pin_shift(self, position: Array) -> Array:
+        plane = pin_in_plane(self._spec, position)
+        offset = np.full(self._count, self._spec.geometry.arm_plane_offset_m)
+        pin = rotate_z(np.stack([plane[:, 0], offset, plane[:, 1]], axis=-1), position[:, 0])
+        return _turned(pin, self._lean(self._everything, position)) - pin
+
+
+def _turned(vector: Array, rotation: Array) -> Array:
+    """Vectors (N, 3) turned by rotation vectors (N, 3); Rodrigues."""
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    safe = np.where(angle > 0.0, angle, 1.0)
+    axis = rotation / safe
+    across = np.cross(axis, vector)
+    return vector + np.sin(angle) * across + (1.0 - np.cos(angle)) * np.cross(axis, across)

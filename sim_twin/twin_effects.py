@@ -1,0 +1,132 @@
+"""The effects of a twin's machines by where in a tick they act, and motion that is prescribed to them.
+
+The twin asks here only when some machine has an effect; nothing here steps the physics.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from machine.conventions import ACTIVE_COUNT, Array, BoolArray, IntArray
+from machine.kinematics import ToolState
+from machine.spec import MachineSpec
+from sim_twin.base_pose import BasePose
+from sim_twin.body_effects import BodyEffects
+from sim_twin.effect_arrays import EffectArrays
+from sim_twin.grip_point import grip_point, gripper_axes
+from sim_twin.sensor_effects import SensorEffects
+
+_BASE = ("base_tilt", "base_yaw_drift", "base_height", "chassis_compliance")
+_SENSORS = ("joint_sensor_bias", "joint_sensor_latency", "imu_latency", "imu_misalignment")
+
+
+class PrescribedMotion(NamedTuple):
+    """Joint states (N, 6) at the end of the next tick, for joints that move as they were measured."""
+
+    mask: BoolArray
+    """(N, 6) joints that it holds for."""
+    position_rad_m: Array
+    velocity_rad_m_per_s: Array
+
+
+class Readings(NamedTuple):
+    """What sensors report, before their noise."""
+
+    position_rad_m: Array
+    velocity_rad_m_per_s: Array
+    gyro_rad_per_s: Array
+    accel_m_per_s2: Array
+
+
+class TwinEffects:
+    """Body, base and sensors of N machines; a part in which no machine has an effect is None."""
+
+    def __init__(self, spec: MachineSpec, arrays: EffectArrays, batch: Any) -> None:
+        """Sort the effects by where they act, and change the models of a `mujoco.batch.Batch`."""
+        self._spec = spec
+        self.body = BodyEffects(arrays) if arrays.acts_on("swing") else None
+        self._base = BasePose(spec, arrays) if arrays.has(*_BASE) else None
+        self._sensors = SensorEffects(arrays) if arrays.has(*_SENSORS) else None
+        if self.body is not None:
+            self.body.change_models(batch)
+        leans = self._base is not None and self._base.leans
+        self._gravity: Array | None = batch.expand("opt.gravity") if leans else None
+        self._turning: Array | None = None
+        self._rest = np.zeros((arrays.count, 2))
+
+    def true_pose(self, reported_rad_m: Array) -> Array:
+        """True joint positions (N, 6) of machines whose sensors report these, in the mean and at rest.
+
+        The free joints are reported from plumb: by the IMU against gravity, through the joint sensors.
+        """
+        pose = reported_rad_m.copy()
+        if self._sensors is not None and self._sensors.bias_rad_m is not None:
+            bias = self._sensors.bias_rad_m
+            pose[:, :ACTIVE_COUNT] -= bias
+            pose[:, ACTIVE_COUNT] += bias[:, 1] + bias[:, 2]
+        if self._base is not None and self._base.leans:
+            pose[:, ACTIVE_COUNT:] += self._base.plumb_shift(pose)
+        return pose
+
+    def begin(self, position: Array, velocity: Array) -> None:
+        """Machines are put into these true states (N, 6); before the physics looks at them."""
+        self._rest = position[:, ACTIVE_COUNT:].copy()
+        if self._base is not None:
+            self._base.start(position, velocity)
+            self._lean(self._base, position, velocity)
+
+    def fill_sensors(self, imu: Array, position: Array, velocity: Array) -> None:
+        """The sensors have always seen this state and these IMU values (N, 6)."""
+        if self._sensors is not None:
+            self._sensors.start(np.concatenate([position, velocity], axis=1), self._felt(imu))
+
+    def before_step(self, position: Array, velocity: Array) -> Array | None:
+        """Let gravity follow the base; the hoses' pull on the free joints (N, 2), rad/s2."""
+        if self._base is not None and self._base.moves:
+            self._lean(self._base, position, velocity)
+        if self.body is None:
+            return None
+        return self.body.hose_acceleration(position[:, ACTIVE_COUNT:], self._rest)
+
+    def _lean(self, base: BasePose, position: Array, velocity: Array) -> None:
+        if self._gravity is not None:
+            self._gravity[:] = base.gravity(position, velocity)
+        if base.moves:
+            turning = base.turning(position, velocity)
+            self._turning = np.einsum("nji,nj->ni", gripper_axes(position), turning)
+
+    def after_step(self, imu: Array, position: Array, velocity: Array) -> None:
+        """Show the sensors the states (N, 6) after a step, and the IMU values (N, 6) before it."""
+        if self._sensors is not None:
+            joints = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT])
+            self._sensors.push(np.concatenate(joints, axis=1), self._felt(imu))
+
+    def _felt(self, imu: Array) -> Array:
+        """True IMU values (N, 6), with the turning of a moving base."""
+        if self._turning is None:
+            return imu
+        return np.concatenate([imu[:, :3] + self._turning, imu[:, 3:]], axis=1)
+
+    def readings(self, imu: Array, position: Array, velocity: Array) -> Readings:
+        """What the sensors report of true joint states (N, 6) and IMU values (N, 6)."""
+        true, felt = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT]), self._felt(imu)
+        if self._sensors is None:
+            return Readings(*true, felt[:, :3], felt[:, 3:])
+        return Readings(
+            *self._sensors.joints(np.concatenate(true, axis=1)), *self._sensors.imu(felt)
+        )
+
+    def load_state(self, rows: IntArray, position: Array, velocity: Array) -> ToolState:
+        """Where the held loads of machines `rows` (K,) are and how fast, survey frame.
+
+        Args:
+            rows: indices.
+            position: (K, 6) their true joint positions.
+            velocity: (K, 6)
+        """
+        offset = None if self.body is None else self.body.offset_m
+        beside = None if offset is None else offset[rows]
+        point = grip_point(self._spec, position, velocity, beside)
+        return (
+            point if self._base is None else self._base.to_survey(rows, point, position, velocity)
+        )
