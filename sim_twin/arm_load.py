@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from machine.conventions import ACTIVE_COUNT, Array
+from machine.kinematics import rotate_z
 from machine.spec import MachineSpec
 from sim_twin.twin_model import twin_model
 
@@ -77,15 +78,42 @@ def _moments(spec: MachineSpec, active_position_rad_m: Array) -> Array:
     return result
 
 
+def _tipping_moment(spec: MachineSpec, active_position_rad_m: Array) -> Array:
+    """Moment of the arm over g about the slew axis (N,), kg m: what its weight tips the machine with."""
+    m = _masses()
+    arm_kg = m.boom[0] + m.dipper[0] + m.telescope[0] + m.hanging[0]
+    return _moments(spec, active_position_rad_m)[:, 1] + arm_kg * spec.geometry.boom_pivot_m[0]
+
+
 @cache
-def _largest(spec: MachineSpec) -> Array:
+def _envelope(spec: MachineSpec) -> Array:
+    """Active positions (P, 4) all over the envelope."""
     low, high = spec.position_range_rad_m
     axes = [np.linspace(low[j], high[j], GRID_POINT_COUNT) for j in range(1, ACTIVE_COUNT)]
     grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
-    poses = np.concatenate([np.zeros((grid.shape[0], 1)), grid], axis=-1)
-    return np.maximum(np.abs(_moments(spec, poses)).max(axis=0), 1e-9)
+    return np.concatenate([np.zeros((grid.shape[0], 1)), grid], axis=-1)
+
+
+@cache
+def _largest(spec: MachineSpec) -> tuple[Array, float]:
+    poses = _envelope(spec)
+    moments = np.abs(_moments(spec, poses)).max(axis=0)
+    return np.maximum(moments, 1e-9), float(np.abs(_tipping_moment(spec, poses)).max())
 
 
 def gravity_load_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
     """Gravity moment of each joint over its largest, (N, 4), positive against positive motion."""
-    return _moments(spec, active_position_rad_m) / _largest(spec)
+    return _moments(spec, active_position_rad_m) / _largest(spec)[0]
+
+
+def tipping_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
+    """Moment of the arm's weight on the base over its largest, (N, 3), frame `machine`.
+
+    A weight W at (x, y) turns by (-y W, x W) about x and y.
+    """
+    m, largest = _masses(), _largest(spec)[1]
+    arm_kg = m.boom[0] + m.dipper[0] + m.telescope[0] + m.hanging[0]
+    outward = _tipping_moment(spec, active_position_rad_m) / largest
+    aside = np.full(outward.shape, arm_kg * spec.geometry.arm_plane_offset_m / largest)
+    moment = np.stack([-aside, outward, np.zeros(outward.size)], axis=-1)
+    return rotate_z(moment, active_position_rad_m[:, 0])

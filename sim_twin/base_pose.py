@@ -9,13 +9,12 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, IntArray
 from machine.kinematics import ToolState, pin_in_plane, rotate_z
 from machine.spec import MachineSpec
-from sim_twin.arm_load import gravity_load_ratio
+from sim_twin.arm_load import tipping_ratio
 from sim_twin.effect_arrays import EffectArrays
 from sim_twin.grip_point import rotation_zyx
 
 DIFFERENCE_S = 1e-4
 """Half of the time step of derivatives along the motion."""
-_BOOM = 1
 
 
 class BasePose:
@@ -97,12 +96,11 @@ class BasePose:
         return _turned(down, -self._lean(self._everything, position))
 
     def _lean(self, rows: IntArray, position: Array) -> Array:
-        """Rotation vector (K, 3) of the chassis, frame `machine`: the arm's side goes down."""
+        """Rotation vector (K, 3) of the chassis about the slew axis's foot: the arm's side goes down."""
         if self._compliance is None:
             return np.zeros((rows.size, 3))
-        load = gravity_load_ratio(self._spec, position[:, :ACTIVE_COUNT])[:, _BOOM]
-        angle, slew = self._compliance[rows] * load, position[:, 0]
-        return np.stack([-angle * np.sin(slew), angle * np.cos(slew), np.zeros(slew.size)], -1)
+        ratio = tipping_ratio(self._spec, position[:, :ACTIVE_COUNT])
+        return self._compliance[rows, None] * ratio
 
     def _lean_rate(self, rows: IntArray, position: Array, velocity: Array) -> Array:
         step = DIFFERENCE_S * velocity

@@ -125,8 +125,8 @@ _ACTUATION = (
         "actuation",
         ACTIVE_JOINTS,
         (P("gap_rad_m", 0.0, 0.06, 0.001, 0.02, 0.005),),
-        "Lost motion between drive and joint at each reversal; the joint stays where it is left. "
-        "The drive starts in the middle of the gap.",
+        "Lost motion between drive and joint at each reversal; the joint stays where it is left. At "
+        "first the drive touches the side that carries the load (slew: neither).",
         "play operator; pin and slew-gear clearance (mujoco#995)",
     ),
     EffectSpec(
@@ -332,8 +332,8 @@ _AIM = (
         "aim",
         (),
         (P("pitch_rad", 0.0, 0.06, 0.001, 0.02, 0.005),),
-        "The upper carriage pitches towards the arm by this at the arm's largest gravity moment, in "
-        "proportion and without delay: gravity leans, pin and load move with it.",
+        "The machine leans towards the arm by this at the arm's largest gravity moment about the slew "
+        "axis, in proportion and without delay: gravity leans, pin and load move with it.",
         "stiffness of tyres, legs and ground",
     ),
 )

@@ -18,6 +18,7 @@ __all__ = [
     "ParameterSpec",
     "StageName",
     "acting_effect",
+    "deterministic",
     "effect_stage",
     "parameter_unit",
     "resolve",
@@ -86,6 +87,11 @@ def acting_effect(effect: Effect) -> str:
     if effect.effect != DRIFT:
         return effect.effect
     return next(iter(effect.parameters)).split(".")[0]
+
+
+def deterministic(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The effects without what is random: `release_jitter`."""
+    return tuple(e for e in effects if acting_effect(e) != "release_jitter")
 
 
 def effect_stage(effect: Effect) -> StageName:

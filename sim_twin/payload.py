@@ -146,8 +146,18 @@ class Payload:
         velocity = v0 + share * (v1 - v0)
         if self._effects is not None:
             velocity = self._effects.slowed(rows, velocity)
-            if self.lift_per_m is not None:
-                self.lift_per_m[rows] = self._effects.lift(rows, velocity)
+        self._leave(rows, position, velocity)
+
+    def launch(self, position_m: Array, velocity_m_per_s: Array) -> None:
+        """Let all loads fly from these states (N, 3) at time 0."""
+        self.release_t_ns[:] = 0
+        known = np.isfinite(position_m).all(axis=1) & np.isfinite(velocity_m_per_s).all(axis=1)
+        rows = np.flatnonzero(known)
+        self._leave(rows, position_m[rows], velocity_m_per_s[rows])
+
+    def _leave(self, rows: IntArray, position: Array, velocity: Array) -> None:
+        if self._effects is not None and self.lift_per_m is not None:
+            self.lift_per_m[rows] = self._effects.lift(rows, velocity)
         self.held[rows] = False
         self.flying[rows] = True
         self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity

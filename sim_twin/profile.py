@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine.errors import UsageError
 from machine.spec import MachineSpec
-from sim_twin.effects import Effect, acting_effect
+from sim_twin.effects import Effect, deterministic
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -148,7 +148,7 @@ def exact_profile(profile: TwinProfile) -> TwinProfile:
     nothing = (0.0, 0.0, 0.0, 0.0)
     return profile.model_copy(
         update={
-            "effects": tuple(e for e in profile.effects if acting_effect(e) != "release_jitter"),
+            "effects": deterministic(profile.effects),
             "release_delay_sd_s": 0.0,
             "noise": SensorNoise(
                 joint_position_sd_rad_m=nothing,

@@ -170,4 +170,4 @@ class VelocityResponse:
         if effects is None:
             return self._velocity
         self._velocity, self._slope = effects.on_motion(target, before, self._velocity, self._slope)
-        return effects.on_joint(self._velocity)
+        return effects.on_joint(self._velocity, active_position_rad_m)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, JOINT_COUNT, Array, IntArray
 from sim_twin.effect_arrays import EffectArrays
 from sim_twin.grip_point import rotation_zyx
 
@@ -54,14 +54,18 @@ class SensorEffects:
     def __init__(self, arrays: EffectArrays) -> None:
         """Look up what any of the machines has."""
         self.bias_rad_m = arrays.get("joint_sensor_bias", "bias_rad_m")
-        self.joint_latency_s = arrays.get("joint_sensor_latency", "extra_latency_s")
-        imu_latency = arrays.get("imu_latency", "extra_latency_s")
-        self._joints: DelayLine | None = None
-        if self.joint_latency_s is not None:
-            self._joints = DelayLine(np.tile(self.joint_latency_s, (1, 2)))
-        self._imu: DelayLine | None = None
-        if imu_latency is not None:
-            self._imu = DelayLine(np.repeat(imu_latency[:, None], 6, axis=1))
+        late = arrays.get("joint_sensor_latency", "extra_latency_s")
+        late_imu = arrays.get("imu_latency", "extra_latency_s")
+        self._joints = None if late is None else DelayLine(np.tile(late, (1, 2)))
+        self._imu = None if late_imu is None else DelayLine(_columns(late_imu, 6))
+        self.latency_s: Array | None = None
+        """(N, 6) of each joint's motion: the free joints' comes from the IMU."""
+        if late is not None or late_imu is not None:
+            self.latency_s = np.zeros((arrays.count, JOINT_COUNT))
+            if late is not None:
+                self.latency_s[:, :ACTIVE_COUNT] = late
+            if late_imu is not None:
+                self.latency_s[:, ACTIVE_COUNT:] = _columns(late_imu, 2)
         self._axes: Array | None = None
         if arrays.has("imu_misalignment"):
             angles = (arrays.filled("imu_misalignment", f"{a}_rad") for a in _ANGLES)
@@ -96,3 +100,8 @@ class SensorEffects:
             np.einsum("nji,nj->ni", self._axes, gyro),
             np.einsum("nji,nj->ni", self._axes, accel),
         )
+
+
+def _columns(values: Array, count: int) -> Array:
+    """Values (N,) as (N, count)."""
+    return np.repeat(values[:, None], count, axis=1)

@@ -229,9 +229,17 @@ class Twin:
         """
         self._prescribed = motion
 
-    def true_pose(self, reported_rad_m: Array) -> Array:
-        """True joint positions (N, 6) where the sensors, in the mean and at rest, report these."""
-        return reported_rad_m if self._effects is None else self._effects.true_pose(reported_rad_m)
+    def true_pose(self, reported_rad_m: Array, hangs: BoolArray | bool = True) -> Array:
+        """True joint positions (N, 6) where the sensors report these at rest (sim_twin.twin_effects)."""
+        return (
+            reported_rad_m
+            if self._effects is None
+            else self._effects.true_pose(reported_rad_m, hangs)
+        )
+
+    def sensor_latency_s(self) -> Array | None:
+        """How late (N, 6) sensors report joint motion; None where all are in time."""
+        return None if self._effects is None else self._effects.latency_s()
 
     def advance(self, until_ns: int) -> None:
         """Step whole control ticks up to `until_ns`."""

@@ -54,10 +54,14 @@ class TwinEffects:
         self._turning: Array | None = None
         self._rest = np.zeros((arrays.count, 2))
 
-    def true_pose(self, reported_rad_m: Array) -> Array:
-        """True joint positions (N, 6) of machines whose sensors report these, in the mean and at rest.
+    def true_pose(self, reported_rad_m: Array, hangs: BoolArray | bool = True) -> Array:
+        """True joint positions (N, 6) of machines whose sensors report these at rest.
 
         The free joints are reported from plumb: by the IMU against gravity, through the joint sensors.
+
+        Args:
+            reported_rad_m: (N, 6).
+            hangs: (N,) whether plumb is where gravity points, or the machine's own vertical.
         """
         pose = reported_rad_m.copy()
         if self._sensors is not None and self._sensors.bias_rad_m is not None:
@@ -65,8 +69,13 @@ class TwinEffects:
             pose[:, :ACTIVE_COUNT] -= bias
             pose[:, ACTIVE_COUNT] += bias[:, 1] + bias[:, 2]
         if self._base is not None and self._base.leans:
-            pose[:, ACTIVE_COUNT:] += self._base.plumb_shift(pose)
+            shift = self._base.plumb_shift(pose)
+            pose[:, ACTIVE_COUNT:] += np.where(np.reshape(hangs, (-1, 1)), shift, 0.0)
         return pose
+
+    def latency_s(self) -> Array | None:
+        """How late (N, 6) joint sensors and IMU report joint motion; None where all are in time."""
+        return None if self._sensors is None else self._sensors.latency_s
 
     def begin(self, position: Array, velocity: Array) -> None:
         """Machines are put into these true states (N, 6); before the physics looks at them."""

@@ -15,7 +15,7 @@ from sim_twin.effect_arrays import EffectArrays
 
 MIN_LAG_S = 0.01
 """A mean lag cannot be taken away beyond this: one control tick."""
-STOP_SHARE_RATIO = 0.02
+STOP_SHARE_RATIO = 0.1
 """A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
 
 
@@ -69,11 +69,12 @@ class ValveEffects:
         )
         self._spool, self._lost = np.zeros(shape), np.zeros(shape)
         self._at_rest = np.ones(shape, dtype=np.bool_)
+        self._is_fresh = True
 
     def reset(self) -> None:
-        """Spools centred, drives in the middle of their gaps, joints at rest."""
+        """Spools centred, joints at rest, drives against the side of their gaps that carries the load."""
         self._spool[:] = 0.0
-        self._lost[:] = 0.0
+        self._is_fresh = True
         self._at_rest[:] = True
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
@@ -149,11 +150,14 @@ class ValveEffects:
         self._at_rest = small & (self._at_rest | turned | slow)
         return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
 
-    def on_joint(self, drive_velocity: Array) -> Array:
-        """Joint velocities behind the drives' play."""
+    def on_joint(self, drive_velocity: Array, active_position_rad_m: Array) -> Array:
+        """Joint velocities behind the drives' play; nothing loads the slew, which starts in the middle."""
         if self._gap is None:
             return drive_velocity
         half = 0.5 * self._gap
+        if self._is_fresh:
+            load = gravity_load_ratio(self._spec, active_position_rad_m)
+            self._lost, self._is_fresh = np.sign(load) * half, False
         lost = self._lost + drive_velocity * CONTROL_PERIOD_S
         self._lost = np.clip(lost, -half, half)
         return np.where(self._gap > 0.0, (lost - self._lost) / CONTROL_PERIOD_S, drive_velocity)
