@@ -51,6 +51,13 @@ class NoiseModel(BaseModel):
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of log(residual power), after the fit."""
 
+    def with_jitter(self, extra_sd_s: float) -> "NoiseModel":
+        """The model of a machine whose opening scatters by this much more."""
+        release = float(np.hypot(self.nuisance_sd["release_delay_s"], extra_sd_s))
+        return self.model_copy(
+            update={"nuisance_sd": {**self.nuisance_sd, "release_delay_s": release}}
+        )
+
 
 @cache
 def load_noise(path: Path = NOISE_PATH) -> NoiseModel:

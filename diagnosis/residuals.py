@@ -24,7 +24,8 @@ from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, GRAVITY_M_PER_S
 from machine.spec import load_spec
 from sim_twin.effects import Effect
 from sim_twin.profile import TwinProfile
-from sim_twin.replay import FourFlags, ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.replay import ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.replay_types import FourFlags
 
 ALL: FourFlags = (True, True, True, True)
 NONE: FourFlags = (False, False, False, False)

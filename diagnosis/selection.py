@@ -115,6 +115,15 @@ def screen(information: Information, priors: Priors) -> Screen:
     return Screen(covariance, covariance @ information.gradient)
 
 
+def log_evidence(information: Information, priors: Priors, members: Set) -> float:
+    """Log evidence of a hypothesis with its prior, up to a constant of the data and their nuisances."""
+    base = screen(information, priors)
+    fit = information.square - float(information.gradient @ base.mean)
+    log_volume = float(np.linalg.slogdet(base.covariance)[1])
+    none = 0.5 * (log_volume - fit) - float(np.sum(np.log(priors.spike_sd)))
+    return none + weigh(base, priors, members).log_odds
+
+
 def members_index(priors: Priors, members: Set) -> IntArray:
     """Parameter indices of a hypothesis, group after group."""
     parts = [priors.groups[group] for group in members]

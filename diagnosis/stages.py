@@ -27,7 +27,8 @@ from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import to_throw_frame
 from machine.spec import load_spec
 from sim_twin.profile import TwinProfile
-from sim_twin.replay import FourFlags, ReplayElement, fly, replay
+from sim_twin.replay import ReplayElement, fly, replay
+from sim_twin.replay_types import FourFlags
 
 BOOTSTRAP_COUNT = 400
 MIN_BALL_COUNT = 6

@@ -52,8 +52,18 @@ def set_nuisance_sd(model: NoiseModel) -> list[float]:
     return [model.set_nuisance_sd[name] for name in SET_NUISANCES]
 
 
-def whiten_throw(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Whitened:
-    """Whiten a throw's blocks; rows that the twin could not predict are left out."""
+def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
+    """Cholesky factor of every block's covariance; they do not depend on any hypothesis."""
+    return [
+        whitener(model.channels[block.name], block.t_s, block.rate, block.push)
+        for block in prepared.blocks
+    ]
+
+
+def whiten_throw(
+    prepared: PreparedThrow, linear: Linear, model: NoiseModel, factor: Sequence[Array]
+) -> Whitened:
+    """Whiten a throw's blocks; rows that the twin could not predict count as no data."""
     columns = np.column_stack(
         [
             linear.residual,
@@ -63,20 +73,17 @@ def whiten_throw(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> 
             _throw_columns(prepared, linear, model),
         ]
     )
+    # Only the ball and the impact can be missing, and their noise is white.
+    columns[~np.isfinite(linear.residual)] = 0.0
+    for block, lower in zip(prepared.blocks, factor, strict=True):
+        columns[block.rows] = whiten(lower, columns[block.rows])
     parameters = 2 * linear.jacobian.shape[1] + len(SET_NUISANCES)
-    parts: list[Array] = []
-    rows: dict[str, slice] = {}
-    at = 0
-    for block in prepared.blocks:
-        chosen = columns[block.rows]
-        good = np.isfinite(chosen[:, 0])
-        channel = model.channels[block.name]
-        factor = whitener(channel, block.t_s[good], block.rate[good], block.push[good])
-        parts.append(whiten(factor, chosen[good]))
-        rows[block.name] = slice(at, at + int(good.sum()))
-        at += int(good.sum())
-    white = np.concatenate(parts)
-    return Whitened(white[:, 0], white[:, 1 : 1 + parameters], white[:, 1 + parameters :], rows)
+    return Whitened(
+        columns[:, 0],
+        columns[:, 1 : 1 + parameters],
+        columns[:, 1 + parameters :],
+        {block.name: block.rows for block in prepared.blocks},
+    )
 
 
 def information(whitened: Sequence[Whitened]) -> list[Information]:

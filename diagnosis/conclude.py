@@ -1,0 +1,286 @@
+"""From findings to the verdict: gap, causes with intervals, ambiguity, what was ruled out, one sentence."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diagnosis.hypotheses import Hypothesis, Problem
+from diagnosis.jitter import JITTER, PARAMETER
+from diagnosis.logs import LoadedSet
+from diagnosis.parameters import library
+from diagnosis.ranking import Ranked
+from diagnosis.selection import members_index, screen, total, weigh
+from diagnosis.separating import acting_name, separating_motion
+from diagnosis.stages import Terms, stage_gaps
+from diagnosis.verdict import (
+    Ambiguity,
+    Cause,
+    Diagnosis,
+    FittedEffect,
+    FittedParameter,
+    Gap,
+    Shrink,
+    Stage,
+    StageGap,
+    VerdictKind,
+)
+from sim_twin.effects import Effect, effect_stage, parameter_unit
+
+NORMAL_90 = 1.6449
+CAUSE_COUNT = 8
+RULED_OUT_COUNT = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """All that the verdict is made of."""
+
+    loaded: LoadedSet
+    problem: Problem
+    ranked: Ranked
+    terms: Terms
+    shrink: Shrink | None
+    seconds: Mapping[str, float]
+
+
+def conclude(found: Findings) -> Diagnosis:
+    """The result."""
+    ranked = found.ranked
+    stages = stage_gaps(found.terms)
+    gap = _gap(found)
+    causes = _causes(found)
+    jitter = ranked.jitter_probability > 0.5
+    best = ranked.best
+    ambiguity: Ambiguity | None = None
+    if ranked.unknown > 0.5:
+        verdict = VerdictKind.UNKNOWN
+    elif not best.members:
+        verdict = VerdictKind.EXPLAINED if jitter else VerdictKind.NONE
+    elif ranked.rival is not None:
+        verdict = VerdictKind.AMBIGUOUS
+        ambiguity = _ambiguity(ranked)
+    else:
+        verdict = VerdictKind.EXPLAINED
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_sentence(verdict, causes, gap, found.shrink, ranked, ambiguity),
+        gap=gap,
+        stages=stages,
+        causes=causes,
+        ambiguity=ambiguity,
+        shrink=found.shrink if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
+        evidence={
+            **found.loaded.evidence(),
+            "where": _where(verdict, causes, ranked, stages),
+            "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
+            "ruled_out": _ruled_out(found),
+            "unknown": _signature(ranked) if verdict is VerdictKind.UNKNOWN else None,
+            "seconds": dict(found.seconds),
+        },
+    )
+
+
+def words(effect: str, joint: str | None) -> str:
+    """An effect for people."""
+    name = effect.replace("_", " ")
+    return name if joint is None else f"{name} of the {joint}"
+
+
+def _names(effects: Sequence[Effect]) -> str:
+    def one(effect: Effect) -> str:
+        acting = acting_name(effect)
+        return words(acting, effect.joint) + (" drifting" if acting != effect.effect else "")
+
+    return " and ".join(one(effect) for effect in effects)
+
+
+def _gap(found: Findings) -> Gap:
+    gap = found.terms.gap_m[np.isfinite(found.terms.gap_m).all(axis=1)]
+    power = [float(w.residual @ w.residual) for w in found.problem.whitened]
+    rows = sum(w.residual.size for w in found.problem.whitened)
+    ratio = float(np.sqrt(sum(power) / max(rows, 1)))
+    if gap.shape[0] == 0:
+        return Gap(trajectory_rms_ratio=ratio)
+    return Gap(
+        impact_rms_m=float(np.sqrt((gap**2).sum(axis=1).mean())),
+        downrange_bias_m=float(gap[:, 0].mean()),
+        crossrange_bias_m=float(gap[:, 1].mean()),
+        trajectory_rms_ratio=ratio,
+    )
+
+
+def _causes(found: Findings) -> tuple[Cause, ...]:
+    """Ranked, with the jitter as part of a cause where it is probable; "none" and "unknown" always."""
+    ranked = found.ranked
+    both: list[Cause] = []
+    for hypothesis, probability in zip(ranked.hypotheses, ranked.probability, strict=True):
+        effects = _fitted(found.problem, hypothesis)
+        name = _names(hypothesis.effects)
+        for jitter, share in (
+            (True, ranked.jitter_probability),
+            (False, 1.0 - ranked.jitter_probability),
+        ):
+            part = float(probability) * share
+            kept = (*effects, _jitter(ranked)) if jitter else effects
+            parts = [text for text in (name, words(JITTER, None) if jitter else "") if text]
+            is_none = not kept
+            if part > 1e-3 or is_none:
+                text = "none" if is_none else " and ".join(parts)
+                both.append(Cause(effects=kept, probability=min(part, 1.0), name=text))
+    both.append(Cause(effects=(), probability=ranked.unknown, name="unknown"))
+    both.sort(key=lambda cause: -cause.probability)
+    needed = [cause for cause in both[CAUSE_COUNT:] if not cause.effects]
+    return (*both[:CAUSE_COUNT], *needed)
+
+
+def _jitter(ranked: Ranked) -> FittedEffect:
+    return FittedEffect(
+        effect=JITTER,
+        parameters={
+            PARAMETER: FittedParameter(
+                value=ranked.jitter.size_s, ci90=ranked.jitter.ci90_s, unit="s"
+            )
+        },
+    )
+
+
+def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
+    """Sizes with 90 % intervals, clipped to the bounds."""
+    priors = problem.layout.priors
+    index = members_index(priors, hypothesis.members)
+    sd = np.sqrt(np.maximum(np.diag(hypothesis.evidence.covariance), 0.0))
+    effects: list[FittedEffect] = []
+    at = 0
+    for effect, group in zip(hypothesis.effects, hypothesis.members, strict=True):
+        parameters: dict[str, FittedParameter] = {}
+        for name, place in zip(
+            _ordered(effect, problem, group), range(at, at + priors.groups[group].size), strict=True
+        ):
+            mean, low, high = hypothesis.evidence.mean[place], *_bounds(problem, int(index[place]))
+            value = float(np.clip(mean, low, high))
+            ends = np.clip([mean - NORMAL_90 * sd[place], mean + NORMAL_90 * sd[place]], low, high)
+            parameters[name] = FittedParameter(
+                value=value,
+                ci90=(float(ends[0]), float(ends[1])),
+                unit=parameter_unit(name, effect.joint),
+            )
+        at += priors.groups[group].size
+        effects.append(
+            FittedEffect(effect=effect.effect, joint=effect.joint, parameters=parameters)
+        )
+    return tuple(effects)
+
+
+def _ordered(effect: Effect, problem: Problem, group: int) -> list[str]:
+    """Parameter names of an effect in the order of the vector."""
+    index = problem.layout.priors.groups[group]
+    if int(index[0]) >= problem.layout.parameter_count:
+        return list(effect.parameters)
+    return [library()[int(i)].name for i in index]
+
+
+def _bounds(problem: Problem, place: int) -> tuple[float, float]:
+    return float(problem.layout.priors.low[place]), float(problem.layout.priors.high[place])
+
+
+def _ambiguity(ranked: Ranked) -> Ambiguity:
+    rival = ranked.rival
+    if rival is None:
+        raise ValueError("no rival, no ambiguity")
+    own = [e for e in ranked.best.effects if e not in rival.effects]
+    mine = [
+        e
+        for e, m in zip(ranked.best.effects, ranked.best.members, strict=True)
+        if m not in rival.members
+    ]
+    other = [
+        e for e, m in zip(rival.effects, rival.members, strict=True) if m not in ranked.best.members
+    ]
+    first = (mine or own or list(ranked.best.effects))[0]
+    second = (other or list(rival.effects))[0]
+    members = (_names(ranked.best.effects), _names(rival.effects))
+    return Ambiguity(
+        members=members,
+        separating_motion=separating_motion(first, second),
+        why=(
+            f"these throws would favour the true one of {members[0]} and {members[1]} by a factor of "
+            f"{np.exp(min(max(ranked.rival_log_odds, 0.0), 20.0)):.1f} on average"
+        ),
+    )
+
+
+def _where(
+    verdict: VerdictKind, causes: Sequence[Cause], ranked: Ranked, stages: Sequence[StageGap]
+) -> dict[str, Any] | None:
+    """The stage and joint to look at: the cause's, the leftover's, or the largest term's."""
+    if verdict is VerdictKind.UNKNOWN:
+        signature = _signature(ranked)
+        return {"stage": signature["stage"], "joint": signature["joint"]}
+    if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
+        first = causes[0].effects[0]
+        sizes = {name: p.value for name, p in first.parameters.items()}
+        effect = Effect(effect=first.effect, joint=first.joint, parameters=sizes)
+        return {"stage": effect_stage(effect), "joint": first.joint}
+    largest = max(stages, key=lambda s: s.share_ratio, default=None)
+    return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
+
+
+def _signature(ranked: Ranked) -> dict[str, Any]:
+    """Where an unknown effect shows."""
+    name = max(ranked.levels, key=lambda block: ranked.levels[block])
+    stage, _, channel = name.partition(".")
+    joint = channel if stage == Stage.ACTUATION else None
+    return {
+        "stage": stage,
+        "joint": joint,
+        "channel": name,
+        "leftover_sd": round(ranked.levels[name], 1),
+        "nearest": _names(ranked.best.effects) or "none",
+    }
+
+
+def _ruled_out(found: Findings) -> list[dict[str, Any]]:
+    """Single effects that the throws speak against most surely, with how far below "no effect"."""
+    problem = found.problem
+    base = screen(total(problem.information), problem.layout.priors)
+    entries: list[dict[str, Any]] = []
+    for group, name in enumerate(problem.layout.groups):
+        weighed = weigh(base, problem.layout.priors, (group,))
+        entries.append(
+            {"effect": name[0], "joint": name[1], "log_odds": round(weighed.log_odds, 2)}
+        )
+    entries.sort(key=lambda entry: entry["log_odds"])
+    return entries[:RULED_OUT_COUNT]
+
+
+def _sentence(
+    verdict: VerdictKind,
+    causes: Sequence[Cause],
+    gap: Gap,
+    shrink: Shrink | None,
+    ranked: Ranked,
+    ambiguity: Ambiguity | None,
+) -> str:
+    size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+    top = causes[0]
+    if verdict is VerdictKind.NONE:
+        return f"{size}No effect: a healthy machine scatters as much ({top.probability:.0%} sure)."
+    if verdict is VerdictKind.UNKNOWN:
+        signature = _signature(ranked)
+        joint = "" if signature["joint"] is None else f" of the {signature['joint']}"
+        return (
+            f"{size}Something unknown in {signature['stage']}{joint}: the best known cause leaves "
+            f"{signature['channel']} {signature['leftover_sd']:.0f} standard deviations above a "
+            "healthy machine."
+        )
+    closes = (
+        ""
+        if shrink is None
+        else f" Adding it closes {shrink.ratio:.0%} of the removable gap on held-out throws "
+        f"({shrink.before_m:.2f} m to {shrink.after_m:.2f} m)."
+    )
+    if ambiguity is not None:
+        return f"{size}Either {ambiguity.members[0]} or {ambiguity.members[1]}.{closes}"
+    return f"{size}Cause: {top.name} ({top.probability:.0%} sure).{closes}"

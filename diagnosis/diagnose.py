@@ -1,0 +1,89 @@
+"""A set of throws against the twin of its machine: where the gap lies, what causes it, how far it shrinks."""
+
+from collections.abc import Callable
+from time import perf_counter
+
+from diagnosis.conclude import Findings, conclude
+from diagnosis.hypotheses import Problem, pose, refine
+from diagnosis.jitter import fit_jitter
+from diagnosis.logs import LoadedSet
+from diagnosis.noise import load_noise
+from diagnosis.parameters import layout
+from diagnosis.ranking import rank
+from diagnosis.residuals import prepare
+from diagnosis.selection import SetEvidence, screen, search, total
+from diagnosis.shrink import shrink
+from diagnosis.stages import swap_stages
+from diagnosis.verdict import Diagnosis
+from diagnosis.whitening import set_nuisance_sd
+from sim_twin.profile import TwinProfile
+
+REFINED_COUNT = 8
+
+Progress = Callable[[float, str], None]
+"""Told the share done, 0 to 1, and what is being done."""
+
+
+class CancelledError(Exception):
+    """The user asked to stop."""
+
+
+def diagnose_throws(
+    loaded: LoadedSet,
+    profile: TwinProfile,
+    progress: Progress | None = None,
+    cancel: Callable[[], bool] | None = None,
+) -> Diagnosis:
+    """Diagnose a set of throws.
+
+    Args:
+        loaded: the throws and what was refused.
+        profile: of the twin that the machine is compared with.
+        progress: told what is being done.
+        cancel: asked between steps whether to stop.
+
+    Raises:
+        CancelledError: `cancel` said so.
+    """
+    refused = loaded.too_few()
+    if refused is not None:
+        return refused
+    started = perf_counter()
+    seconds: dict[str, float] = {}
+
+    def tell(share: float, text: str) -> None:
+        seconds[text] = round(perf_counter() - started, 2)
+        if cancel is not None and cancel():
+            raise CancelledError("the diagnosis was cancelled")
+        if progress is not None:
+            progress(share, text)
+
+    tell(0.02, "measured motion")
+    model = load_noise()
+    prepared = prepare(loaded.throws, profile)
+    calibration = loaded.throws[0].calibration
+    tell(0.05, "where: stages swapped")
+    terms = swap_stages(prepared, profile, calibration)
+    tell(0.15, "which: sensitivities")
+    jitter = fit_jitter(prepared, profile, model)
+    plan = layout(model.tolerance, set_nuisance_sd(model))
+    if jitter.log_odds > 0.0:
+        model = model.with_jitter(jitter.size_s)
+    problem = pose(prepared, profile, calibration, model, plan)
+    tell(0.35, "which: sets of effects")
+    candidates = _candidates(problem)
+    hypotheses = refine(problem, candidates, lambda s: tell(0.4 + 0.45 * s, "which: refinement"))
+    ranked = rank(problem, hypotheses, jitter)
+    tell(0.88, "how far: held-out throws")
+    best = ranked.best
+    found = shrink(problem, best) if best.members else None
+    tell(1.0, "done")
+    return conclude(Findings(loaded, problem, ranked, terms, found, seconds))
+
+
+def _candidates(problem: Problem) -> list[SetEvidence]:
+    """Best hypotheses of the first linearisation, "no effect" among them."""
+    base = screen(total(problem.information), problem.layout.priors)
+    found = search(base, problem.layout.priors)
+    none = next(e for e in found if not e.members)
+    return [*[e for e in found if e.members][:REFINED_COUNT], none]

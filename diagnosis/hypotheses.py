@@ -1,0 +1,262 @@
+"""Hypotheses refined and weighed: each is linearised where it fits best, and weighed on bootstraps of the throws.
+
+A first linearisation at "no effect" finds candidates; an effect of finite size bends, so each candidate is
+simulated again at its own estimate and compared by the evidence that the data then give.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.noise import NoiseModel
+from diagnosis.parameters import Layout, Parameter, effects_of, library
+from diagnosis.residuals import Linear, PreparedThrow, linearise
+from diagnosis.selection import (
+    Information,
+    Priors,
+    Set,
+    SetEvidence,
+    bootstrap_weights,
+    log_evidence,
+    members_index,
+    screen,
+    total,
+    weigh,
+)
+from diagnosis.whitening import Whitened, factors, information, leftovers, whiten_throw
+from machine.calibration import ValveCalibration
+from machine.conventions import Array, IntArray
+from sim_twin.effects import Effect, resolve
+from sim_twin.profile import TwinProfile
+
+BOOTSTRAP_COUNT = 40
+REFINEMENT_COUNT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One set of throws against one twin."""
+
+    prepared: Sequence[PreparedThrow]
+    profile: TwinProfile
+    calibration: ValveCalibration
+    model: NoiseModel
+    layout: Layout
+    factor: Sequence[Sequence[Array]]
+    """Of every throw's blocks."""
+    linear: Sequence[Linear]
+    """At "no effect"."""
+    whitened: Sequence[Whitened]
+    information: Sequence[Information]
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """A set of effects at its best size."""
+
+    members: Set
+    effects: tuple[Effect, ...]
+    evidence: SetEvidence
+    log_evidence: Array
+    """(draws,) on each bootstrap of the throws; the first is the data themselves."""
+    mean: Array
+    """Posterior of the whole vector of the layout, scatter of the other parameters included."""
+    whitened: Sequence[Whitened]
+    information: Sequence[Information]
+    """Of the whole vector, linearised at the hypothesis."""
+
+
+def pose(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    model: NoiseModel,
+    layout: Layout,
+) -> Problem:
+    """Linearise at "no effect"."""
+    linear = linearise(prepared, profile, calibration)
+    factor = [factors(p, model) for p in prepared]
+    whitened = [
+        whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
+    ]
+    return Problem(
+        prepared,
+        profile,
+        calibration,
+        model,
+        layout,
+        factor,
+        linear,
+        whitened,
+        information(whitened),
+    )
+
+
+def refine(
+    problem: Problem, candidates: Sequence[SetEvidence], tick: Callable[[float], None]
+) -> list[Hypothesis]:
+    """Linearise every candidate at its estimate, weigh it there; all candidates in one batch a round."""
+    found = [_Trial(c.members, c.mean, problem.linear, problem.whitened) for c in candidates]
+    for number in range(REFINEMENT_COUNT):
+        found = _round(problem, found)
+        tick((number + 1) / (REFINEMENT_COUNT + 1))
+    weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
+    return [_weighed(problem, trial, weights) for trial in found]
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    members: Set
+    sizes: Array
+    """Of the members' parameters."""
+    linear: Sequence[Linear]
+    whitened: Sequence[Whitened]
+
+
+def _round(problem: Problem, trials: Sequence[_Trial]) -> list[_Trial]:
+    """Simulate every trial at its sizes and estimate the sizes again."""
+    count = len(problem.prepared)
+    moving = [trial for trial in trials if trial.members]
+    if not moving:
+        return list(trials)
+    results: dict[Set, _Trial] = {}
+    for trial in moving:
+        effects = fitted_effects(problem.layout, trial.members, trial.sizes)
+        only = _constants(problem.layout, trial.members)
+        linear = linearise(
+            problem.prepared,
+            problem.profile,
+            problem.calibration,
+            [effects] * count,
+            only,
+            with_nuisances=False,
+        )
+        merged = [_merge(problem, i, linear[i], trial, effects, only) for i in range(count)]
+        whitened = [
+            whiten_throw(p, one, problem.model, f)
+            for p, one, f in zip(problem.prepared, merged, problem.factor, strict=True)
+        ]
+        base = screen(total(information(whitened)), problem.layout.priors)
+        sizes = weigh(base, problem.layout.priors, trial.members).mean
+        results[trial.members] = _Trial(trial.members, sizes, merged, whitened)
+    return [results.get(trial.members, trial) for trial in trials]
+
+
+def _merge(
+    problem: Problem,
+    throw: int,
+    at: Linear,
+    trial: _Trial,
+    effects: tuple[Effect, ...],
+    only: Sequence[Parameter],
+) -> Linear:
+    """Slopes of the members at the trial's sizes, all others as at "no effect"; residual carried back to 0."""
+    base = problem.linear[throw]
+    keys = {p.key: i for i, p in enumerate(library())}
+    columns = [keys[p.key] for p in only]
+    jacobian = base.jacobian.copy()
+    jacobian[:, columns] = at.jacobian[:, columns]
+    sizes = _acting_sizes(effects, problem.prepared[throw].input.progress_ratio)
+    carried = sum(
+        (jacobian[:, keys[key]] * size for key, size in sizes.items()),
+        np.zeros(at.residual.size),
+    )
+    return replace(base, residual=at.residual + carried, jacobian=jacobian)
+
+
+def _acting_sizes(effects: Sequence[Effect], progress_ratio: float) -> dict[str, float]:
+    """Size by parameter key that acts in one throw, drifts carried out."""
+    return {
+        ".".join(part for part in key if part is not None): size
+        for key, size in resolve(effects, progress_ratio).items()
+    }
+
+
+def _constants(layout: Layout, members: Set) -> list[Parameter]:
+    """Parameters whose slopes a hypothesis needs; a drift needs those of what drifts."""
+    index = members_index(layout.priors, members)
+    places = sorted({int(i) % layout.parameter_count for i in index})
+    return [library()[i] for i in places]
+
+
+def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, ...]:
+    """A hypothesis at sizes (of its parameters, group after group) as effects of the library."""
+    effects: list[Effect] = []
+    at = 0
+    for group in members:
+        width = layout.priors.groups[group].size
+        effects.append(effects_of(layout, group, sizes[at : at + width]))
+        at += width
+    return tuple(effects)
+
+
+def _weighed(problem: Problem, trial: _Trial, weights: Array) -> Hypothesis:
+    priors = problem.layout.priors
+    informations = information(trial.whitened)
+    kept = _kept(problem.layout, trial.members)
+    small = _restricted(priors, kept)
+    members = tuple(range(len(trial.members)))
+    small_members = small._replace(
+        groups=tuple(
+            np.flatnonzero(np.isin(kept, priors.groups[group])) for group in trial.members
+        ),
+        log_prior=np.array([priors.log_prior[group] for group in trial.members]),
+    )
+    reduced = [_restrict(i, kept) for i in informations]
+    logs = np.array([log_evidence(total(reduced, w), small_members, members) for w in weights])
+    base = screen(total(reduced), small_members)
+    evidence = weigh(base, small_members, members)
+    mean = np.zeros(priors.spike_sd.size)
+    mean[kept] = _conditional_mean(base.mean, base.covariance, small_members, evidence)
+    return Hypothesis(
+        members=trial.members,
+        effects=fitted_effects(problem.layout, trial.members, evidence.mean),
+        evidence=evidence._replace(members=trial.members),
+        log_evidence=logs,
+        mean=mean,
+        whitened=trial.whitened,
+        information=informations,
+    )
+
+
+def _conditional_mean(mean: Array, covariance: Array, priors: Priors, found: SetEvidence) -> Array:
+    """Posterior mean of all parameters given that the members are at their own posterior mean."""
+    if not found.members:
+        return mean
+    index = members_index(priors, found.members)
+    block = covariance[np.ix_(index, index)]
+    return mean + covariance[:, index] @ np.linalg.solve(block, found.mean - mean[index])
+
+
+def _kept(layout: Layout, members: Set) -> IntArray:
+    """All parameters but the drifts that are no members: nobody's scatter drifts."""
+    index = members_index(layout.priors, members)
+    drift = np.arange(layout.parameter_count, layout.parameter_count + layout.drift_count)
+    return np.setdiff1d(np.arange(layout.size_count), np.setdiff1d(drift, index))
+
+
+def _restrict(found: Information, kept: IntArray) -> Information:
+    return found._replace(
+        precision=found.precision[np.ix_(kept, kept)], gradient=found.gradient[kept]
+    )
+
+
+def _restricted(priors: Priors, kept: IntArray) -> Priors:
+    return priors._replace(
+        spike_sd=priors.spike_sd[kept],
+        slab_sd=priors.slab_sd[kept],
+        low=priors.low[kept],
+        high=priors.high[kept],
+    )
+
+
+def leftover_levels(hypothesis: Hypothesis) -> dict[str, float]:
+    """Log of the residual power per row of every block, after the hypothesis, over all throws."""
+    power: dict[str, float] = {}
+    rows: dict[str, int] = {}
+    for whitened in hypothesis.whitened:
+        for name, (square, count) in leftovers(whitened, hypothesis.mean).items():
+            power[name] = power.get(name, 0.0) + square
+            rows[name] = rows.get(name, 0) + count
+    return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}
