@@ -65,6 +65,7 @@ def replay(
         calibration=calibration,
         effects=[deterministic(e.effects) for e in elements],
         progress_ratio=np.array([t.progress_ratio for t in throws]),
+        sees_contacts=False,
     )
     ticks = max(t.valve_ratio.shape[0] for t in throws)
     motion = MeasuredMotion(twin, throws, elements, ticks)

@@ -32,7 +32,7 @@ from sim_twin.payload import Payload
 from sim_twin.profile import TwinProfile, nominal_profile
 from sim_twin.response import VelocityResponse
 from sim_twin.twin_effects import PrescribedMotion, Readings, TwinEffects
-from sim_twin.twin_model import twin_model
+from sim_twin.twin_model import twin_model, untouchable_model
 
 FRICTION_WIDTH_RAD_PER_S = 0.004
 """Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
@@ -64,6 +64,7 @@ class Twin:
         thread_count: int = 2,
         effects: Sequence[Sequence[Effect]] | None = None,
         progress_ratio: Array | float = 1.0,
+        sees_contacts: bool = True,
     ) -> None:
         """Build the machines and put them, loaded, into the model's zero pose; call `reset` to begin.
 
@@ -75,6 +76,7 @@ class Twin:
             thread_count: threads of the physics.
             effects: one set for each machine, on top of the profile's own.
             progress_ratio: (N,) how far drifts have gone; 1, what a set of throws ended with.
+            sees_contacts: look for collisions; `collided` says nothing without.
 
         Raises:
             UsageError: `count` is not positive, or there are not as many sets of effects.
@@ -88,7 +90,8 @@ class Twin:
         self.spec: MachineSpec = load_spec()
         model, self._friction_moment = twin_model()
         threads = thread_count if count >= THREADED_FROM_COUNT else 1
-        self._batch: Any = batch.Batch(model, count, threads)
+        shown = model if sees_contacts else untouchable_model()
+        self._batch: Any = batch.Batch(shown, count, threads)
         arrays = effect_arrays(count, profile.effects, effects, progress_ratio)
         self._effects = None if arrays is None else TwinEffects(self.spec, arrays, self._batch)
         self._bind()

@@ -1,5 +1,6 @@
 """The twin's MuJoCo model, made from machine/m545.xml; the file itself is never changed."""
 
+from copy import copy
 from functools import cache
 
 import mujoco
@@ -67,3 +68,11 @@ def twin_model() -> tuple[mujoco.MjModel, Array]:
             f"m545.xml has the joints {order}, the twin needs the order of JOINT_NAMES"
         )
     return model, np.asarray(friction)
+
+
+@cache
+def untouchable_model() -> mujoco.MjModel:
+    """The twin's model without the search for contacts, which never push anyway: the same motion, faster."""
+    model = copy(twin_model()[0])
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
