@@ -1,0 +1,268 @@
+"""Least-squares fits of nested structures to one stage's own data: what the three stage tools share.
+
+A structure is a set of options; each option adds the parameters of one effect to a simulated response.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from machine.conventions import Array, IntArray
+
+QUICK_ITERATIONS: Final = 5
+FULL_ITERATIONS: Final = 40
+TOLERANCE_RATIO: Final = 1e-5
+"""Of the sum of squares: an iteration that gains less is the last."""
+
+
+class FreeParameter(NamedTuple):
+    """A number that is fitted, with its bounds; `low` is the smallest magnitude worth naming."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    starts: tuple[float, ...]
+
+
+class Option(NamedTuple):
+    """One way to add an effect; options of the same effect exclude each other."""
+
+    key: str
+    """Names this option among all."""
+    effect: str
+    parameters: tuple[FreeParameter, ...]
+
+
+class Problem(Protocol):
+    """The data of one stage and its simulated response."""
+
+    @property
+    def nuisance(self) -> tuple[FreeParameter, ...]:
+        """What is fitted in every structure: scale, offset, initial conditions."""
+        ...
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What may be added."""
+        ...
+
+    @property
+    def block(self) -> IntArray:
+        """(samples,) contiguous piece of the record that each residual belongs to; held out together."""
+        ...
+
+    def residual(self, values: Mapping[str, float]) -> Array:
+        """(samples,) measured minus simulated; an absent parameter means an absent effect."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A structure at its best parameters."""
+
+    options: tuple[Option, ...]
+    names: tuple[str, ...]
+    """Of the parameters: the nuisance's own, then ``option.parameter``."""
+    values: Array
+    """(parameters,)"""
+    residual: Array
+    """(samples,)"""
+    jacobian: Array
+    """(samples, parameters)"""
+
+    @property
+    def mean_square(self) -> float:
+        """Of the residual."""
+        return float(np.mean(self.residual**2))
+
+    def as_mapping(self) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+
+def fit(
+    problem: Problem,
+    options: tuple[Option, ...],
+    start: Mapping[str, float],
+    iterations: int = FULL_ITERATIONS,
+    use: Array | None = None,
+) -> Fit:
+    """Fit a structure, from `start` and from each start of the parameters that it lacks.
+
+    Args:
+        problem: data and response.
+        options: the structure.
+        start: parameters of a simpler fit, by name.
+        iterations: limit of the optimiser.
+        use: (samples,) 1 where a sample counts, 0 where it is held out.
+    """
+    parameters = {p.name: p for p in problem.nuisance}
+    parameters |= {f"{o.key}.{p.name}": p for o in options for p in o.parameters}
+    names = tuple(parameters)
+    low = np.array([p.low for p in parameters.values()])
+    high = np.array([p.high for p in parameters.values()])
+    new = [name for name in names if name not in start]
+    tries = max((len(parameters[name].starts) for name in new), default=1)
+
+    def weighted(x: Array) -> Array:
+        residual = problem.residual(dict(zip(names, x.tolist(), strict=True)))
+        return residual if use is None else residual * use
+
+    best_x, best_cost = np.array([]), np.inf
+    # Every start gets a short run, the best one a long run.
+    for number in range(tries):
+        x0 = [
+            start[n] if n in start else parameters[n].starts[number % len(parameters[n].starts)]
+            for n in names
+        ]
+        margin = 1e-6 * (high - low)
+        x0 = np.clip(np.array(x0), low + margin, high - margin)
+        limit = iterations if tries == 1 else min(iterations, QUICK_ITERATIONS)
+        solved = _solve(weighted, x0, low, high, limit)
+        if solved.cost < best_cost:
+            best_x, best_cost = solved.x, solved.cost
+    if tries > 1 and iterations > QUICK_ITERATIONS:
+        best_x = _solve(weighted, best_x, low, high, iterations).x
+
+    def unweighted(x: Array) -> Array:
+        return problem.residual(dict(zip(names, x.tolist(), strict=True)))
+
+    residual = unweighted(best_x)
+    jacobian = _jacobian(unweighted, best_x, low, high, residual)
+    return Fit(options, names, best_x, residual, jacobian)
+
+
+def held_out_mean_square(problem: Problem, found: Fit) -> float:
+    """Mean square of each block's residual with parameters from the other blocks only.
+
+    One Gauss-Newton step from the fit to all blocks, x_b = x + (A - A_b)^-1 J_b' r_b with A = J'J, then the
+    block is simulated again with x_b; exact for a linear response.
+    """
+    parameters = {p.name: p for p in problem.nuisance}
+    parameters |= {f"{o.key}.{p.name}": p for o in found.options for p in o.parameters}
+    low = np.array([p.low for p in parameters.values()])
+    high = np.array([p.high for p in parameters.values()])
+    J, r = found.jacobian, found.residual
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    Js = J / scale
+    A = Js.T @ Js + 1e-6 * np.eye(len(scale))
+    total = 0.0
+    for number in np.unique(problem.block):
+        inside = problem.block == number
+        Jb, rb = Js[inside], r[inside]
+        rest = A - Jb.T @ Jb + 1e-6 * np.eye(len(scale))
+        step = np.linalg.solve(rest, Jb.T @ rb) / scale
+        # A block that alone fixes a parameter would otherwise throw it anywhere.
+        x = np.clip(found.values + step, low, high)
+        again = problem.residual(dict(zip(found.names, x.tolist(), strict=True)))
+        total += float(np.sum(again[inside] ** 2))
+    return total / len(r)
+
+
+def standard_errors(problem: Problem, found: Fit, correlation_samples: float) -> Array:
+    """Standard error of each parameter, (parameters,), honest about correlated residuals.
+
+    The larger of two: white-noise covariance times the residual's correlation length, and the sandwich
+    A^-1 (sum_b g_b g_b') A^-1 over blocks, g_b = J_b' r_b (cluster-robust; Liang and Zeger 1986).
+    """
+    J, r = found.jacobian, found.residual
+    scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    Js = J / scale
+    inverse = np.linalg.pinv(Js.T @ Js, rcond=1e-10)
+    freedom = max(len(r) / correlation_samples - len(scale), 1.0)
+    noise = float(np.sum(r**2)) / freedom
+    white = np.sqrt(np.maximum(np.diag(inverse), 0.0) * noise)
+    blocks = np.unique(problem.block)
+    gradients = np.stack([Js[problem.block == b].T @ r[problem.block == b] for b in blocks])
+    meat = gradients.T @ gradients * len(blocks) / max(len(blocks) - 1, 1)
+    robust = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
+    return np.maximum(white, robust) / scale
+
+
+def interval_factor(problem: Problem) -> float:
+    """Half width of a 90 % interval in standard errors, with the blocks as degrees of freedom."""
+    return float(student_t.ppf(0.95, max(len(np.unique(problem.block)) - 1, 2)))
+
+
+def correlation_length(residual: Array, block: IntArray) -> float:
+    """Integrated autocorrelation time in samples, 1 + 2 sum rho_k up to its first zero; at least 1."""
+    count = len(residual)
+    centred = residual - np.mean(residual)
+    power = float(np.mean(centred**2))
+    if power <= 0.0 or count < 8:
+        return 1.0
+    total = 1.0
+    for lag in range(1, count // 4):
+        same = block[lag:] == block[:-lag]
+        if not np.any(same):
+            break
+        rho = float(np.mean((centred[lag:] * centred[:-lag])[same])) / power
+        if rho <= 0.05:
+            break
+        total += 2.0 * rho
+    return min(total, count / 8.0)
+
+
+class _Solved(NamedTuple):
+    x: Array
+    cost: float
+
+
+def _solve(
+    function: Callable[[Array], Array], x0: Array, low: Array, high: Array, limit: int
+) -> _Solved:
+    """Levenberg-Marquardt with steps cut at the bounds; `limit` iterations.
+
+    Parameters at a bound that the gradient pushes outwards are held (active set); the rest still moves.
+    """
+    x = x0
+    residual = function(x)
+    cost = float(residual @ residual)
+    damping = 1e-3
+    for _ in range(limit):
+        J = _jacobian(function, x, low, high, residual)
+        gradient = J.T @ residual
+        held = ((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0))
+        A = J.T @ J
+        free = np.flatnonzero(~held)
+        scale = np.sqrt(np.maximum(np.diag(A)[free], 1e-30))
+        As = A[np.ix_(free, free)] / np.outer(scale, scale)
+        improved = 0.0
+        for _ in range(6):
+            step = np.zeros_like(x)
+            damped = As + damping * np.eye(len(free))
+            step[free] = np.linalg.solve(damped, gradient[free] / scale) / scale
+            moved = np.clip(x + step, low, high)
+            tried = function(moved)
+            new_cost = float(tried @ tried)
+            if new_cost < cost:
+                improved = (cost - new_cost) / max(cost, 1e-300)
+                x, residual, cost = moved, tried, new_cost
+                damping = max(0.1 * damping, 1e-9)
+                break
+            damping = min(10.0 * max(damping, 1e-6), 1e9)
+        if improved < TOLERANCE_RATIO:
+            break
+    return _Solved(x, cost)
+
+
+def _jacobian(
+    function: Callable[[Array], Array], x: Array, low: Array, high: Array, residual: Array
+) -> Array:
+    """Sensitivities d simulated / d parameter = - d residual / d parameter, (samples, parameters).
+
+    Steps of 0.3 % are wide enough to cross the kinks of dead bands and of delays within a tick.
+    """
+    columns: list[Array] = []
+    for index in range(len(x)):
+        step = 3e-3 * max(abs(x[index]), 0.01 * min(high[index] - low[index], 10.0))
+        if x[index] + step > high[index]:
+            step = -step
+        moved = x.copy()
+        moved[index] += step
+        columns.append((residual - function(moved)) / step)
+    return np.stack(columns, axis=1)
