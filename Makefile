@@ -62,6 +62,8 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@echo "== generated API client"
 	@$(BIN)/downrange openapi --out build/openapi.json > build/openapi.log
 	@cmp build/openapi.json web/openapi.json || { echo "web/openapi.json is old: run make types"; exit 1; }
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- ../build/schema.ts > build/types.log
+	@cmp build/schema.ts web/src/api/schema.ts || { echo "web/src/api/schema.ts is old: run make types"; exit 1; }
 
 test: check $(STAMP)/browser  ## All checks and tests, those of the 3D view in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
@@ -72,7 +74,7 @@ e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, 
 
 types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
 	@$(BIN)/downrange openapi --out web/openapi.json
-	@$(BIN)/python scripts/node.py npm --prefix web run --silent types
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- src/api/schema.ts
 
 spec: $(STAMP)/python  ## Regenerate machine/spec.json from machine/m545.xml
 	@$(BIN)/downrange spec
