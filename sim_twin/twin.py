@@ -104,6 +104,7 @@ class Twin:
         self._friction = np.zeros((2, count, 2))
         self._friction_width = np.full((count, 2), FRICTION_WIDTH_RAD_PER_S)
         self._prescribed: PrescribedMotion | None = None
+        self._missed = np.zeros((count, ACTIVE_COUNT))
         self._noise_offset = np.zeros((count, 1), dtype=np.int64)
         self._noise_sd = _noise_sd(profile)
         # The same in every sample, and nobody's to change.
@@ -186,6 +187,7 @@ class Twin:
         self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._valve[:] = 0.0
         self._prescribed = None
+        self._missed[:] = 0.0
         if self._effects is not None:
             pose = self._effects.true_pose(pose)
         self._place(pose, np.zeros_like(pose))
@@ -258,8 +260,9 @@ class Twin:
         reference = np.minimum(np.maximum(reference, room_low), room_high)
         given = self._prescribed
         if given is not None:
-            follows = given.mask[:, :ACTIVE_COUNT]
-            reference = np.where(follows, given.velocity_rad_m_per_s[:, :ACTIVE_COUNT], reference)
+            # The load moves a drive a little; by as much as in the last tick.
+            wanted = given.velocity_rad_m_per_s[:, :ACTIVE_COUNT] + self._missed
+            reference = np.where(given.mask[:, :ACTIVE_COUNT], wanted, reference)
         self._control[:] = reference - v[:, :ACTIVE_COUNT]
         self._push_free_joints(q, v)
         end_ns = self._now_ns + CONTROL_PERIOD_NS
@@ -269,6 +272,8 @@ class Twin:
         self._now_ns = end_ns
         self._collided |= self._contacts > 0
         if given is not None:
+            self._missed += given.velocity_rad_m_per_s[:, :ACTIVE_COUNT] - v[:, :ACTIVE_COUNT]
+            self._missed[~given.mask[:, :ACTIVE_COUNT]] = 0.0
             np.copyto(q, given.position_rad_m, where=given.mask)
             np.copyto(v, given.velocity_rad_m_per_s, where=given.mask)
         if before is not None:
