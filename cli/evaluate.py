@@ -227,8 +227,8 @@ def _checked_ranges(ranges_m: tuple[float, ...], text: str) -> tuple[float, ...]
     return ranges_m
 
 
-def progress_line(what: str) -> Callable[[int, int], None]:
-    """Show throws done on stderr: in place on a terminal, else a line every tenth."""
+def progress_line(what: str, of: str = "throws") -> Callable[[int, int], None]:
+    """Show throws (or others) done on stderr: in place on a terminal, else a line every tenth."""
     live = sys.stderr.isatty()
     shown = -1
 
@@ -237,9 +237,9 @@ def progress_line(what: str) -> Callable[[int, int], None]:
         step = done * 10 // max(total, 1)
         if live:
             end = "\n" if done == total else ""
-            print(f"\r{what}: {done} of {total} throws", end=end, file=sys.stderr, flush=True)
+            print(f"\r{what}: {done} of {total} {of}", end=end, file=sys.stderr, flush=True)
         elif step != shown:
-            print(f"{what}: {done} of {total} throws", file=sys.stderr, flush=True)
+            print(f"{what}: {done} of {total} {of}", file=sys.stderr, flush=True)
         shown = step
 
     return show

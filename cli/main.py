@@ -2,7 +2,8 @@
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import NamedTuple
 
 import tyro
@@ -27,6 +28,7 @@ VERBS: dict[str, Verb] = {
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb("cli.evaluate", "measure accuracy over many throws, the paper's way", "twin"),
     "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
+    "challenge": Verb("cli.challenge", "make, run and score a blind check of diagnose", "twin"),
     "calibrate": Verb("cli.calibrate", "measure a machine's valves and its response", "twin"),
     "train": Verb("cli.train", "train a policy", "train"),
     "db": Verb("cli.db", "upgrade, downgrade or check the database", "server"),
@@ -45,6 +47,14 @@ Throw with a material handler. Verbs:
 {verbs}
 
 `downrange VERB --help` explains a verb."""
+
+
+def _run(module: ModuleType, prog: str, arguments: Sequence[str]) -> int | None:
+    """Call what the verb's module offers: ``run``, or one of its ``ACTIONS`` by name."""
+    actions: dict[str, Callable[..., int]] | None = getattr(module, "ACTIONS", None)
+    if actions is None:
+        return tyro.cli(module.run, prog=prog, args=arguments)
+    return tyro.extras.subcommand_cli_from_dict(actions, prog=prog, args=arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return 1
     try:
-        code = tyro.cli(module.run, prog=f"downrange {argv[0]}", args=argv[1:])
+        code = _run(module, f"downrange {argv[0]}", argv[1:])
     except DownrangeError as error:
         print(f"downrange {argv[0]}: {error}", file=sys.stderr)
         return 1

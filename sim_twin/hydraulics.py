@@ -7,6 +7,7 @@ orifice Q = K a sqrt(dp) taken at the last pressures; the chamber pressure then 
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -123,6 +124,28 @@ def size_machine(spec: MachineSpec) -> Sizes:
     return Sizes(area, stroke, inlet, outlet)
 
 
+class DriveFaults(Protocol):
+    """What can be wrong between command and force (sim_twin.plant_effects_drive)."""
+
+    def drive_velocity(self, velocity_rad_m_per_s: Array, position_rad_m: Array) -> Array:
+        """Joint velocities (N, 4) as the actuators have them."""
+        ...
+
+    def meter(self, opening_ratio: Array, position_rad_m: Array) -> None:
+        """Change openings (2, N, 4) in place."""
+        ...
+
+    def regulate(
+        self, from_rail: Array, to_tank: Array, pressure_pa: Array, rail_pa: Array, width: Array
+    ) -> None:
+        """Change conductances (2, N, 4) in place; `width` is the oil a unit of joint motion."""
+        ...
+
+    def hold(self, torque: Array, position_rad_m: Array, velocity_rad_m_per_s: Array) -> None:
+        """Change torques (N, 4) in place."""
+        ...
+
+
 class Hydraulics:
     """Pump, valves and actuators of N machines; one `step` a physics step.
 
@@ -157,8 +180,10 @@ class Hydraulics:
         self._viscous = viscous * self._area[0]
         self._bulk_step = unit.bulk_modulus_pa * step_s
         self._rail_gain = step_s * unit.bulk_modulus_pa / RAIL_VOLUME_M3
-        self._pump_m3_per_s, self._set_pa = unit.pump_flow_m3_per_s, unit.supply_pressure_pa
-        self._pump_slope = unit.pump_flow_m3_per_s / PUMP_DROOP_PA
+        self._set_pa = unit.supply_pressure_pa
+        self._pump_m3_per_s: float | Array = unit.pump_flow_m3_per_s
+        self._pump_slope: float | Array = unit.pump_flow_m3_per_s / PUMP_DROOP_PA
+        self._faults: DriveFaults | None = None
         self._allocate(count)
 
     def _allocate(self, count: int) -> None:
@@ -174,6 +199,13 @@ class Hydraulics:
         )
         self._inflow, self._gain_sum, self._both = np.zeros(both), np.zeros(both), np.zeros(both)
         self._is_lower = np.zeros(both, dtype=np.bool_)
+
+    def wear(self, faults: DriveFaults, gain_ratio: Array, flow_ratio: Array) -> None:
+        """Go on with these faults, orifices (2, N, 4) and pump flows (N,) times a ratio."""
+        self._faults = faults
+        self._valve_gain = self._valve_gain * gain_ratio
+        self._pump_m3_per_s = self._pump_m3_per_s * flow_ratio
+        self._pump_slope = self._pump_slope * flow_ratio
 
     def reset(self, position_rad_m: Array, load_torque: Array, conditions: ThrowConditions) -> None:
         """Stand still at active positions (N, 4) against loads (N, 4) that resist positive motion, N m, N."""
@@ -197,9 +229,17 @@ class Hydraulics:
         """Advance one step; active positions, velocities, valve commands (N, 4) -> joint torque (N, 4)."""
         opening = self.spools.step(command_ratio)
         self._geometry(position_rad_m)
-        speed = self._speed
-        np.multiply(velocity_rad_m_per_s, self._lever, out=speed)
-        self._conduct(opening)
+        speed, faults = self._speed, self._faults
+        if faults is None:
+            np.multiply(velocity_rad_m_per_s, self._lever, out=speed)
+            self._conduct(opening)
+        else:
+            faults.meter(opening, position_rad_m)
+            driven = faults.drive_velocity(velocity_rad_m_per_s, position_rad_m)
+            np.multiply(driven, self._lever, out=speed)
+            self._conduct(opening)
+            width = self._area[:, None, :] * self._lever
+            faults.regulate(self._from_rail, self._to_tank, self.pressure_pa, self.rail_pa, width)
         self._step_rail()
         self._step_chambers(speed)
         force, work = self._force, self._work
@@ -219,6 +259,8 @@ class Hydraulics:
         if work.any():
             force -= STOP_STIFFNESS * work
             force -= STOP_DAMPING * velocity_rad_m_per_s * (work != 0.0)
+        if faults is not None:
+            faults.hold(force, position_rad_m, velocity_rad_m_per_s)
         return force
 
     def _conduct(self, opening_ratio: Array) -> None:

@@ -1,6 +1,6 @@
 """The virtual machine's rigid body: the MJCF with one unit's lengths, masses and tilt, and true sensors."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -26,11 +26,25 @@ class PlantBody(NamedTuple):
     swing_coulomb: Array
 
 
-def build_body(spec: MachineSpec, unit: MachineUnit, step_s: float) -> PlantBody:
+class BodyFaults(Protocol):
+    """What can be wrong with the body (sim_twin.plant_effects_body)."""
+
+    def build(self, tree: mujoco.MjSpec) -> None:
+        """Change the tree of one unit before it is compiled."""
+        ...
+
+
+def build_body(
+    spec: MachineSpec,
+    unit: MachineUnit,
+    step_s: float,
+    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER,
+    faults: BodyFaults | None = None,
+) -> PlantBody:
     """Compile the model of one unit; drives, joint friction and end stops are not in it."""
     tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
     tree.option.timestep = step_s
-    tree.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    tree.option.integrator = integrator
     off = mujoco.mjtDisableBit
     # Without automatic resets a divergence stays visible instead of moving the machine to zero.
     tree.option.disableflags |= int(off.mjDSBL_EULERDAMP) | int(off.mjDSBL_AUTORESET)
@@ -47,6 +61,8 @@ def build_body(spec: MachineSpec, unit: MachineUnit, step_s: float) -> PlantBody
         joint.damping = np.zeros_like(joint.damping)
     _place(tree, spec, unit)
     _weigh(tree, unit)
+    if faults is not None:
+        faults.build(tree)
     site = mujoco.mjtObj.mjOBJ_SITE
     for kind, name in (
         (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "imu"),

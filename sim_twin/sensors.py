@@ -4,6 +4,8 @@ They turn true motion into what a control computer receives: noise, bias, quanti
 and loss. None of them sees anything but the true values it is handed.
 """
 
+from typing import Protocol
+
 import numpy as np
 
 from machine.conventions import Array, BoolArray, IntArray
@@ -32,6 +34,20 @@ TRACKER_SD_M = 0.02
 TRACKER_LATENCY_S = (0.030, 0.050)
 SURVEY_SD_M = 0.02
 SURVEY_DELAY_S = 0.5
+
+
+class SensingFaults(Protocol):
+    """What can be wrong with joint sensors and IMU (sim_twin.plant_effects_sensing)."""
+
+    bias_rad_m: Array
+
+    def joints(self) -> tuple[Array, Array]:
+        """Positions and filtered velocities (N, 4) that the joint sensors see."""
+        ...
+
+    def imu(self) -> tuple[Array, Array]:
+        """Rates and specific forces (N, 3) that the IMU sees."""
+        ...
 
 
 class DelayedSamples:
@@ -72,10 +88,16 @@ class DelayedSamples:
 class JointSensors:
     """Encoders of slew, boom and dipper, draw wire of the telescope, rail pressure."""
 
-    def __init__(self, unit: MachineUnit, count: int, step_s: float) -> None:
+    def __init__(
+        self, unit: MachineUnit, count: int, step_s: float, faults: SensingFaults | None = None
+    ) -> None:
+        self._faults = faults
         self._bias = np.asarray(unit.joint_bias_rad_m)
+        if faults is not None:
+            self._bias = self._bias + faults.bias_rad_m
         self._share = 1.0 - np.exp(-step_s / VELOCITY_FILTER_S)
-        self._filtered = np.zeros((count, 4))
+        self.filtered_rad_m_per_s = np.zeros((count, 4))
+        """True velocities through the sensors' filter."""
         self._change = np.zeros((count, 4))
         self.sample_ns = 0
         self.position_rad_m = np.zeros((count, 4))
@@ -84,23 +106,27 @@ class JointSensors:
 
     def reset(self) -> None:
         """The machines stand still."""
-        self._filtered[:] = 0.0
+        self.filtered_rad_m_per_s[:] = 0.0
 
     def follow(self, velocity_rad_m_per_s: Array) -> None:
         """Run the velocity filters one physics step on true velocities (N, 4)."""
-        np.subtract(velocity_rad_m_per_s, self._filtered, out=self._change)
+        filtered = self.filtered_rad_m_per_s
+        np.subtract(velocity_rad_m_per_s, filtered, out=self._change)
         np.multiply(self._change, self._share, out=self._change)
-        np.add(self._filtered, self._change, out=self._filtered)
+        np.add(filtered, self._change, out=filtered)
 
     def sample(
         self, now_ns: int, position_rad_m: Array, rail_pa: Array, rng: np.random.Generator
     ) -> None:
         """Take a sample: true active positions (N, 4), rail pressure (N,)."""
         shape = position_rad_m.shape
+        velocity = self.filtered_rad_m_per_s
+        if self._faults is not None:
+            position_rad_m, velocity = self._faults.joints()
         noise = rng.standard_normal((2, *shape))
         seen = position_rad_m + self._bias + POSITION_SD_RAD_M * noise[0]
         self.position_rad_m = np.rint(seen / POSITION_STEP_RAD_M) * POSITION_STEP_RAD_M
-        self.velocity_rad_m_per_s = self._filtered + VELOCITY_SD_RAD_M_PER_S * noise[1]
+        self.velocity_rad_m_per_s = velocity + VELOCITY_SD_RAD_M_PER_S * noise[1]
         self.supply_pressure_pa = rail_pa + PRESSURE_SD_PA * rng.standard_normal(shape[0])
         self.sample_ns = now_ns
 
@@ -108,8 +134,8 @@ class JointSensors:
 class GripperImu:
     """Six-axis IMU on the gripper, sent by radio: late, sometimes never."""
 
-    def __init__(self, unit: MachineUnit, count: int) -> None:
-        self._count = count
+    def __init__(self, unit: MachineUnit, count: int, faults: SensingFaults | None = None) -> None:
+        self._count, self._faults = count, faults
         x, y, z = unit.imu_misalignment_rad
         # Small rotation of the mounting: seen = R^T true.
         self._mounting = np.eye(3) - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -134,6 +160,8 @@ class GripperImu:
 
         With `arrived` they are there at once.
         """
+        if self._faults is not None:
+            gyro, specific_force = self._faults.imu()
         noise = rng.standard_normal((2, self._count, 3))
         sent = np.empty((self._count, 6))
         sent[:, :3] = gyro @ self._mounting.T + self._gyro_bias + GYRO_SD_RAD_PER_S * noise[0]

@@ -11,6 +11,8 @@ from sim_twin.units import MachineUnit, ThrowConditions
 FULL_STROKE_S = 0.10
 """Fastest full stroke of a spool (servo-piloted main stage, assumed)."""
 MAX_DEAD_TIME_S = 0.30
+SHORTEST_LAG_S = 0.01
+"""A spool that has been made faster is no faster than this."""
 
 
 class Spools:
@@ -18,10 +20,8 @@ class Spools:
 
     def __init__(self, unit: MachineUnit, count: int, step_s: float) -> None:
         self._step_s = step_s
-        self._depth = int(np.ceil(MAX_DEAD_TIME_S / step_s)) + 2
         self._shape = (count, ACTIVE_COUNT)
-        self._ring = np.zeros((self._depth, *self._shape))
-        self._ring_flat = self._ring.reshape(-1)
+        self._allocate_ring(MAX_DEAD_TIME_S)
         self._cells = np.arange(count * ACTIVE_COUNT).reshape(self._shape)
         self._dead_time_s = np.asarray(unit.dead_time_s)
         self._play = np.asarray(unit.hysteresis_ratio)
@@ -44,6 +44,28 @@ class Spools:
         self._gain = np.zeros(self._shape)
         self._lag_s = np.asarray(unit.spool_lag_s)
         self._max_move = step_s / FULL_STROKE_S
+
+    def _allocate_ring(self, max_dead_time_s: float) -> None:
+        self._depth = int(np.ceil(max_dead_time_s / self._step_s)) + 2
+        self._ring = np.zeros((self._depth, *self._shape))
+        self._ring_flat = self._ring.reshape(-1)
+
+    def wear(
+        self,
+        dead_time_s: Array,
+        lag_s: Array,
+        band_ratio: Array,
+        play_ratio: Array,
+    ) -> None:
+        """Make the valves worse by these dead times, lags, plays (N, 4) and overlaps (2, N, 4).
+
+        The command that a further overlap eats is not given back by a steeper opening.
+        """
+        self._dead_time_s = self._dead_time_s + dead_time_s
+        self._allocate_ring(max(MAX_DEAD_TIME_S, float(self._dead_time_s.max()) + 0.01))
+        self._lag_s = np.maximum(self._lag_s + lag_s, SHORTEST_LAG_S)
+        self._band = self._band + band_ratio
+        self._play = self._play + play_ratio
 
     def reset(self, conditions: ThrowConditions) -> None:
         """Centre all spools, forget commands under way and take this throw's conditions."""

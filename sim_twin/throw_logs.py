@@ -21,6 +21,7 @@ from runtime.driver import SensorSample, SimulatedDriver
 from runtime.recorder import StoredLog, log_path, write_throw_log
 from runtime.throw_log import RESULT_RECORD, ThrowLog
 from sim_twin.campaign import Outcome, ThrowResult
+from sim_twin.profile import TwinProfile
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,10 @@ class LogContext:
     """Throw ids are this, a dash, and a number."""
     twin_profile_version_count: int
     out_dir: Path
+    twin_profile: TwinProfile | None = None
+    """The machine's own, put into every log so that it can be diagnosed alone."""
+    throw_numbers: tuple[int, ...] = ()
+    """Numbers of the throws in the set that they belong to; counted from 0 if empty."""
 
 
 class CampaignRecorder:
@@ -73,7 +78,9 @@ class CampaignRecorder:
             result = results[index]
             ticks = min(round(result.simulated_s * 1e9 / CONTROL_PERIOD_NS), control.shape[0])
             last = self._samples[ticks]
-            throw_id = f"{self._context.throw_prefix}-{self._first + index:04d}"
+            numbers = self._context.throw_numbers
+            number = numbers[self._first + index] if numbers else self._first + index
+            throw_id = f"{self._context.throw_prefix}-{number:04d}"
             rows = policy[:, index]
             rows = rows[(rows["t_mono_ns"] > 0) & (rows["t_mono_ns"] <= last.t_mono_ns)]
             log = ThrowLog(
@@ -86,13 +93,19 @@ class CampaignRecorder:
                 impact=_survey(result, last, index),
                 impact_t_mono_ns=int(last.impact_t_mono_ns[index]),
             )
-            self.stored.append(write_throw_log(log_path(self._context.out_dir, throw_id), log))
+            self.store(throw_id, log)
         self._control, self._policy, self._samples = [], [], []
+
+    def store(self, throw_id: str, log: ThrowLog) -> None:
+        """Write one log."""
+        self.stored.append(write_throw_log(log_path(self._context.out_dir, throw_id), log))
 
     def _metadata(self, throw_id: str, result: ThrowResult) -> dict[str, Any]:
         params, context = self._params, self._context
         x, y, z = result.target_m
+        own = context.twin_profile
         return {
+            **({} if own is None else {"twin_profile": own.model_dump(mode="json")}),
             "throw_id": throw_id,
             "machine_id": context.machine_id,
             "mode": params.mode.value,

@@ -5,7 +5,7 @@ motion at its own offset, plus what the opening claws give it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -29,6 +29,20 @@ class GripMotion:
     """(N, 3, 3) gripper to `machine`."""
 
 
+class LoadFaults(Protocol):
+    """What can be wrong as a load leaves and flies (sim_twin.plant_effects_load)."""
+
+    def let_go(self, which: IntArray, velocity_m_per_s: Array, rotation: Array) -> Array:
+        """Velocities (M, 3) of the loads of machines (M,) that leave grippers turned by (M, 3, 3)."""
+        ...
+
+    def fly(
+        self, which: IntArray, position: Array, velocity: Array, wind: Array, step_s: Array
+    ) -> tuple[Array, Array]:
+        """Positions and velocities (M, 3) a flight step (M,) later."""
+        ...
+
+
 class Landed(NamedTuple):
     """Loads that touched down in a flight step: machines (M,), times (M,), points touched (M, 3)."""
 
@@ -40,7 +54,10 @@ class Landed(NamedTuple):
 class ThrownLoad:
     """Loads of N machines."""
 
-    def __init__(self, spec: MachineSpec, unit: MachineUnit, count: int) -> None:
+    def __init__(
+        self, spec: MachineSpec, unit: MachineUnit, count: int, faults: LoadFaults | None = None
+    ) -> None:
+        self._faults = faults
         ball = Ball(
             mass_kg=unit.ball_mass_kg,
             radius_m=unit.ball_radius_m,
@@ -108,8 +125,11 @@ class ThrownLoad:
         due = self.held & (self.release_ns <= now_ns)
         later_s = (self.release_ns[due] - grip.time_ns)[:, None] * 1e-9
         arm_m = np.einsum("nij,nj->ni", grip.rotation[due], self._offset_m[due])
-        velocity = grip.velocity_m_per_s[due] + np.cross(grip.rate_rad_per_s[due], arm_m)
+        turning: Array = np.cross(grip.rate_rad_per_s[due], arm_m).astype(np.float64)
+        velocity = grip.velocity_m_per_s[due] + turning
         position = grip.position_m[due] + arm_m + velocity * later_s
+        if self._faults is not None:
+            velocity = self._faults.let_go(np.flatnonzero(due), velocity, grip.rotation[due])
         velocity = velocity + self._slip_m_per_s[due]
         self.position_m[due] = self.release_position_m[due] = position
         self.velocity_m_per_s[due] = self.release_velocity_m_per_s[due] = velocity
@@ -125,7 +145,7 @@ class ThrownLoad:
         step_s: Array = (now_ns - self._time_ns[rows]).astype(np.float64) * 1e-9
         p0, v0 = self.position_m[rows], self.velocity_m_per_s[rows]
         wind = wind_m_per_s[rows]
-        p1, v1 = step_flight(p0, v0, self._drag_per_m, wind, step_s)
+        p1, v1 = self._step_flight(rows, p0, v0, wind, step_s)
         bottom = plane_m[rows] + self.radius_m
         down = (p1[:, 2] <= bottom) & (v1[:, 2] < 0.0)
         landed = rows[down]
@@ -135,9 +155,7 @@ class ThrownLoad:
             fall = v0[down, 2]
             touch_s = (fall + np.sqrt(fall**2 + 2.0 * GRAVITY_M_PER_S2 * above)) / GRAVITY_M_PER_S2
             touch_s = np.minimum(touch_s, step_s[down])
-            p1[down], v1[down] = step_flight(
-                p0[down], v0[down], self._drag_per_m, wind[down], touch_s
-            )
+            p1[down], v1[down] = self._step_flight(landed, p0[down], v0[down], wind[down], touch_s)
             point = p1[down]
             point[:, 2] = plane_m[landed]
             self.impact_m[landed] = point
@@ -147,6 +165,13 @@ class ThrownLoad:
         self.velocity_m_per_s[landed] = 0.0
         self._time_ns[rows] = now_ns
         return Landed(landed, self.impact_ns[landed], self.impact_m[landed])
+
+    def _step_flight(
+        self, which: IntArray, position: Array, velocity: Array, wind: Array, step_s: Array
+    ) -> tuple[Array, Array]:
+        if self._faults is not None:
+            return self._faults.fly(which, position, velocity, wind, step_s)
+        return step_flight(position, velocity, self._drag_per_m, wind, step_s)
 
     def switch(self, now_ns: int) -> BoolArray:
         """The gripper switches (N,): true until shortly after the load has left."""

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from machine.conventions import ACTIVE_COUNT, Array, BoolArray, IntArray
+from machine.conventions import ACTIVE_COUNT, JOINT_COUNT, Array, BoolArray, IntArray
 from machine.errors import PlantError
 from machine.spec import load_spec
 from machine.starts import safe_pose
@@ -25,12 +25,15 @@ from sim_twin.plant_body import (
     GYRO,
     build_body,
 )
+from sim_twin.plant_effects import PlantEffect
+from sim_twin.plant_effects_body import BodyEffects
+from sim_twin.plant_effects_sensing import SensingEffects
+from sim_twin.plant_faults import make_faults
 from sim_twin.sensors import BallTracker, GripperImu, ImpactSurvey, JointSensors
 from sim_twin.thrown_load import GripMotion, ThrownLoad
-from sim_twin.units import ThrowConditions, draw_conditions, make_unit
+from sim_twin.units import MachineUnit, ThrowConditions, draw_conditions, make_unit
 
 STEP_NS = 2_000_000
-STEP_S = 0.002
 SENSOR_PERIOD_NS = 10_000_000
 JOINT_SENSOR_PHASE_NS = 6_000_000
 """Joint values are 4 ms old at a tick on the 10 ms grid."""
@@ -65,6 +68,20 @@ class PlantTruth:
     """(N,) what the pump delivers at this instant."""
 
 
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What is not as built on N machines, and how finely they are simulated."""
+
+    effects: tuple[PlantEffect, ...] = ()
+    place_ratio: Array | None = None
+    """(N,) each copy's place in its set of throws, 0 first, 1 last: effects that drift follow it."""
+    unit: MachineUnit | None = None
+    """Instead of the one that belongs to the seed."""
+    step_ns: int = STEP_NS
+    """A divisor of 2 ms, so that sensors sample when they do."""
+    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
+
+
 class VirtualMachine:
     """`count` copies of machine number `unit_seed`; implements ``runtime.driver.SimulatedDriver``.
 
@@ -74,7 +91,25 @@ class VirtualMachine:
         wind_m_per_s: (N, 3).
     """
 
-    def __init__(self, *, count: int, unit_seed: int, tracker: bool = True) -> None:
+    def __init__(
+        self,
+        *,
+        count: int,
+        unit_seed: int,
+        tracker: bool = True,
+        condition: Condition | None = None,
+    ) -> None:
+        """Build the machines.
+
+        Args:
+            count: copies.
+            unit_seed: which machine; 0 is the nominal one.
+            tracker: whether a camera follows the load.
+            condition: what is not as built; nothing if left out.
+
+        Raises:
+            PlantError: no copies, a negative seed, or an effect that does not exist.
+        """
         if count < 1 or unit_seed < 0:
             raise PlantError(
                 f"a virtual machine needs count >= 1 and unit_seed >= 0, not {count} and {unit_seed}"
@@ -84,23 +119,36 @@ class VirtualMachine:
         self.target_height_m = np.zeros(count)
         self.wind_m_per_s = np.zeros((count, 3))
         self._unit_seed = unit_seed
-        self._unit = unit = make_unit(spec, unit_seed)
-        self._body = build_body(spec, unit, STEP_S)
+        today = Condition() if condition is None else condition
+        self._step_ns, step_s = today.step_ns, today.step_ns * 1e-9
+        place_ratio = np.zeros(count) if today.place_ratio is None else today.place_ratio
+        unit = make_unit(spec, unit_seed) if today.unit is None else today.unit
+        self._faults = faults = make_faults(today.effects, place_ratio, spec, unit, step_s)
+        self._unit = unit = faults.unit
+        self._body = build_body(spec, unit, step_s, today.integrator, faults.body)
+        front = self._body.model.nq - JOINT_COUNT
         self._batch = batch = Batch(self._body.model, count, min(THREADS, (count + 15) // 16))
-        self._position: Array = batch.bind("qpos")
-        self._velocity: Array = batch.bind("qvel")
-        self._torque: Array = batch.bind("qfrc_applied")
+        # Joints of a chassis that gives way come before the machine's own.
+        self._whole_position: Array = batch.bind("qpos")
+        self._whole_velocity: Array = batch.bind("qvel")
+        self._whole_torque: Array = batch.bind("qfrc_applied")
+        self._whole_load_torque: Array = batch.bind("qfrc_bias")
+        self._position = self._whole_position[:, front:]
+        self._velocity = self._whole_velocity[:, front:]
+        self._torque = self._whole_torque[:, front:]
+        self._load_torque = self._whole_load_torque[:, front:]
         self._true_sensors: Array = batch.bind("sensordata")
         self._contact_count: IntArray = batch.bind("ncon")
         self._site_rotation: Array = batch.bind("site_xmat")
-        self._load_torque: Array = batch.bind("qfrc_bias")
         self._grip_site = int(self._body.model.site("grip_centre").id)
-        self._hydraulics = Hydraulics(spec, unit, count, STEP_S)
-        self._joint_sensors = JointSensors(unit, count, STEP_S)
-        self._imu = GripperImu(unit, count)
+        self._hydraulics = Hydraulics(spec, unit, count, step_s)
+        self._joint_sensors = JointSensors(unit, count, step_s, faults.sensing)
+        self._imu = GripperImu(unit, count, faults.sensing)
         self._tracker = BallTracker(count) if tracker else None
         self._survey = ImpactSurvey(count)
-        self._load = ThrownLoad(spec, unit, count)
+        self._load = ThrownLoad(spec, unit, count, faults.load)
+        if faults.drive is not None:
+            faults.drive.fit(self._hydraulics, self._load_torque[:, :ACTIVE_COUNT])
         self._enabled = np.ones(count, dtype=np.bool_)
         self._stopped = np.zeros(count, dtype=np.bool_)
         self._collided = np.zeros(count, dtype=np.bool_)
@@ -127,7 +175,7 @@ class VirtualMachine:
                 f"the virtual machine's clock stands at {self._now_ns} ns and cannot go back"
                 f" to {until_ns} ns"
             )
-        while self._physics_ns + STEP_NS <= until_ns:
+        while self._physics_ns + self._step_ns <= until_ns:
             self._step()
         self._now_ns = until_ns
         if not np.isfinite(self._velocity).all():
@@ -184,7 +232,7 @@ class VirtualMachine:
         """Put a load into every empty gripper."""
         empty = ~self._load.held
         if empty.any():
-            self._take_load(empty, draw_conditions(self._unit, self.count, self._rng))
+            self._take_load(empty, self._draw_conditions(self._seed))
 
     def reset(self, joint_position_rad_m: Array, seed: int) -> None:
         """Start over at rest at poses (N, 6), with loads; `seed` fixes all noise that follows."""
@@ -194,14 +242,20 @@ class VirtualMachine:
                 f"start poses must be {self._position.shape} finite numbers, got shape {pose.shape}"
             )
         self._rng = rng = np.random.default_rng([seed, self._unit_seed, 0xD0])
-        conditions = draw_conditions(self._unit, self.count, rng)
+        self._seed = seed
+        conditions = self._draw_conditions(seed)
         self._imu_phase_ns = STEP_NS * int(rng.integers(SENSOR_PERIOD_NS // STEP_NS))
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._position[:] = pose
         self._batch.forward()
+        if self._faults.body is not None:
+            self._faults.body.settle(self._whole_position, self._whole_load_torque)
+            self._batch.forward()
         active = slice(0, ACTIVE_COUNT)
         self._hydraulics.reset(pose[:, active], self._load_torque[:, active], conditions)
         self._torque[:, active] = self._load_torque[:, active]
+        if self._faults.drive is not None:
+            self._faults.drive.reset(pose[:, active], seed)
         self._batch.forward()
         self._derived_ns = self._physics_ns
         self._collided = self._contact_count > 0
@@ -210,6 +264,9 @@ class VirtualMachine:
         self._load.close_grippers()
         self._take_load(np.ones(self.count, dtype=np.bool_), conditions)
         self._joint_sensors.reset()
+        if self._faults.sensing is not None:
+            self._faults.sensing.clear()
+            self._show(self._faults.sensing)
         self._sample_joints()
         self._imu.reset()
         # The radio has been on all the time: the first read already finds a sample.
@@ -257,6 +314,17 @@ class VirtualMachine:
             pump_flow_m3_per_s=self._hydraulics.pump_flow_m3_per_s(),
         )
 
+    def _draw_conditions(self, seed: int) -> ThrowConditions:
+        drawn = draw_conditions(self._unit, self.count, self._rng)
+        load = self._faults.load
+        return drawn if load is None else load.conditions(drawn, seed)
+
+    def _show(self, sensing: SensingEffects) -> None:
+        """Let faulty sensors see the present."""
+        true, active = self._true_sensors, slice(0, ACTIVE_COUNT)
+        filtered = self._joint_sensors.filtered_rad_m_per_s
+        sensing.follow(self._position[:, active], filtered, true[:, GYRO], true[:, ACCEL])
+
     def _take_load(self, which: BoolArray, conditions: ThrowConditions) -> None:
         self._load.take(which, conditions)
         self._survey.clear(which)
@@ -285,17 +353,24 @@ class VirtualMachine:
     def _step(self) -> None:
         active = slice(0, ACTIVE_COUNT)
         position, velocity = self._position[:, active], self._velocity[:, active]
-        self._torque[:, active] = self._hydraulics.step(position, velocity, self._command())
+        faults, command = self._faults, self._command()
+        if faults.drive is not None:
+            command = faults.drive.command(command, position)
+        self._torque[:, active] = self._hydraulics.step(position, velocity, command)
         swing = self._velocity[:, ACTIVE_COUNT:]
         self._torque[:, ACTIVE_COUNT:] = (
             -self._body.swing_viscous * swing
             - self._body.swing_coulomb * np.tanh(swing / SWING_STICK_RAD_PER_S)
         )
+        if faults.body is not None:
+            self._press(faults.body)
         self._batch.step()
         self._derived_ns = self._physics_ns
-        self._physics_ns += STEP_NS
+        self._physics_ns += self._step_ns
         self._collided |= self._contact_count > 0
         self._joint_sensors.follow(velocity)
+        if faults.sensing is not None:
+            self._show(faults.sensing)
         if self._physics_ns % SENSOR_PERIOD_NS == JOINT_SENSOR_PHASE_NS:
             self._sample_joints()
         if self._derived_ns % SENSOR_PERIOD_NS == self._imu_phase_ns:
@@ -305,6 +380,17 @@ class VirtualMachine:
             self._load.release_due(self._physics_ns, self._grip_motion())
         if self._physics_ns % SENSOR_PERIOD_NS == 0 and self._load.flying.any():
             self._fly()
+
+    def _press(self, body: BodyEffects) -> None:
+        """Add the body's further torques."""
+        swing = slice(ACTIVE_COUNT, JOINT_COUNT)
+        position, velocity = self._position[:, swing], self._velocity[:, swing]
+        self._torque[:, swing] += body.swing_torque(position, velocity, SWING_STICK_RAD_PER_S)
+        front = body.front_count
+        if front:
+            self._whole_torque[:, :front] = body.front_torque(
+                self._whole_position, self._whole_velocity
+            )
 
     def _fly(self) -> None:
         now_ns = self._physics_ns
