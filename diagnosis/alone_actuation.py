@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from diagnosis.alone_fit import FreeParameter, Option
-from diagnosis.alone_response import actuation_options, play, simulate_speed
+from diagnosis.alone_response import actuation_options, play, simulate_position, simulate_speed
 from diagnosis.alone_selection import select, spread_blocks
 from diagnosis.alone_verdict import StageNames, diagnosis_of
 from diagnosis.clock_audit import ClockAudit
@@ -80,17 +80,13 @@ class ActuationProblem:
 
     def simulate(self, values: Mapping[str, float]) -> Array:
         """(ticks,) the output as the same window would see it."""
-        speed = simulate_speed(self.command, self.step_s, values) + values["offset"]
         gap = values.get("backlash.gap_rad_m", 0.0)
-        if self.kind == "position":
-            return play(speed, 0.5 * gap) if gap > 0.0 else speed
-        if gap <= 0.0 and self.window.size == 0:
-            return speed
-        position = np.cumsum(speed) * self.step_s
+        if self.kind == "position" or self.window.size == 0:
+            output = simulate_speed(self.command, self.step_s, values) + values["offset"]
+            return play(output, 0.5 * gap) if gap > 0.0 else output
+        position = simulate_position(self.command, self.step_s, values)
         if gap > 0.0:
             position = play(position, 0.5 * gap)
-        if self.window.size == 0:
-            return np.gradient(position, self.step_s)
         return np.convolve(np.pad(position, len(self.window) // 2, "edge"), self.window, "valid")
 
 

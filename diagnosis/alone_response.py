@@ -57,6 +57,11 @@ def actuation_options(
             ),
         ),
         Option(
+            "valve_dead_band_even",
+            "valve_dead_band",
+            (FreeParameter("both_ratio", "1", 0.005, 0.7, band),),
+        ),
+        Option(
             "valve_gain",
             "valve_gain",
             (FreeParameter("positive_ratio", "1", -0.9, 0.9, (0.02, 0.2, -0.2)),),
@@ -113,7 +118,7 @@ def actuation_options(
     ]
     if has_position:
         gap = FreeParameter(
-            "gap", unit, 0.002 * travel, 0.3 * travel, (0.01 * travel, 0.05 * travel)
+            "gap_rad_m", unit, 0.002 * travel, 0.3 * travel, (0.01 * travel, 0.05 * travel)
         )
         options.append(Option("backlash", "backlash", (gap,)))
     return tuple(options)
@@ -140,7 +145,17 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
     speed = _lagged(steady, step_s, values)
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
         speed = _rate_limited(speed, limit * step_s)
-    return speed
+    # Lag and limit give the speed that a tick's command has led to at its end: the next tick's beginning.
+    return speed if speed is steady else np.concatenate([speed[:1], speed[:-1]])
+
+
+def simulate_position(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
+    """Position of the joint from 0, before backlash; `offset` in `values` is a constant speed."""
+    speed = simulate_speed(command, step_s, values) + values["offset"]
+    has_inertia = any(key.startswith(("valve_lag", "acceleration_limit")) for key in values)
+    # Without inertia the speed is the command's over a whole tick; with it the speed is continuous.
+    moved = 0.5 * (speed[1:] + speed[:-1]) if has_inertia else speed[:-1]
+    return np.concatenate([[0.0], np.cumsum(moved) * step_s])
 
 
 def play(signal: Array, half_width: float) -> Array:
@@ -163,8 +178,9 @@ def _delayed(signal: Array, ticks: float) -> Array:
 
 def _curved(u: Array, values: Mapping[str, float]) -> Array:
     """Dead band per direction, rescaled so that full command stays full, then a power of the rest."""
-    positive = values.get("valve_dead_band.positive_ratio", 0.0)
-    negative = values.get("valve_dead_band.negative_ratio", 0.0)
+    both = values.get("valve_dead_band_even.both_ratio", 0.0)
+    positive = values.get("valve_dead_band.positive_ratio", both)
+    negative = values.get("valve_dead_band.negative_ratio", both)
     band = np.where(u > 0.0, positive, negative)
     x = np.maximum(np.abs(u) - band, 0.0) / (1.0 - band)
     exponent = values.get("valve_curve.exponent_ratio", 1.0)

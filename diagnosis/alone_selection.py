@@ -29,6 +29,11 @@ BEAM_COUNT: Final = 2
 MAX_EFFECTS_COUNT: Final = 6
 EFFECT_LOG_PRIOR: Final = math.log(0.25)
 """Per effect: most effects are absent from most machines."""
+SHAPE_EFFECTS: Final = frozenset({"valve_curve", "acceleration_limit", "drag_crisis"})
+"""Refinements outside the twin's library: they shape an effect and are not taken for one of its own."""
+SHAPE_LOG_PRIOR: Final = math.log(0.02)
+IDLE_LOG_PRIOR: Final = math.log(1e-3)
+"""For a set with an effect whose interval holds "nothing"."""
 FLOOR_RATIO: Final = 0.005
 """Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
 GAIN_RATIO: Final = 0.01
@@ -135,22 +140,35 @@ def select(
 
 
 def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
-    """Drop each effect of the richest good structure once: what came first is not always needed later."""
+    """Try what the search may have passed by: one effect less, and other variants of each effect."""
     best = min(visited.values(), key=lambda found: found.mean_square)
     for _ in range(2):
         shorter: list[Fit] = []
         for option in best.options:
-            options = tuple(o for o in best.options if o.key != option.key)
-            key = frozenset(o.key for o in options)
-            if key not in visited:
-                names = {p.name for p in problem.nuisance}
-                names |= {f"{o.key}.{p.name}" for o in options for p in o.parameters}
-                start = {n: v for n, v in best.as_mapping().items() if n in names}
-                visited[key] = fit(problem, options, start)
-            shorter.append(visited[key])
+            rest = tuple(o for o in best.options if o.key != option.key)
+            shorter.append(_visit(problem, visited, best, rest))
+            for variant in problem.options:
+                if variant.effect == option.effect and variant.key != option.key:
+                    _visit(problem, visited, best, (*rest, variant))
         if not shorter:
             return
         best = min(shorter, key=lambda found: found.mean_square)
+
+
+def _visit(
+    problem: Problem,
+    visited: dict[frozenset[str], Fit],
+    near: Fit,
+    options: tuple[Option, ...],
+) -> Fit:
+    """The fit of a structure, from the parameters that it shares with a fit near it."""
+    key = frozenset(option.key for option in options)
+    if key not in visited:
+        names = {p.name for p in problem.nuisance}
+        names |= {f"{o.key}.{p.name}" for o in options for p in o.parameters}
+        start = {name: value for name, value in near.as_mapping().items() if name in names}
+        visited[key] = fit(problem, options, start)
+    return visited[key]
 
 
 def _posterior(problem: Problem, fits: list[Fit], signal: float, noise: float) -> Selection:
@@ -166,12 +184,17 @@ def _posterior(problem: Problem, fits: list[Fit], signal: float, noise: float) -
     for found in fits:
         size = len(found.values) - len(problem.nuisance)
         penalty = 0.5 * size * math.log(max(independent, 2.0))
-        prior = len(found.options) * EFFECT_LOG_PRIOR
+        prior = sum(
+            SHAPE_LOG_PRIOR if option.effect in SHAPE_EFFECTS else EFFECT_LOG_PRIOR
+            for option in found.options
+        )
         optimistic = -0.5 * independent * math.log(found.mean_square + floor) - penalty + prior
         if found.options and optimistic < -limit - 40.0:
             continue
         held_out = max(held_out_mean_square(problem, found), found.mean_square)
         score = -0.5 * independent * math.log(held_out + floor) - penalty + prior
+        if _has_idle_effect(problem, found, length):
+            score += IDLE_LOG_PRIOR
         item = Scored(found, held_out, score)
         scored.append(item)
         if not found.options:
@@ -192,6 +215,16 @@ def _posterior(problem: Problem, fits: list[Fit], signal: float, noise: float) -
     left = math.sqrt(max(ranked[0].held_out - noise**2, 0.0)) / max(signal, 1e-12)
     unknown = 1.0 / (1.0 + math.exp(-(left - UNKNOWN_RATIO) / UNKNOWN_WIDTH_RATIO))
     return Selection(tuple(ranked), base, length, signal, unknown)
+
+
+def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
+    """Whether an effect that may be zero is zero within its interval: then it is not there."""
+    half = standard_errors(problem, found, length) * interval_factor(problem)
+    far = dict(zip(found.names, np.abs(found.values) > half, strict=True))
+    return any(
+        all(p.low <= 0.0 and not far[f"{option.key}.{p.name}"] for p in option.parameters)
+        for option in found.options
+    )
 
 
 def _merge(ranked: Sequence[Scored]) -> list[Scored]:

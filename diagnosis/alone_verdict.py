@@ -5,6 +5,7 @@ from typing import Any, Final, NamedTuple
 
 from diagnosis.alone_fit import Problem
 from diagnosis.alone_selection import (
+    SHAPE_EFFECTS,
     Scored,
     Selection,
     describe,
@@ -96,6 +97,9 @@ def fitted_effects(
             )
             for p in option.parameters
         }
+        if option.key == "valve_dead_band_even":
+            both = parameters.pop("both_ratio")
+            parameters |= {"positive_ratio": both, "negative_ratio": both}
         if option.effect == "valve_gain":
             # The common gain is the unit of the data; the two directions differ from it by +r and -r.
             one = parameters["positive_ratio"]
@@ -130,9 +134,9 @@ def _causes(problem: Problem, selection: Selection, names: StageNames) -> tuple[
 def _ambiguity(selection: Selection, names: StageNames) -> Ambiguity | None:
     """Two sets of which neither holds the other, nearly as probable."""
     best = selection.best
-    mine = set(best.effects)
+    mine = set(best.effects) - SHAPE_EFFECTS
     for rival in selection.ranked[1:]:
-        theirs = set(rival.effects)
+        theirs = set(rival.effects) - SHAPE_EFFECTS
         if rival.probability < AMBIGUOUS_RATIO * best.probability:
             return None
         if mine <= theirs or theirs <= mine:
