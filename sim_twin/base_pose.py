@@ -11,7 +11,7 @@ from machine.kinematics import ToolState, pin_in_plane, rotate_z
 from machine.spec import MachineSpec
 from sim_twin.arm_load import tipping_ratio
 from sim_twin.effect_arrays import EffectArrays
-from sim_twin.grip_point import rotation_zyx
+from sim_twin.grip_point import gripper_axes, rotation_zyx
 
 DIFFERENCE_S = 1e-4
 """Half of the time step of derivatives along the motion."""
@@ -37,7 +37,10 @@ class BasePose:
         self.moves = self._compliance is not None
         """Whether the base moves with the arm."""
         self._everything = np.arange(arrays.count)
-        self._pin_rate = np.zeros((arrays.count, 3))
+        self.turning_rad_per_s = np.zeros((arrays.count, 3))
+        """Of the moving base, frame `machine`."""
+        self.spin_up_rad_per_s2 = np.zeros((arrays.count, 3))
+        """Its change."""
 
     def to_survey(
         self, rows: IntArray, point: ToolState, position: Array, velocity: Array
@@ -71,22 +74,41 @@ class BasePose:
             [np.arctan2(outward, below), np.arctan2(left, np.hypot(outward, below))], -1
         )
 
-    def start(self, position: Array, velocity: Array) -> None:
-        """Begin a throw with joints (N, 6) in this state."""
-        self._pin_rate = self._pin_motion(position, velocity) if self.moves else self._pin_rate
+    def start(self) -> None:
+        """Begin a throw at rest."""
+        self.turning_rad_per_s[:] = 0.0
+        self.spin_up_rad_per_s2[:] = 0.0
+
+    def move(self, position: Array, velocity: Array) -> None:
+        """Follow the arm of joints (N, 6) by one tick."""
+        before = self.turning_rad_per_s
+        self.turning_rad_per_s = self._lean_rate(self._everything, position, velocity)
+        self.spin_up_rad_per_s2 = (self.turning_rad_per_s - before) / CONTROL_PERIOD_S
 
     def gravity(self, position: Array, velocity: Array) -> Array:
-        """Gravity (N, 3) felt in frame `machine`, m/s2, with what the moving base does to the tool pin."""
+        """Gravity (N, 3) felt in frame `machine`, m/s2, with what a moving base does at the tool pin.
+
+        Euler and Coriolis acceleration a x p + 2 w x v; the centrifugal one is a thousandth of it.
+        """
         felt = GRAVITY_M_PER_S2 * self._down(position)
         if self._compliance is not None:
-            rate = self._pin_motion(position, velocity)
-            felt -= (rate - self._pin_rate) / CONTROL_PERIOD_S
-            self._pin_rate = rate
+            pin, step = self._pin(position), DIFFERENCE_S * velocity
+            speed = (self._pin(position + step) - self._pin(position - step)) / (2.0 * DIFFERENCE_S)
+            felt -= np.cross(self.spin_up_rad_per_s2, pin)
+            felt -= 2.0 * np.cross(self.turning_rad_per_s, speed)
         return felt
 
-    def turning(self, position: Array, velocity: Array) -> Array:
-        """Angular velocity (N, 3) of the moving base, frame `machine`, rad/s."""
-        return self._lean_rate(self._everything, position, velocity)
+    def free_joint_pull(self, position: Array) -> Array:
+        """Angular acceleration (N, 2) of the free joints against a base that turns ever faster."""
+        slew, axes = position[:, 0], gripper_axes(position)
+        spin = self.spin_up_rad_per_s2
+        # The pitch axis is -y of the arm plane, the roll axis the gripper's x.
+        pitch = spin[:, 1] * np.cos(slew) - spin[:, 0] * np.sin(slew)
+        return np.stack([pitch, -np.einsum("ni,ni->n", axes[:, :, 0], spin)], axis=-1)
+
+    def imu_turning(self, position: Array) -> Array:
+        """Turning rate (N, 3) of the base in the gripper's axes, rad/s."""
+        return np.einsum("nji,nj->ni", gripper_axes(position), self.turning_rad_per_s)
 
     def _down(self, position: Array) -> Array:
         """Direction of gravity (N, 3) in frame `machine`."""
@@ -107,17 +129,11 @@ class BasePose:
         later, earlier = self._lean(rows, position + step), self._lean(rows, position - step)
         return (later - earlier) / (2.0 * DIFFERENCE_S)
 
-    def _pin_motion(self, position: Array, velocity: Array) -> Array:
-        """Velocity (N, 3) that the leaning base adds to the tool pin."""
-        step = DIFFERENCE_S * velocity
-        later, earlier = self._pin_shift(position + step), self._pin_shift(position - step)
-        return (later - earlier) / (2.0 * DIFFERENCE_S)
-
-    def _pin_shift(self, position: Array) -> Array:
+    def _pin(self, position: Array) -> Array:
+        """Tool pin (N, 3), frame `machine`."""
         plane = pin_in_plane(self._spec, position)
         offset = np.full(self._count, self._spec.geometry.arm_plane_offset_m)
-        pin = rotate_z(np.stack([plane[:, 0], offset, plane[:, 1]], axis=-1), position[:, 0])
-        return _turned(pin, self._lean(self._everything, position)) - pin
+        return rotate_z(np.stack([plane[:, 0], offset, plane[:, 1]], axis=-1), position[:, 0])
 
 
 def _turned(vector: Array, rotation: Array) -> Array:

@@ -13,7 +13,7 @@ from machine.spec import MachineSpec
 from sim_twin.base_pose import BasePose
 from sim_twin.body_effects import BodyEffects
 from sim_twin.effect_arrays import EffectArrays
-from sim_twin.grip_point import grip_point, gripper_axes
+from sim_twin.grip_point import grip_point
 from sim_twin.sensor_effects import SensorEffects
 
 _BASE = ("base_tilt", "base_yaw_drift", "base_height", "chassis_compliance")
@@ -81,7 +81,7 @@ class TwinEffects:
         """Machines are put into these true states (N, 6); before the physics looks at them."""
         self._rest = position[:, ACTIVE_COUNT:].copy()
         if self._base is not None:
-            self._base.start(position, velocity)
+            self._base.start()
             self._lean(self._base, position, velocity)
 
     def fill_sensors(self, imu: Array, position: Array, velocity: Array) -> None:
@@ -90,19 +90,23 @@ class TwinEffects:
             self._sensors.start(np.concatenate([position, velocity], axis=1), self._felt(imu))
 
     def before_step(self, position: Array, velocity: Array) -> Array | None:
-        """Let gravity follow the base; the hoses' pull on the free joints (N, 2), rad/s2."""
+        """Let gravity follow the base; what base and hoses do to the free joints (N, 2), rad/s2."""
+        pull = None
         if self._base is not None and self._base.moves:
+            self._base.move(position, velocity)
             self._lean(self._base, position, velocity)
-        if self.body is None:
-            return None
-        return self.body.hose_acceleration(position[:, ACTIVE_COUNT:], self._rest)
+            pull = self._base.free_joint_pull(position)
+        if self.body is not None:
+            hose = self.body.hose_acceleration(position[:, ACTIVE_COUNT:], self._rest)
+            if hose is not None:
+                pull = hose if pull is None else hose + pull
+        return pull
 
     def _lean(self, base: BasePose, position: Array, velocity: Array) -> None:
         if self._gravity is not None:
             self._gravity[:] = base.gravity(position, velocity)
         if base.moves:
-            turning = base.turning(position, velocity)
-            self._turning = np.einsum("nji,nj->ni", gripper_axes(position), turning)
+            self._turning = base.imu_turning(position)
 
     def after_step(self, imu: Array, position: Array, velocity: Array) -> None:
         """Show the sensors the states (N, 6) after a step, and the IMU values (N, 6) before it."""
