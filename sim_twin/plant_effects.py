@@ -101,6 +101,7 @@ class EffectSizes:
         self.count = place_ratio.size
         self._sizes: dict[tuple[str, int, str], Array] = {}
         for item in effects:
+            _check(item)
             for name, value in item.parameters.items():
                 if item.effect == DRIFT:
                     effect, _, parameter = name.partition(".")
@@ -142,6 +143,13 @@ class EffectSizes:
         if np.ptp(size) > 0.0:
             raise PlantError(f"{effect} is part of the machine's body: it cannot drift in a set")
         return float(size[0])
+
+
+def _check(item: PlantEffect) -> None:
+    if item.effect not in (DRIFT, *PARAMETERS):
+        raise PlantError(
+            f"the virtual machine has no effect '{item.effect}'; it has {[DRIFT, *PARAMETERS]}"
+        )
 
 
 def _joint_index(effect: str, joint: str | None) -> int:

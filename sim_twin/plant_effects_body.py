@@ -4,6 +4,7 @@ A chassis that gives way has joints of its own in front of the slew; everything 
 """
 
 from dataclasses import replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -146,16 +147,21 @@ class BodyEffects:
         return torque
 
 
+@cache
+def _nominal_model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(MJCF_PATH))
+
+
 def swing_inertia(spec: MachineSpec) -> Array:
     """Inertias (2,) about the free joints, kg m2: the MJCF's damping over the rate that it was made from."""
-    model = mujoco.MjModel.from_xml_path(str(MJCF_PATH))
     first = JOINT_COUNT - 2
-    return np.asarray(model.dof_damping[first:]) / spec.passive.viscous_friction_per_s
+    return np.asarray(_nominal_model().dof_damping[first:]) / spec.passive.viscous_friction_per_s
 
 
+@cache
 def _scan_arm() -> tuple[Array, Array, Array]:
     """Static gravity torques (P, 6) and least inertias (4,) over the joints' ranges, and arm moments (P,)."""
-    model = mujoco.MjModel.from_xml_path(str(MJCF_PATH))
+    model = _nominal_model()
     data = mujoco.MjData(model)
     low, high = np.asarray(model.jnt_range)[1:ACTIVE_COUNT].T
     torques, moments = [], []
