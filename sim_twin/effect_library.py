@@ -62,7 +62,7 @@ _ACTUATION = (
         ACTIVE_JOINTS,
         (P("extra_dead_time_s", -0.1, 0.3, 0.004, 0.08, 0.01),),
         "Pure delay between valve command and spool: transport, pilot pressure, bus cycles.",
-        "FreeDof note on phase intercepts; stock pilot valves 0.20-0.40 s (docs/machine.md, M)",
+        "phase without amplitude in the step response; stock pilot valves 0.20-0.40 s (docs/machine.md, M)",
     ),
     EffectSpec(
         "valve_lag",
@@ -127,7 +127,7 @@ _ACTUATION = (
         (P("gap_rad_m", 0.0, 0.06, 0.001, 0.02, 0.005),),
         "Lost motion between drive and joint at each reversal; the joint stays where it is left. At "
         "first the drive touches the side that carries the load (slew: neither).",
-        "play operator; pin and slew-gear clearance (mujoco#995)",
+        "play operator; pin and slew-gear clearance (MuJoCo issue 995)",
     ),
     EffectSpec(
         "stiction",

@@ -165,3 +165,15 @@ def test_a_profile_refuses_what_it_does_not_know(
     path.write_text(json.dumps({**NOMINAL.model_dump(mode="json"), **change}))
     with pytest.raises(UsageError, match=message):
         load_profile(path)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_documents_table_has_the_effect_with_its_bounds(name: str) -> None:
+    text = (Path(__file__).parents[2] / "docs/diagnosis.md").read_text(encoding="utf-8")
+    row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
+    if name == DRIFT:
+        return
+    assert f"| {EFFECTS[name].stage} |" in row
+    for p in EFFECTS[name].parameters:
+        assert f"`{p.name}` (" in row
+        assert f"{p.low:g} to {p.high:g})" in row
