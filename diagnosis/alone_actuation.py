@@ -6,7 +6,7 @@ latency: with one sensor it is the same as dead time.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
@@ -74,9 +74,9 @@ class ActuationProblem:
     block: IntArray
     noise: float
 
-    def residual(self, values: Mapping[str, float]) -> Array:
-        """Measured minus simulated at each sample."""
-        return self.measured - self.simulate(values)[self.sample]
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
+        """(sets, samples) measured minus simulated."""
+        return np.stack([self.measured - self.simulate(one)[self.sample] for one in values])
 
     def simulate(self, values: Mapping[str, float]) -> Array:
         """(ticks,) the output as the same window would see it."""

@@ -3,7 +3,7 @@
 A structure is a set of options; each option adds the parameters of one effect to a simulated response.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
@@ -55,8 +55,11 @@ class Problem(Protocol):
         """(samples,) contiguous piece of the record that each residual belongs to; held out together."""
         ...
 
-    def residual(self, values: Mapping[str, float]) -> Array:
-        """(samples,) measured minus simulated; an absent parameter means an absent effect."""
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
+        """(sets, samples) measured minus simulated of several sets of parameters with the same names.
+
+        An absent parameter means an absent effect.
+        """
         ...
 
 
@@ -108,9 +111,11 @@ def fit(
     new = [name for name in names if name not in start]
     tries = max((len(parameters[name].starts) for name in new), default=1)
 
+    def unweighted(x: Array) -> Array:
+        return problem.residuals([dict(zip(names, row, strict=True)) for row in x.tolist()])
+
     def weighted(x: Array) -> Array:
-        residual = problem.residual(dict(zip(names, x.tolist(), strict=True)))
-        return residual if use is None else residual * use
+        return unweighted(x) if use is None else unweighted(x) * use
 
     best_x, best_cost = np.array([]), np.inf
     # Every start gets a short run, the best one a long run.
@@ -127,11 +132,7 @@ def fit(
             best_x, best_cost = solved.x, solved.cost
     if tries > 1 and iterations > QUICK_ITERATIONS:
         best_x = _solve(weighted, best_x, low, high, iterations).x
-
-    def unweighted(x: Array) -> Array:
-        return problem.residual(dict(zip(names, x.tolist(), strict=True)))
-
-    residual = unweighted(best_x)
+    residual = unweighted(best_x[None])[0]
     jacobian = _jacobian(unweighted, best_x, low, high, residual)
     return Fit(options, names, best_x, residual, jacobian)
 
@@ -150,17 +151,19 @@ def held_out_mean_square(problem: Problem, found: Fit) -> float:
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     Js = J / scale
     A = Js.T @ Js + 1e-6 * np.eye(len(scale))
-    total = 0.0
-    for number in np.unique(problem.block):
+    sets: list[dict[str, float]] = []
+    numbers = np.unique(problem.block)
+    for number in numbers:
         inside = problem.block == number
         Jb, rb = Js[inside], r[inside]
         rest = A - Jb.T @ Jb + 1e-6 * np.eye(len(scale))
         step = np.linalg.solve(rest, Jb.T @ rb) / scale
         # A block that alone fixes a parameter would otherwise throw it anywhere.
         x = np.clip(found.values + step, low, high)
-        again = problem.residual(dict(zip(found.names, x.tolist(), strict=True)))
-        total += float(np.sum(again[inside] ** 2))
-    return total / len(r)
+        sets.append(dict(zip(found.names, x.tolist(), strict=True)))
+    again = problem.residuals(sets)
+    chosen = np.searchsorted(numbers, problem.block)
+    return float(np.mean(again[chosen, np.arange(len(r))] ** 2))
 
 
 def standard_errors(problem: Problem, found: Fit, correlation_samples: float) -> Array:
@@ -220,7 +223,7 @@ def _solve(
     Parameters at a bound that the gradient pushes outwards are held (active set); the rest still moves.
     """
     x = x0
-    residual = function(x)
+    residual = function(x[None])[0]
     cost = float(residual @ residual)
     damping = 1e-3
     for _ in range(limit):
@@ -237,7 +240,7 @@ def _solve(
             damped = As + damping * np.eye(len(free))
             step[free] = np.linalg.solve(damped, gradient[free] / scale) / scale
             moved = np.clip(x + step, low, high)
-            tried = function(moved)
+            tried = function(moved[None])[0]
             new_cost = float(tried @ tried)
             if new_cost < cost:
                 improved = (cost - new_cost) / max(cost, 1e-300)
@@ -257,12 +260,7 @@ def _jacobian(
 
     Steps of 0.3 % are wide enough to cross the kinks of dead bands and of delays within a tick.
     """
-    columns: list[Array] = []
-    for index in range(len(x)):
-        step = 3e-3 * max(abs(x[index]), 0.01 * min(high[index] - low[index], 10.0))
-        if x[index] + step > high[index]:
-            step = -step
-        moved = x.copy()
-        moved[index] += step
-        columns.append((residual - function(moved)) / step)
-    return np.stack(columns, axis=1)
+    step = 3e-3 * np.maximum(np.abs(x), 0.01 * np.minimum(high - low, 10.0))
+    step = np.where(x + step > high, -step, step)
+    moved = function(x + np.diag(step))
+    return (residual - moved).T / step

@@ -39,7 +39,7 @@ FLOOR_RATIO: Final = 0.005
 GAIN_RATIO: Final = 0.01
 """Smallest drop of the mean square that makes the search go on."""
 UNKNOWN_RATIO: Final = 0.35
-"""Share of the response that even the best structure leaves on held-out data: half odds for "unknown"."""
+"""Share of the response that even the best structure leaves: half odds for "unknown"."""
 UNKNOWN_WIDTH_RATIO: Final = 0.03
 BOOTSTRAP_COUNT: Final = 2000
 
@@ -96,7 +96,11 @@ class Selection:
 
 
 def select(
-    problem: Problem, signal: float, noise: float, progress: Progress | None = None
+    problem: Problem,
+    signal: float,
+    noise: float,
+    progress: Progress | None = None,
+    unknown_ratio: float = UNKNOWN_RATIO,
 ) -> Selection:
     """Search the structures.
 
@@ -105,6 +109,7 @@ def select(
         signal: root mean square of the measured response, unit of the residual.
         noise: standard deviation of its measurement noise, same unit.
         progress: told what was found at each level.
+        unknown_ratio: share of the response left unexplained at which "unknown" has half odds.
     """
     base = fit(problem, (), {})
     visited: dict[frozenset[str], Fit] = {frozenset(): base}
@@ -136,7 +141,7 @@ def select(
         if best > before * (1.0 - GAIN_RATIO) or math.sqrt(best) < 0.3 * FLOOR_RATIO * signal:
             break
     _prune(problem, visited)
-    return _posterior(problem, list(visited.values()), signal, noise)
+    return _posterior(problem, list(visited.values()), signal, noise, unknown_ratio)
 
 
 def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
@@ -171,7 +176,9 @@ def _visit(
     return visited[key]
 
 
-def _posterior(problem: Problem, fits: list[Fit], signal: float, noise: float) -> Selection:
+def _posterior(
+    problem: Problem, fits: list[Fit], signal: float, noise: float, unknown_ratio: float
+) -> Selection:
     richest = min(fits, key=lambda found: found.mean_square)
     length = correlation_length(richest.residual, problem.block)
     count = len(problem.block)
@@ -212,8 +219,8 @@ def _posterior(problem: Problem, fits: list[Fit], signal: float, noise: float) -
         key=lambda item: -item.probability,
     )
     ranked = _merge(ranked)
-    left = math.sqrt(max(ranked[0].held_out - noise**2, 0.0)) / max(signal, 1e-12)
-    unknown = 1.0 / (1.0 + math.exp(-(left - UNKNOWN_RATIO) / UNKNOWN_WIDTH_RATIO))
+    left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
+    unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
     return Selection(tuple(ranked), base, length, signal, unknown)
 
 
