@@ -3,8 +3,13 @@
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 from cli.evaluate import progress_line
+from diagnosis.challenge import answered, run_challenge
 from diagnosis.challenge_make import make_challenge
+from diagnosis.challenge_score import Measure, match, measures, read_sealed, table
+from diagnosis.challenge_score import mistakes as missed
 from diagnosis.challenge_truth import Tier
 from machine.errors import UsageError
 
@@ -62,4 +67,80 @@ def make(
     return 0
 
 
-ACTIONS = {"make": make}
+def run_sets(
+    folder: tyro.conf.Positional[Path],
+    /,
+    *,
+    json: Path,
+    method: Literal["diagnose", "largest_z", "evolution", "lag_rmse"] = "diagnose",
+    jobs: int = 1,
+    limit: int | None = None,
+) -> int:
+    """Diagnose every data set of a challenge, without the truth; an interrupted run goes on where it stopped.
+
+    Example: downrange challenge run challenge --json answers.json --jobs 2
+
+    Args:
+        folder: of the challenge.
+        json: file for the answers, written after every set.
+        method: diagnose, or a baseline: largest_z fits everything and takes the largest z-score,
+            evolution fits everything by CMA-ES, lag_rmse ranks channels by lag and error.
+        jobs: sets diagnosed side by side.
+        limit: only the first so many sets.
+    """
+    if jobs < 1 or (limit is not None and limit < 1) or not json.resolve().parent.is_dir():
+        raise UsageError(
+            f"--jobs {jobs} --limit {limit}: at least 1; and {json.parent} must be a folder"
+        )
+    done = run_challenge(
+        folder,
+        json,
+        method=method,
+        jobs=jobs,
+        limit=limit,
+        progress=progress_line("challenge run", "sets"),
+    )
+    print(f"{done} sets answered, all answers in {json}")
+    return 0
+
+
+def score(
+    files: tyro.conf.Positional[tuple[Path, ...]],
+    /,
+    *,
+    sealed: Path,
+    mistakes: bool = False,
+) -> int:
+    """Score answers against the sealed truth; several files give a column each.
+
+    Shares have 95 % Wilson intervals. The sealed file must have the hash that the challenge published.
+
+    Example: downrange challenge score answers.json lag.json --sealed truth.json
+
+    Args:
+        files: answers to one challenge.
+        sealed: its sealed file.
+        mistakes: list the sets that the first file answered wrongly.
+    """
+    if not files:
+        raise UsageError("give at least one file of answers")
+    documents = answered(files)
+    columns: list[tuple[str, list[Measure]]] = []
+    for path, document in zip(files, documents, strict=True):
+        truths = read_sealed(sealed, str(document["sealed_sha256"]))
+        scored = match(document, truths)
+        if not scored:
+            raise UsageError(f"{path} holds no answers yet")
+        columns.append((str(document["method"]), measures(scored)))
+    print(table(columns))
+    if mistakes:
+        print()
+        print(
+            "\n".join(
+                missed(match(documents[0], read_sealed(sealed, documents[0]["sealed_sha256"])))
+            )
+        )
+    return 0
+
+
+ACTIONS = {"make": make, "run": run_sets, "score": score}

@@ -104,7 +104,8 @@ def test_dead_band_eats_the_command_one_way_only() -> None:
 def test_gain_scales_the_steady_speed(joint: str, size: float) -> None:
     side = "positive_ratio" if size > 0.0 else "negative_ratio"
     seconds = 3.0 if joint == "slew" else 1.0
-    more = steady(machine(effect("valve_gain", joint, **{side: 0.3})), joint, size, seconds)
+    gained = PlantEffect("valve_gain", joint, {side: 0.3})
+    more = steady(machine(gained), joint, size, seconds)
     assert more / steady(machine(), joint, size, seconds) == pytest.approx(1.3, abs=0.05)
 
 
