@@ -12,6 +12,7 @@ from machine.spec import MachineSpec
 from sim_twin.arm_load import tipping_ratio
 from sim_twin.effect_arrays import EffectArrays
 from sim_twin.grip_point import gripper_axes, rotation_zyx
+from sim_twin.twin_model import twin_model
 
 DIFFERENCE_S = 1e-4
 """Half of the time step of derivatives along the motion."""
@@ -29,6 +30,9 @@ class BasePose:
         )
         self._level = rotation_zyx(np.zeros(arrays.count), pitch, roll)
         """(N, 3, 3) Ry(pitch) Rx(roll)."""
+        # Legs and wheels tilt the chassis about its own middle; it gives way where it stands.
+        middle = np.asarray(twin_model()[0].body("chassis").pos)
+        self._shift_m = middle - self._level @ middle
         self._yaw = arrays.filled("base_yaw_drift", "yaw_rad")
         self._height = arrays.filled("base_height", "extra_height_m")
         self._compliance = arrays.get("chassis_compliance", "pitch_rad")
@@ -59,7 +63,8 @@ class BasePose:
             where = _turned(where, lean)
             turning = self._lean_rate(rows, position, velocity)
             speed = _turned(speed, lean) + np.cross(turning, where)
-        where = rotate_z(np.einsum("nij,nj->ni", self._level[rows], where), self._yaw[rows])
+        where = np.einsum("nij,nj->ni", self._level[rows], where) + self._shift_m[rows]
+        where = rotate_z(where, self._yaw[rows])
         speed = rotate_z(np.einsum("nij,nj->ni", self._level[rows], speed), self._yaw[rows])
         where[:, 2] += self._height[rows]
         return ToolState(where, speed)

@@ -307,8 +307,8 @@ _AIM = (
             P("roll_rad", -0.1, 0.1, 0.002, 0.03, 0.005),
             P("pitch_rad", -0.1, 0.1, 0.002, 0.03, 0.005),
         ),
-        "The machine stands tilted, Ry(pitch) Rx(roll) against level ground (positive pitch: front "
-        "down): gravity in frame `machine` leans, and the throw with it.",
+        "The machine is tilted about its chassis, Ry(pitch) Rx(roll) against level ground (positive "
+        "pitch: front down): gravity in frame `machine` leans, and the throw with it.",
         "rigid-body pose",
     ),
     EffectSpec(
