@@ -14,6 +14,7 @@ from diagnosis.residuals import prepare
 from diagnosis.selection import SetEvidence, screen, search, total
 from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
+from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from diagnosis.whitening import set_nuisance_sd
 from sim_twin.profile import TwinProfile
@@ -48,6 +49,16 @@ def diagnose_throws(
     refused = loaded.too_few()
     if refused is not None:
         return refused
+    with one_blas_thread():
+        return _diagnose(loaded, profile, progress, cancel)
+
+
+def _diagnose(
+    loaded: LoadedSet,
+    profile: TwinProfile,
+    progress: Progress | None,
+    cancel: Callable[[], bool] | None,
+) -> Diagnosis:
     started = perf_counter()
     seconds: dict[str, float] = {}
 

@@ -48,6 +48,9 @@ class NoiseModel(BaseModel):
     """Of a set of throws: sensor offsets and the like."""
     tolerance: Mapping[str, float]
     """Spike by parameter key: what healthy machines scatter in the direction of an effect."""
+    healthy_mean: Mapping[str, float]
+    """Middle of that scatter, by parameter key and nuisance: what is off on every machine. Effects are
+    deviations from it."""
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of log(residual power), after the fit."""
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnosis.healthy import HealthyModel, correction, load_healthy
 from diagnosis.logs import ThrowData
 from diagnosis.measured import MeasuredMotion, measured_motion, measured_opening_s, replay_input
 from diagnosis.parameters import Parameter, View, index_of, joint_index, library
@@ -96,6 +97,8 @@ class Linear:
     """Of the flight view."""
     landing_slope: Array
     """(2, 6) of the impact by position and velocity at the release."""
+    predicted_velocity: Array
+    """(T, 4) driven joints from their valve commands, without any correction."""
 
 
 def prepare(throws: Sequence[ThrowData], profile: TwinProfile) -> list[PreparedThrow]:
@@ -236,6 +239,7 @@ def linearise(
     only: Sequence[Parameter] | None = None,
     *,
     with_nuisances: bool = True,
+    healthy: HealthyModel | None = None,
 ) -> list[Linear]:
     """Residuals and slopes of every throw, in one batched simulation.
 
@@ -246,7 +250,9 @@ def linearise(
         about: effects of each throw at which to linearise; none if left out.
         only: parameters whose slopes are wanted; all if left out (the other columns are 0).
         with_nuisances: simulate the slopes by start swing and opening, too.
+        healthy: what the twin misses on every machine; the calibrated one if left out.
     """
+    known = load_healthy() if healthy is None else healthy
     wanted = library() if only is None else tuple(only)
     base = [()] * len(prepared) if about is None else list(about)
     inputs = [p.input for p in prepared]
@@ -269,6 +275,7 @@ def linearise(
             wanted,
             profile,
             base[i],
+            known,
         )
         for i in range(count)
     ]
@@ -338,6 +345,7 @@ def _linear(
     wanted: Sequence[Parameter],
     profile: TwinProfile,
     base: tuple[Effect, ...],
+    healthy: HealthyModel,
 ) -> Linear:
     n = prepared.measured.size
     elements: dict[View, list[int]] = {view: [bases[view]] for view in View}
@@ -377,6 +385,8 @@ def _linear(
         if any(p.effect == "release_delay" for p in wanted):
             jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
     residual[missing] = np.nan
+    velocity = output.joint_velocity_rad_m_per_s[bases[View.ACTUATION], : prepared.motion.t_s.size]
+    _take_off_health(prepared, healthy, velocity, residual)
     start, opening = np.zeros((n, 4)), np.zeros(n)
     if nuisance is not None:
         steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
@@ -391,7 +401,23 @@ def _linear(
         output.release_velocity_m_per_s[flight],
         prepared.input.surface_height_m,
     )
-    return Linear(residual, jacobian, start, opening, float(output.release_t_s[flight]), slope)
+    return Linear(
+        residual, jacobian, start, opening, float(output.release_t_s[flight]), slope, velocity
+    )
+
+
+def _take_off_health(
+    prepared: PreparedThrow, healthy: HealthyModel, velocity: Array, residual: Array
+) -> None:
+    """Subtract, in place, what every healthy machine is off its twin."""
+    for joint, name in enumerate(ACTIVE_JOINTS):
+        block = prepared.block(f"{View.ACTUATION}.{name}")
+        if block is None:
+            continue
+        track = correction(healthy, prepared.input, prepared.motion, joint, velocity[:, joint])
+        residual[block.rows] -= prepared.joint_pair @ np.interp(
+            prepared.joint_at_s, prepared.motion.t_s, track
+        )
 
 
 def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) -> Array:

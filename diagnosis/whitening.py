@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.noise import NoiseModel, whiten, whitener
-from diagnosis.parameters import index_of
+from diagnosis.parameters import index_of, library
 from diagnosis.residuals import Linear, PreparedThrow
 from diagnosis.selection import Information, inform
 from machine.conventions import ACTIVE_JOINTS, Array
@@ -29,6 +29,18 @@ SET_NUISANCES = (
     "grip_lateral_m",
     "grip_vertical_m",
 )
+THROW_NUISANCES = (
+    "oil_flow_ratio",
+    *("joint_flow_ratio",) * 4,
+    *("dead_time_s",) * 4,
+    *("start_swing_rad",) * 2,
+    *("start_swing_rate_rad_per_s",) * 2,
+    "release_delay_s",
+    "switch_lag_s",
+    *("grasp_m",) * 3,
+    *("slip_m_per_s",) * 3,
+)
+"""Names of the columns of `Whitened.nuisance`."""
 OIL_LAG_S = 0.05 * 0.06
 """Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
 
@@ -64,12 +76,15 @@ def whiten_throw(
     prepared: PreparedThrow, linear: Linear, model: NoiseModel, factor: Sequence[Array]
 ) -> Whitened:
     """Whiten a throw's blocks; rows that the twin could not predict count as no data."""
+    of_set = _set_columns(prepared, linear)
+    middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
+    middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
     columns = np.column_stack(
         [
-            linear.residual,
+            linear.residual - linear.jacobian @ middle - of_set @ middle_of_set,
             linear.jacobian,
             linear.jacobian * prepared.input.progress_ratio,
-            _set_columns(prepared, linear),
+            of_set,
             _throw_columns(prepared, linear, model),
         ]
     )
