@@ -101,6 +101,11 @@ def _largest(spec: MachineSpec) -> tuple[Array, float]:
     return np.maximum(moments, 1e-9), float(np.abs(_tipping_moment(spec, poses)).max())
 
 
+def largest_tipping_moment(spec: MachineSpec) -> float:
+    """Largest moment of the arm over g about the slew axis, kg m."""
+    return _largest(spec)[1]
+
+
 def gravity_load_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
     """Gravity moment of each joint over its largest, (N, 4), positive against positive motion."""
     return _moments(spec, active_position_rad_m) / _largest(spec)[0]

@@ -1,15 +1,15 @@
 """How the machine stands on the surveyed ground: tilt, yaw, height, and a chassis that gives way.
 
-The survey frame is frame `machine` of a machine that stands level where it was surveyed. The chassis
-follows the arm's moment without delay; its own oscillation is not modelled.
+The survey frame is frame `machine` of a machine that stands level where it was surveyed. Nothing here moves
+the arm.
 """
 
 import numpy as np
 
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, IntArray
+from machine.conventions import GRAVITY_M_PER_S2, Array, IntArray
 from machine.kinematics import ToolState, pin_in_plane, rotate_z
 from machine.spec import MachineSpec
-from sim_twin.arm_load import tipping_ratio
+from sim_twin.chassis_sway import ChassisSway
 from sim_twin.effect_arrays import EffectArrays
 from sim_twin.grip_point import gripper_axes, rotation_zyx
 from sim_twin.twin_model import twin_model
@@ -35,33 +35,27 @@ class BasePose:
         self._shift_m = middle - self._level @ middle
         self._yaw = arrays.filled("base_yaw_drift", "yaw_rad")
         self._height = arrays.filled("base_height", "extra_height_m")
-        self._compliance = arrays.get("chassis_compliance", "pitch_rad")
-        self.leans = self._compliance is not None or arrays.has("base_tilt")
+        give = arrays.get("chassis_compliance", "pitch_rad")
+        self.sway = None if give is None else ChassisSway(spec, give)
+        """Of a base that moves with the arm."""
+        self.arm_kg = np.zeros(arrays.count)
+        """(N,) mass of the arm with gripper and load; to be set where the base moves."""
+        self.leans = self.sway is not None or arrays.has("base_tilt")
         """Whether gravity in frame `machine` is other than straight down."""
-        self.moves = self._compliance is not None
-        """Whether the base moves with the arm."""
-        self._everything = np.arange(arrays.count)
-        self.turning_rad_per_s = np.zeros((arrays.count, 3))
-        """Of the moving base, frame `machine`."""
-        self.spin_up_rad_per_s2 = np.zeros((arrays.count, 3))
-        """Its change."""
 
-    def to_survey(
-        self, rows: IntArray, point: ToolState, position: Array, velocity: Array
-    ) -> ToolState:
+    def to_survey(self, rows: IntArray, point: ToolState, ahead_s: float) -> ToolState:
         """State of a point of the machines `rows` in the survey frame.
 
         Args:
             rows: (K,) indices of machines.
             point: (K, 3) frame `machine`.
-            position: (K, 6) true joint positions.
-            velocity: (K, 6) true joint velocities.
+            ahead_s: how much later than the base's state that is.
         """
         where, speed = point.position_m, point.velocity_m_per_s
-        if self._compliance is not None:
-            lean = self._lean(rows, position)
+        if self.sway is not None:
+            turning = self.sway.rate_rad_per_s[rows] + ahead_s * self.sway.change_rad_per_s2[rows]
+            lean = self.sway.lean_rad[rows] + ahead_s * turning
             where = _turned(where, lean)
-            turning = self._lean_rate(rows, position, velocity)
             speed = _turned(speed, lean) + np.cross(turning, where)
         where = np.einsum("nij,nj->ni", self._level[rows], where) + self._shift_m[rows]
         where = rotate_z(where, self._yaw[rows])
@@ -71,68 +65,55 @@ class BasePose:
 
     def plumb_shift(self, position: Array) -> Array:
         """Pitch and roll (N, 2) by which a gripper that hangs at rest is off the machine's z axis."""
-        down = self._down(position)
-        slew = position[:, 0]
-        down = rotate_z(down, -slew)
+        lean = None if self.sway is None else self.sway.settled(position)
+        down = rotate_z(self._down(lean), -position[:, 0])
         outward, left, below = down[:, 0], down[:, 1], -down[:, 2]
         return np.stack(
             [np.arctan2(outward, below), np.arctan2(left, np.hypot(outward, below))], -1
         )
 
-    def start(self) -> None:
-        """Begin a throw at rest."""
-        self.turning_rad_per_s[:] = 0.0
-        self.spin_up_rad_per_s2[:] = 0.0
+    def start(self, position: Array) -> None:
+        """Begin a throw at rest with joints (N, 6)."""
+        if self.sway is not None:
+            self.sway.start(position)
 
-    def move(self, position: Array, velocity: Array) -> None:
-        """Follow the arm of joints (N, 6) by one tick."""
-        before = self.turning_rad_per_s
-        self.turning_rad_per_s = self._lean_rate(self._everything, position, velocity)
-        self.spin_up_rad_per_s2 = (self.turning_rad_per_s - before) / CONTROL_PERIOD_S
+    def move(self, sensed: Array) -> None:
+        """Follow the arm by one tick; MuJoCo's sensors of a model that sees momentum."""
+        if self.sway is not None:
+            self.sway.step(self.arm_kg, sensed[:, 6:9], sensed[:, 9:12], sensed[:, 12:15])
 
     def gravity(self, position: Array, velocity: Array) -> Array:
         """Gravity (N, 3) felt in frame `machine`, m/s2, with what a moving base does at the tool pin.
 
         Euler and Coriolis acceleration a x p + 2 w x v; the centrifugal one is a thousandth of it.
         """
-        felt = GRAVITY_M_PER_S2 * self._down(position)
-        if self._compliance is not None:
+        felt = GRAVITY_M_PER_S2 * self._down(None if self.sway is None else self.sway.lean_rad)
+        if self.sway is not None:
             pin, step = self._pin(position), DIFFERENCE_S * velocity
             speed = (self._pin(position + step) - self._pin(position - step)) / (2.0 * DIFFERENCE_S)
-            felt -= np.cross(self.spin_up_rad_per_s2, pin)
-            felt -= 2.0 * np.cross(self.turning_rad_per_s, speed)
+            felt -= np.cross(self.sway.change_rad_per_s2, pin)
+            felt -= 2.0 * np.cross(self.sway.rate_rad_per_s, speed)
         return felt
 
     def free_joint_pull(self, position: Array) -> Array:
         """Angular acceleration (N, 2) of the free joints against a base that turns ever faster."""
-        slew, axes = position[:, 0], gripper_axes(position)
-        spin = self.spin_up_rad_per_s2
+        if self.sway is None:
+            return np.zeros((self._count, 2))
+        slew, axes, spin = position[:, 0], gripper_axes(position), self.sway.change_rad_per_s2
         # The pitch axis is -y of the arm plane, the roll axis the gripper's x.
         pitch = spin[:, 1] * np.cos(slew) - spin[:, 0] * np.sin(slew)
         return np.stack([pitch, -np.einsum("ni,ni->n", axes[:, :, 0], spin)], axis=-1)
 
-    def imu_turning(self, position: Array) -> Array:
-        """Turning rate (N, 3) of the base in the gripper's axes, rad/s."""
-        return np.einsum("nji,nj->ni", gripper_axes(position), self.turning_rad_per_s)
+    def imu_turning(self, position: Array) -> Array | None:
+        """Turning rate (N, 3) of a moving base in the gripper's axes, rad/s."""
+        if self.sway is None:
+            return None
+        return np.einsum("nji,nj->ni", gripper_axes(position), self.sway.rate_rad_per_s)
 
-    def _down(self, position: Array) -> Array:
+    def _down(self, lean_rad: Array | None) -> Array:
         """Direction of gravity (N, 3) in frame `machine`."""
         down = -self._level[:, 2, :]
-        if self._compliance is None:
-            return down
-        return _turned(down, -self._lean(self._everything, position))
-
-    def _lean(self, rows: IntArray, position: Array) -> Array:
-        """Rotation vector (K, 3) of the chassis about the slew axis's foot: the arm's side goes down."""
-        if self._compliance is None:
-            return np.zeros((rows.size, 3))
-        ratio = tipping_ratio(self._spec, position[:, :ACTIVE_COUNT])
-        return self._compliance[rows, None] * ratio
-
-    def _lean_rate(self, rows: IntArray, position: Array, velocity: Array) -> Array:
-        step = DIFFERENCE_S * velocity
-        later, earlier = self._lean(rows, position + step), self._lean(rows, position - step)
-        return (later - earlier) / (2.0 * DIFFERENCE_S)
+        return down if lean_rad is None else _turned(down, -lean_rad)
 
     def _pin(self, position: Array) -> Array:
         """Tool pin (N, 3), frame `machine`."""

@@ -333,7 +333,7 @@ _AIM = (
         (),
         (P("pitch_rad", 0.0, 0.06, 0.001, 0.02, 0.005),),
         "The machine leans towards the arm by this at the arm's largest gravity moment about the slew "
-        "axis, in proportion and without delay: gravity leans, pin and load move with it.",
+        "axis, and sways on springs (30 % of critical damping) under the arm's weight and inertia.",
         "stiffness of tyres, legs and ground",
     ),
 )

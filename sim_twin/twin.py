@@ -32,7 +32,7 @@ from sim_twin.payload import Payload
 from sim_twin.profile import TwinProfile, nominal_profile
 from sim_twin.response import VelocityResponse
 from sim_twin.twin_effects import PrescribedMotion, Readings, TwinEffects
-from sim_twin.twin_model import twin_model, untouchable_model
+from sim_twin.twin_model import model_variant, twin_model
 
 FRICTION_WIDTH_RAD_PER_S = 0.004
 """Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
@@ -90,9 +90,11 @@ class Twin:
         self.spec: MachineSpec = load_spec()
         model, self._friction_moment = twin_model()
         threads = thread_count if count >= THREADED_FROM_COUNT else 1
-        shown = model if sees_contacts else untouchable_model()
-        self._batch: Any = batch.Batch(shown, count, threads)
         arrays = effect_arrays(count, profile.effects, effects, progress_ratio)
+        sways = arrays is not None and arrays.has("chassis_compliance")
+        if sways or not sees_contacts:
+            model = model_variant(sees_contacts=sees_contacts, sees_momentum=sways)
+        self._batch: Any = batch.Batch(model, count, threads)
         self._effects = None if arrays is None else TwinEffects(self.spec, arrays, self._batch)
         self._bind()
         self._response = VelocityResponse(self.spec, profile, calibration, count, arrays)
@@ -139,7 +141,8 @@ class Twin:
         self._velocity: Array = self._batch.bind("qvel")
         self._control: Array = self._batch.bind("ctrl")
         self._applied: Array = self._batch.bind("qfrc_applied")
-        self._imu: Array = self._batch.bind("sensordata")
+        self._sensors: Array = self._batch.bind("sensordata")
+        self._imu = self._sensors[:, :6]
         self._contacts: Array = self._batch.bind("ncon")
 
     @property
@@ -267,7 +270,7 @@ class Twin:
         self._push_free_joints(q, v)
         end_ns = self._now_ns + CONTROL_PERIOD_NS
         due = self._payload.due(end_ns)
-        before = self._load_state(due) if due.size else None
+        before = self._load_state(due, 0.0) if due.size else None
         self._batch.step(self._frozen_rows)
         self._now_ns = end_ns
         self._collided |= self._contacts > 0
@@ -277,7 +280,8 @@ class Twin:
             np.copyto(q, given.position_rad_m, where=given.mask)
             np.copyto(v, given.velocity_rad_m_per_s, where=given.mask)
         if before is not None:
-            self._payload.release(due, before, self._load_state(due), end_ns, CONTROL_PERIOD_S)
+            after = self._load_state(due, CONTROL_PERIOD_S)
+            self._payload.release(due, before, after, end_ns, CONTROL_PERIOD_S)
         self._payload.fly(end_ns, CONTROL_PERIOD_S)
         if self._effects is not None:
             self._effects.after_step(self._imu, q, v)
@@ -291,16 +295,16 @@ class Twin:
             viscous * swing + coulomb * np.tanh(swing / self._friction_width)
         )
         if self._effects is not None:
-            pull = self._effects.before_step(q, v)
+            pull = self._effects.before_step(q, v, self._sensors)
             if pull is not None:
                 self._applied[:, ACTIVE_COUNT:] += pull * self._friction_moment
 
-    def _load_state(self, rows: IntArray) -> ToolState:
-        """Where the held loads of `rows` are and how fast, survey frame."""
+    def _load_state(self, rows: IntArray, ahead_s: float) -> ToolState:
+        """Where the held loads of `rows` are and how fast, so much after the tick's begin; survey frame."""
         q, v = self._position[rows], self._velocity[rows]
         if self._effects is None:
             return grip_centre(self.spec, q, v)
-        return self._effects.load_state(rows, q, v)
+        return self._effects.load_state(rows, q, v, ahead_s)
 
     def read(self) -> SensorSample:
         """Sensor values of the present tick; reading twice gives the same sample."""

@@ -15,6 +15,7 @@ from sim_twin.body_effects import BodyEffects
 from sim_twin.effect_arrays import EffectArrays
 from sim_twin.grip_point import grip_point
 from sim_twin.sensor_effects import SensorEffects
+from sim_twin.twin_model import twin_model
 
 _BASE = ("base_tilt", "base_yaw_drift", "base_height", "chassis_compliance")
 _SENSORS = ("joint_sensor_bias", "joint_sensor_latency", "imu_latency", "imu_misalignment")
@@ -49,6 +50,9 @@ class TwinEffects:
         self._sensors = SensorEffects(arrays) if arrays.has(*_SENSORS) else None
         if self.body is not None:
             self.body.change_models(batch)
+        if self._base is not None and self._base.sway is not None:
+            boom = twin_model()[0].body("boom").id
+            self._base.arm_kg = np.array(batch.expand("body_subtreemass")[:, boom])
         leans = self._base is not None and self._base.leans
         self._gravity: Array | None = batch.expand("opt.gravity") if leans else None
         self._turning: Array | None = None
@@ -81,7 +85,7 @@ class TwinEffects:
         """Machines are put into these true states (N, 6); before the physics looks at them."""
         self._rest = position[:, ACTIVE_COUNT:].copy()
         if self._base is not None:
-            self._base.start()
+            self._base.start(position)
             self._lean(self._base, position, velocity)
 
     def fill_sensors(self, imu: Array, position: Array, velocity: Array) -> None:
@@ -89,11 +93,17 @@ class TwinEffects:
         if self._sensors is not None:
             self._sensors.start(np.concatenate([position, velocity], axis=1), self._felt(imu))
 
-    def before_step(self, position: Array, velocity: Array) -> Array | None:
-        """Let gravity follow the base; what base and hoses do to the free joints (N, 2), rad/s2."""
+    def before_step(self, position: Array, velocity: Array, sensed: Array) -> Array | None:
+        """Let gravity follow the base; what base and hoses do to the free joints (N, 2), rad/s2.
+
+        Args:
+            position: (N, 6) true joint positions.
+            velocity: (N, 6)
+            sensed: MuJoCo's sensors as of the step before.
+        """
         pull = None
-        if self._base is not None and self._base.moves:
-            self._base.move(position, velocity)
+        if self._base is not None and (self._base.sway is not None):
+            self._base.move(sensed)
             self._lean(self._base, position, velocity)
             pull = self._base.free_joint_pull(position)
         if self.body is not None:
@@ -105,7 +115,7 @@ class TwinEffects:
     def _lean(self, base: BasePose, position: Array, velocity: Array) -> None:
         if self._gravity is not None:
             self._gravity[:] = base.gravity(position, velocity)
-        if base.moves:
+        if base.sway is not None:
             self._turning = base.imu_turning(position)
 
     def after_step(self, imu: Array, position: Array, velocity: Array) -> None:
@@ -129,17 +139,18 @@ class TwinEffects:
             *self._sensors.joints(np.concatenate(true, axis=1)), *self._sensors.imu(felt)
         )
 
-    def load_state(self, rows: IntArray, position: Array, velocity: Array) -> ToolState:
+    def load_state(
+        self, rows: IntArray, position: Array, velocity: Array, ahead_s: float
+    ) -> ToolState:
         """Where the held loads of machines `rows` (K,) are and how fast, survey frame.
 
         Args:
             rows: indices.
             position: (K, 6) their true joint positions.
             velocity: (K, 6)
+            ahead_s: how much later than the base's state these are.
         """
         offset = None if self.body is None else self.body.offset_m
         beside = None if offset is None else offset[rows]
         point = grip_point(self._spec, position, velocity, beside)
-        return (
-            point if self._base is None else self._base.to_survey(rows, point, position, velocity)
-        )
+        return point if self._base is None else self._base.to_survey(rows, point, ahead_s)

@@ -22,10 +22,36 @@ the drive by 0.07 mrad/s2, and the accelerometer sees the accelerations that are
 implicit velocity servo of the same stiffness would hide from it."""
 DETECTION_DEPTH_M = 5.0
 """Negative margin and positive gap of this size: contacts are found but never push."""
+_MOMENTUM_SENSORS = (
+    mujoco.mjtSensor.mjSENS_SUBTREECOM,
+    mujoco.mjtSensor.mjSENS_SUBTREELINVEL,
+    mujoco.mjtSensor.mjSENS_SUBTREEANGMOM,
+)
 
 
 @cache
 def twin_model() -> tuple[mujoco.MjModel, Array]:
+    """The twin's model and the passive friction moments of unit acceleration (2,)."""
+    return _compiled(sees_momentum=False)
+
+
+@cache
+def model_variant(*, sees_contacts: bool, sees_momentum: bool) -> mujoco.MjModel:
+    """The twin's model with or without parts that only look; they all move alike.
+
+    Args:
+        sees_contacts: search for contacts, which never push.
+        sees_momentum: sensors of the arm's centre of mass, its velocity, and angular momentum about it,
+            after the IMU's.
+    """
+    model = copy(_compiled(sees_momentum=sees_momentum)[0])
+    if not sees_contacts:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return model
+
+
+@cache
+def _compiled(*, sees_momentum: bool) -> tuple[mujoco.MjModel, Array]:
     """Compile the twin's model and return it with the passive friction moments of unit acceleration (2,).
 
     From m545.xml: no visual geoms, no joint limits (the drives hold them), velocity-source drives,
@@ -58,6 +84,11 @@ def twin_model() -> tuple[mujoco.MjModel, Array]:
         sensor = tree.add_sensor()
         sensor.type, sensor.name = kind, name
         sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, "imu"
+    if sees_momentum:
+        for kind in _MOMENTUM_SENSORS:
+            sensor = tree.add_sensor()
+            sensor.type = kind
+            sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_BODY, "boom"
     tree.option.timestep = CONTROL_PERIOD_S
     tree.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     tree.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -68,11 +99,3 @@ def twin_model() -> tuple[mujoco.MjModel, Array]:
             f"m545.xml has the joints {order}, the twin needs the order of JOINT_NAMES"
         )
     return model, np.asarray(friction)
-
-
-@cache
-def untouchable_model() -> mujoco.MjModel:
-    """The twin's model without the search for contacts, which never push anyway: the same motion, faster."""
-    model = copy(twin_model()[0])
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    return model
