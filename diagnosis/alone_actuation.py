@@ -15,7 +15,7 @@ from scipy.signal import savgol_coeffs
 
 from diagnosis.alone_fit import FreeParameter, Option
 from diagnosis.alone_response import actuation_options, play, simulate_position, simulate_speed
-from diagnosis.alone_selection import select, spread_blocks
+from diagnosis.alone_selection import every_third, select, spread_blocks
 from diagnosis.alone_verdict import StageNames, diagnosis_of
 from diagnosis.clock_audit import ClockAudit
 from diagnosis.tables import (
@@ -29,7 +29,7 @@ from diagnosis.tables import (
     time_seconds,
 )
 from diagnosis.verdict import Diagnosis, Stage
-from machine.conventions import Array, IntArray
+from machine.conventions import Array, BoolArray, IntArray
 
 Kind = Literal["speed", "position"]
 MIN_SPAN_S: Final = 2.0
@@ -73,6 +73,16 @@ class ActuationProblem:
     options: tuple[Option, ...]
     block: IntArray
     noise: float
+
+    @property
+    def held(self) -> BoolArray:
+        """Every third piece of the record."""
+        return every_third(self.block)
+
+    @property
+    def local(self) -> frozenset[str]:
+        """None: the record is one run."""
+        return frozenset()
 
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated."""

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from scipy.stats import t as student_t
 
-from machine.conventions import Array, IntArray
+from machine.conventions import Array, BoolArray, IntArray
 
 QUICK_ITERATIONS: Final = 5
 FULL_ITERATIONS: Final = 40
@@ -55,6 +55,16 @@ class Problem(Protocol):
         """(samples,) contiguous piece of the record that each residual belongs to; held out together."""
         ...
 
+    @property
+    def held(self) -> BoolArray:
+        """(samples,) what is kept from the fit whose shrink is scored."""
+        ...
+
+    @property
+    def local(self) -> frozenset[str]:
+        """Nuisance of one run of the record alone, such as where a flight began; known for held-out runs."""
+        ...
+
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated of several sets of parameters with the same names.
 
@@ -93,6 +103,7 @@ def fit(
     start: Mapping[str, float],
     iterations: int = FULL_ITERATIONS,
     use: Array | None = None,
+    frozen: Mapping[str, float] | None = None,
 ) -> Fit:
     """Fit a structure, from `start` and from each start of the parameters that it lacks.
 
@@ -102,9 +113,12 @@ def fit(
         start: parameters of a simpler fit, by name.
         iterations: limit of the optimiser.
         use: (samples,) 1 where a sample counts, 0 where it is held out.
+        frozen: parameters that keep these values.
     """
+    fixed = dict(frozen or {})
     parameters = {p.name: p for p in problem.nuisance}
     parameters |= {f"{o.key}.{p.name}": p for o in options for p in o.parameters}
+    parameters = {name: p for name, p in parameters.items() if name not in fixed}
     names = tuple(parameters)
     low = np.array([p.low for p in parameters.values()])
     high = np.array([p.high for p in parameters.values()])
@@ -112,7 +126,9 @@ def fit(
     tries = max((len(parameters[name].starts) for name in new), default=1)
 
     def unweighted(x: Array) -> Array:
-        return problem.residuals([dict(zip(names, row, strict=True)) for row in x.tolist()])
+        return problem.residuals(
+            [{**fixed, **dict(zip(names, row, strict=True))} for row in x.tolist()]
+        )
 
     def weighted(x: Array) -> Array:
         return unweighted(x) if use is None else unweighted(x) * use
@@ -140,30 +156,42 @@ def fit(
 def held_out_mean_square(problem: Problem, found: Fit) -> float:
     """Mean square of each block's residual with parameters from the other blocks only.
 
-    One Gauss-Newton step from the fit to all blocks, x_b = x + (A - A_b)^-1 J_b' r_b with A = J'J, then the
-    block is simulated again with x_b; exact for a linear response.
+    One Gauss-Newton step from the fit to all blocks, x_b = x - (A - A_b)^-1 J_b' r_b with A = J'J, then the
+    block is simulated again with x_b; exact for a linear response. With local nuisance, J and r are taken
+    beyond what the local parameters explain, and the response is taken as linear.
     """
-    parameters = {p.name: p for p in problem.nuisance}
-    parameters |= {f"{o.key}.{p.name}": p for o in found.options for p in o.parameters}
-    low = np.array([p.low for p in parameters.values()])
-    high = np.array([p.high for p in parameters.values()])
-    J, r = found.jacobian, found.residual
+    local = np.array([name in problem.local for name in found.names])
+    basis, _ = np.linalg.qr(found.jacobian[:, local])
+    J = found.jacobian[:, ~local] - basis @ (basis.T @ found.jacobian[:, ~local])
+    r = found.residual - basis @ (basis.T @ found.residual)
+    low, high = bounds(problem, found)
+    low, high, values = low[~local], high[~local], found.values[~local]
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     Js = J / scale
-    A = Js.T @ Js + 1e-6 * np.eye(len(scale))
-    sets: list[dict[str, float]] = []
-    numbers = np.unique(problem.block)
+    A = Js.T @ Js + 2e-6 * np.eye(len(scale))
+    numbers, place = np.unique(problem.block, return_inverse=True)
+    moved: list[Array] = []
     for number in numbers:
         inside = problem.block == number
         Jb, rb = Js[inside], r[inside]
-        rest = A - Jb.T @ Jb + 1e-6 * np.eye(len(scale))
-        step = np.linalg.solve(rest, Jb.T @ rb) / scale
+        step = -np.linalg.solve(A - Jb.T @ Jb, Jb.T @ rb) / scale
         # A block that alone fixes a parameter would otherwise throw it anywhere.
-        x = np.clip(found.values + step, low, high)
-        sets.append(dict(zip(found.names, x.tolist(), strict=True)))
-    again = problem.residuals(sets)
-    chosen = np.searchsorted(numbers, problem.block)
-    return float(np.mean(again[chosen, np.arange(len(r))] ** 2))
+        moved.append(np.clip(values + step, low, high))
+    if np.any(local):
+        again = r - (np.stack(moved) - values) @ J.T
+    else:
+        names = found.names
+        again = problem.residuals([dict(zip(names, x.tolist(), strict=True)) for x in moved])
+    return float(np.mean(again[place, np.arange(len(r))] ** 2))
+
+
+def bounds(problem: Problem, found: Fit) -> tuple[Array, Array]:
+    """Bounds of a fit's parameters, (parameters,) each."""
+    parameters = {p.name: p for p in problem.nuisance}
+    parameters |= {f"{o.key}.{p.name}": p for o in found.options for p in o.parameters}
+    low = np.array([parameters[name].low for name in found.names])
+    high = np.array([parameters[name].high for name in found.names])
+    return low, high
 
 
 def standard_errors(problem: Problem, found: Fit, correlation_samples: float) -> Array:

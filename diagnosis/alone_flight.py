@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone_fit import FreeParameter, Option
-from diagnosis.alone_selection import select
+from diagnosis.alone_selection import every_third, select
 from diagnosis.alone_verdict import StageNames, diagnosis_of
 from diagnosis.tables import RefusedTable
 from diagnosis.verdict import Diagnosis, Stage
-from machine.conventions import GRAVITY_M_PER_S2, Array, IntArray
+from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
 AIR_DENSITY_KG_PER_M3: Final = 1.204
 """20 C at sea level."""
@@ -24,7 +24,7 @@ GRAVITY_SLACK_RATIO: Final = 0.02
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 MIN_FLIGHT_ROWS: Final = 10
-BLOCKS_PER_FLIGHT: Final = 10
+BLOCKS_PER_FLIGHT: Final = 5
 UNKNOWN_RATIO: Final = 0.25
 CRISIS_WIDTH_M_PER_S: Final = 1.5
 """A smooth sphere's drag falls within about a sixth of its critical speed (Achenbach 1972)."""
@@ -61,6 +61,18 @@ class FlightProblem:
     block: IntArray
     drag_per_m: float
     """At drag coefficient 1; 1 when mass or diameter are unknown."""
+
+    @property
+    def held(self) -> BoolArray:
+        """Every second flight; every third piece when there is one flight."""
+        if len(self.flights) == 1:
+            return every_third(self.block)
+        return (self.block // BLOCKS_PER_FLIGHT) % 2 == 1
+
+    @property
+    def local(self) -> frozenset[str]:
+        """Where each flight began, and how fast."""
+        return frozenset(p.name for p in self.nuisance if "." in p.name)
 
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated, flights and axes one after the other, m."""

@@ -16,6 +16,7 @@ from diagnosis.alone_fit import (
     Fit,
     Option,
     Problem,
+    bounds,
     correlation_length,
     fit,
     held_out_mean_square,
@@ -23,7 +24,7 @@ from diagnosis.alone_fit import (
     standard_errors,
 )
 from diagnosis.verdict import Shrink
-from machine.conventions import Array, IntArray
+from machine.conventions import Array, BoolArray, IntArray
 
 BEAM_COUNT: Final = 2
 MAX_EFFECTS_COUNT: Final = 6
@@ -251,33 +252,33 @@ def _merge(ranked: Sequence[Scored]) -> list[Scored]:
 def intervals(
     problem: Problem, selection: Selection, found: Fit
 ) -> Mapping[str, tuple[float, float]]:
-    """90 % interval of each parameter of a fit, by name."""
+    """90 % interval of each parameter of a fit, by name, within its bounds."""
     half = standard_errors(problem, found, selection.correlation_samples) * interval_factor(problem)
+    low, high = bounds(problem, found)
     return {
-        name: (float(value - h), float(value + h))
-        for name, value, h in zip(found.names, found.values, half, strict=True)
+        name: (float(max(value - h, at_least)), float(min(value + h, at_most)))
+        for name, value, h, at_least, at_most in zip(
+            found.names, found.values, half, low, high, strict=True
+        )
     }
 
 
 def held_out_shrink(problem: Problem, selection: Selection, noise: float) -> Shrink:
-    """Refit ideal and chosen stage without every third block, and compare both on those blocks.
+    """Refit ideal and chosen stage without the held-out samples, and compare both on those.
 
     `before_m` and `after_m` are root mean squares in the unit of the residual.
     """
-    blocks = np.unique(problem.block)
-    held = np.isin(problem.block, blocks[1::3])
+    held = problem.held
     use = np.where(held, 0.0, 1.0)
-    chosen = selection.best.fit
-    base = fit(problem, (), selection.base.fit.as_mapping(), use=use)
-    better = fit(problem, chosen.options, chosen.as_mapping(), use=use)
-    before2, after2 = base.residual**2, better.residual**2
+    before2 = _squares(problem, selection.base.fit, use)
+    after2 = _squares(problem, selection.best.fit, use)
     trained = ~held
     predicted = _removable_share(
         float(np.mean(before2[trained])), float(np.mean(after2[trained])), noise
     )
     before, after = float(np.mean(before2[held])), float(np.mean(after2[held]))
     rng = np.random.default_rng(0)
-    pieces = [np.flatnonzero(problem.block == b) for b in blocks[1::3]]
+    pieces = [np.flatnonzero(held & (problem.block == b)) for b in np.unique(problem.block[held])]
     draws: list[float] = []
     for _ in range(BOOTSTRAP_COUNT if len(pieces) > 1 else 0):
         chosen_pieces = rng.integers(0, len(pieces), len(pieces))
@@ -298,6 +299,21 @@ def held_out_shrink(problem: Problem, selection: Selection, noise: float) -> Shr
         held_out_throws=len(pieces),
         removable_ratio=math.sqrt(removable),
     )
+
+
+def _squares(problem: Problem, whole: Fit, use: Array) -> Array:
+    """Squared residuals with effects from the samples in use alone; local nuisance from all samples."""
+    trained = fit(problem, whole.options, whole.as_mapping(), use=use)
+    if not problem.local:
+        return trained.residual**2
+    values = trained.as_mapping()
+    shared = {name: value for name, value in values.items() if name not in problem.local}
+    return fit(problem, whole.options, values, frozen=shared).residual ** 2
+
+
+def every_third(block: IntArray) -> BoolArray:
+    """(samples,) every third block: held out."""
+    return np.isin(block, np.unique(block)[1::3])
 
 
 def _removable_share(before: float, after: float, noise: float) -> float:
