@@ -5,14 +5,12 @@ It reads the data folder and nothing else: the sealed file is no argument of any
 
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
-from diagnosis.challenge_make import MANIFEST, PROFILE_NAME
+from diagnosis.challenge_make import MANIFEST, PROFILE_NAME, spread
 from diagnosis.logs import LoadedSet, load_throws
 from diagnosis.verdict import Diagnosis
 from machine.errors import UsageError
@@ -79,18 +77,16 @@ def run_challenge(
         progress(len(sets) - len(waiting), len(sets))
     if not waiting:
         return 0
-    with ProcessPoolExecutor(max(jobs, 1), mp_context=get_context("spawn")) as pool:
-        futures = {pool.submit(answer, folder / name, method): name for name in waiting}
-        for future in as_completed(futures):
-            done[futures[future]] = future.result()
-            _write(out, answers)
-            if progress is not None:
-                progress(sum(name in done for name in sets), len(sets))
+    for name, found in spread([(folder / name, method) for name in waiting], answer, jobs):
+        done[name] = found
+        _write(out, answers)
+        if progress is not None:
+            progress(sum(name in done for name in sets), len(sets))
     return len(waiting)
 
 
-def answer(folder: Path, method: str) -> dict[str, Any]:
-    """Diagnose one set; an error of the program is an answer, too, and a wrong one."""
+def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
+    """Diagnose one set, named by its folder; an error of the program is an answer, and a wrong one."""
     started = perf_counter()
     try:
         loaded = load_throws([folder])
@@ -100,7 +96,7 @@ def answer(folder: Path, method: str) -> dict[str, Any]:
         said["evidence"] = _small(said["evidence"])
     except Exception as error:  # the harness must outlive whatever it tests
         said = {"error": f"{type(error).__name__}: {error}"}
-    return {"seconds": round(perf_counter() - started, 2), "said": said}
+    return folder.name, {"seconds": round(perf_counter() - started, 2), "said": said}
 
 
 def _method(name: str) -> Method:

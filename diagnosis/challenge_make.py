@@ -7,13 +7,13 @@ The truth goes to one sealed file, whose hash is published beside the data.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
@@ -46,6 +46,7 @@ PROFILE_NAME: Final = "profile.json"
 CALIBRATION_NAME: Final = "calibration.json"
 
 Progress = Callable[[int, int], None]
+Result = TypeVar("Result")
 
 
 class ThrowPlan(NamedTuple):
@@ -200,13 +201,10 @@ def make_challenge(
     for unit_seed in sorted({truth.unit_seed for truth in truths}):
         healthy_machine(load_spec(), unit_seed)
     done: dict[str, SetTruth] = {}
-    with ProcessPoolExecutor(max(jobs, 1), mp_context=get_context("spawn")) as pool:
-        waiting = [pool.submit(make_set, truth, out, throws, policies) for truth in truths]
-        for future in as_completed(waiting):
-            truth = future.result()
-            done[truth.set_id] = truth
-            if progress is not None:
-                progress(len(done), len(truths))
+    for truth in spread([(t, out, throws, policies) for t in truths], make_set, jobs):
+        done[truth.set_id] = truth
+        if progress is not None:
+            progress(len(done), len(truths))
     final = [done[truth.set_id] for truth in truths]
     document: dict[str, Any] = {
         "schema_version": 1,
@@ -224,6 +222,20 @@ def make_challenge(
     }
     (out / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return final
+
+
+def spread(
+    tasks: Sequence[tuple[Any, ...]], work: Callable[..., Result], jobs: int
+) -> Iterator[Result]:
+    """Results of ``work(*task)`` as they come: in this process for 1 job, else in as many others."""
+    if jobs == 1:
+        for task in tasks:
+            yield work(*task)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting = [pool.submit(work, *task) for task in tasks]
+        for future in as_completed(waiting):
+            yield future.result()
 
 
 def _check_places(out: Path, sealed: Path) -> None:

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from time import perf_counter
+from typing import NamedTuple
 
 from diagnosis.conclude import Findings, conclude
+from diagnosis.healthy import HealthyModel, load_healthy
 from diagnosis.hypotheses import Problem, pose, refine
 from diagnosis.jitter import fit_jitter
 from diagnosis.logs import LoadedSet
-from diagnosis.noise import load_noise
+from diagnosis.noise import NoiseModel, load_noise
 from diagnosis.parameters import layout
 from diagnosis.ranking import rank
 from diagnosis.residuals import prepare
@@ -25,6 +27,13 @@ Progress = Callable[[float, str], None]
 """Told the share done, 0 to 1, and what is being done."""
 
 
+class Health(NamedTuple):
+    """What is known of healthy machines of the type."""
+
+    filters: HealthyModel
+    noise: NoiseModel
+
+
 class CancelledError(Exception):
     """The user asked to stop."""
 
@@ -34,6 +43,7 @@ def diagnose_throws(
     profile: TwinProfile,
     progress: Progress | None = None,
     cancel: Callable[[], bool] | None = None,
+    health: Health | None = None,
 ) -> Diagnosis:
     """Diagnose a set of throws.
 
@@ -42,6 +52,7 @@ def diagnose_throws(
         profile: of the twin that the machine is compared with.
         progress: told what is being done.
         cancel: asked between steps whether to stop.
+        health: what a healthy machine of the type looks like; the calibrated one if left out.
 
     Raises:
         CancelledError: `cancel` said so.
@@ -50,12 +61,14 @@ def diagnose_throws(
     if refused is not None:
         return refused
     with one_blas_thread():
-        return _diagnose(loaded, profile, progress, cancel)
+        known = Health(load_healthy(), load_noise()) if health is None else health
+        return _diagnose(loaded, profile, known, progress, cancel)
 
 
 def _diagnose(
     loaded: LoadedSet,
     profile: TwinProfile,
+    health: Health,
     progress: Progress | None,
     cancel: Callable[[], bool] | None,
 ) -> Diagnosis:
@@ -70,7 +83,7 @@ def _diagnose(
             progress(share, text)
 
     tell(0.02, "measured motion")
-    model = load_noise()
+    model = health.noise
     prepared = prepare(loaded.throws, profile)
     calibration = loaded.throws[0].calibration
     tell(0.05, "where: stages swapped")
@@ -80,7 +93,7 @@ def _diagnose(
     plan = layout(model.tolerance, set_nuisance_sd(model))
     if jitter.log_odds > 0.0:
         model = model.with_jitter(jitter.size_s)
-    problem = pose(prepared, profile, calibration, model, plan)
+    problem = pose(prepared, profile, calibration, health.filters, model, plan)
     tell(0.35, "which: sets of effects")
     candidates = _candidates(problem)
     hypotheses = refine(problem, candidates, lambda s: tell(0.4 + 0.45 * s, "which: refinement"))

@@ -1,4 +1,4 @@
-"""Hypotheses refined and weighed: each is linearised where it fits best, and weighed on bootstraps of the throws.
+"""Hypotheses refined and weighed: linearised where each fits best, and weighed on bootstraps of the throws.
 
 A first linearisation at "no effect" finds candidates; an effect of finite size bends, so each candidate is
 simulated again at its own estimate and compared by the evidence that the data then give.
@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.healthy import HealthyModel
 from diagnosis.noise import NoiseModel
-from diagnosis.parameters import Layout, Parameter, effects_of, library
-from diagnosis.residuals import Linear, PreparedThrow, linearise
+from diagnosis.parameters import Layout, Parameter, effects_of, index_of, library
+from diagnosis.residuals import Linear, PreparedThrow, linearise, relinearise
 from diagnosis.selection import (
     Information,
     Priors,
@@ -41,6 +42,7 @@ class Problem:
     prepared: Sequence[PreparedThrow]
     profile: TwinProfile
     calibration: ValveCalibration
+    healthy: HealthyModel
     model: NoiseModel
     layout: Layout
     factor: Sequence[Sequence[Array]]
@@ -71,11 +73,12 @@ def pose(
     prepared: Sequence[PreparedThrow],
     profile: TwinProfile,
     calibration: ValveCalibration,
+    healthy: HealthyModel,
     model: NoiseModel,
     layout: Layout,
 ) -> Problem:
     """Linearise at "no effect"."""
-    linear = linearise(prepared, profile, calibration)
+    linear = linearise(prepared, profile, calibration, healthy)
     factor = [factors(p, model) for p in prepared]
     whitened = [
         whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
@@ -84,6 +87,7 @@ def pose(
         prepared,
         profile,
         calibration,
+        healthy,
         model,
         layout,
         factor,
@@ -116,23 +120,25 @@ class _Trial:
 
 def _round(problem: Problem, trials: Sequence[_Trial]) -> list[_Trial]:
     """Simulate every trial at its sizes and estimate the sizes again."""
-    count = len(problem.prepared)
     moving = [trial for trial in trials if trial.members]
     if not moving:
         return list(trials)
+    effects = [fitted_effects(problem.layout, t.members, t.sizes) for t in moving]
+    only = [_constants(problem.layout, t.members) for t in moving]
+    batch = relinearise(
+        problem.prepared,
+        problem.profile,
+        problem.calibration,
+        problem.healthy,
+        problem.linear,
+        list(zip(effects, only, strict=True)),
+    )
     results: dict[Set, _Trial] = {}
-    for trial in moving:
-        effects = fitted_effects(problem.layout, trial.members, trial.sizes)
-        only = _constants(problem.layout, trial.members)
-        linear = linearise(
-            problem.prepared,
-            problem.profile,
-            problem.calibration,
-            [effects] * count,
-            only,
-            with_nuisances=False,
-        )
-        merged = [_merge(problem, i, linear[i], trial, effects, only) for i in range(count)]
+    for trial, found, linear in zip(moving, effects, batch, strict=True):
+        merged = [
+            _carried(one, found, p.input.progress_ratio)
+            for one, p in zip(linear, problem.prepared, strict=True)
+        ]
         whitened = [
             whiten_throw(p, one, problem.model, f)
             for p, one, f in zip(problem.prepared, merged, problem.factor, strict=True)
@@ -143,26 +149,14 @@ def _round(problem: Problem, trials: Sequence[_Trial]) -> list[_Trial]:
     return [results.get(trial.members, trial) for trial in trials]
 
 
-def _merge(
-    problem: Problem,
-    throw: int,
-    at: Linear,
-    trial: _Trial,
-    effects: tuple[Effect, ...],
-    only: Sequence[Parameter],
-) -> Linear:
-    """Slopes of the members at the trial's sizes, all others as at "no effect"; residual carried back to 0."""
-    base = problem.linear[throw]
-    keys = {p.key: i for i, p in enumerate(library())}
-    columns = [keys[p.key] for p in only]
-    jacobian = base.jacobian.copy()
-    jacobian[:, columns] = at.jacobian[:, columns]
-    sizes = _acting_sizes(effects, problem.prepared[throw].input.progress_ratio)
-    carried = sum(
-        (jacobian[:, keys[key]] * size for key, size in sizes.items()),
-        np.zeros(at.residual.size),
-    )
-    return replace(base, residual=at.residual + carried, jacobian=jacobian)
+def _carried(at: Linear, effects: Sequence[Effect], progress_ratio: float) -> Linear:
+    """Carry the residual back to size 0 along the slopes at the size."""
+    keys = index_of()
+    sizes = _acting_sizes(effects, progress_ratio)
+    residual = at.residual.copy()
+    for key, size in sizes.items():
+        residual += at.jacobian[:, keys[key]] * size
+    return replace(at, residual=residual)
 
 
 def _acting_sizes(effects: Sequence[Effect], progress_ratio: float) -> dict[str, float]:

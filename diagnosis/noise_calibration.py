@@ -73,7 +73,7 @@ def load_set(folder: Path) -> HealthySet:
     loaded = load_throws([folder])
     profile = load_profile(folder / "profile.json")
     prepared = prepare(loaded.throws, profile)
-    linear = linearise(prepared, profile, loaded.throws[0].calibration, healthy=nothing())
+    linear = linearise(prepared, profile, loaded.throws[0].calibration, nothing())
     return HealthySet(prepared, linear)
 
 

@@ -11,19 +11,26 @@ same simulations, all in one batch. Blocks (channels) of a throw:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.healthy import HealthyModel, correction, load_healthy
+from diagnosis.healthy import HealthyModel, correction
 from diagnosis.logs import ThrowData
 from diagnosis.measured import MeasuredMotion, measured_motion, measured_opening_s, replay_input
 from diagnosis.parameters import Parameter, View, index_of, joint_index, library
 from machine.ballistics import drag_per_m, landing
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, IntArray
+from machine.conventions import (
+    ACTIVE_COUNT,
+    ACTIVE_JOINTS,
+    CONTROL_PERIOD_S,
+    GRAVITY_M_PER_S2,
+    Array,
+    IntArray,
+)
 from machine.spec import load_spec
-from sim_twin.effects import Effect
+from sim_twin.effects import Effect, resolve
 from sim_twin.profile import TwinProfile
 from sim_twin.replay import ReplayElement, ReplayInput, ReplayOutput, replay
 from sim_twin.replay_types import FourFlags
@@ -235,49 +242,70 @@ def linearise(
     prepared: Sequence[PreparedThrow],
     profile: TwinProfile,
     calibration: ValveCalibration,
-    about: Sequence[tuple[Effect, ...]] | None = None,
-    only: Sequence[Parameter] | None = None,
-    *,
-    with_nuisances: bool = True,
-    healthy: HealthyModel | None = None,
+    healthy: HealthyModel,
 ) -> list[Linear]:
-    """Residuals and slopes of every throw, in one batched simulation.
+    """Residuals and slopes of every throw without any effect, in one batched simulation.
 
     Args:
         prepared: the throws.
         profile: of the machine.
         calibration: of its valves.
-        about: effects of each throw at which to linearise; none if left out.
-        only: parameters whose slopes are wanted; all if left out (the other columns are 0).
-        with_nuisances: simulate the slopes by start swing and opening, too.
-        healthy: what the twin misses on every machine; the calibrated one if left out.
+        healthy: what the twin misses on every machine.
     """
-    known = load_healthy() if healthy is None else healthy
-    wanted = library() if only is None else tuple(only)
-    base = [()] * len(prepared) if about is None else list(about)
     inputs = [p.input for p in prepared]
     plan = _Plan()
-    count = len(prepared)
-    bases = [{view: plan.add(i, base[i], view) for view in View} for i in range(count)]
-    moved = [_moved(plan, i, base[i], wanted) for i in range(count)]
-    nuisances: list[tuple[list[int], int]] = []
-    if with_nuisances:
-        for i in range(count):
-            nuisances.append(_nuisance_elements(plan, inputs, i, base[i]))
+    parts: list[_Part] = []
+    for i in range(len(prepared)):
+        bases = {view: plan.add(i, (), view) for view in View}
+        moves = _moved(plan, i, (), library(), tuple(View))
+        parts.append(_Part(bases, moves, _nuisance_elements(plan, inputs, i)))
     output = replay(inputs, plan.elements, profile, calibration)
     return [
-        _linear(
-            prepared[i],
-            output,
-            bases[i],
-            moved[i],
-            nuisances[i] if with_nuisances else None,
-            wanted,
-            profile,
-            base[i],
-            known,
-        )
-        for i in range(count)
+        _linear(p, output, part, (), profile, healthy, None)
+        for p, part in zip(prepared, parts, strict=True)
+    ]
+
+
+def relinearise(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+    first: Sequence[Linear],
+    requests: Sequence[tuple[tuple[Effect, ...], Sequence[Parameter]]],
+) -> list[list[Linear]]:
+    """Every throw about several sets of effects, in one batched simulation.
+
+    Only the views that a set moves are simulated; everything else is as in `first`. Columns of other
+    parameters than those wanted are those of `first`, too.
+
+    Args:
+        prepared: the throws.
+        profile: of the machine.
+        calibration: of its valves.
+        healthy: what the twin misses on every machine.
+        first: linearised without any effect.
+        requests: effects about which to linearise, and the parameters whose slopes are wanted.
+    """
+    inputs = [p.input for p in prepared]
+    plan = _Plan()
+    parts: list[list[_Part]] = []
+    for effects, wanted in requests:
+        views = tuple(view for view in View if any(view in p.views for p in wanted))
+        row: list[_Part] = []
+        for i in range(len(prepared)):
+            bases = {view: plan.add(i, effects, view) for view in views}
+            row.append(_Part(bases, _moved(plan, i, effects, wanted, views), None))
+        parts.append(row)
+    if not plan.elements:
+        return [list(first) for _ in requests]
+    output = replay(inputs, plan.elements, profile, calibration)
+    return [
+        [
+            _linear(p, output, part, effects, profile, healthy, before)
+            for p, part, before in zip(prepared, row, first, strict=True)
+        ]
+        for (effects, _), row in zip(requests, parts, strict=True)
     ]
 
 
@@ -285,14 +313,28 @@ _Moves = dict[tuple[int, View], tuple[int, float]]
 """(parameter, view) -> (element, step)."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Elements of one throw about one set of effects."""
+
+    bases: dict[View, int]
+    moves: _Moves
+    nuisance: tuple[list[int], int] | None
+    """Moved start swing (4) and moved opening."""
+
+
 def _moved(
-    plan: _Plan, throw: int, base: tuple[Effect, ...], wanted: Sequence[Parameter]
+    plan: _Plan,
+    throw: int,
+    base: tuple[Effect, ...],
+    wanted: Sequence[Parameter],
+    views: tuple[View, ...],
 ) -> _Moves:
     """Elements that move one parameter each; in the actuation view one moves it at all joints."""
     moves: _Moves = {}
     together: dict[str, list[Parameter]] = {}
     for p in wanted:
-        for view in p.views:
+        for view in (v for v in p.views if v in views):
             if view is View.ACTUATION and p.joint is not None:
                 together.setdefault(f"{p.effect}.{p.name}", []).append(p)
                 continue
@@ -315,9 +357,7 @@ def _step(p: Parameter, base: tuple[Effect, ...]) -> float:
     return p.step if size + p.step <= p.high else -p.step
 
 
-def _nuisance_elements(
-    plan: _Plan, inputs: list[ReplayInput], throw: int, base: tuple[Effect, ...]
-) -> tuple[list[int], int]:
+def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tuple[list[int], int]:
     """Elements with moved start swing (4) and moved opening; adds the moved inputs."""
     data = inputs[throw]
     starts: list[int] = []
@@ -328,9 +368,9 @@ def _nuisance_elements(
         else:
             rate[axis - 2] += START_RATE_STEP_RAD_PER_S
         inputs.append(data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate))
-        starts.append(plan.add(len(inputs) - 1, base, View.SWING))
+        starts.append(plan.add(len(inputs) - 1, (), View.SWING))
     inputs.append(data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S))
-    return starts, plan.add(len(inputs) - 1, base, View.FLIGHT)
+    return starts, plan.add(len(inputs) - 1, (), View.FLIGHT)
 
 
 # --- from simulations to the residual vector -------------------------------------------------------
@@ -339,63 +379,51 @@ def _nuisance_elements(
 def _linear(
     prepared: PreparedThrow,
     output: ReplayOutput,
-    bases: dict[View, int],
-    moves: _Moves,
-    nuisance: tuple[list[int], int] | None,
-    wanted: Sequence[Parameter],
+    part: _Part,
+    effects: tuple[Effect, ...],
     profile: TwinProfile,
-    base: tuple[Effect, ...],
     healthy: HealthyModel,
+    first: Linear | None,
 ) -> Linear:
+    """A throw's residual and slopes from the batch; what was not simulated is as in `first`."""
     n = prepared.measured.size
-    elements: dict[View, list[int]] = {view: [bases[view]] for view in View}
-    place: dict[int, int] = {bases[view]: 0 for view in View}
-    extra = [] if nuisance is None else [(e, View.SWING) for e in nuisance[0]]
-    extra += [] if nuisance is None else [(nuisance[1], View.FLIGHT)]
-    for element, view in [(e, v) for (_, v), (e, _) in moves.items()] + extra:
-        if element not in place:
-            place[element] = len(elements[view])
-            elements[view].append(element)
-    predicted = {
-        view: _predict(prepared, output, np.asarray(elements[view]), view) for view in View
-    }
-    residual = prepared.measured.copy()
-    for view in View:
-        residual -= np.nan_to_num(predicted[view][0], nan=0.0)
-    missing = np.isnan(sum(predicted[view][0] for view in View))
-    switch = prepared.block("release.switch")
-    jacobian = np.zeros((n, len(library())))
-    for (parameter, view), (element, step) in moves.items():
-        slope = (predicted[view][place[element]] - predicted[view][0]) / step
+    predicted = _predicted(prepared, output, part)
+    residual = np.full(n, np.nan) if first is None else first.residual.copy()
+    jacobian = np.zeros((n, len(library()))) if first is None else first.jacobian.copy()
+    velocity = np.zeros((0, ACTIVE_COUNT)) if first is None else first.predicted_velocity
+    for view, rows in predicted.items():
+        for block in prepared.blocks:
+            if _view(block) is view:
+                residual[block.rows] = (
+                    prepared.measured[block.rows] - rows[part.bases[view]][block.rows]
+                )
+    if View.ACTUATION in part.bases:
+        velocity = output.joint_velocity_rad_m_per_s[
+            part.bases[View.ACTUATION], : prepared.motion.t_s.size
+        ]
+        _take_off_health(prepared, healthy, velocity, residual)
+    for parameter in {parameter for parameter, _ in part.moves}:
+        jacobian[:, parameter] = 0.0
+    for (parameter, view), (element, step) in part.moves.items():
+        slope = (predicted[view][element] - predicted[view][part.bases[view]]) / step
         joint = library()[parameter].joint
-        if view is View.ACTUATION and joint is not None:
-            own = prepared.block(f"{View.ACTUATION}.{joint}")
-            if own is not None:
-                jacobian[own.rows, parameter] += slope[own.rows]
-        else:
-            jacobian[:, parameter] += np.nan_to_num(slope, nan=0.0)
-    if switch is not None:
-        delay = profile.release_delay_s + sum(
-            e.parameters.get("extra_delay_s", 0.0) for e in base if e.effect == "release_delay"
-        )
-        residual[switch.rows] = prepared.measured[switch.rows] - (
-            prepared.throw.open_command_t_s + delay
-        )
-        missing[switch.rows] = False
-        if any(p.effect == "release_delay" for p in wanted):
-            jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
-    residual[missing] = np.nan
-    velocity = output.joint_velocity_rad_m_per_s[bases[View.ACTUATION], : prepared.motion.t_s.size]
-    _take_off_health(prepared, healthy, velocity, residual)
+        for block in prepared.blocks:
+            # Behind its valve a joint moves alone; only the IMU and the load feel the others.
+            own = view is not View.ACTUATION or joint is None or block.name.endswith(joint)
+            if own and _view(block) is view:
+                jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows], nan=0.0)
+    _compare_switch(prepared, effects, profile, residual, jacobian)
     start, opening = np.zeros((n, 4)), np.zeros(n)
-    if nuisance is not None:
+    if part.nuisance is not None:
         steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
-        for axis, (element, step) in enumerate(zip(nuisance[0], steps, strict=True)):
-            rows = predicted[View.SWING]
-            start[:, axis] = np.nan_to_num((rows[place[element]] - rows[0]) / step)
-        rows = predicted[View.FLIGHT]
-        opening = np.nan_to_num((rows[place[nuisance[1]]] - rows[0]) / OPENING_STEP_S)
-    flight = bases[View.FLIGHT]
+        rows, base = predicted[View.SWING], predicted[View.SWING][part.bases[View.SWING]]
+        for axis, (element, step) in enumerate(zip(part.nuisance[0], steps, strict=True)):
+            start[:, axis] = np.nan_to_num((rows[element] - base) / step)
+        rows, base = predicted[View.FLIGHT], predicted[View.FLIGHT][part.bases[View.FLIGHT]]
+        opening = np.nan_to_num((rows[part.nuisance[1]] - base) / OPENING_STEP_S)
+    if first is not None:
+        return replace(first, residual=residual, jacobian=jacobian, predicted_velocity=velocity)
+    flight = part.bases[View.FLIGHT]
     slope = _landing_slope(
         output.release_position_m[flight],
         output.release_velocity_m_per_s[flight],
@@ -404,6 +432,45 @@ def _linear(
     return Linear(
         residual, jacobian, start, opening, float(output.release_t_s[flight]), slope, velocity
     )
+
+
+def _predicted(
+    prepared: PreparedThrow, output: ReplayOutput, part: _Part
+) -> dict[View, dict[int, Array]]:
+    """What the twin says of the throw's vector (n,) in each simulated view, by element."""
+    elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
+    extra = [] if part.nuisance is None else [(e, View.SWING) for e in part.nuisance[0]]
+    extra += [] if part.nuisance is None else [(part.nuisance[1], View.FLIGHT)]
+    for element, view in [(e, v) for (_, v), (e, _) in part.moves.items()] + extra:
+        if element not in elements[view]:
+            elements[view].append(element)
+    return {
+        view: dict(zip(chosen, _predict(prepared, output, np.asarray(chosen), view), strict=True))
+        for view, chosen in elements.items()
+    }
+
+
+def _view(block: Block) -> View | None:
+    """The simulation that a block is compared with; none for the switch."""
+    stage = block.name.partition(".")[0]
+    return View(stage) if stage in tuple(View) else None
+
+
+def _compare_switch(
+    prepared: PreparedThrow,
+    effects: tuple[Effect, ...],
+    profile: TwinProfile,
+    residual: Array,
+    jacobian: Array,
+) -> None:
+    """Fill in, in place, the opening's row: delays add up without a simulation."""
+    switch = prepared.block("release.switch")
+    if switch is None:
+        return
+    sizes = resolve((*profile.effects, *effects), prepared.input.progress_ratio)
+    delay = profile.release_delay_s + sizes.get(("release_delay", None, "extra_delay_s"), 0.0)
+    residual[switch.rows] = prepared.measured[switch.rows] - prepared.throw.open_command_t_s - delay
+    jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
 
 
 def _take_off_health(
@@ -435,11 +502,9 @@ def _predict(
     """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
     out = np.zeros((elements.size, prepared.measured.size))
     for block in prepared.blocks:
-        if block.name == "release.switch":
+        if _view(block) is not view:
             continue
-        stage, _, channel = block.name.partition(".")
-        if stage != view:
-            continue
+        channel = block.name.partition(".")[2]
         if view is View.ACTUATION:
             track = output.joint_velocity_rad_m_per_s[elements, :, joint_index(channel)]
             out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
