@@ -4,11 +4,14 @@ Extends sim_twin.response at four places: the command, the steady speed, its lim
 behind the lag. Every line leaves a machine without the effect exactly as it was.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from machine.calibration import actuator_ratio
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
+from machine.kinematics import cylinder_length_m
 from machine.spec import MachineSpec
 from sim_twin.arm_load import gravity_load_ratio
 from sim_twin.effect_arrays import EffectArrays
@@ -17,6 +20,14 @@ MIN_LAG_S = 0.01
 """A mean lag cannot be taken away beyond this: one control tick."""
 STOP_SHARE_RATIO = 0.1
 """A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
+
+
+BULK_MODULUS_PA = 1.6e9
+"""Of mineral oil with little air (textbook 1.4-1.7 GPa; long hoses halve it)."""
+SLEW_TRAPPED_M3 = 1.5e-3
+"""Oil on each side of the slew motor (assumed)."""
+SLIP_S = 0.02
+"""Time constant with which compressed oil sends a joint off that breaks loose."""
 
 
 class Flows(NamedTuple):
@@ -44,6 +55,25 @@ def drive_flows(spec: MachineSpec) -> Flows:
     )
 
 
+def slip_jumps(spec: MachineSpec) -> Array:
+    """Way (4,) that a stuck joint jumps when the full supply pressure has compressed the oil behind it.
+
+    Force p A over the stiffness b A^2 (1/V1 + 1/V2) of two chambers of half the stroke each: p s / (4 b).
+    """
+    low, high = spec.position_range_rad_m
+    middle = np.array([[0.0, *(0.5 * (low[1:] + high[1:]))]])
+    h = spec.hydraulics
+    strokes = [
+        abs(float(np.diff(cylinder_length_m(cylinder, np.array([low[joint], high[joint]])))[0]))
+        for joint, cylinder in ((1, h.boom_cylinder), (2, h.dipper_cylinder))
+    ]
+    stroke = np.array([0.0, *strokes, high[3] - low[3]])
+    jump = 0.25 * h.supply_pressure_pa * stroke / BULK_MODULUS_PA
+    slew = h.supply_pressure_pa * SLEW_TRAPPED_M3 / (2.0 * BULK_MODULUS_PA)
+    jump[0] = slew / h.slew_displacement_m3_per_rad
+    return jump / np.abs(actuator_ratio(spec, middle))[0]
+
+
 class ValveEffects:
     """Effects of the stage `actuation`; arrays (N, 4)."""
 
@@ -69,6 +99,7 @@ class ValveEffects:
         )
         self._spool, self._lost = np.zeros(shape), np.zeros(shape)
         self._at_rest = np.ones(shape, dtype=np.bool_)
+        self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
         self._is_fresh = True
 
     def reset(self) -> None:
@@ -76,6 +107,7 @@ class ValveEffects:
         self._spool[:] = 0.0
         self._is_fresh = True
         self._at_rest[:] = True
+        self._wound[:] = 0.0
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
         """Natural frequencies whose mean lag 2 z / w is longer by the extra lag."""
@@ -148,10 +180,20 @@ class ValveEffects:
         turned = before * velocity <= 0.0
         slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
         self._at_rest = small & (self._at_rest | turned | slow)
+        # The valve fills a stuck drive until the pressure is full.
+        wound = np.clip(self._wound + target * CONTROL_PERIOD_S, -self._jump, self._jump)
+        self._wound = np.where(self._at_rest, wound, self._wound)
         return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
 
     def on_joint(self, drive_velocity: Array, active_position_rad_m: Array) -> Array:
-        """Joint velocities behind the drives' play; nothing loads the slew, which starts in the middle."""
+        """Joint velocities as drives break loose and behind their play.
+
+        Nothing loads the slew, which starts in the middle of its play.
+        """
+        if self._breakaway is not None:
+            left = np.where(self._at_rest, 1.0, math.exp(-CONTROL_PERIOD_S / SLIP_S))
+            drive_velocity = drive_velocity + (1.0 - left) * self._wound / CONTROL_PERIOD_S
+            self._wound = left * self._wound
         if self._gap is None:
             return drive_velocity
         half = 0.5 * self._gap
