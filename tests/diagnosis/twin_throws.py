@@ -1,4 +1,4 @@
-"""Throws of the twin itself with effects, open loop, as the diagnosis loads them: the easy case, in a second."""
+"""Throws of the twin itself with effects, open loop, as the diagnosis loads them: the easy case."""
 
 from functools import cache
 from pathlib import Path
@@ -79,7 +79,7 @@ def throws(effects: tuple[Effect, ...] = (), count: int = 6, seed: int = 0) -> L
 def _throw(
     number: int, data: ReplayInput, output: ReplayOutput, rng: np.random.Generator
 ) -> ThrowData:
-    t_s = np.arange(TICKS) * 0.01
+    t_s: Array = np.arange(TICKS, dtype=np.float64) * 0.01
     noise = rng.standard_normal
     position = output.joint_position_rad_m[number]
     velocity = output.joint_velocity_rad_m_per_s[number]
@@ -109,7 +109,7 @@ def _throw(
         accel_m_per_s2=output.accel_m_per_s2[number] + 4e-3 * noise((TICKS, 3)),
         open_command_t_s=OPEN_TICK * 0.01,
         switch_open_t_s=release_s + SWITCH_LAG_S + 0.005,
-        ball_t_s=seen * 0.01,
+        ball_t_s=t_s[seen],
         ball_m=ball + 0.02 * noise(ball.shape),
         impact_m=impact + np.array([0.02, 0.02, 0.0]) * noise(3),
         impact_sd_m=0.02,
