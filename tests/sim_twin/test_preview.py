@@ -15,6 +15,7 @@ from runtime.control_loop import ControlParams
 from runtime.policy import PolicyRunner
 from sim_twin.campaign import Outcome, ThrowResult
 from sim_twin.clearances import Clearance, limit_clearances, solid_clearances
+from sim_twin.effects import Effect
 from sim_twin.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.profile import Spread, nominal_profile
 from sim_twin.refusals import nominal_refusals, spread_refusals
@@ -125,6 +126,32 @@ def test_the_same_wish_gives_the_same_preview(swing_policies: Path) -> None:
     one, two = (preview(request(swing_policies, rollouts=8)) for _ in range(2))
     assert one.impact_m == two.impact_m
     assert one.ellipse == two.ellipse
+
+
+def test_what_a_diagnosis_found_acts_in_the_preview(swing_policies: Path) -> None:
+    plain = request(swing_policies, rollouts=20)
+    found = (
+        Effect(effect="release_spin", parameters={"spin_rad_per_s": 20.0}),
+        Effect(effect="base_yaw_drift", parameters={"yaw_rad": 0.1}),
+        Effect(effect="release_delay", parameters={"extra_delay_s": 0.03}),
+        Effect(effect="chassis_compliance", parameters={"pitch_rad": 0.02}),
+    )
+    profile = plain.profile.model_copy(update={"effects": found})
+    shown: list[ThrowPreview] = []
+    shown.append(preview(replace(plain, profile=profile), shown.append))
+    before, after = preview(plain), shown[-1]
+    assert before.impact_m is not None
+    assert after.impact_m is not None
+    assert before.ellipse is not None
+    assert after.ellipse is not None
+    np.testing.assert_allclose(shown[0].impact_m, after.impact_m, atol=2e-3)
+    moved = after.impact_m[1] - before.impact_m[1]
+    assert moved == pytest.approx(0.1 * before.impact_m[0], rel=0.15)
+    shift = after.ellipse.mean_crossrange_error_m - before.ellipse.mean_crossrange_error_m
+    assert shift == pytest.approx(moved, abs=0.1)
+    # The drawn flight ends where the load comes down, spin and all.
+    step = np.linalg.norm(after.ball_path_m[-2] - after.ball_path_m[-3])
+    assert np.linalg.norm(after.ball_path_m[-1] - after.ball_path_m[-2]) < 1.1 * step
 
 
 def test_3d_starts_where_the_machine_stands(swing_policies: Path) -> None:
