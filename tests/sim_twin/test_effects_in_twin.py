@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from twin_throw import CALIBRATION, PROFILE, Recorded, record
+from twin_throw import CALIBRATION, PROFILE, SPEC, Recorded, record
 
 from machine.conventions import CONTROL_PERIOD_NS, Array
 from machine.starts import safe_pose
@@ -174,3 +174,31 @@ def test_an_effect_of_the_profile_acts_as_one_of_the_machine(case: Case) -> None
     np.testing.assert_array_equal(in_profile[0], of_machine[0])
     np.testing.assert_array_equal(in_profile[1], of_machine[1])
     assert np.isfinite(in_profile[1]).all()
+
+
+def test_any_mixture_within_the_bounds_stays_finite(plain: Recorded) -> None:
+    rng = np.random.default_rng(4)
+    elements: list[ReplayElement] = []
+    for number in range(60):
+        mixture = [
+            Effect(
+                effect=name,
+                joint=joint,
+                parameters={p.name: float(rng.uniform(p.low, p.high)) for p in spec.parameters},
+            )
+            for name, spec in EFFECTS.items()
+            if name != DRIFT
+            for joint in (spec.joints or (None,))
+            if rng.uniform() < 0.3
+        ]
+        measured = (number % 2 == 0,) * 4
+        elements.append(ReplayElement(0, tuple(mixture), measured))
+    out = replay([plain.replay_input], elements, PROFILE, CALIBRATION)
+    for values in (out.joint_position_rad_m, out.passive_position_rad, out.gyro_rad_per_s):
+        assert np.isfinite(values).all()
+    low, high = SPEC.position_range_rad_m
+    simulated = out.joint_position_rad_m[1::2]
+    # As reported: a biased sensor may read beyond the stops.
+    assert (simulated >= low - 0.081).all()
+    assert (simulated <= high + 0.081).all()
+    assert np.abs(out.gyro_rad_per_s).max() < 60.0
