@@ -5,7 +5,6 @@ decides anything about a throw.
 """
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import mujoco
@@ -33,6 +32,7 @@ from sim_twin.profile import TwinProfile, nominal_profile
 from sim_twin.response import VelocityResponse
 from sim_twin.twin_effects import PrescribedMotion, Readings, TwinEffects
 from sim_twin.twin_model import model_variant, twin_model
+from sim_twin.twin_noise import NOISE_TABLE_SIZE, noise_at, noise_sd
 
 FRICTION_WIDTH_RAD_PER_S = 0.004
 """Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
@@ -40,15 +40,6 @@ stable from 0.0005 on. Dry friction above 0.4 rad/s2 gets a wider one, which one
 START_NS = 1_000_000_000
 THREADED_FROM_COUNT = 16
 """Smaller batches are faster on one thread."""
-NOISE_TABLE_SIZE = 1 << 17
-NOISE_CHANNELS = 14
-_NOISE_COLUMNS = np.arange(NOISE_CHANNELS)
-
-
-@cache
-def _noise_table() -> Array:
-    """Standard normal numbers that all sensors read from, each machine at its own place."""
-    return np.random.default_rng(20_240_519).standard_normal(NOISE_TABLE_SIZE + NOISE_CHANNELS)
 
 
 class Twin:
@@ -108,7 +99,7 @@ class Twin:
         self._prescribed: PrescribedMotion | None = None
         self._missed = np.zeros((count, ACTIVE_COUNT))
         self._noise_offset = np.zeros((count, 1), dtype=np.int64)
-        self._noise_sd = _noise_sd(profile)
+        self._noise_sd = noise_sd(profile)
         # The same in every sample, and nobody's to change.
         self._pressure = _constant(count, self.spec.hydraulics.supply_pressure_pa)
         self._survey_sd = _constant(count, profile.noise.survey_sd_m)
@@ -314,8 +305,7 @@ class Twin:
 
     def _measure(self) -> SensorSample:
         tick = self._now_ns // CONTROL_PERIOD_NS
-        start = (self._noise_offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE
-        noise = _noise_table()[start + _NOISE_COLUMNS] * self._noise_sd
+        noise = noise_at(self._noise_offset, tick) * self._noise_sd
         load, effects = self._payload, self._effects
         if effects is None:
             seen = Readings(
@@ -390,16 +380,3 @@ def _constant(count: int, value: float) -> Array:
     array = np.full(count, value)
     array.flags.writeable = False
     return array
-
-
-def _noise_sd(profile: TwinProfile) -> Array:
-    """Standard deviation of each noise channel (14,): positions, velocities, gyro, accelerometer."""
-    n = profile.noise
-    return np.asarray(
-        [
-            *n.joint_position_sd_rad_m,
-            *n.joint_velocity_sd_rad_m_per_s,
-            *[n.gyro_sd_rad_per_s] * 3,
-            *[n.accel_sd_m_per_s2] * 3,
-        ]
-    )
