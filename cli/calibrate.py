@@ -13,14 +13,11 @@ from machine.spec import load_spec
 from runtime.control_loop import ControlParams
 from runtime.policy import PolicyRunner, find_policy
 from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.excite import identify_profile
+from sim_twin.excite import RESPONSE_COPY_COUNT, identify_profile
 from sim_twin.identify import ResponseFit
 from sim_twin.plants import PlantMaker, plant_maker
 from sim_twin.profile import save_profile
 from sim_twin.register import REGISTRATION_THROW_COUNT, register_machine
-
-RESPONSE_COPY_COUNT = 24
-"""Copies of the machine that move at random, six a joint, six seconds each."""
 
 
 def run(

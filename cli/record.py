@@ -13,7 +13,8 @@ from machine.errors import UsageError
 from machine.starts import sample_starts
 from sim_twin.accuracy import outcome_counts
 from sim_twin.campaign import ThrowResult, run_throws
-from sim_twin.profile import load_profile
+from sim_twin.plants import TWIN, VIRTUAL, plant_profile
+from sim_twin.profile import TwinProfile, load_profile, nominal_profile
 from sim_twin.throw_logs import CampaignRecorder, LogContext
 
 MAX_RECORDED_COUNT = 64
@@ -37,7 +38,8 @@ def run(
     """Throw on a simulated plant and write one throw log (MCAP) a throw.
 
     The throws go round the targets, each from a random start pose. The logs hold what a machine's
-    sensors and its survey say, no truth of the simulator; `downrange diagnose` reads them.
+    sensors and its survey say, no truth of the simulator; `downrange diagnose` reads them. They carry the
+    machine's twin profile, so that one can be diagnosed with nothing else.
 
     Example: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
 
@@ -70,12 +72,14 @@ def run(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
+    own = _twin_profile(plant, campaign, unit_seed, profile)
     name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
     context = LogContext(
         machine_id=f"{name}-{unit_seed}",
         throw_prefix=f"{name}-{unit_seed}-{mode}-s{seed}",
-        twin_profile_version_count=0 if profile is None else load_profile(profile).version_count,
+        twin_profile_version_count=0 if own is None else own.version_count,
         out_dir=out,
+        twin_profile=own,
     )
     recorder = CampaignRecorder(campaign.params, context)
     results = _throw(campaign, throws, seed, recorder)
@@ -85,6 +89,24 @@ def run(
     size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
     print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
     return 0
+
+
+def _twin_profile(
+    plant: str, campaign: Campaign, unit_seed: int, path: Path | None
+) -> TwinProfile | None:
+    """The profile that belongs into the logs: the twin's own, or the virtual machine's, identified on it."""
+    if path is not None:
+        return load_profile(path)
+    if plant == TWIN:
+        return nominal_profile(campaign.spec)
+    if plant != VIRTUAL:
+        return None
+    return plant_profile(
+        campaign.make,
+        unit_seed=unit_seed,
+        spec=campaign.spec,
+        calibration=campaign.params.calibration,
+    )
 
 
 def _throw(

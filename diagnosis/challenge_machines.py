@@ -18,12 +18,11 @@ from machine.conventions import Array
 from machine.spec import MachineSpec
 from sim_twin import calibrate as calibrate_module
 from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.excite import identify_profile
+from sim_twin.excite import RESPONSE_COPY_COUNT, identify_profile
 from sim_twin.profile import TwinProfile
 from sim_twin.units import UNIT_HALF_WIDTH, MachineUnit, make_unit, nominal_unit
 from sim_twin.virtual_machine import Condition, VirtualMachine
 
-RESPONSE_COPY_COUNT: Final = 24
 IDENTIFIED_FIELDS: Final = (
     "dead_time_s",
     "spool_lag_s",

@@ -21,6 +21,8 @@ from runtime.driver import SimulatedDriver, ValveCommand
 from sim_twin.identify import ResponseFit, fit_response
 from sim_twin.profile import TwinProfile, nominal_profile
 
+RESPONSE_COPY_COUNT = 24
+"""Copies of a machine that move at random, six a joint."""
 DURATION_S = 6.0
 HOLD_S = ((0.8, 2.0), (0.2, 0.9), (0.2, 0.9), (0.2, 0.9))
 """Shortest and longest time a valve command is held, per joint: throws reverse joints this often."""

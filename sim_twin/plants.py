@@ -15,7 +15,8 @@ from machine.errors import UsageError
 from machine.spec import MachineSpec
 from runtime.driver import SimulatedDriver
 from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.profile import TwinProfile, nominal_profile
+from sim_twin.excite import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.profile import TwinProfile, load_profile, nominal_profile
 from sim_twin.twin import Twin
 
 TWIN = "twin"
@@ -120,7 +121,7 @@ def plant_calibration(
         return load_calibration(path)
     if name == TWIN:
         return nominal_calibration(spec)
-    cached = _cache_path(unit_seed, spec) if name == VIRTUAL else None
+    cached = _cache_path(unit_seed, spec, "calibration") if name == VIRTUAL else None
     if cached is not None and cached.is_file():
         try:
             return load_calibration(cached)
@@ -133,22 +134,44 @@ def plant_calibration(
     return calibration
 
 
-def _cache_path(unit_seed: int, spec: MachineSpec) -> Path:
+def plant_profile(
+    make: PlantMaker, *, unit_seed: int, spec: MachineSpec, calibration: ValveCalibration
+) -> TwinProfile:
+    """Twin profile of a virtual machine, identified on it once and kept beside its calibration.
+
+    Raises:
+        PlantError: the plant's joints do not follow its valves.
+    """
+    cached = _cache_path(unit_seed, spec, "profile", calibration.model_dump_json())
+    if cached.is_file():
+        try:
+            return load_profile(cached)
+        except UsageError:
+            cached.unlink(missing_ok=True)  # half-written by an interrupted run
+    machine_id = f"{VIRTUAL}-{unit_seed}"
+    machine = make(RESPONSE_COPY_COUNT)
+    try:
+        profile, _ = identify_profile(machine, spec, calibration, machine_id)
+    finally:
+        machine.close()
+    _keep(profile, cached)
+    return profile
+
+
+def _cache_path(unit_seed: int, spec: MachineSpec, kind: str, of: str = "") -> Path:
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    digest = hashlib.sha256(spec.sha256.encode())
+    digest = hashlib.sha256((spec.sha256 + of).encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
-    return (
-        root / "downrange" / "calibration" / f"virtual-{unit_seed}-{digest.hexdigest()[:16]}.json"
-    )
+    return root / "downrange" / kind / f"virtual-{unit_seed}-{digest.hexdigest()[:16]}.json"
 
 
-def _keep(calibration: ValveCalibration, path: Path) -> None:
+def _keep(measured: ValveCalibration | TwinProfile, path: Path) -> None:
     """Write to the cache; a folder that cannot be written costs the next run its time, nothing else."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")
-        part.write_text(calibration.model_dump_json(), encoding="utf-8")
+        part.write_text(measured.model_dump_json(), encoding="utf-8")
         part.replace(path)
     except OSError:
         return

@@ -89,3 +89,13 @@ def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) 
     text = capsys.readouterr().out
     for word in ("--out", "--throws", "MCAP", "Example"):
         assert word in text
+
+
+def test_logs_carry_the_twin_profile_of_their_machine(
+    swing_policies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert record(swing_policies, tmp_path / "twin", "--throws", "1", "--targets", "6") == 0
+    (path,) = (tmp_path / "twin").iterdir()
+    own = read_throw_log(path).metadata
+    assert own["twin_profile"]["machine_id"] == "nominal"
+    assert own["twin_profile_version"] == own["twin_profile"]["version_count"] == 0
