@@ -21,6 +21,9 @@ REST_S = 0.06
 REST_RATE_RAD_PER_S = 0.04
 SWITCH_LAG_S = 0.0275
 """Free load to the gripper switch's report: latch and debounce, 15 to 40 ms."""
+SETTLED_S = 1.0
+"""Recorded before the throw, after which the gripper hangs where gravity points; a throw that was put into
+its start pose has no such time."""
 SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
 """A switch that is read once a tick is seen half a tick late on average."""
 
@@ -153,6 +156,7 @@ def replay_input(
         release_t_s=throw.open_command_t_s,
         surface_height_m=height if np.isfinite(height) else float(throw.target_m[2]),
         progress_ratio=progress_ratio,
+        hung_at_rest=bool((throw.t_s < -SETTLED_S).any()),
         opening_t_s=opening if np.isfinite(opening) else default_opening_s,
         swing_rad=motion.swing_rad,
         swing_rate_rad_per_s=motion.swing_rate_rad_per_s,
