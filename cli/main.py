@@ -28,6 +28,11 @@ VERBS: dict[str, Verb] = {
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb("cli.evaluate", "measure accuracy over many throws, the paper's way", "twin"),
     "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
+    "diagnose": Verb(
+        "cli.diagnose",
+        "say where the sim-to-real gap lies, what causes it, how far it shrinks",
+        "twin",
+    ),
     "challenge": Verb("cli.challenge", "make, run and score a blind check of diagnose", "twin"),
     "calibrate": Verb("cli.calibrate", "measure a machine's valves and its response", "twin"),
     "train": Verb("cli.train", "train a policy", "train"),

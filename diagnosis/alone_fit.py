@@ -174,15 +174,29 @@ def held_out_mean_square(problem: Problem, found: Fit) -> float:
     for number in numbers:
         inside = problem.block == number
         Jb, rb = Js[inside], r[inside]
-        step = -np.linalg.solve(A - Jb.T @ Jb, Jb.T @ rb) / scale
-        # A block that alone fixes a parameter would otherwise throw it anywhere.
-        moved.append(np.clip(values + step, low, high))
+        room = ((low - values) * scale, (high - values) * scale)
+        moved.append(values + _boxed_step(A - Jb.T @ Jb, -Jb.T @ rb, room) / scale)
     if np.any(local):
         again = r - (np.stack(moved) - values) @ J.T
     else:
         names = found.names
         again = problem.residuals([dict(zip(names, x.tolist(), strict=True)) for x in moved])
     return float(np.mean(again[place, np.arange(len(r))] ** 2))
+
+
+def _boxed_step(matrix: Array, right: Array, room: tuple[Array, Array]) -> Array:
+    """Solve ``matrix step = right`` within bounds: what hits one stays there, the rest is solved again."""
+    step = np.zeros_like(right)
+    free = np.ones(len(right), dtype=np.bool_)
+    for _ in range(4):
+        coupled = right[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], coupled)
+        beyond = free & ((step < room[0]) | (step > room[1]))
+        step = np.clip(step, *room)
+        if not np.any(beyond):
+            break
+        free &= ~beyond
+    return step
 
 
 def bounds(problem: Problem, found: Fit) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 MIN_FLIGHT_ROWS: Final = 10
 BLOCKS_PER_FLIGHT: Final = 5
-UNKNOWN_RATIO: Final = 0.25
+UNKNOWN_RATIO: Final = 0.35
 CRISIS_WIDTH_M_PER_S: Final = 1.5
 """A smooth sphere's drag falls within about a sixth of its critical speed (Achenbach 1972)."""
 

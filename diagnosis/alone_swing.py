@@ -143,10 +143,8 @@ def make_problem(swings: tuple[Swing, ...], length_m: float, noise: float) -> Sw
     period_s = float(np.median([_period(swing, noise) for swing in swings]))
     frequency = 2.0 * math.pi / period_s
     reference = math.sqrt(GRAVITY_M_PER_S2 / length_m) if math.isfinite(length_m) else math.nan
-    known = math.isfinite(reference)
     # A reference length says what the frequency would be; what differs from it is length or stiffness.
-    slack = 1e-4 if known else 0.3
-    first = reference if known else frequency
+    slack, first = (1e-5, reference) if math.isfinite(reference) else (0.3, frequency)
     nuisance = [
         FreeParameter(
             "frequency_rad_per_s", "rad/s", first * (1 - slack), first * (1 + slack), (first,)

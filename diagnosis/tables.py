@@ -213,16 +213,18 @@ def split_runs(time_s: Array) -> IntArray:
     return runs
 
 
-def clean_series(time_s: Array, values: Array, what: str, notes: list[str]) -> tuple[Array, Array]:
+def clean_series(
+    time_s: Array, values: Array, what: str, notes: list[str], min_rows: int = MIN_ROWS
+) -> tuple[Array, Array]:
     """Rows with a time and a number, (kept,), duplicates dropped; holes are left to interpolation.
 
     Raises:
         RefusedTable: too much is missing, or time goes back.
     """
     inside = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
-    if inside.size < MIN_ROWS:
+    if inside.size < min_rows:
         raise RefusedTable(
-            f"{what} has {inside.size} numbers, at least {MIN_ROWS} are needed; the record is too short"
+            f"{what} has {inside.size} numbers, at least {min_rows} are needed; the record is too short"
         )
     first, last = int(inside[0]), int(inside[-1])
     ends = first + len(values) - 1 - last

@@ -1,0 +1,222 @@
+"""`downrange diagnose`: where the gap lies, what causes it, how far it shrinks; for throws or one stage."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from diagnosis.alone_flight import Ball
+from diagnosis.alone_tables import actuation_from_csv, flight_from_csv, swing_from_csv
+from diagnosis.diagnose import diagnose_throws
+from diagnosis.logs import load_throws
+from diagnosis.report_html import report_page
+from diagnosis.shrink import with_effects
+from diagnosis.verdict import EXIT_CODES, Diagnosis, VerdictKind
+from machine.errors import UsageError
+from machine.spec import load_spec
+from sim_twin.effects import Effect
+from sim_twin.profile import load_profile, nominal_profile, save_profile
+
+
+def throws(
+    logs: tyro.conf.Positional[tuple[Path, ...]],
+    /,
+    *,
+    profile: Path | None = None,
+    json: Path | None = None,
+    html: Path | None = None,
+    apply: Path | None = None,
+) -> int:
+    """Compare a machine's throws with its twin: where they part, which effect is missing, how far it shrinks.
+
+    Example: downrange diagnose throws logs/m001 --profile m001.profile.json --json gap.json --html gap.html
+
+    Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
+
+    Args:
+        logs: throw logs (MCAP) of one machine, or folders of them; at least 3 throws, better 12.
+        profile: twin profile of the machine; nominal if left out.
+        json: file for the whole result.
+        html: file for the report, one page that needs no network.
+        apply: file for the next version of the twin profile with the effects found, if there are any.
+    """
+    if not logs:
+        raise UsageError("give throw logs or folders of them: downrange diagnose throws LOG...")
+    twin = nominal_profile(load_spec()) if profile is None else load_profile(profile)
+    tell = _teller()
+    found = diagnose_throws(
+        load_throws(logs), twin, lambda share, text: tell(f"{share:4.0%} {text}")
+    )
+    if apply is not None and found.verdict is VerdictKind.EXPLAINED and found.causes[0].effects:
+        effects = [
+            Effect(
+                effect=fitted.effect,
+                joint=fitted.joint,
+                parameters={name: p.value for name, p in fitted.parameters.items()},
+            )
+            for fitted in found.causes[0].effects
+        ]
+        save_profile(with_effects(twin, effects), apply)
+        print(f"twin profile with {len(effects)} more effects: {apply}")
+    elif apply is not None:
+        print(f"nothing to apply: the verdict is {found.verdict.value}; {apply} was not written")
+    return _finish(found, json, html, "Throws")
+
+
+def actuation(
+    file: tyro.conf.Positional[Path],
+    /,
+    *,
+    time: str | None = None,
+    command: str | None = None,
+    position: str | None = None,
+    velocity: str | None = None,
+    kind: Literal["auto", "speed", "position"] = "auto",
+    json: Path | None = None,
+    html: Path | None = None,
+) -> int:
+    """Find what lies between a valve command and a joint's motion, from a CSV file of any machine.
+
+    Names dead time, lag, dead band and gain per direction, hysteresis, speed limit, stiction and backlash,
+    with 90 % intervals and the share of the gap that they remove on held-out pieces of the record. Needs no
+    model of the machine. Record steps of several sizes in both directions, with rests, at 25 Hz or more.
+
+    Example: downrange diagnose actuation slew.csv --time time_s --command joystick --position slew_rad
+
+    Several joints: --command boom_cmd,arm_cmd --position boom_rad,arm_rad
+
+    Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
+
+    Args:
+        file: table with a header line; comma, semicolon, tab or blanks between the cells.
+        time: column of times; found by its name if that is unambiguous. Units by name (_ms, _us) or step.
+        command: column of commands, any scale, or several with commas.
+        position: column of positions; deg, mm and angles that wrap are converted.
+        velocity: column of velocities, if there is no position.
+        kind: whether a constant command means a constant speed or a position; auto tries both.
+        json: file for the whole result.
+        html: file for the report.
+    """
+    found = actuation_from_csv(file, time, command, position, velocity, kind, _teller())
+    return _finish(found, json, html, f"Actuation, {file.name}")
+
+
+def swing(
+    file: tyro.conf.Positional[Path],
+    /,
+    *,
+    time: str | None = None,
+    angle: str | None = None,
+    group: str | None = None,
+    length_m: float | None = None,
+    angle_unit: Literal["auto", "rad", "deg"] = "auto",
+    json: Path | None = None,
+    html: Path | None = None,
+) -> int:
+    """Find which friction a freely swinging joint has, from a CSV file of its angle.
+
+    Tells viscous friction, Coulomb friction and air drag apart; with --length-m also a wrong length or a
+    stiff hose. Record from the release until the swing has died down.
+
+    Example: downrange diagnose swing pendulum.csv --time t --angle theta_deg
+
+    Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
+
+    Args:
+        file: table with a header line.
+        time: column of times.
+        angle: column of angles.
+        group: column that tells several swings apart; a pause or a restart of time does it as well.
+        length_m: length of the ideal pendulum; without it the frequency is taken from the data.
+        angle_unit: unit of the angle; auto takes the column's name, or degrees beyond 2 pi.
+        json: file for the whole result.
+        html: file for the report.
+    """
+    found = swing_from_csv(file, time, angle, group, length_m, angle_unit, _teller())
+    return _finish(found, json, html, f"Swing, {file.name}")
+
+
+def flight(
+    file: tyro.conf.Positional[Path],
+    /,
+    *,
+    time: str | None = None,
+    x: str | None = None,
+    y: str | None = None,
+    z: str | None = None,
+    group: str | None = None,
+    mass_kg: float | None = None,
+    diameter_m: float | None = None,
+    length_unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto",
+    json: Path | None = None,
+    html: Path | None = None,
+) -> int:
+    """Find what acts on a flying ball besides gravity, from a CSV file of its tracked positions.
+
+    Tells air drag (and whether it falls at high speed), wind, spin and a late release apart, or says that
+    gravity is enough. A height alone is enough for drops.
+
+    Example: downrange diagnose flight drops.csv --time time_s --z height_m --group ball
+
+    Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
+
+    Args:
+        file: table with a header line.
+        time: column of times.
+        x: column along the throw.
+        y: column to its left; needs x.
+        z: column of heights, up; for a film in x and y give --x x --z y.
+        group: column that tells balls apart, and more after commas for flights of a ball; a restart of time
+            begins another flight as well.
+        mass_kg: of the ball; with the diameter, drag is given as a coefficient.
+        diameter_m: of the ball.
+        length_unit: of the positions; auto takes the columns' names.
+        json: file for the whole result.
+        html: file for the report.
+    """
+    if (mass_kg is None) != (diameter_m is None):
+        raise UsageError("give both --mass-kg and --diameter-m, or neither")
+    if mass_kg is not None and diameter_m is not None and min(mass_kg, diameter_m) <= 0.0:
+        raise UsageError(f"--mass-kg {mass_kg} --diameter-m {diameter_m}: both must be positive")
+    if z is None and (x is not None or y is not None):
+        raise UsageError("give --z, the column that points up (for a film in x and y: --x x --z y)")
+    axes = [name for name in (x, y, z) if name is not None]
+    ball = Ball() if mass_kg is None or diameter_m is None else Ball(mass_kg, diameter_m)
+    found = flight_from_csv(file, time, axes, group, ball, length_unit, _teller())
+    return _finish(found, json, html, f"Flight, {file.name}")
+
+
+def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) -> int:
+    """Print the verdict, write the files, and give the exit code."""
+    print(f"{found.verdict.value}: {found.sentence}")
+    for cause in found.causes[:5]:
+        print(f"  {cause.probability:5.2f}  {cause.name}")
+    if found.ambiguity is not None:
+        print(
+            f"To tell {' from '.join(found.ambiguity.members)}: {found.ambiguity.separating_motion['words']}"
+        )
+    for note in found.evidence.get("notes", []):
+        print(f"note: {note}")
+    try:
+        if json is not None:
+            json.write_text(found.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        if html is not None:
+            html.write_text(report_page(found, title), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+    return int(EXIT_CODES[found.verdict])
+
+
+def _teller() -> Callable[[str], None]:
+    """Show progress on stderr of a terminal."""
+
+    def tell(text: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{text[:100]}", end="", file=sys.stderr, flush=True)
+
+    return tell
+
+
+ACTIONS = {"throws": throws, "actuation": actuation, "swing": swing, "flight": flight}
