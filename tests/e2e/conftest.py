@@ -23,7 +23,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-TIMEOUT_MS = 90_000
+TIMEOUT_MS = 60_000
 """Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""
 
 

@@ -43,7 +43,7 @@ def load_if_empty(page: Page) -> None:
     """Load when the console asks for it; otherwise the button is there already."""
     ready = page.locator(f'{HOLD}:not([aria-disabled="true"])')
     empty = gate(page, "no_payload")
-    ready.or_(empty).first.wait_for()
+    _wait_for(page, ready.or_(empty).first, "nothing to hold")
     if empty.count():
         empty.get_by_role("button", name="Load").click()
     ready.wait_for()
@@ -97,12 +97,16 @@ def _let_go(page: Page, press: str) -> None:
 def _outcome(page: Page) -> str:
     """The result, or why there was no throw at all."""
     note = page.get_by_test_id("hold-note")
+    _wait_for(page, page.get_by_test_id("result").or_(note).first, "no result")
+    return page.get_by_role("complementary").inner_text()
+
+
+def _wait_for(page: Page, awaited: Locator, otherwise: str) -> None:
     try:
-        page.get_by_test_id("result").or_(note).first.wait_for()
+        awaited.wait_for()
     except BrowserTimeoutError as error:
         words = page.get_by_role("complementary").inner_text()
-        raise AssertionError(f"no result; the panel says:\n{words}") from error
-    return page.get_by_role("complementary").inner_text()
+        raise AssertionError(f"{otherwise}; the panel says:\n{words}") from error
 
 
 def metres_of(text: str) -> float:

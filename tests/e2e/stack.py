@@ -133,13 +133,14 @@ def until(condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> 
     raise AssertionError(f"{what}: not within {timeout_s} s")
 
 
-def client(stack: Stack, username: str) -> httpx.Client:
+@contextlib.contextmanager
+def client(stack: Stack, username: str) -> Iterator[httpx.Client]:
     """A signed-in client of the HTTP interface, beside the browser."""
-    opened = httpx.Client(
+    with httpx.Client(
         base_url=f"{stack.url}/api/v1",
         headers={"Origin": stack.url, "X-Requested-With": "downrange"},
         timeout=30.0,
-    )
-    body = {"username": username, "password": stack.passwords[username]}
-    opened.post("/auth/login", json=body).raise_for_status()
-    return opened
+    ) as opened:
+        body = {"username": username, "password": stack.passwords[username]}
+        opened.post("/auth/login", json=body).raise_for_status()
+        yield opened

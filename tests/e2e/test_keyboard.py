@@ -54,12 +54,13 @@ def test_throw_without_a_pointer(demo: Stack, open_page: Callable[..., Page]) ->
     _tab_to(page, "Range, m")
     page.keyboard.press("ControlOrMeta+a")
     page.keyboard.type("9")
-    page.keyboard.press("Tab")
     expect(page.get_by_label("Range, m")).to_have_value("9")
 
     # Aside of the fields the arrow keys move the target by 5 cm.
-    page.locator("body").press("ArrowUp")
-    page.locator("body").press("ArrowUp")
+    _tab_to(page, "Preview")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowUp")
+    open_step(page, "Target")
     expect(page.get_by_label("Range, m")).to_have_value("9.1")
 
     load_if_empty(page)
@@ -76,8 +77,8 @@ def test_letting_go_before_the_commit_point_aborts(
     _sign_in_by_key(page, demo)
     gate(page, "no_lease").get_by_role("button").press("Enter")
     open_step(page, "Target")
-    page.get_by_label("Range, m").fill("9")
-    page.get_by_label("Azimuth, °").fill("90")
+    page.get_by_label("Range, m").press_sequentially("9")
+    page.get_by_label("Azimuth, °").press_sequentially("90")
     page.get_by_label("Azimuth, °").press("Tab")
     load_if_empty(page)
     page.locator(HOLD).focus()

@@ -15,11 +15,14 @@ export function OperatePanel({ operate }: { operate: Operate }) {
   const { machine, mode, target, plan, step } = operate;
   // Steps opened by hand stay open until the throw moves on.
   const [opened, setOpened] = useState<readonly StepName[]>([]);
+  // The first digit of a range is a target already; the fields must not close under the fingers.
+  const [isAiming, setAiming] = useState(false);
   // biome-ignore lint/correctness/useExhaustiveDependencies: a new present step closes the others
   useEffect(() => setOpened([]), [step]);
   if (!machine) return null;
 
-  const isOpen = (name: StepName) => (name === step) !== opened.includes(name);
+  const isOpen = (name: StepName) =>
+    (name === step) !== opened.includes(name) || (name === "target" && isAiming);
   const toggle = (name: StepName) =>
     setOpened(opened.includes(name) ? opened.filter((n) => n !== name) : [...opened, name]);
   const summaries = summariesOf(operate);
@@ -31,6 +34,7 @@ export function OperatePanel({ operate }: { operate: Operate }) {
         onMode={operate.setMode}
         target={target}
         onTarget={operate.setTarget}
+        onEditing={setAiming}
         problem={operate.problem}
       />
     ),

@@ -10,6 +10,8 @@ type Props = {
   onMode: (mode: "2d" | "3d") => void;
   target: Target | null;
   onTarget: (target: Target) => void;
+  /** Whether one of the number fields has the keyboard. */
+  onEditing: (isEditing: boolean) => void;
   problem: string | null;
 };
 
@@ -22,7 +24,8 @@ const DEGREES = 180 / Math.PI;
 const FIRST_RANGE_M = 9;
 
 /** Where to throw: by a click in the view, by numbers, or by arrow keys. */
-export function TargetStep({ machine, mode, onMode, target, onTarget, problem }: Props) {
+export function TargetStep(props: Props) {
+  const { machine, mode, onMode, target, onTarget, onEditing, problem } = props;
   const reach = machine.reach.modes.find((other) => other.mode === mode);
   const range_m = target?.range_m ?? FIRST_RANGE_M;
   const azimuth_rad = target?.azimuth_rad ?? 0;
@@ -38,7 +41,12 @@ export function TargetStep({ machine, mode, onMode, target, onTarget, problem }:
         onChange={(value) => onMode(value as "2d" | "3d")}
         mb={10}
       />
-      <div className={classes.fields}>
+      <fieldset
+        className={classes.fields}
+        aria-label="Target in numbers"
+        onFocus={() => onEditing(true)}
+        onBlur={(event) => onEditing(event.currentTarget.contains(event.relatedTarget))}
+      >
         <NumberInput
           {...common}
           label="Range, m"
@@ -71,7 +79,7 @@ export function TargetStep({ machine, mode, onMode, target, onTarget, problem }:
           step={NUDGE_M}
           onChange={(value) => isNumber(value) && onTarget(fromPolar(range_m, azimuth_rad, value))}
         />
-      </div>
+      </fieldset>
       {problem && (
         <p className={classes.refusal} role="alert">
           {problem}

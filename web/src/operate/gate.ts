@@ -36,7 +36,18 @@ export type GateFacts = {
 type Rule = (facts: GateFacts) => Gate | null;
 
 export function operateGate(facts: GateFacts): Gate | null {
-  for (const rule of [connection, presence, stop, control, policy, aim, preview, load]) {
+  for (const rule of [
+    connection,
+    presence,
+    stop,
+    control,
+    policy,
+    motion,
+    load,
+    aim,
+    preview,
+    checks,
+  ]) {
     const gate = rule(facts);
     if (gate) return gate;
   }
@@ -136,8 +147,7 @@ const aim: Rule = ({ target }) =>
     ? null
     : { id: "no_target", sentence: "No target. Click the ground, or type a range.", action: null };
 
-const preview: Rule = ({ machine, plan, planError, target }) => {
-  if (planError) return { id: "plan_error", sentence: planError, action: "preview_again" };
+const motion: Rule = ({ machine }) => {
   if (machine && isMoving(machine.lamp)) {
     const sentence = `${machine.machine_id} is moving. Wait until it has settled.`;
     return { id: "moving", sentence, action: null };
@@ -146,6 +156,16 @@ const preview: Rule = ({ machine, plan, planError, target }) => {
     const sentence = `${machine.machine_id} is armed. Disarm it before the next throw.`;
     return { id: "armed", sentence, action: "disarm" };
   }
+  return null;
+};
+
+const load: Rule = ({ machine }) =>
+  !machine?.state || machine.state.payload_held
+    ? null
+    : { id: "no_payload", sentence: "The gripper is empty.", action: "load" };
+
+const preview: Rule = ({ plan, planError, target }) => {
+  if (planError) return { id: "plan_error", sentence: planError, action: "preview_again" };
   if (!plan) return { id: "previewing", sentence: "Previewing.", action: null };
   if (plan.state === "refused") {
     const detail = plan.refusals[0]?.detail ?? `Refused: target ${metres(target?.range_m)}.`;
@@ -157,13 +177,8 @@ const preview: Rule = ({ machine, plan, planError, target }) => {
   return null;
 };
 
-const load: Rule = ({ machine }) => {
-  if (!machine?.state || machine.state.payload_held) return checks(machine);
-  return { id: "no_payload", sentence: "The gripper is empty.", action: "load" };
-};
-
-function checks(machine: Machine | null): Gate | null {
+const checks: Rule = ({ machine }) => {
   const failed = machine?.state?.checks?.find((c) => !c.passed && c.severity === "error");
   if (!failed) return null;
   return { id: "check", sentence: `${failed.text} ${failed.remedy}`.trim(), action: null };
-}
+};

@@ -39,9 +39,11 @@ export function usePlan(
 
   const machineId = machine?.machine_id ?? null;
   const policy = machine?.reach.modes.find((other) => other.mode === mode)?.policy_sha256 ?? null;
+  // What was refused because the gripper was empty is previewed anew once it is not.
+  const isLoaded = machine?.state?.payload_held ?? false;
   const key =
     target && machineId && policy
-      ? [machineId, mode, policy, target.x_m, target.y_m, target.z_m, round].join(" ")
+      ? [machineId, mode, policy, isLoaded, target.x_m, target.y_m, target.z_m, round].join(" ")
       : null;
   const wish = useRef<Wish | null>(null);
   wish.current = target && machineId ? { machineId, mode, target } : null;

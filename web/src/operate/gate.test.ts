@@ -1,0 +1,49 @@
+import { describe, expect, it } from "vitest";
+import type { Machine, Plan } from "../session/live";
+import { type GateFacts, operateGate } from "./gate";
+
+function facts(isHeld: boolean, lamp: string, plan: object | null): GateFacts {
+  const machine = {
+    machine_id: "m001",
+    lamp,
+    lease: {},
+    reach: { modes: [{ mode: "2d", policy_sha256: "p" }] },
+    state: { payload_held: isHeld, policy_sha256: { "2d": "p" }, checks: [] },
+  } as unknown as Machine;
+  return {
+    stale_s: null,
+    isLoaded: true,
+    machine,
+    isHolder: true,
+    permissions: ["throw"],
+    mode: "2d",
+    target: { range_m: 9 } as GateFacts["target"],
+    plan: plan as Plan | null,
+    planError: null,
+  };
+}
+
+const refused = { state: "refused", refusals: [{ detail: "Refused: the gripper is empty." }] };
+const ready = { state: "ready", is_complete: true, refusals: [] };
+
+describe("what stands between the operator and a throw", () => {
+  it("offers to load an empty gripper, even where the preview was refused for it", () => {
+    expect(operateGate(facts(false, "disarmed", refused))).toMatchObject({
+      id: "no_payload",
+      action: "load",
+    });
+  });
+  it("does not offer to load a machine that moves", () => {
+    expect(operateGate(facts(false, "settling", refused))?.id).toBe("moving");
+  });
+  it("says why a loaded machine's throw is refused", () => {
+    const far = { state: "refused", refusals: [{ detail: "Refused: target 14.00 m." }] };
+    expect(operateGate(facts(true, "disarmed", far))).toMatchObject({
+      id: "refused",
+      sentence: "Refused: target 14.00 m.",
+    });
+  });
+  it("lets throw when nothing is in the way", () => {
+    expect(operateGate(facts(true, "disarmed", ready))).toBeNull();
+  });
+});
