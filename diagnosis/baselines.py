@@ -22,7 +22,7 @@ from diagnosis.baselines_common import (
 from diagnosis.healthy import nothing
 from diagnosis.logs import LoadedSet
 from diagnosis.parameters import Parameter, library
-from diagnosis.residuals import Linear, linearise
+from diagnosis.residuals import Linear, linearise, relinearise
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, IntArray
 from sim_twin.effects import Effect
@@ -49,11 +49,11 @@ def largest_z(loaded: LoadedSet, profile: TwinProfile) -> Diagnosis:
     case = open_case(loaded, profile)
     theta, sd = np.zeros(len(library())), np.ones(len(library()))
     train = [case.prepared[int(i)] for i in case.train]
-    for _ in range(GAUSS_NEWTON_ROUNDS):
-        about = [_effects(theta)] * len(train)
-        linear = linearise(
-            train, profile, case.calibration, about, with_nuisances=False, healthy=nothing()
-        )
+    first = linear = linearise(train, profile, case.calibration, nothing())
+    for number in range(GAUSS_NEWTON_ROUNDS):
+        if number:
+            request = (_effects(theta), library())
+            linear = relinearise(train, profile, case.calibration, nothing(), first, [request])[0]
         step, sd = _solve(case, linear, theta)
         theta = _bounded(theta + step)
     score = np.abs(theta) / np.maximum(sd, 1e-12) / Z_LIMIT
