@@ -6,22 +6,19 @@ from typing import NamedTuple
 
 from diagnosis.conclude import Findings, conclude
 from diagnosis.healthy import HealthyModel, load_healthy
-from diagnosis.hypotheses import Problem, pose, refine
+from diagnosis.hypotheses import explore, pose
 from diagnosis.jitter import fit_jitter
 from diagnosis.logs import LoadedSet
 from diagnosis.noise import NoiseModel, load_noise
 from diagnosis.parameters import layout
 from diagnosis.ranking import rank
 from diagnosis.residuals import prepare
-from diagnosis.selection import SetEvidence, screen, search, total
 from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from diagnosis.whitening import set_nuisance_sd
 from sim_twin.profile import TwinProfile
-
-REFINED_COUNT = 8
 
 Progress = Callable[[float, str], None]
 """Told the share done, 0 to 1, and what is being done."""
@@ -95,19 +92,10 @@ def _diagnose(
         model = model.with_jitter(jitter.size_s)
     problem = pose(prepared, profile, calibration, health.filters, model, plan)
     tell(0.35, "which: sets of effects")
-    candidates = _candidates(problem)
-    hypotheses = refine(problem, candidates, lambda s: tell(0.4 + 0.45 * s, "which: refinement"))
+    hypotheses = explore(problem, lambda s: tell(0.35 + 0.5 * s, "which: sets of effects"))
     ranked = rank(problem, hypotheses, jitter)
     tell(0.88, "how far: held-out throws")
     best = ranked.best
     found = shrink(problem, best) if best.members else None
     tell(1.0, "done")
     return conclude(Findings(loaded, problem, ranked, terms, found, seconds))
-
-
-def _candidates(problem: Problem) -> list[SetEvidence]:
-    """Best hypotheses of the first linearisation, "no effect" among them."""
-    base = screen(total(problem.information), problem.layout.priors)
-    found = search(base, problem.layout.priors)
-    none = next(e for e in found if not e.members)
-    return [*[e for e in found if e.members][:REFINED_COUNT], none]

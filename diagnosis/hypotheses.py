@@ -22,17 +22,29 @@ from diagnosis.selection import (
     log_evidence,
     members_index,
     screen,
+    search,
     total,
     weigh,
 )
-from diagnosis.whitening import Whitened, factors, information, leftovers, whiten_throw
+from diagnosis.whitening import (
+    Whitened,
+    factors,
+    information,
+    leftovers,
+    whiten_throw,
+    widened,
+)
 from machine.calibration import ValveCalibration
 from machine.conventions import Array, IntArray
 from sim_twin.effects import Effect, resolve
 from sim_twin.profile import TwinProfile
 
 BOOTSTRAP_COUNT = 40
-REFINEMENT_COUNT = 2
+SINGLE_COUNT = 6
+PART_COUNT = 3
+GROWTH = ((3, 6), (2, 3))
+"""For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
+WEIGHED_COUNT = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,34 +109,87 @@ def pose(
     )
 
 
-def refine(
-    problem: Problem, candidates: Sequence[SetEvidence], tick: Callable[[float], None]
-) -> list[Hypothesis]:
-    """Linearise every candidate at its estimate, weigh it there; all candidates in one batch a round."""
-    found = [_Trial(c.members, c.mean, problem.linear, problem.whitened) for c in candidates]
-    for number in range(REFINEMENT_COUNT):
-        found = _round(problem, found)
-        tick((number + 1) / (REFINEMENT_COUNT + 1))
+def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]:
+    """Grow hypotheses effect by effect, each from a linearisation at the smaller one's best size.
+
+    What bends an effect of finite size looks like a second effect from "no effect", and not from its own
+    size; so pairs are looked for behind refined singles, and triples behind refined pairs.
+    """
+    none = _Trial((), np.zeros(0), problem.linear, problem.whitened, problem.information)
+    first = search(screen(total(problem.information), problem.layout.priors), problem.layout.priors)
+    singles = [e for e in first if len(e.members) == 1][:SINGLE_COUNT]
+    # The parts of the best sets, too: alone they may look worse than they are.
+    parts = {(g,) for e in first[:PART_COUNT] for g in e.members} - {e.members for e in singles}
+    seeds = {e.members: e.mean for e in singles}
+    base = screen(total(problem.information), problem.layout.priors)
+    seeds |= {m: weigh(base, problem.layout.priors, m).mean for m in sorted(parts)}
+    found = [none, *_settle(problem, seeds, 2)]
+    tick(0.4)
+    for size, (behind, kept) in enumerate(GROWTH, start=2):
+        best = sorted(
+            (t for t in found if len(t.members) == size - 1),
+            key=lambda t: -_log_evidence(problem, t),
+        )
+        seeds = _grown(problem, best[:behind], kept)
+        found += _settle(problem, seeds, 2 if size == 2 else 1)
+        tick(0.4 + 0.25 * (size - 1))
+    ranked = sorted(found, key=lambda t: -_log_evidence(problem, t))
+    chosen = ranked[:WEIGHED_COUNT]
+    if none not in chosen:
+        chosen.append(none)
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
-    return [_weighed(problem, trial, weights) for trial in found]
+    return [_weighed(problem, trial, weights) for trial in chosen]
 
 
-@dataclass(frozen=True, slots=True)
+def _grown(problem: Problem, behind: Sequence["_Trial"], kept: int) -> dict[Set, Array]:
+    """Sets of one more effect, from the linearisation of the smaller set; first sizes of the best ones."""
+    priors = problem.layout.priors
+    weighed: dict[Set, tuple[float, Array]] = {}
+    for trial in behind:
+        base = screen(total(trial.information), priors)
+        offset = _log_evidence(problem, trial) - weigh(base, priors, trial.members).log_odds
+        for group in range(len(priors.groups)):
+            members = tuple(sorted({*trial.members, group}))
+            if len(members) == len(trial.members):
+                continue
+            evidence = weigh(base, priors, members)
+            score = evidence.log_odds + offset
+            if members not in weighed or weighed[members][0] < score:
+                weighed[members] = score, evidence.mean
+    best = sorted(weighed, key=lambda m: -weighed[m][0])[:kept]
+    return {members: weighed[members][1] for members in best}
+
+
+def _settle(problem: Problem, seeds: dict[Set, Array], rounds: int) -> list["_Trial"]:
+    """Simulate and estimate again, some rounds."""
+    sizes = dict(seeds)
+    trials: list[_Trial] = []
+    for _ in range(rounds):
+        trials = _round(problem, sizes)
+        sizes = {t.members: t.sizes for t in trials}
+    return trials
+
+
+def _log_evidence(problem: Problem, trial: "_Trial") -> float:
+    return log_evidence(total(trial.information), problem.layout.priors, trial.members)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
     members: Set
     sizes: Array
     """Of the members' parameters."""
     linear: Sequence[Linear]
     whitened: Sequence[Whitened]
+    information: Sequence[Information]
 
 
-def _round(problem: Problem, trials: Sequence[_Trial]) -> list[_Trial]:
-    """Simulate every trial at its sizes and estimate the sizes again."""
-    moving = [trial for trial in trials if trial.members]
-    if not moving:
-        return list(trials)
-    effects = [fitted_effects(problem.layout, t.members, t.sizes) for t in moving]
-    only = [_constants(problem.layout, t.members) for t in moving]
+def _round(problem: Problem, seeds: dict[Set, Array]) -> list[_Trial]:
+    """Simulate every set at its sizes, in one batch, and estimate the sizes again."""
+    if not seeds:
+        return []
+    effects = [fitted_effects(problem.layout, m, sizes) for m, sizes in seeds.items()]
+    only = [_constants(problem.layout, members) for members in seeds]
     batch = relinearise(
         problem.prepared,
         problem.profile,
@@ -133,20 +198,26 @@ def _round(problem: Problem, trials: Sequence[_Trial]) -> list[_Trial]:
         problem.linear,
         list(zip(effects, only, strict=True)),
     )
-    results: dict[Set, _Trial] = {}
-    for trial, found, linear in zip(moving, effects, batch, strict=True):
-        merged = [
-            _carried(one, found, p.input.progress_ratio)
-            for one, p in zip(linear, problem.prepared, strict=True)
-        ]
-        whitened = [
-            whiten_throw(p, one, problem.model, f)
-            for p, one, f in zip(problem.prepared, merged, problem.factor, strict=True)
-        ]
-        base = screen(total(information(whitened)), problem.layout.priors)
-        sizes = weigh(base, problem.layout.priors, trial.members).mean
-        results[trial.members] = _Trial(trial.members, sizes, merged, whitened)
-    return [results.get(trial.members, trial) for trial in trials]
+    return [
+        _estimated(problem, members, found, linear)
+        for members, found, linear in zip(seeds, effects, batch, strict=True)
+    ]
+
+
+def _estimated(
+    problem: Problem, members: Set, effects: Sequence[Effect], at: Sequence[Linear]
+) -> _Trial:
+    linear: list[Linear] = []
+    whitened: list[Whitened] = []
+    for i, p in enumerate(problem.prepared):
+        change = problem.linear[i].residual - at[i].residual
+        linear.append(_carried(at[i], effects, p.input.progress_ratio))
+        factor = widened(p, problem.model, problem.factor[i], change)
+        whitened.append(whiten_throw(p, linear[i], problem.model, factor))
+    informations = information(whitened)
+    base = screen(total(informations), problem.layout.priors)
+    sizes = weigh(base, problem.layout.priors, members).mean
+    return _Trial(members, sizes, linear, whitened, informations)
 
 
 def _carried(at: Linear, effects: Sequence[Effect], progress_ratio: float) -> Linear:
@@ -187,7 +258,7 @@ def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, 
 
 def _weighed(problem: Problem, trial: _Trial, weights: Array) -> Hypothesis:
     priors = problem.layout.priors
-    informations = information(trial.whitened)
+    informations = trial.information
     kept = _kept(problem.layout, trial.members)
     small = _restricted(priors, kept)
     members = tuple(range(len(trial.members)))

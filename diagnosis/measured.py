@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from diagnosis.logs import ThrowData
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
 from sim_twin.replay import ReplayInput
 
 POSITION_SD_RAD_M = 1.3e-3
@@ -26,6 +26,10 @@ SETTLED_S = 1.0
 its start pose has no such time."""
 SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
 """A switch that is read once a tick is seen half a tick late on average."""
+
+
+AFTER_OPENING_S = 2.0
+AFTER_SWITCH_S = 0.6
 
 
 class MeasuredMotion(NamedTuple):
@@ -88,12 +92,21 @@ def _add(bands: Array, stencil: Array) -> None:
             bands[j - i, i : n - width + 1 + i] += stencil[i] * stencil[j]
 
 
+def rows_of_interest(throw: ThrowData) -> BoolArray:
+    """(T,) ticks from the throw's start to the landing; later the machine settles, which costs time only."""
+    last = throw.open_command_t_s + AFTER_OPENING_S
+    if np.isfinite(throw.impact_t_s):
+        opened = measured_opening_s(throw) if np.isfinite(throw.switch_open_t_s) else 0.0
+        last = max(throw.impact_t_s, opened + AFTER_SWITCH_S) + 0.05
+    return (throw.t_s >= -1e-9) & (throw.t_s <= last)
+
+
 def measured_motion(throw: ThrowData) -> MeasuredMotion:
     """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
 
     In the swing frame the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
     """
-    t_s = throw.t_s[throw.t_s >= -1e-9]
+    t_s = throw.t_s[rows_of_interest(throw)]
     position, velocity, acceleration = smooth_joints(throw, t_s)
     start = int(np.flatnonzero(throw.t_s >= -1e-9)[0])
     gyro = throw.gyro_rad_per_s
@@ -143,7 +156,7 @@ def replay_input(
         progress_ratio: place of the throw in its set.
         default_opening_s: used where the switch said nothing.
     """
-    rows = throw.t_s >= -1e-9
+    rows = rows_of_interest(throw)
     opening = measured_opening_s(throw)
     height = float(throw.impact_m[2])
     return ReplayInput(

@@ -68,9 +68,16 @@ def load_noise(path: Path = NOISE_PATH) -> NoiseModel:
     return NoiseModel.model_validate_json(path.read_text(encoding="utf-8"))
 
 
-def whitener(channel: ChannelNoise, t_s: Array, rate: Array, push: Array) -> Array:
-    """Lower Cholesky factor (n, n) of a channel's covariance at times (n,) with motion levels (n,)."""
+def whitener(
+    channel: ChannelNoise, t_s: Array, rate: Array, push: Array, extra_sd: Array | None = None
+) -> Array:
+    """Lower Cholesky factor (n, n) of a channel's covariance at times (n,) with motion levels (n,).
+
+    `extra_sd` (n,) is more discrepancy, added in squares.
+    """
     spread = channel.floor_sd + channel.rate_ratio * rate + channel.push_ratio * push
+    if extra_sd is not None:
+        spread = np.hypot(spread, extra_sd)
     near = np.exp(-np.abs(t_s[:, None] - t_s[None, :]) / channel.memory_s)
     covariance = spread[:, None] * near * spread[None, :]
     covariance[np.diag_indices_from(covariance)] += channel.noise_sd**2

@@ -26,10 +26,11 @@ from diagnosis.residuals import Linear, PreparedThrow, linearise, prepare
 from diagnosis.selection import inform, screen, total
 from diagnosis.whitening import (
     SET_NUISANCES,
-    THROW_NUISANCES,
     Whitened,
+    explained,
     factors,
     set_nuisance_sd,
+    throw_nuisances,
     whiten_throw,
 )
 from machine.conventions import ACTIVE_JOINTS, Array
@@ -44,8 +45,6 @@ SURVEY_NOISE_M = 0.02
 SWITCH_NOISE_S = 0.003
 FIRST_NUISANCE_SD = {
     "oil_flow_ratio": 0.01,
-    "joint_flow_ratio": 0.005,
-    "dead_time_s": 0.0025,
     "start_swing_rad": 0.006,
     "start_swing_rate_rad_per_s": 0.01,
     "release_delay_s": 0.015,
@@ -134,7 +133,7 @@ def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
     return NoiseModel(
         note=note,
         channels={name: _first_channel(name) for name in block_names},
-        nuisance_sd=FIRST_NUISANCE_SD,
+        nuisance_sd={**FIRST_NUISANCE_SD, **{p.key: p.tolerance for p in library()}},
         set_nuisance_sd={
             name: 0.03
             if "accel" in name
@@ -188,7 +187,7 @@ def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
         for p, linear in zip(one.prepared, one.linear, strict=True)
     ]
     kept = np.r_[: plan.parameter_count, plan.parameter_count + plan.drift_count : plan.size_count]
-    data = total([inform(w.residual, w.jacobian[:, kept], w.nuisance) for w in white])
+    data = total([inform(w.residual, w.slopes, w.nuisance) for w in white])
     priors = plan.priors
     base = screen(data, priors._replace(spike_sd=priors.spike_sd[kept]))
     mean, variance = np.zeros(plan.size_count), np.zeros(plan.size_count)
@@ -196,7 +195,7 @@ def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
     squares: list[Array] = []
     left: list[Array] = []
     for w, p in zip(white, one.prepared, strict=True):
-        rest = w.residual - w.jacobian @ mean
+        rest = w.residual - explained(w, mean)
         covariance = np.linalg.inv(np.eye(w.nuisance.shape[1]) + w.nuisance.T @ w.nuisance)
         eta = covariance @ (w.nuisance.T @ rest)
         squares.append(eta**2 + np.diag(covariance))
@@ -227,7 +226,7 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     moment = np.mean([fit.nuisance_square for fit in fits], axis=0)
     nuisance: dict[str, float] = {}
     for name, old in model.nuisance_sd.items():
-        columns = [i for i, n in enumerate(THROW_NUISANCES) if n == name]
+        columns = [i for i, n in enumerate(throw_nuisances()) if n == name]
         nuisance[name] = (
             old if name in KEPT_NUISANCE else old * float(np.sqrt(moment[columns].mean()))
         )

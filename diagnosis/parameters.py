@@ -137,6 +137,22 @@ class Layout:
         return int(self.priors.spike_sd.size)
 
 
+DRIFTING = (
+    "valve_dead_time",
+    "valve_lag",
+    "valve_dead_band",
+    "valve_gain",
+    "pump_flow_sharing",
+    "passive_viscous_friction",
+    "passive_coulomb_friction",
+    "release_delay",
+    "sticky_release",
+    "wind",
+    "joint_sensor_bias",
+    "base_tilt",
+    "base_yaw_drift",
+)
+"""What warms up, wears in, blows or creeps within an hour; lengths, masses and clocks do not."""
 GROUP_LOG_PRIOR = -5.0
 """About one effect in two data sets, of some seventy that could be."""
 DRIFT_LOG_PRIOR = -8.0
@@ -156,6 +172,8 @@ def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layo
         groups.setdefault(p.group, []).append(i)
     logs = [GROUP_LOG_PRIOR] * len(groups)
     for i, p in enumerate(constants):
+        if p.effect not in DRIFTING:
+            continue
         groups[(f"{DRIFT}:{p.effect}.{p.name}", p.joint)] = [len(constants) + i]
         logs.append(DRIFT_LOG_PRIOR)
     spike = np.array([max(tolerance.get(p.key, 0.0), p.tolerance) for p in constants])
@@ -163,12 +181,12 @@ def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layo
     low, high = np.array([p.low for p in constants]), np.array([p.high for p in constants])
     extra = np.asarray(nuisance_sd, dtype=np.float64)
     free = np.full(extra.size, np.inf)
-    # A drift has half the scatter and half the size of its effect, in either direction.
+    # A drift has the scatter and half the size of its effect, in either direction.
     reach = high - low
     return Layout(
         groups=tuple(groups),
         priors=Priors(
-            spike_sd=np.concatenate([spike, 0.5 * spike, extra]),
+            spike_sd=np.concatenate([spike, spike, extra]),
             slab_sd=np.concatenate([slab, 0.5 * slab, extra]),
             low=np.concatenate([low, -reach, -free]),
             high=np.concatenate([high, reach, free]),

@@ -30,7 +30,7 @@ MIN_SLAB_OVER_SPIKE_RATIO = 2.5
 
 
 class Information(NamedTuple):
-    """What data say about the parameters: log likelihood = -(c - 2 b'theta + theta'A theta) / 2."""
+    """What data say about the parameters: log likelihood = -(c - 2 b'theta + theta'A theta) / 2 - v."""
 
     precision: Array
     """A (p, p)"""
@@ -38,8 +38,8 @@ class Information(NamedTuple):
     """b (p,)"""
     square: float
     """c"""
-    residual_count: int
-    """Residuals in it."""
+    log_volume: float
+    """v: half the log determinant of the noise, nuisances included; hypotheses may differ in it."""
 
 
 class Priors(NamedTuple):
@@ -79,13 +79,16 @@ class Screen(NamedTuple):
     """m = C b"""
 
 
-def inform(residual: Array, jacobian: Array, nuisance: Array) -> Information:
+def inform(
+    residual: Array, jacobian: Array, nuisance: Array, log_volume: float = 0.0
+) -> Information:
     """Marginalise a throw's nuisances.
 
     Args:
         residual: (n,) whitened.
         jacobian: (n, p) whitened.
         nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
+        log_volume: half the log determinant of the noise that was whitened.
     """
     inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
     on_jacobian, on_residual = nuisance.T @ jacobian, nuisance.T @ residual
@@ -93,7 +96,8 @@ def inform(residual: Array, jacobian: Array, nuisance: Array) -> Information:
     precision = jacobian.T @ jacobian - on_jacobian.T @ solved[:, :-1]
     gradient = jacobian.T @ residual - on_jacobian.T @ solved[:, -1]
     square = float(residual @ residual - on_residual @ solved[:, -1])
-    return Information(precision, gradient, square, residual.size)
+    volume = log_volume + 0.5 * float(np.linalg.slogdet(inner)[1])
+    return Information(precision, gradient, square, volume)
 
 
 def total(informations: Sequence[Information], weights: Array | None = None) -> Information:
@@ -104,7 +108,7 @@ def total(informations: Sequence[Information], weights: Array | None = None) -> 
         precision=np.sum([w * i.precision for w, i in parts], axis=0),
         gradient=np.sum([w * i.gradient for w, i in parts], axis=0),
         square=float(sum(w * i.square for w, i in parts)),
-        residual_count=int(sum(w * i.residual_count for w, i in parts)),
+        log_volume=float(sum(w * i.log_volume for w, i in parts)),
     )
 
 
@@ -121,6 +125,7 @@ def log_evidence(information: Information, priors: Priors, members: Set) -> floa
     fit = information.square - float(information.gradient @ base.mean)
     log_volume = float(np.linalg.slogdet(base.covariance)[1])
     none = 0.5 * (log_volume - fit) - float(np.sum(np.log(priors.spike_sd)))
+    none -= information.log_volume
     return none + weigh(base, priors, members).log_odds
 
 

@@ -12,14 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.healthy import HealthyModel, correction
 from diagnosis.hypotheses import Hypothesis, Problem, fitted_effects
-from diagnosis.residuals import PreparedThrow
+from diagnosis.residuals import ALL, PreparedThrow
 from diagnosis.selection import screen, total, weigh
 from diagnosis.verdict import Shrink
-from machine.conventions import Array, IntArray
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from sim_twin.effects import Effect
 from sim_twin.profile import TwinProfile, load_profile, save_profile
-from sim_twin.replay import ReplayElement, replay
+from sim_twin.replay import ReplayElement, ReplayInput, replay
 
 PART_COUNT = 3
 BOOTSTRAP_COUNT = 400
@@ -49,14 +50,36 @@ def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile
 
 def impacts(
     prepared: Sequence[PreparedThrow],
-    rows: IntArray,
     problem: Problem,
     profile: TwinProfile,
 ) -> Array:
-    """Impacts (rows, 2) that a profile's twin gives from the valve commands alone."""
-    chosen = [prepared[int(i)].input for i in rows]
-    elements = [ReplayElement(i) for i in range(len(chosen))]
-    return replay(chosen, elements, profile, problem.calibration).impact_m[:, :2]
+    """Impacts (N, 2) from the valve commands alone, what every healthy machine is off taken into account.
+
+    The driven joints are simulated from their commands, corrected by the healthy filters, and then move the
+    swing, the release and the flight.
+    """
+    inputs = [p.input for p in prepared]
+    alone = replay(
+        inputs, [ReplayElement(i) for i in range(len(inputs))], profile, problem.calibration
+    )
+    moved = [
+        _corrected(p, problem.healthy, alone.joint_velocity_rad_m_per_s[i])
+        for i, p in enumerate(prepared)
+    ]
+    elements = [ReplayElement(i, measured_joints=ALL) for i in range(len(inputs))]
+    return replay(moved, elements, profile, problem.calibration).impact_m[:, :2]
+
+
+def _corrected(p: PreparedThrow, healthy: HealthyModel, velocity: Array) -> ReplayInput:
+    """The throw with simulated and corrected joint motion in place of the measured one."""
+    rows = p.motion.t_s.size
+    corrected = velocity[:rows].copy()
+    for joint in range(ACTIVE_COUNT):
+        corrected[:, joint] += correction(healthy, p.input, p.motion, joint, velocity[:rows, joint])
+    travelled = np.cumsum(corrected[1:] * CONTROL_PERIOD_S, axis=0)
+    start = p.input.position_rad_m[:1]
+    position = np.vstack([start, start + travelled])
+    return p.input._replace(position_rad_m=position, velocity_rad_m_per_s=corrected)
 
 
 def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
@@ -64,7 +87,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
     count = len(problem.prepared)
     measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
     everyone = np.arange(count)
-    before = measured - impacts(problem.prepared, everyone, problem, problem.profile)
+    before = measured - impacts(problem.prepared, problem, problem.profile)
     after = np.full((count, 2), np.nan)
     predicted: list[Array] = []
     for part in range(min(PART_COUNT, count)):
@@ -76,9 +99,9 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
         path = folder / f"part-{part}.profile.json"
         save_profile(with_effects(problem.profile, effects), path)
         profile = load_profile(path)
-        trained = measured[used] - impacts(problem.prepared, used, problem, profile)
-        predicted.append(np.stack([before[used], trained], axis=0))
-        after[left_out] = measured[left_out] - impacts(problem.prepared, left_out, problem, profile)
+        gap = measured - impacts(problem.prepared, problem, profile)
+        predicted.append(np.stack([before[used], gap[used]], axis=0))
+        after[left_out] = gap[left_out]
     pooled = np.concatenate(predicted, axis=1)
     return Held(before, after, _closed(_rms(pooled[0]), _rms(pooled[1]), None))
 

@@ -31,8 +31,6 @@ SET_NUISANCES = (
 )
 THROW_NUISANCES = (
     "oil_flow_ratio",
-    *("joint_flow_ratio",) * 4,
-    *("dead_time_s",) * 4,
     *("start_swing_rad",) * 2,
     *("start_swing_rate_rad_per_s",) * 2,
     "release_delay_s",
@@ -40,9 +38,17 @@ THROW_NUISANCES = (
     *("grasp_m",) * 3,
     *("slip_m_per_s",) * 3,
 )
-"""Names of the columns of `Whitened.nuisance`."""
+"""Names of the columns of `Whitened.nuisance`; behind them come all parameters of the library: each varies a
+little from throw to throw on any machine."""
+FORM_ERROR_RATIO = 0.08
+"""Discrepancy of a real effect from the library's, as a share of what it changes."""
 OIL_LAG_S = 0.05 * 0.06
 """Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
+
+
+def throw_nuisances() -> tuple[str, ...]:
+    """Names of all columns of `Whitened.nuisance`."""
+    return (*THROW_NUISANCES, *(p.key for p in library()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +57,16 @@ class Whitened:
 
     residual: Array
     """(n,)"""
-    jacobian: Array
-    """(n, p) of the whole vector of the layout."""
+    slopes: Array
+    """(n, p + s) by the library's parameters, then by the set's nuisances."""
     nuisance: Array
-    """(n, q), each column times its standard deviation."""
+    """(n, q) by what differs from throw to throw, each column times its standard deviation."""
+    progress_ratio: float
+    """Share of a drift that acts in this throw."""
     rows: Mapping[str, slice]
     """Rows of each block."""
+    log_volume: float
+    """Sum of the logs of the noise's Cholesky diagonals."""
 
 
 def set_nuisance_sd(model: NoiseModel) -> list[float]:
@@ -65,11 +75,32 @@ def set_nuisance_sd(model: NoiseModel) -> list[float]:
 
 
 def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
-    """Cholesky factor of every block's covariance; they do not depend on any hypothesis."""
+    """Cholesky factor of every block's covariance on a healthy machine."""
     return [
         whitener(model.channels[block.name], block.t_s, block.rate, block.push)
         for block in prepared.blocks
     ]
+
+
+def widened(
+    prepared: PreparedThrow, model: NoiseModel, healthy: Sequence[Array], change: Array
+) -> list[Array]:
+    """Factors under a hypothesis whose effects change the twin's prediction by `change` (n,).
+
+    A real effect is never quite the library's: a share of what it changes is added to the discrepancy.
+    """
+    found: list[Array] = []
+    for block, lower in zip(prepared.blocks, healthy, strict=True):
+        size = np.abs(np.nan_to_num(change[block.rows]))
+        if block.name == "release.switch" or not size.any():
+            found.append(lower)
+            continue
+        around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
+        channel = model.channels[block.name]
+        found.append(
+            whitener(channel, block.t_s, block.rate, block.push, FORM_ERROR_RATIO * around)
+        )
+    return found
 
 
 def whiten_throw(
@@ -79,11 +110,11 @@ def whiten_throw(
     of_set = _set_columns(prepared, linear)
     middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
     middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
+    sd = np.array([model.nuisance_sd[p.key] for p in library()])
     columns = np.column_stack(
         [
             linear.residual - linear.jacobian @ middle - of_set @ middle_of_set,
             linear.jacobian,
-            linear.jacobian * prepared.input.progress_ratio,
             of_set,
             _throw_columns(prepared, linear, model),
         ]
@@ -92,18 +123,38 @@ def whiten_throw(
     columns[~np.isfinite(linear.residual)] = 0.0
     for block, lower in zip(prepared.blocks, factor, strict=True):
         columns[block.rows] = whiten(lower, columns[block.rows])
-    parameters = 2 * linear.jacobian.shape[1] + len(SET_NUISANCES)
+    count = linear.jacobian.shape[1]
+    slopes = columns[:, 1 : 1 + count + len(SET_NUISANCES)]
     return Whitened(
         columns[:, 0],
-        columns[:, 1 : 1 + parameters],
-        columns[:, 1 + parameters :],
+        slopes,
+        np.column_stack([columns[:, 1 + slopes.shape[1] :], slopes[:, :count] * sd]),
+        prepared.input.progress_ratio,
         {block.name: block.rows for block in prepared.blocks},
+        float(sum(np.log(np.diag(lower)).sum() for lower in factor)),
     )
 
 
 def information(whitened: Sequence[Whitened]) -> list[Information]:
-    """What each throw says, nuisances marginalised."""
-    return [inform(w.residual, w.jacobian, w.nuisance) for w in whitened]
+    """What each throw says, nuisances marginalised, in the order of the layout."""
+    return [_in_layout(w, len(library())) for w in whitened]
+
+
+def _in_layout(whitened: Whitened, count: int) -> Information:
+    """Drifts' slopes are the parameters' times the throw's place in the set."""
+    found = inform(whitened.residual, whitened.slopes, whitened.nuisance, whitened.log_volume)
+    order = np.r_[0:count, 0:count, count : whitened.slopes.shape[1]]
+    share = np.ones(order.size)
+    share[count : 2 * count] = whitened.progress_ratio
+    precision = found.precision[np.ix_(order, order)] * share[:, None] * share
+    return found._replace(precision=precision, gradient=found.gradient[order] * share)
+
+
+def explained(whitened: Whitened, mean: Array) -> Array:
+    """What parameters in the order of the layout (size,) make of a throw, (n,), whitened."""
+    count = len(library())
+    acting = mean[:count] + whitened.progress_ratio * mean[count : 2 * count]
+    return whitened.slopes @ np.concatenate([acting, mean[2 * count :]])
 
 
 def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
@@ -111,7 +162,7 @@ def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
 
     The throw's nuisances are set to their best values first.
     """
-    left = whitened.residual - whitened.jacobian @ mean
+    left = whitened.residual - explained(whitened, mean)
     nuisance = whitened.nuisance
     inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
     left = left - nuisance @ np.linalg.solve(inner, nuisance.T @ left)
@@ -158,7 +209,7 @@ def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Ar
 
 
 def _throw_columns(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Array:
-    """Slopes (n, q) by the throw's nuisances, times their standard deviations."""
+    """Slopes (n, q) by the throw's own nuisances (`THROW_NUISANCES`), times their standard deviations."""
     sd, index, slopes = model.nuisance_sd, index_of(), linear.jacobian
     n = linear.residual.size
     found: list[Array] = []
@@ -172,11 +223,6 @@ def _throw_columns(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -
         OIL_LAG_S * np.sum(lags, axis=0)
     )
     found.append(oil)
-    found += [sd["joint_flow_ratio"] * gain for gain in gains]
-    found += [
-        sd["dead_time_s"] * slopes[:, index[f"valve_dead_time.{joint}.extra_dead_time_s"]]
-        for joint in ACTIVE_JOINTS
-    ]
     found += [sd["start_swing_rad"] * linear.start[:, axis] for axis in (0, 1)]
     found += [sd["start_swing_rate_rad_per_s"] * linear.start[:, axis] for axis in (2, 3)]
     jitter = np.zeros(n)

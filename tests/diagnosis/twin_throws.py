@@ -140,7 +140,7 @@ def health() -> Health:
         )
         for name, (noise, floor) in blocks.items()
     }
-    nuisance = dict.fromkeys(THROW_NUISANCES, 0.003)
+    nuisance = dict.fromkeys(THROW_NUISANCES, 0.003) | {p.key: 0.2 * p.tolerance for p in library()}
     return Health(
         nothing(),
         NoiseModel(

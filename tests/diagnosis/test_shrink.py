@@ -1,0 +1,64 @@
+"""The shrink: sizes from other throws, written and read back, close the gap that they should."""
+
+import numpy as np
+import pytest
+from twin_throws import health, profile, throws
+
+from diagnosis.hypotheses import Hypothesis, Problem, pose
+from diagnosis.parameters import layout
+from diagnosis.residuals import prepare
+from diagnosis.selection import SetEvidence
+from diagnosis.shrink import impacts, shrink, with_effects
+from diagnosis.whitening import set_nuisance_sd
+from sim_twin.effects import Effect
+from sim_twin.profile import load_profile, save_profile
+
+EFFECT = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12})
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    known = health()
+    loaded = throws((EFFECT,), 6)
+    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    prepared = prepare(loaded.throws, profile())
+    return pose(
+        prepared, profile(), loaded.throws[0].calibration, known.filters, known.noise, plan
+    )
+
+
+def hypothesis(problem: Problem) -> Hypothesis:
+    members = (problem.layout.groups.index(("valve_lag", "boom")),)
+    return Hypothesis(
+        members=members,
+        effects=(EFFECT,),
+        evidence=SetEvidence(members, 0.0, np.array([0.12]), np.eye(1)),
+        log_evidence=np.zeros(1),
+        mean=np.zeros(problem.layout.size_count),
+        whitened=problem.whitened,
+        information=problem.information,
+    )
+
+
+def test_held_out_gap_closes_as_predicted(problem: Problem) -> None:
+    found = shrink(problem, hypothesis(problem), floor_m=0.03)
+    assert found is not None
+    assert found.held_out_throws == 6
+    assert found.after_m < 0.4 * found.before_m
+    assert found.ratio > 0.7
+    assert found.ci90[0] <= found.ratio <= found.ci90[1]
+    assert found.predicted_ratio == pytest.approx(found.ratio, abs=0.1)
+    assert 0.0 < found.removable_ratio <= 1.0
+
+
+def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
+    problem: Problem, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("profile") / "next.json"
+    save_profile(with_effects(problem.profile, (EFFECT,)), path)
+    reloaded = load_profile(path)
+    assert reloaded.version_count == problem.profile.version_count + 1
+    measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
+    before = measured - impacts(problem.prepared, problem, problem.profile)
+    after = measured - impacts(problem.prepared, problem, reloaded)
+    assert np.abs(after).max() < 0.5 * np.abs(before).max()
