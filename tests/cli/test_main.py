@@ -24,10 +24,12 @@ def test_an_unknown_verb_is_named_and_the_overview_follows(capsys):
 
 @pytest.mark.parametrize("verb", sorted(command_line.VERBS))
 def test_every_verb_has_a_documented_function_with_typed_arguments(verb):
-    run = importlib.import_module(command_line.VERBS[verb].module).run
-    assert len(inspect.getdoc(run) or "") > 30
-    for parameter in inspect.signature(run).parameters.values():
-        assert parameter.annotation is not inspect.Parameter.empty
+    module = importlib.import_module(command_line.VERBS[verb].module)
+    actions = getattr(module, "ACTIONS", None) or {"run": module.run}
+    for action in actions.values():
+        assert len(inspect.getdoc(action) or "") > 30
+        for parameter in inspect.signature(action).parameters.values():
+            assert parameter.annotation is not inspect.Parameter.empty
 
 
 def test_an_error_of_ours_is_one_line_and_exit_code_one(monkeypatch, capsys):
