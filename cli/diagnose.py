@@ -11,7 +11,7 @@ from diagnosis.alone_flight import Ball
 from diagnosis.alone_tables import actuation_from_csv, flight_from_csv, swing_from_csv
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.logs import load_throws
-from diagnosis.report_html import report_page
+from diagnosis.report_html import report_html
 from diagnosis.shrink import with_effects
 from diagnosis.verdict import EXIT_CODES, Diagnosis, VerdictKind
 from machine.errors import UsageError
@@ -203,7 +203,7 @@ def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) 
         if json is not None:
             json.write_text(found.model_dump_json(indent=2) + "\n", encoding="utf-8")
         if html is not None:
-            html.write_text(report_page(found, title), encoding="utf-8")
+            html.write_text(report_html(found, title), encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
     return int(EXIT_CODES[found.verdict])
