@@ -31,7 +31,7 @@ from sim_twin.profile import TwinProfile
 GAUSS_NEWTON_ROUNDS = 2
 PRIOR_RATIO = 2.0
 """Ridge of the fit, in multiples of the library's own width: without one, twins of effects run away."""
-Z_LIMIT = 30.0
+Z_LIMIT = 72.0
 """Largest z-score of a healthy machine: pooled, independent residuals make z-scores far too large."""
 EVOLUTION_THROWS = 3
 EVOLUTION_GENERATIONS = 30

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 from time import perf_counter
 from typing import Any, Final
 
@@ -96,7 +97,13 @@ def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
         said["evidence"] = _small(said["evidence"])
     except Exception as error:  # the harness must outlive whatever it tests
         said = {"error": f"{type(error).__name__}: {error}"}
-    return folder.name, {"seconds": round(perf_counter() - started, 2), "said": said}
+    # Of the whole process so far, in KiB on Linux.
+    memory_mib = getrusage(RUSAGE_SELF).ru_maxrss / 1024.0
+    return folder.name, {
+        "seconds": round(perf_counter() - started, 2),
+        "memory_mib": round(memory_mib),
+        "said": said,
+    }
 
 
 def _method(name: str) -> Method:

@@ -38,6 +38,8 @@ class Scored(NamedTuple):
     said: Diagnosis | None
     """None: the program failed."""
     seconds: float
+    memory_mib: float = float("nan")
+    """Most that the process had used by then."""
 
     @property
     def label(self) -> Label:
@@ -172,7 +174,8 @@ def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[Scored
             continue
         said = given["said"]
         said = None if "error" in said else Diagnosis.model_validate(said)
-        scored.append(Scored(truth, said, float(given["seconds"])))
+        memory = float(given.get("memory_mib", float("nan")))
+        scored.append(Scored(truth, said, float(given["seconds"]), memory))
     return scored
 
 
@@ -218,6 +221,7 @@ def measures(scored: Sequence[Scored]) -> list[Measure]:
         *_shrinks(hidden),
         _number("seconds a set, median", [s.seconds for s in scored], np.median, "<= 60"),
         _number("seconds a set, worst", [s.seconds for s in scored], np.max),
+        _number("memory, MiB, worst", [s.memory_mib for s in scored], np.max, "<= 1536"),
         _share("failed", scored, lambda s: s.said is None),
     ]
     return [line for line in lines if line.number]
