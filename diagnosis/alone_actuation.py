@@ -75,6 +75,17 @@ class ActuationProblem:
     noise: float
 
     @property
+    def rich(self) -> tuple[str, ...]:
+        """What every hydraulic joint has some of."""
+        return (
+            "valve_dead_time",
+            "valve_lag_two_sided",
+            "valve_dead_band_even",
+            "speed_limit",
+            "acceleration_limit",
+        )
+
+    @property
     def held(self) -> BoolArray:
         """Every third piece of the record."""
         return every_third(self.block)

@@ -26,6 +26,8 @@ class FreeParameter(NamedTuple):
     low: float
     high: float
     starts: tuple[float, ...]
+    is_void_at_high: bool = False
+    """Whether the effect is not really there when the fit ends at `high`."""
 
 
 class Option(NamedTuple):
@@ -48,6 +50,11 @@ class Problem(Protocol):
     @property
     def options(self) -> tuple[Option, ...]:
         """What may be added."""
+        ...
+
+    @property
+    def rich(self) -> tuple[str, ...]:
+        """Keys of options that together explain much; the search also comes down from there. May be empty."""
         ...
 
     @property

@@ -63,6 +63,11 @@ class FlightProblem:
     """At drag coefficient 1; 1 when mass or diameter are unknown."""
 
     @property
+    def rich(self) -> tuple[str, ...]:
+        """The search from nothing is enough."""
+        return ()
+
+    @property
     def held(self) -> BoolArray:
         """Every second flight; every third piece when there is one flight."""
         if len(self.flights) == 1:

@@ -1,6 +1,6 @@
 """From a valve command to the speed of a joint, with each effect as one step of the simulation.
 
-Order: dead time, hysteresis, dead band, curve, gain per direction, stiction, speed limit, lag,
+Order: hysteresis, dead band, curve, gain per direction, stiction, speed limit, dead time, lag,
 acceleration limit; then position, with backlash. An effect whose parameter is absent is not simulated.
 """
 
@@ -41,7 +41,7 @@ def actuation_options(
         Option(
             "valve_lag_second",
             "valve_lag",
-            (lag, FreeParameter("damping_ratio", "1", 0.05, 0.45, (0.3, 0.3, 0.2))),
+            (lag, FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3, 0.3, 0.2), True)),
         ),
         Option(
             "valve_lag_two_sided",
@@ -132,7 +132,7 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
         step_s: tick.
         values: parameters by ``option.parameter``; ``speed_per_command`` is the gain.
     """
-    u = _delayed(command, values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s)
+    u = command
     if (width := values.get("valve_hysteresis.half_width_ratio", 0.0)) > 0.0:
         u = play(u, width)
     x = _curved(u, values)
@@ -142,6 +142,9 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
         steady = _broken_away(steady, breakaway)
     if (limit := values.get("speed_limit.limit_rad_m_per_s", 0.0)) > 0.0:
         steady = np.clip(steady, -limit, limit)
+    # A delay changes places with everything before it that has no clock of its own; last, it does not blunt
+    # the edges that dead band and stiction look at.
+    steady = _delayed(steady, values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s)
     speed = _lagged(steady, step_s, values)
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
         speed = _rate_limited(speed, limit * step_s)

@@ -32,7 +32,11 @@ EFFECT_LOG_PRIOR: Final = math.log(0.25)
 """Per effect: most effects are absent from most machines."""
 SHAPE_EFFECTS: Final = frozenset({"valve_curve", "acceleration_limit", "drag_crisis"})
 """Refinements outside the twin's library: they shape an effect and are not taken for one of its own."""
-SHAPE_LOG_PRIOR: Final = math.log(0.02)
+SHAPE_LOG_PRIOR: Final = math.log(0.1)
+ENDLESS_EFFECTS: Final = frozenset(
+    {"valve_curve", "acceleration_limit", "speed_limit", "drag_crisis"}
+)
+"""Effects that are absent at another value than zero."""
 IDLE_LOG_PRIOR: Final = math.log(1e-3)
 """For a set with an effect whose interval holds "nothing"."""
 FLOOR_RATIO: Final = 0.005
@@ -141,8 +145,23 @@ def select(
             progress(f"{level} effects: {names}, rms {math.sqrt(best):.4g}")
         if best > before * (1.0 - GAIN_RATIO) or math.sqrt(best) < 0.3 * FLOOR_RATIO * signal:
             break
+    _come_down(problem, visited)
     _prune(problem, visited)
     return _posterior(problem, list(visited.values()), signal, noise, unknown_ratio)
+
+
+def _come_down(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
+    """Backward elimination from the rich structure: effects that only show together are found there."""
+    options = tuple(option for option in problem.options if option.key in problem.rich)
+    if not options:
+        return
+    best = _visit(problem, visited, visited[frozenset()], options)
+    while len(best.options) > 1:
+        shorter = [
+            _visit(problem, visited, best, tuple(o for o in best.options if o.key != option.key))
+            for option in best.options
+        ]
+        best = min(shorter, key=lambda found: found.mean_square)
 
 
 def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
@@ -226,13 +245,21 @@ def _posterior(
 
 
 def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
-    """Whether an effect that may be zero is zero within its interval: then it is not there."""
+    """Whether an effect may be nothing: zero within its interval, or at an end where it fades out."""
     half = standard_errors(problem, found, length) * interval_factor(problem)
     far = dict(zip(found.names, np.abs(found.values) > half, strict=True))
-    return any(
-        all(p.low <= 0.0 and not far[f"{option.key}.{p.name}"] for p in option.parameters)
-        for option in found.options
-    )
+    values = found.as_mapping()
+    for option in found.options:
+        names = [f"{option.key}.{p.name}" for p in option.parameters]
+        first = option.parameters[0]
+        if option.effect not in ENDLESS_EFFECTS:
+            asked = names if first.low <= 0.0 else names[:1]
+            if not any(far[name] for name in asked) or 0.0 < values[names[0]] < 1.3 * first.low:
+                return True
+        for p, name in zip(option.parameters, names, strict=True):
+            if p.is_void_at_high and values[name] > 0.98 * p.high:
+                return True
+    return False
 
 
 def _merge(ranked: Sequence[Scored]) -> list[Scored]:

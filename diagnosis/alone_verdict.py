@@ -30,6 +30,8 @@ MAX_CAUSES_COUNT: Final = 6
 AMBIGUOUS_RATIO: Final = 0.25
 """A rival set with at least this share of the winner's probability, with other effects, is a draw."""
 
+RIVAL_RATIO: Final = 0.05
+
 
 class StageNames(NamedTuple):
     """How a stage is called, and what tells its effects apart."""
@@ -85,7 +87,16 @@ def fitted_effects(
     problem: Problem, selection: Selection, scored: Scored, joint: str | None
 ) -> tuple[FittedEffect, ...]:
     """Effects of a structure with their intervals."""
-    ranges = intervals(problem, selection, scored.fit)
+    ranges = dict(intervals(problem, selection, scored.fit))
+    for rival in selection.ranked:
+        # What a nearly as probable set says of the same effect belongs into the interval.
+        if rival is scored or rival.probability < RIVAL_RATIO:
+            continue
+        if "drag_crisis" in set(rival.effects) ^ set(scored.effects):
+            continue  # drag then means drag at low speed: another number
+        for name, (low, high) in intervals(problem, selection, rival.fit).items():
+            if name in ranges and set(rival.effects) >= set(scored.effects) - SHAPE_EFFECTS:
+                ranges[name] = (min(ranges[name][0], low), max(ranges[name][1], high))
     values = scored.fit.as_mapping()
     effects: list[FittedEffect] = []
     for option in sorted(scored.fit.options, key=lambda option: option.key):
