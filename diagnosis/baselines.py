@@ -36,7 +36,7 @@ Z_LIMIT = 72.0
 EVOLUTION_THROWS = 3
 EVOLUTION_GENERATIONS = 30
 EVOLUTION_POPULATION = 16
-EVOLUTION_LIMIT = 3.0
+EVOLUTION_LIMIT = 36.0
 """Largest size of a healthy machine, in the library's tolerances."""
 RELEASE_SD_S = 0.01
 

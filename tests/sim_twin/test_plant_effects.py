@@ -392,6 +392,6 @@ def test_every_name_has_a_realisation() -> None:
     assert unit.unit_seed == 0
     for name, parameters in {**JOINT_EFFECTS, **MACHINE_EFFECTS}.items():
         joint = "boom" if name in JOINT_EFFECTS else None
-        plant = machine(effect(name, joint, **{parameters[0]: 0.01}))
+        plant = machine(PlantEffect(name, joint, {parameters[0]: 0.01}))
         plant.advance(plant.now_ns() + CONTROL_PERIOD_NS)
         assert np.isfinite(plant.read().joint_position_rad_m).all()
