@@ -29,6 +29,8 @@ from diagnosis.verdict import (
 from sim_twin.effects import Effect, effect_stage, parameter_unit
 
 NORMAL_90 = 1.6449
+SIZE_ERROR_RATIO = 0.04
+"""Of an effect's size: the real effect is never quite the library's."""
 CAUSE_COUNT = 8
 RULED_OUT_COUNT = 12
 
@@ -73,7 +75,7 @@ def conclude(found: Findings) -> Diagnosis:
         shrink=found.shrink if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
         evidence={
             **found.loaded.evidence(),
-            "where": _where(verdict, causes, ranked, stages),
+            "where": _where(verdict, ranked, stages),
             "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
             "ruled_out": _ruled_out(found),
             "unknown": _signature(ranked) if verdict is VerdictKind.UNKNOWN else None,
@@ -147,10 +149,16 @@ def _jitter(ranked: Ranked) -> FittedEffect:
 
 
 def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
-    """Sizes with 90 % intervals, clipped to the bounds."""
+    """Sizes with 90 % intervals, clipped to the bounds.
+
+    What was estimated is the effect plus the machine's own scatter in its direction; the scatter and a share
+    for the effect's form widen the interval.
+    """
     priors = problem.layout.priors
     index = members_index(priors, hypothesis.members)
-    sd = np.sqrt(np.maximum(np.diag(hypothesis.evidence.covariance), 0.0))
+    variance = np.maximum(np.diag(hypothesis.evidence.covariance), 0.0)
+    form = SIZE_ERROR_RATIO * np.abs(hypothesis.evidence.mean)
+    sd = np.sqrt(variance + priors.spike_sd[index] ** 2 + form**2)
     effects: list[FittedEffect] = []
     at = 0
     for effect, group in zip(hypothesis.effects, hypothesis.members, strict=True):
@@ -212,17 +220,15 @@ def _ambiguity(ranked: Ranked) -> Ambiguity:
 
 
 def _where(
-    verdict: VerdictKind, causes: Sequence[Cause], ranked: Ranked, stages: Sequence[StageGap]
+    verdict: VerdictKind, ranked: Ranked, stages: Sequence[StageGap]
 ) -> dict[str, Any] | None:
     """The stage and joint to look at: the cause's, the leftover's, or the largest term's."""
     if verdict is VerdictKind.UNKNOWN:
         signature = _signature(ranked)
         return {"stage": signature["stage"], "joint": signature["joint"]}
     if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
-        first = causes[0].effects[0]
-        sizes = {name: p.value for name, p in first.parameters.items()}
-        effect = Effect(effect=first.effect, joint=first.joint, parameters=sizes)
-        return {"stage": effect_stage(effect), "joint": first.joint}
+        named = ranked.best.effects or (ranked.jitter.effect(),)
+        return {"stage": effect_stage(named[0]), "joint": named[0].joint}
     largest = max(stages, key=lambda s: s.share_ratio, default=None)
     return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
 

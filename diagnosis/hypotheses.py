@@ -45,6 +45,8 @@ PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
 WEIGHED_COUNT = 8
+MARGIN_LOG_ODDS = 3.0
+"""A grown set must promise to come this close to the best one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,8 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
             (t for t in found if len(t.members) == size - 1),
             key=lambda t: -_log_evidence(problem, t),
         )
-        seeds = _grown(problem, best[:behind], kept)
+        leader = max(_log_evidence(problem, t) for t in found)
+        seeds = _grown(problem, best[:behind], kept, leader - MARGIN_LOG_ODDS)
         found += _settle(problem, seeds, 2 if size == 2 else 1)
         tick(0.4 + 0.25 * (size - 1))
     ranked = sorted(found, key=lambda t: -_log_evidence(problem, t))
@@ -141,8 +144,13 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     return [_weighed(problem, trial, weights) for trial in chosen]
 
 
-def _grown(problem: Problem, behind: Sequence["_Trial"], kept: int) -> dict[Set, Array]:
-    """Sets of one more effect, from the linearisation of the smaller set; first sizes of the best ones."""
+def _grown(
+    problem: Problem, behind: Sequence["_Trial"], kept: int, least: float
+) -> dict[Set, Array]:
+    """Sets of one more effect, from the linearisation of the smaller set; first sizes of the best ones.
+
+    Sets that promise less evidence than `least` are not worth a simulation.
+    """
     priors = problem.layout.priors
     weighed: dict[Set, tuple[float, Array]] = {}
     for trial in behind:
@@ -156,7 +164,8 @@ def _grown(problem: Problem, behind: Sequence["_Trial"], kept: int) -> dict[Set,
             score = evidence.log_odds + offset
             if members not in weighed or weighed[members][0] < score:
                 weighed[members] = score, evidence.mean
-    best = sorted(weighed, key=lambda m: -weighed[m][0])[:kept]
+    hopeful = [members for members, (score, _) in weighed.items() if score > least]
+    best = sorted(hopeful, key=lambda m: -weighed[m][0])[:kept]
     return {members: weighed[members][1] for members in best}
 
 

@@ -37,7 +37,7 @@ from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.profile import load_profile
 
 FOLD_COUNT = 5
-ROUND_COUNT = 6
+ROUND_COUNT = 4
 JOINT_NOISE = 0.0055
 GYRO_NOISE_RAD_PER_S = 6e-4
 ACCEL_NOISE_M_PER_S2 = 4e-3
@@ -182,9 +182,10 @@ class _Fit:
 
 def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
     plan = layout(model.tolerance, set_nuisance_sd(model))
+    factor = [factors(p, model) for p in one.prepared]
     white = [
-        whiten_throw(p, linear, model, factors(p, model))
-        for p, linear in zip(one.prepared, one.linear, strict=True)
+        whiten_throw(p, linear, model, f)
+        for p, linear, f in zip(one.prepared, one.linear, factor, strict=True)
     ]
     kept = np.r_[: plan.parameter_count, plan.parameter_count + plan.drift_count : plan.size_count]
     data = total([inform(w.residual, w.slopes, w.nuisance) for w in white])
@@ -194,15 +195,15 @@ def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
     mean[kept], variance[kept] = base.mean, np.diag(base.covariance)
     squares: list[Array] = []
     left: list[Array] = []
-    for w, p in zip(white, one.prepared, strict=True):
+    for w, p, lower in zip(white, one.prepared, factor, strict=True):
         rest = w.residual - explained(w, mean)
         covariance = np.linalg.inv(np.eye(w.nuisance.shape[1]) + w.nuisance.T @ w.nuisance)
         eta = covariance @ (w.nuisance.T @ rest)
         squares.append(eta**2 + np.diag(covariance))
         rest = rest - w.nuisance @ eta
         raw = np.zeros_like(rest)
-        for block, factor in zip(p.blocks, factors(p, model), strict=True):
-            raw[block.rows] = factor @ rest[block.rows]
+        for block, one_factor in zip(p.blocks, lower, strict=True):
+            raw[block.rows] = one_factor @ rest[block.rows]
         left.append(raw)
     return _Fit(mean, variance, np.mean(squares, axis=0), white, left)
 

@@ -25,8 +25,11 @@ Set = tuple[int, ...]
 
 SLAB_SCALES_RATIO = (1.0, 0.35, 0.12)
 """The slab is a mixture of these multiples of the prior's width: effects come in all sizes."""
-MIN_SLAB_OVER_SPIKE_RATIO = 2.5
+MIN_SLAB_OVER_SPIKE_RATIO = 4.0
 """A slab narrower than this would only be a second spike."""
+TAIL_WIDTH_RATIO = 2.5
+TAIL_SHARE_RATIO = 0.15
+"""Now and then a healthy machine is further off than others: the spike has a second, wider part."""
 
 
 class Information(NamedTuple):
@@ -155,7 +158,29 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     best = found[int(np.argmax(logs))]
     log_odds = float(logsumexp(logs) - np.log(len(found)))
     prior = float(sum(priors.log_prior[group] for group in members))
-    return SetEvidence(members, log_odds + prior, best[1], best[2])
+    tails = _tails(mean0, covariance0, priors, members)
+    return SetEvidence(members, log_odds + prior - tails, best[1], best[2])
+
+
+def _tails(mean0: Array, covariance0: Array, priors: Priors, members: Set) -> float:
+    """Log of what the spikes' tails would have given instead of each member, the others being there."""
+    index = members_index(priors, members)
+    spike = priors.spike_sd[index]
+    others = _slabs(priors, index)[0]
+    free = np.full(index.size, np.inf)
+    tails, at = 0.0, 0
+    for group in members:
+        own = slice(at, at + priors.groups[group].size)
+        at = own.stop
+        narrow, wide = others.copy(), others.copy()
+        narrow[own] = spike[own] * (1.0 + 1e-9)
+        wide[own] = spike[own] * TAIL_WIDTH_RATIO
+        without, tail = (
+            _weigh_slab(mean0, covariance0, spike, width, -free, free)[0]
+            for width in (narrow, wide)
+        )
+        tails += float(np.logaddexp(0.0, np.log(TAIL_SHARE_RATIO) + tail - without))
+    return tails
 
 
 def _slabs(priors: Priors, index: IntArray) -> list[Array]:

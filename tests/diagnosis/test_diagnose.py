@@ -1,0 +1,58 @@
+"""From throws to a verdict, on the twin's own throws: the easy case, in which there is nothing to excuse."""
+
+from dataclasses import replace
+
+import pytest
+from twin_throws import health, profile, throws
+
+from diagnosis.diagnose import CancelledError, diagnose_throws
+from diagnosis.verdict import Diagnosis, VerdictKind
+from sim_twin.effects import Effect
+
+
+def diagnosed(*effects: Effect) -> Diagnosis:
+    return diagnose_throws(throws(effects, 5), profile(), health=health())
+
+
+def test_one_effect_is_named_sized_and_removed() -> None:
+    found = diagnosed(Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12}))
+    assert found.verdict is VerdictKind.EXPLAINED
+    named = {(e.effect, e.joint): e.parameters for e in found.causes[0].effects}
+    assert set(named) == {("valve_lag", "boom")}
+    size = named["valve_lag", "boom"]["extra_lag_s"]
+    assert size.value == pytest.approx(0.12, rel=0.1)
+    assert size.ci90[0] <= size.value <= size.ci90[1]
+    assert size.unit == "s"
+    assert found.evidence["where"] == {"stage": "actuation", "joint": "boom"}
+    assert found.shrink is not None
+    assert found.shrink.after_m < 0.4 * found.shrink.before_m
+    assert {cause.name for cause in found.causes} >= {"none", "unknown"}
+    assert sum(cause.probability for cause in found.causes) <= 1.0 + 1e-9
+    # The result is what the file holds.
+    assert Diagnosis.model_validate_json(found.model_dump_json()) == found
+
+
+def test_nothing_is_named_on_a_healthy_machine() -> None:
+    found = diagnosed()
+    assert found.verdict is VerdictKind.NONE
+    assert found.causes[0].name == "none"
+    assert found.shrink is None
+
+
+def test_too_few_throws_are_refused() -> None:
+    loaded = throws((), 5)
+    found = diagnose_throws(replace(loaded, throws=loaded.throws[:2]), profile(), health=health())
+    assert found.verdict is VerdictKind.BAD_DATA
+
+
+def test_it_can_be_cancelled() -> None:
+    told: list[str] = []
+    with pytest.raises(CancelledError):
+        diagnose_throws(
+            throws((), 5),
+            profile(),
+            progress=lambda _, text: told.append(text),
+            cancel=lambda: len(told) >= 2,
+            health=health(),
+        )
+    assert len(told) == 2
