@@ -1,6 +1,8 @@
 """Every effect of the virtual machine changes what it should by what its parameter says."""
 
+import ast
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from machine.kinematics import pin_in_plane
 from machine.spec import load_spec
 from machine.starts import safe_pose, sample_starts
 from runtime.driver import ValveCommand
+from sim_twin import virtual_machine
 from sim_twin.plant_effects import (
     DRIFT,
     JOINT_EFFECTS,
@@ -391,6 +394,36 @@ def test_wrong_names_are_refused() -> None:
     with pytest.raises(PlantError, match="cannot drift"):
         leaning = PlantEffect(DRIFT, None, {"base_tilt.roll_rad": 0.1})
         machine(leaning, count=2, places=np.array([0.0, 1.0]))
+
+
+OWN_MODULES = {
+    "hydraulics",
+    "plant_body",
+    "plant_effects",
+    "plant_effects_body",
+    "plant_effects_drive",
+    "plant_effects_load",
+    "plant_effects_sensing",
+    "plant_effects_unheard",
+    "plant_faults",
+    "sensors",
+    "spools",
+    "thrown_load",
+    "units",
+    "virtual_machine",
+}
+
+
+def test_the_virtual_machine_shares_no_code_with_the_twin() -> None:
+    folder = Path(virtual_machine.__file__).parent
+    for name in OWN_MODULES:
+        tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
+        taken = {
+            str(node.module).removeprefix("sim_twin.")
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("sim_twin")
+        }
+        assert taken <= OWN_MODULES, f"{name} imports {taken - OWN_MODULES}"
 
 
 def test_every_name_has_a_realisation() -> None:
