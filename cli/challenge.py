@@ -8,7 +8,7 @@ import tyro
 from cli.evaluate import progress_line
 from diagnosis.challenge import answered, run_challenge
 from diagnosis.challenge_make import make_challenge
-from diagnosis.challenge_score import Measure, match, measures, read_sealed, table
+from diagnosis.challenge_score import Measure, as_json, match, measures, read_sealed, table
 from diagnosis.challenge_score import mistakes as missed
 from diagnosis.challenge_truth import Tier
 from machine.errors import UsageError
@@ -110,6 +110,7 @@ def score(
     *,
     sealed: Path,
     mistakes: bool = False,
+    json: Path | None = None,
 ) -> int:
     """Score answers against the sealed truth; several files give a column each.
 
@@ -121,6 +122,7 @@ def score(
         files: answers to one challenge.
         sealed: its sealed file.
         mistakes: list the sets that the first file answered wrongly.
+        json: write the numbers to this file.
     """
     if not files:
         raise UsageError("give at least one file of answers")
@@ -133,6 +135,8 @@ def score(
             raise UsageError(f"{path} holds no answers yet")
         columns.append((str(document["method"]), measures(scored)))
     print(table(columns))
+    if json is not None:
+        json.write_text(as_json(columns), encoding="utf-8")
     if mistakes:
         print()
         print(

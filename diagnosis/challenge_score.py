@@ -359,6 +359,32 @@ def _cell(m: Measure | None) -> str:
     return f"{100 * m.value:.1f} % [{100 * m.low:.0f}, {100 * m.high:.0f}] (n {m.number})"
 
 
+def as_json(columns: Sequence[tuple[str, Sequence[Measure]]]) -> str:
+    """The same numbers by method and name; null where there is no interval or no number."""
+    return (
+        json.dumps(
+            {
+                method: {
+                    m.name: {
+                        "value": _finite(m.value),
+                        "ci95": [_finite(m.low), _finite(m.high)],
+                        "count": m.number,
+                        "asked": m.bar,
+                    }
+                    for m in lines
+                }
+                for method, lines in columns
+            },
+            indent=1,
+        )
+        + "\n"
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
 def mistakes(scored: Sequence[Scored]) -> list[str]:
     """One line for each set that was answered wrongly: what was hidden, what was said."""
     lines: list[str] = []

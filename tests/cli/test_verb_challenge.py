@@ -36,7 +36,12 @@ def sealed_and_answers(folder: Path) -> tuple[Path, Path]:
 
 def test_score_prints_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sealed, answers = sealed_and_answers(tmp_path)
-    assert main(["challenge", "score", str(answers), "--sealed", str(sealed), "--mistakes"]) == 0
+    numbers = tmp_path / "numbers.json"
+    more = ["--sealed", str(sealed), "--mistakes", "--json", str(numbers)]
+    assert main(["challenge", "score", str(answers), *more]) == 0
+    alarms = json.loads(numbers.read_text())["diagnose"]["false alarms on null"]
+    assert alarms["value"] == 1.0
+    assert alarms["count"] == 1
     out = capsys.readouterr().out
     assert "false alarms on null" in out
     assert "100.0 % [21, 100] (n 1)" in out
