@@ -43,7 +43,8 @@ class Findings:
     problem: Problem
     ranked: Ranked
     terms: Terms
-    shrink: Shrink | None
+    shrink: tuple[Shrink, str] | None
+    """And what it was measured on: ``impact`` or ``channels``."""
     seconds: Mapping[str, float]
 
 
@@ -55,6 +56,7 @@ def conclude(found: Findings) -> Diagnosis:
     causes = _causes(found)
     jitter = ranked.jitter_probability > 0.5
     best = ranked.best
+    shrunk = None if found.shrink is None else found.shrink[0]
     ambiguity: Ambiguity | None = None
     if ranked.unknown > 0.5:
         verdict = VerdictKind.UNKNOWN
@@ -72,13 +74,14 @@ def conclude(found: Findings) -> Diagnosis:
         stages=stages,
         causes=causes,
         ambiguity=ambiguity,
-        shrink=found.shrink if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
+        shrink=shrunk if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
         evidence={
             **found.loaded.evidence(),
             "where": _where(verdict, ranked, stages),
             "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
             "ruled_out": _ruled_out(found),
             "unknown": _signature(ranked) if verdict is VerdictKind.UNKNOWN else None,
+            "shrink_measure": None if found.shrink is None else found.shrink[1],
             "seconds": dict(found.seconds),
         },
     )
@@ -265,7 +268,7 @@ def _sentence(
     verdict: VerdictKind,
     causes: Sequence[Cause],
     gap: Gap,
-    shrink: Shrink | None,
+    found: tuple[Shrink, str] | None,
     ranked: Ranked,
     ambiguity: Ambiguity | None,
 ) -> str:
@@ -281,12 +284,14 @@ def _sentence(
             f"{signature['channel']} {signature['leftover_sd']:.0f} standard deviations above a "
             "healthy machine."
         )
-    closes = (
-        ""
-        if shrink is None
-        else f" Adding it closes {shrink.ratio:.0%} of the removable gap on held-out throws "
-        f"({shrink.before_m:.2f} m to {shrink.after_m:.2f} m)."
-    )
+    closes = ""
+    if found is not None:
+        shrink, measure = found
+        metres = (
+            f" ({shrink.before_m:.2f} m to {shrink.after_m:.2f} m)" if measure == "impact" else ""
+        )
+        what = "miss" if measure == "impact" else "gap in its channels"
+        closes = f" Adding it closes {shrink.ratio:.0%} of the removable {what} on held-out throws{metres}."
     if ambiguity is not None:
         return f"{size}Either {ambiguity.members[0]} or {ambiguity.members[1]}.{closes}"
     return f"{size}Cause: {top.name} ({top.probability:.0%} sure).{closes}"

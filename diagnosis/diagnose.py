@@ -4,6 +4,8 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
+import numpy as np
+
 from diagnosis.conclude import Findings, conclude
 from diagnosis.healthy import HealthyModel, load_healthy
 from diagnosis.hypotheses import explore, pose
@@ -96,6 +98,9 @@ def _diagnose(
     ranked = rank(problem, hypotheses, jitter)
     tell(0.88, "how far: held-out throws")
     best = ranked.best
-    found = shrink(problem, best) if best.members else None
+    floor = [model.healthy_gap_m.get(p.throw.mode, 0.0) for p in prepared]
+    found = (
+        shrink(problem, best, float(np.sqrt(np.mean(np.square(floor))))) if best.members else None
+    )
     tell(1.0, "done")
     return conclude(Findings(loaded, problem, ranked, terms, found, seconds))

@@ -51,6 +51,8 @@ class NoiseModel(BaseModel):
     healthy_mean: Mapping[str, float]
     """Middle of that scatter, by parameter key and nuisance: what is off on every machine. Effects are
     deviations from it."""
+    healthy_gap_m: Mapping[str, float]
+    """Impact gap of healthy machines by mode, root mean square, with the healthy filters."""
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of log(residual power), after the fit."""
 

@@ -144,6 +144,7 @@ def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
         },
         tolerance={p.key: 4.0 * p.tolerance for p in library()},
         healthy_mean={},
+        healthy_gap_m={},
         unknown_level=dict.fromkeys(block_names, (0.0, 0.3)),
     )
 

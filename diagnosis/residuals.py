@@ -273,6 +273,7 @@ def relinearise(
     healthy: HealthyModel,
     first: Sequence[Linear],
     requests: Sequence[tuple[tuple[Effect, ...], Sequence[Parameter]]],
+    views: Sequence[View] | None = None,
 ) -> list[list[Linear]]:
     """Every throw about several sets of effects, in one batched simulation.
 
@@ -286,16 +287,18 @@ def relinearise(
         healthy: what the twin misses on every machine.
         first: linearised without any effect.
         requests: effects about which to linearise, and the parameters whose slopes are wanted.
+        views: to simulate; those that the wanted parameters move if left out.
     """
     inputs = [p.input for p in prepared]
     plan = _Plan()
     parts: list[list[_Part]] = []
     for effects, wanted in requests:
-        views = tuple(view for view in View if any(view in p.views for p in wanted))
+        moved = tuple(view for view in View if any(view in p.views for p in wanted))
+        chosen = moved if views is None else tuple(views)
         row: list[_Part] = []
         for i in range(len(prepared)):
-            bases = {view: plan.add(i, effects, view) for view in views}
-            row.append(_Part(bases, _moved(plan, i, effects, wanted, views), None))
+            bases = {view: plan.add(i, effects, view) for view in chosen}
+            row.append(_Part(bases, _moved(plan, i, effects, wanted, chosen), None))
         parts.append(row)
     if not plan.elements:
         return [list(first) for _ in requests]

@@ -14,9 +14,11 @@ import numpy as np
 
 from diagnosis.healthy import HealthyModel, correction
 from diagnosis.hypotheses import Hypothesis, Problem, fitted_effects
-from diagnosis.residuals import ALL, PreparedThrow
-from diagnosis.selection import screen, total, weigh
+from diagnosis.parameters import View, library
+from diagnosis.residuals import ALL, PreparedThrow, relinearise
+from diagnosis.selection import members_index, screen, total, weigh
 from diagnosis.verdict import Shrink
+from diagnosis.whitening import leftovers, whiten_throw
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from sim_twin.effects import Effect
 from sim_twin.profile import TwinProfile, load_profile, save_profile
@@ -24,18 +26,26 @@ from sim_twin.replay import ReplayElement, ReplayInput, replay
 
 PART_COUNT = 3
 BOOTSTRAP_COUNT = 400
-MIN_REMOVABLE_RATIO = 0.1
-"""Below this the impact says nothing about the effect; the trajectories are compared instead."""
+CLEAR_RATIO = 1.6
+"""An impact gap this many times a healthy machine's says something about an effect."""
+
+
+class Gaps(NamedTuple):
+    """Gaps of N throws under one profile."""
+
+    impact_m: Array
+    """(N, 2) measured minus twin."""
+    power: Array
+    """(N,) of the whitened residual in the channels that the effects move, per row; 1 is healthy."""
 
 
 class Held(NamedTuple):
-    """Gaps of N throws, m: before, after with sizes of the other parts, and after as predicted."""
+    """Before, after with sizes from the other parts, and pairs of both on the throws that gave the sizes."""
 
-    before_m: Array
-    """(N, 2) measured minus twin."""
-    after_m: Array
-    """(N, 2)"""
-    predicted_ratio: float | None
+    before: Gaps
+    after: Gaps
+    trained_before: Gaps
+    trained_after: Gaps
 
 
 def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile:
@@ -82,14 +92,40 @@ def _corrected(p: PreparedThrow, healthy: HealthyModel, velocity: Array) -> Repl
     return p.input._replace(position_rad_m=position, velocity_rad_m_per_s=corrected)
 
 
+def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps:
+    """Gaps of all throws under a profile: of the impact, and of the channels that a hypothesis moves."""
+    measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
+    constants = members_index(problem.layout.priors, hypothesis.members)
+    columns = constants % problem.layout.parameter_count
+    views = {view for i in columns for view in library()[int(i)].views}
+    under = relinearise(
+        problem.prepared,
+        profile,
+        problem.calibration,
+        problem.healthy,
+        problem.linear,
+        [((), ())],
+        tuple(view for view in View if view in views),
+    )[0]
+    power: list[float] = []
+    for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
+        whitened = whiten_throw(p, linear, problem.model, problem.factor[i])
+        left = leftovers(whitened, np.zeros(problem.layout.size_count))
+        slopes = problem.whitened[i].slopes[:, columns]
+        moved = {name for name, rows in whitened.rows.items() if np.abs(slopes[rows]).any()}
+        square, count = np.sum([left[name] for name in moved], axis=0) if moved else (np.nan, 1)
+        power.append(float(square / count))
+    return Gaps(measured - impacts(problem.prepared, problem, profile), np.array(power))
+
+
 def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
     """Leave every third of the throws out once."""
     count = len(problem.prepared)
-    measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
     everyone = np.arange(count)
-    before = measured - impacts(problem.prepared, problem, problem.profile)
-    after = np.full((count, 2), np.nan)
-    predicted: list[Array] = []
+    before = gaps(problem, hypothesis, problem.profile)
+    after = Gaps(np.full((count, 2), np.nan), np.full(count, np.nan))
+    trained: list[Gaps] = []
+    rows: list[IntArray] = []
     for part in range(min(PART_COUNT, count)):
         # Neighbours go to different parts: modes and targets are mixed in each.
         left_out = everyone[everyone % PART_COUNT == part]
@@ -98,12 +134,21 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
         effects = fitted_effects(problem.layout, hypothesis.members, sizes)
         path = folder / f"part-{part}.profile.json"
         save_profile(with_effects(problem.profile, effects), path)
-        profile = load_profile(path)
-        gap = measured - impacts(problem.prepared, problem, profile)
-        predicted.append(np.stack([before[used], gap[used]], axis=0))
-        after[left_out] = gap[left_out]
-    pooled = np.concatenate(predicted, axis=1)
-    return Held(before, after, _closed(_rms(pooled[0]), _rms(pooled[1]), None))
+        found = gaps(problem, hypothesis, load_profile(path))
+        after.impact_m[left_out] = found.impact_m[left_out]
+        after.power[left_out] = found.power[left_out]
+        trained.append(_rows(found, used))
+        rows.append(used)
+    return Held(
+        before,
+        after,
+        _rows(before, np.concatenate(rows)),
+        Gaps(*map(np.concatenate, zip(*trained, strict=True))),
+    )
+
+
+def _rows(found: Gaps, rows: IntArray) -> Gaps:
+    return Gaps(found.impact_m[rows], found.power[rows])
 
 
 def _sizes(problem: Problem, hypothesis: Hypothesis, used: IntArray) -> Array:
@@ -117,41 +162,53 @@ def _rms(gap: Array) -> float:
     return float(np.sqrt((gap[good] ** 2).sum(axis=-1).mean())) if good.any() else float("nan")
 
 
-def _closed(before: float, after: float, floor: float | None) -> float:
-    """Share of the gap above the floor that is gone."""
-    base = 0.0 if floor is None else floor
-    return (before - after) / max(before - base, 1e-9)
+def _closed(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> float:
+    """Share of the gap above a healthy machine's that is gone."""
+    if by_impact:
+        ends, floor = (_rms(before.impact_m), _rms(after.impact_m)), floor_m
+    else:
+        ends = (float(np.sqrt(np.nanmean(g.power))) for g in (before, after))
+        floor = 1.0
+    first, last = ends
+    # What lies below a healthy machine's gap is chance, not more than all of it.
+    return (first - max(last, floor)) / max(first - floor, 1e-3)
 
 
-def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float = 0.0) -> Shrink | None:
-    """The realised shrink with a paired bootstrap over throws; None without impacts.
+def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:
+    """The realised shrink with a paired bootstrap over throws, and its measure; None without impacts.
+
+    The impact is the measure where the gap stands clear of what healthy machines scatter; otherwise
+    the channels that the effects move are (sensors, for one, move no impact in a replay).
 
     Args:
         problem: the set.
         hypothesis: what was found.
-        floor_m: gap that noise and jitter leave, root mean square.
+        floor_m: gap of a healthy machine, root mean square.
     """
     with TemporaryDirectory(prefix="downrange-shrink-") as name:
         held = held_out(problem, hypothesis, Path(name))
-    good = np.isfinite(held.before_m).all(axis=1) & np.isfinite(held.after_m).all(axis=1)
-    before, after = held.before_m[good], held.after_m[good]
-    if before.shape[0] < PART_COUNT:
+    good = np.flatnonzero(np.isfinite(held.before.impact_m + held.after.impact_m).all(axis=1))
+    if good.size < PART_COUNT:
         return None
-    floor = min(floor_m, _rms(after), 0.999 * _rms(before))
-    removable = 1.0 - floor / _rms(before)
+    before, after = _rows(held.before, good), _rows(held.after, good)
+    gap_m = _rms(before.impact_m)
+    by_impact = gap_m > CLEAR_RATIO * floor_m
+    floor = min(floor_m, 0.999 * gap_m)
     rng = np.random.default_rng(0)
-    rows = rng.integers(0, before.shape[0], (BOOTSTRAP_COUNT, before.shape[0]))
     drawn = [
-        _closed(_rms(before[r]), _rms(after[r]), min(floor, 0.999 * _rms(before[r]))) for r in rows
+        _closed(_rows(before, rows), _rows(after, rows), floor, by_impact=by_impact)
+        for rows in rng.integers(0, good.size, (BOOTSTRAP_COUNT, good.size))
     ]
     low, high = np.quantile(drawn, (0.05, 0.95))
-    predicted = held.predicted_ratio
-    return Shrink(
-        predicted_ratio=None if predicted is None else predicted / max(removable, 1e-9),
-        before_m=_rms(before),
-        after_m=_rms(after),
-        ratio=_closed(_rms(before), _rms(after), floor),
+    found = Shrink(
+        predicted_ratio=_closed(
+            held.trained_before, held.trained_after, floor, by_impact=by_impact
+        ),
+        before_m=gap_m,
+        after_m=_rms(after.impact_m),
+        ratio=_closed(before, after, floor, by_impact=by_impact),
         ci90=(float(low), float(high)),
-        held_out_throws=int(before.shape[0]),
-        removable_ratio=removable,
+        held_out_throws=int(good.size),
+        removable_ratio=1.0 - floor / gap_m,
     )
+    return found, "impact" if by_impact else "channels"

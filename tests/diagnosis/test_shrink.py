@@ -22,9 +22,7 @@ def problem() -> Problem:
     loaded = throws((EFFECT,), 6)
     plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
     prepared = prepare(loaded.throws, profile())
-    return pose(
-        prepared, profile(), loaded.throws[0].calibration, known.filters, known.noise, plan
-    )
+    return pose(prepared, profile(), loaded.throws[0].calibration, known.filters, known.noise, plan)
 
 
 def hypothesis(problem: Problem) -> Hypothesis:
@@ -41,8 +39,10 @@ def hypothesis(problem: Problem) -> Hypothesis:
 
 
 def test_held_out_gap_closes_as_predicted(problem: Problem) -> None:
-    found = shrink(problem, hypothesis(problem), floor_m=0.03)
-    assert found is not None
+    shown = shrink(problem, hypothesis(problem), floor_m=0.03)
+    assert shown is not None
+    found, measure = shown
+    assert measure == "impact"
     assert found.held_out_throws == 6
     assert found.after_m < 0.4 * found.before_m
     assert found.ratio > 0.7
@@ -62,3 +62,11 @@ def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
     before = measured - impacts(problem.prepared, problem, problem.profile)
     after = measured - impacts(problem.prepared, problem, reloaded)
     assert np.abs(after).max() < 0.5 * np.abs(before).max()
+
+
+def test_gap_within_healthy_scatter_is_measured_on_the_channels(problem: Problem) -> None:
+    shown = shrink(problem, hypothesis(problem), floor_m=10.0)
+    assert shown is not None
+    found, measure = shown
+    assert measure == "channels"
+    assert found.ratio > 0.8
