@@ -18,8 +18,11 @@ from server.auth import Accounts, Session
 from server.commands import CommandDesk
 from server.database import Database, DatabaseStanding, upgrade
 from server.events import EventHub
+from server.gap_preview import GapPreviews
+from server.gap_runs import GapDesk
 from server.history import History
 from server.hold import HoldDesk
+from server.impact_board import ImpactBoard
 from server.ingest import EventIngest
 from server.lease_notices import LeaseNotices
 from server.leases import LeaseBook
@@ -39,6 +42,7 @@ from server.targets import TargetDesk
 from server.throw_desk import ThrowDesk
 from server.throw_logs import LogStore
 from server.throws import ThrowBook
+from server.twin_versions import TwinVersions
 from server.twins import TwinFiles
 from server.viewer_scene import ViewerScene
 
@@ -77,6 +81,9 @@ class Services:
     statistics: Statistics
     logs: LogStore
     replays: Replays
+    gap: GapDesk
+    twin_versions: TwinVersions
+    gap_previews: GapPreviews
     views: MachineViews
     targets: TargetDesk
     scene: ViewerScene
@@ -148,6 +155,8 @@ def open_services(settings: Settings, scene: ViewerScene) -> Generator[Services]
         stack.callback(scene.close)
         services.pool.start()
         stack.callback(services.pool.close)
+        services.gap.start()
+        stack.callback(services.gap.close)
         stack.callback(services.hub.close)
         stack.callback(notices.close)
         stack.callback(services.link.close)
@@ -184,14 +193,19 @@ def assemble(
     stops = StopDesk(database, audit, link, registry, hub)
     plans = PlanStore(database)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
-    twins = TwinFiles(settings.data_dir)
+    twins = TwinFiles(settings.data_dir, spec)
     planner = Planner(plans, registry, policies, pool, twins, hub, scene, spec, settings.plan_ttl_s)
     holds = HoldDesk(link, registry, metrics)
     throw_desk = ThrowDesk(database, registry, leases, plans, throws, commands, holds)
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     replays = Replays(logs, plans, scene)
+    gap = GapDesk(database, audit, registry, logs, twins, hub)
+    twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
+    gap_previews = GapPreviews(registry, policies, pool, twins, twin_versions, settings.data_dir)
     views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
-    targets = TargetDesk(scene, policies, hub)
+    board = ImpactBoard(database, scene)
+    throws.on_change.append(board.refresh)
+    targets = TargetDesk(scene, policies, hub, board)
     leases.on_new_epoch.append(lambda machine_id, _: holds.revoke(machine_id))
     leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
     ingest.on_throw_end.append(holds.end)
@@ -226,6 +240,9 @@ def assemble(
         statistics=Statistics(database),
         logs=logs,
         replays=replays,
+        gap=gap,
+        twin_versions=twin_versions,
+        gap_previews=gap_previews,
         views=views,
         targets=targets,
         scene=scene,

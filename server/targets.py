@@ -10,6 +10,7 @@ from machine.messages import Target
 from machine.reach import check_target
 from server.errors import ApiError
 from server.events import EventHub
+from server.impact_board import ImpactBoard
 from server.policies import PolicyShelf
 from server.schemas import TargetView, ViewRequest
 from server.schemas_events import TargetProposedEvent
@@ -32,8 +33,11 @@ class Outlook:
 class TargetDesk:
     """Targets and 3D view settings of all sessions."""
 
-    def __init__(self, scene: ViewerScene, policies: PolicyShelf, hub: EventHub) -> None:
+    def __init__(
+        self, scene: ViewerScene, policies: PolicyShelf, hub: EventHub, board: ImpactBoard
+    ) -> None:
         self._scene = scene
+        self._board = board
         self._policies = policies
         self._hub = hub
         self._lock = threading.Lock()
@@ -88,6 +92,7 @@ class TargetDesk:
         if request.machine_id is not None:
             outlook.machine_id = request.machine_id
             self._scene.show_machine(session_id, request.machine_id)
+            self._board.watch(session_id, request.machine_id)
         if request.mode is not None:
             outlook.mode = request.mode
         if request.machine_id is not None or request.mode is not None:
@@ -105,6 +110,7 @@ class TargetDesk:
 
     def end_session(self, session_id: str) -> None:
         """Forget a session."""
+        self._board.end_session(session_id)
         with self._lock:
             self._outlooks.pop(session_id, None)
 

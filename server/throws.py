@@ -7,6 +7,7 @@ say what became of it.
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sqlalchemy import func, select, update
@@ -61,6 +62,8 @@ class ThrowBook:
         self._hub = hub
         self._lock = threading.Lock()
         self._unknown: dict[str, Unknown] = {}
+        self.on_change: list[Callable[[str], None]] = []
+        """Called with the machine's id after one of its throws has changed."""
         registry.on_state.append(self._reconcile)
 
     def start(self) -> None:
@@ -234,6 +237,8 @@ class ThrowBook:
             row = database.get(Throw, throw_id)
         if row is not None:
             self._hub.publish(ThrowUpdatedEvent(throw=throw_row(row)))
+            for listener in self.on_change:
+                listener(row.machine_id)
 
     def count(self) -> int:
         """Throws in all."""

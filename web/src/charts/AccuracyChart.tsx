@@ -54,6 +54,7 @@ function accuracy(stats: Stats, axis: Axis, width: number, height: number) {
       nice: true,
       inset: 12,
       ticks: 6,
+      tickFormat: (range_m: number) => String(Number(range_m.toFixed(2))),
     },
     y: {
       label: NAMES[axis].label,
