@@ -11,8 +11,8 @@ from diagnosis.jitter import JitterFit
 from diagnosis.selection import bagged_probability, expected_log_odds, total
 from machine.conventions import Array
 
-UNKNOWN_LEVEL_SD = 4.0
-UNKNOWN_WIDTH_SD = 0.7
+UNKNOWN_LEVEL_SD = 6.0
+UNKNOWN_WIDTH_SD = 1.0
 """Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not."""
 SURE_PROBABILITY = 0.8
 """Above this a cause is claimed alone."""
@@ -84,7 +84,8 @@ def _rival(
     if not best.members or probability[0] >= SURE_PROBABILITY:
         return None, np.inf
     for other, share in zip(ordered[1:], probability[1:], strict=True):
-        if share < RIVAL_PROBABILITY or not other.members:
+        nested = set(best.members) <= set(other.members) or set(other.members) <= set(best.members)
+        if share < RIVAL_PROBABILITY or nested:
             continue
         expected = expected_log_odds(
             total(best.information), problem.layout.priors, best.evidence, other.members

@@ -26,6 +26,7 @@ from sim_twin.replay import ReplayElement, ReplayInput, replay
 
 PART_COUNT = 3
 BOOTSTRAP_COUNT = 400
+LEAST_GAP_RATIO = 0.02
 CLEAR_RATIO = 1.6
 """An impact gap this many times a healthy machine's says something about an effect."""
 
@@ -107,10 +108,13 @@ def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps
         [((), ())],
         tuple(view for view in View if view in views),
     )[0]
+    # The rest of the machine's scatter is not this effect's gap.
+    others = hypothesis.mean.copy()
+    others[constants] = 0.0
     power: list[float] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
         whitened = whiten_throw(p, linear, problem.model, problem.factor[i])
-        left = leftovers(whitened, np.zeros(problem.layout.size_count))
+        left = leftovers(whitened, others)
         slopes = problem.whitened[i].slopes[:, columns]
         moved = {name for name, rows in whitened.rows.items() if np.abs(slopes[rows]).any()}
         square, count = np.sum([left[name] for name in moved], axis=0) if moved else (np.nan, 1)
@@ -170,8 +174,11 @@ def _closed(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> fl
         ends = (float(np.sqrt(np.nanmean(g.power))) for g in (before, after))
         floor = 1.0
     first, last = ends
-    # What lies below a healthy machine's gap is chance, not more than all of it.
-    return (first - max(last, floor)) / max(first - floor, 1e-3)
+    # What lies below a healthy machine's gap is chance, not more than all of it; and where there was next to
+    # nothing to remove, nothing was removed.
+    return float(
+        np.clip((first - max(last, floor)) / max(first - floor, LEAST_GAP_RATIO * floor), -1.0, 1.0)
+    )
 
 
 def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:

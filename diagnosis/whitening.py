@@ -97,9 +97,9 @@ def widened(
             continue
         around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
         channel = model.channels[block.name]
-        found.append(
-            whitener(channel, block.t_s, block.rate, block.push, FORM_ERROR_RATIO * around)
-        )
+        # What drowns in a healthy machine's noise must not excuse more of it.
+        clear = np.maximum(around - 2.0 * np.sqrt(np.sum(lower**2, axis=1)), 0.0)
+        found.append(whitener(channel, block.t_s, block.rate, block.push, FORM_ERROR_RATIO * clear))
     return found
 
 
