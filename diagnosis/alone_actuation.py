@@ -34,6 +34,10 @@ from machine.conventions import Array, BoolArray, IntArray
 Kind = Literal["speed", "position"]
 MIN_SPAN_S: Final = 2.0
 MAX_TICKS: Final = 5_000
+POSITION_RATIO: Final = 0.25
+"""A position that follows its command leaves less than this unexplained; a drifting one does not follow."""
+LONGEST_SPAN_S: Final = 150.0
+"""A tick is then 30 ms, still less than any lag worth naming; longer records add time and little else."""
 MAX_SAMPLES: Final = 2_000
 FINEST_TICK_S: Final = 0.005
 COARSEST_TICK_S: Final = 0.02
@@ -164,15 +168,22 @@ def diagnose_joint(
             f"the record lasts {span_s:.2f} s, at least {MIN_SPAN_S:g} s are needed; record several steps"
         )
     zero, zero_note = rest_command(motion)
+    notes = [zero_note]
+    if span_s > LONGEST_SPAN_S:
+        motion = busiest_part(motion, zero)
+        first = float(motion.time_s[0])
+        notes.append(
+            f"of {span_s:.0f} s the {LONGEST_SPAN_S:g} s with the most commands are used, from "
+            f"{first:.0f} s on"
+        )
     problem = make_problem(motion, zero, "speed" if kind == "auto" else kind, 1.0 / audit.rate_hz)
     signal = float(np.sqrt(np.mean(problem.measured**2)))
     selection = select(problem, signal, problem.noise, progress)
-    notes = [zero_note]
     if kind == "auto" and not motion.is_speed and selection.left_ratio > 0.3:
         other = make_problem(motion, zero, "position", 1.0 / audit.rate_hz)
         spread = float(np.std(other.measured))
         tried = select(other, spread, other.noise, progress)
-        if tried.left_ratio < 0.5 * selection.left_ratio:
+        if tried.left_ratio < min(0.5 * selection.left_ratio, POSITION_RATIO):
             problem, selection, signal = other, tried, spread
             notes.append("the position follows the command: taken as a position command")
     gain = selection.best.fit.as_mapping()["speed_per_command"]
@@ -207,6 +218,19 @@ def diagnose_joint(
             selection.best.fit.as_mapping(),
             motion.unit + rate,
         ),
+    )
+
+
+def busiest_part(motion: Motion, zero: float) -> Motion:
+    """The stretch of `LONGEST_SPAN_S` in which commands change most."""
+    change = np.concatenate([[0.0], np.abs(np.diff(motion.command - zero))])
+    total = np.cumsum(change)
+    end = np.searchsorted(motion.time_s, motion.time_s + LONGEST_SPAN_S) - 1
+    whole = motion.time_s + LONGEST_SPAN_S <= motion.time_s[-1]
+    start = int(np.argmax(np.where(whole, total[end] - total, -1.0)))
+    part = slice(start, int(end[start]) + 1)
+    return motion._replace(
+        time_s=motion.time_s[part], command=motion.command[part], output=motion.output[part]
     )
 
 
@@ -299,7 +323,13 @@ def _first_gain(command: Array, measured: Array, sample: IntArray, top: float) -
 def _sample_noise(values: Array) -> float:
     """Noise of one sample: third differences cancel smooth motion; their sd is sqrt(20) times it."""
     third = np.diff(values, n=3)
-    return 1.4826 * float(np.median(np.abs(third - np.median(third)))) / math.sqrt(20.0)
+    noise = 1.4826 * float(np.median(np.abs(third - np.median(third)))) / math.sqrt(20.0)
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0.0]
+    if moved.size == 0 or moved.size > 0.8 * steps.size:
+        return noise
+    # A coarse encoder stands still most of the time: its noise is that of rounding.
+    return max(noise, float(np.min(moved)) / math.sqrt(12.0))
 
 
 def _speed_window(

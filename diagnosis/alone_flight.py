@@ -170,6 +170,12 @@ def diagnose_ball(
             f"drag falls to {best['drag_crisis.above_ratio']:.2f} of its low-speed value above "
             f"{best['drag_crisis.critical_speed_m_per_s']:.1f} m/s"
         )
+        constant = next((s for s in selection.ranked if s.effects == ("air_drag",)), None)
+        if constant is not None:
+            values = constant.fit.as_mapping()
+            evidence["constant_drag"] = next(
+                v for n, v in values.items() if n.startswith("air_drag.")
+            )
     return diagnosis_of(
         problem,
         selection,

@@ -33,8 +33,6 @@ def actuation_options(
     step = max(period_s, 0.01)
     dead_time = FreeParameter("extra_dead_time_s", "s", period_s, longest, (2 * step, 0.1, 0.3))
     lag = FreeParameter("extra_lag_s", "s", period_s, max(5.0 * longest, 1.0), (0.05, 0.3, 1.0))
-    band = (0.02, 0.1, 0.25)
-    speed = f"{unit}/s"
     options = [
         Option("valve_dead_time", "valve_dead_time", (dead_time,)),
         Option("valve_lag", "valve_lag", (lag,)),
@@ -48,6 +46,21 @@ def actuation_options(
             "valve_lag",
             (lag, FreeParameter("stopping_lag_s", "s", period_s, 5.0, (0.05, 0.3, 1.0))),
         ),
+        *_spool_options(),
+        *_limit_options(period_s, top_speed, unit),
+    ]
+    if has_position:
+        gap = FreeParameter(
+            "gap_rad_m", unit, 0.002 * travel, 0.3 * travel, (0.01 * travel, 0.05 * travel)
+        )
+        options.append(Option("backlash", "backlash", (gap,)))
+    return tuple(options)
+
+
+def _spool_options() -> tuple[Option, ...]:
+    """What has no clock of its own, over the command in parts of full."""
+    band = (0.02, 0.1, 0.25)
+    return (
         Option(
             "valve_dead_band",
             "valve_dead_band",
@@ -76,6 +89,13 @@ def actuation_options(
             "valve_hysteresis",
             (FreeParameter("half_width_ratio", "1", 0.005, 0.3, (0.02, 0.08)),),
         ),
+    )
+
+
+def _limit_options(period_s: float, top_speed: float, unit: str) -> tuple[Option, ...]:
+    """What is measured against speeds."""
+    speed = f"{unit}/s"
+    return (
         Option(
             "speed_limit",
             "speed_limit",
@@ -115,13 +135,7 @@ def actuation_options(
                 ),
             ),
         ),
-    ]
-    if has_position:
-        gap = FreeParameter(
-            "gap_rad_m", unit, 0.002 * travel, 0.3 * travel, (0.01 * travel, 0.05 * travel)
-        )
-        options.append(Option("backlash", "backlash", (gap,)))
-    return tuple(options)
+    )
 
 
 def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -> Array:

@@ -5,6 +5,7 @@ sample back, 10 samples 0.1 s apart; the newest pressures and speeds that the fi
 old.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -82,3 +83,10 @@ def write_csv(path: Path, joystick: NDArray[np.float64], speed: NDArray[np.float
         comments="",
         fmt="%.6g",
     )
+
+
+LEVELS = (850, -850, 500, -500, 300, -300, 200, -200, 700, -700, 150, -150, 400, -400, 600, -600)
+
+if __name__ == "__main__":
+    steps = staircase(tuple(float(level) for level in LEVELS), 5.0, 3.0)
+    write_csv(Path(sys.argv[1]), steps, slew_speed(steps))
