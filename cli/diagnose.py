@@ -9,14 +9,13 @@ import tyro
 
 from diagnosis.alone_flight import Ball
 from diagnosis.alone_tables import actuation_from_csv, flight_from_csv, swing_from_csv
+from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.logs import load_throws
 from diagnosis.report_html import report_html
-from diagnosis.shrink import with_effects
-from diagnosis.verdict import EXIT_CODES, Diagnosis, VerdictKind
+from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
-from sim_twin.effects import Effect
 from sim_twin.profile import load_profile, nominal_profile, save_profile
 
 
@@ -37,28 +36,22 @@ def throws(
 
     Args:
         logs: throw logs (MCAP) of one machine, or folders of them; at least 3 throws, better 12.
-        profile: twin profile of the machine; nominal if left out.
+        profile: twin profile of the machine; the one in the logs if left out, or nominal.
         json: file for the whole result.
         html: file for the report, one page that needs no network.
         apply: file for the next version of the twin profile with the effects found, if there are any.
     """
     if not logs:
         raise UsageError("give throw logs or folders of them: downrange diagnose throws LOG...")
-    twin = nominal_profile(load_spec()) if profile is None else load_profile(profile)
+    loaded = load_throws(logs)
+    previewed = next((t.twin_profile for t in loaded.throws if t.twin_profile is not None), None)
+    twin = load_profile(profile) if profile is not None else previewed
+    twin = nominal_profile(load_spec()) if twin is None else twin
     tell = _teller()
-    found = diagnose_throws(
-        load_throws(logs), twin, lambda share, text: tell(f"{share:4.0%} {text}")
-    )
-    if apply is not None and found.verdict is VerdictKind.EXPLAINED and found.causes[0].effects:
-        effects = [
-            Effect(
-                effect=fitted.effect,
-                joint=fitted.joint,
-                parameters={name: p.value for name, p in fitted.parameters.items()},
-            )
-            for fitted in found.causes[0].effects
-        ]
-        save_profile(with_effects(twin, effects), apply)
+    found = diagnose_throws(loaded, twin, lambda share, text: tell(f"{share:4.0%} {text}"))
+    if apply is not None and (effects := found_effects(found)):
+        note = f"{twin.note}; diagnosis of {', '.join(str(path) for path in logs)}"
+        save_profile(corrected_profile(twin, found, twin.machine_id, note), apply)
         print(f"twin profile with {len(effects)} more effects: {apply}")
     elif apply is not None:
         print(f"nothing to apply: the verdict is {found.verdict.value}; {apply} was not written")

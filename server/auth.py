@@ -32,9 +32,15 @@ FIRST_USERS = (("operator", Role.OPERATOR), ("admin", Role.ADMIN))
 FIRST_LOGIN_FILE = "demo-login.txt"
 
 _VIEWER = frozenset({Permission.VIEW, Permission.STOP})
-_OPERATOR = _VIEWER | {Permission.LEASE, Permission.THROW, Permission.IMPACT_MARK}
+_OPERATOR = _VIEWER | {
+    Permission.LEASE,
+    Permission.THROW,
+    Permission.IMPACT_MARK,
+    Permission.GAP_RUN,
+}
 _SUPERVISOR = _OPERATOR | {Permission.LEASE_TAKE, Permission.STOP_CLEAR, Permission.AUDIT_READ}
 _ENGINEER = _SUPERVISOR | {
+    Permission.TWIN_APPLY,
     Permission.POLICY_UPLOAD,
     Permission.POLICY_APPROVE,
     Permission.POLICY_DEPLOY,

@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 from server.schemas_events import (
     AlertEvent,
+    GapUpdatedEvent,
     LeaseChangedEvent,
     MachineLostEvent,
     MachineStateEvent,
     PlanUpdatedEvent,
     TargetProposedEvent,
     ThrowUpdatedEvent,
+    TwinUpdatedEvent,
 )
 
 DiscreteEvent = (
@@ -27,6 +29,8 @@ DiscreteEvent = (
     | TargetProposedEvent
     | PlanUpdatedEvent
     | ThrowUpdatedEvent
+    | GapUpdatedEvent
+    | TwinUpdatedEvent
     | AlertEvent
 )
 

@@ -256,6 +256,57 @@ class ThrowLog(Base):
     received_utc: Mapped[datetime]
 
 
+class GapRun(Base):
+    """A diagnosis of a machine against its twin; kept whatever became of it."""
+
+    __tablename__ = "gap_runs"
+    gap_run_id: Mapped[str] = mapped_column(String(36), primary_key=True)
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"))
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+    started_utc: Mapped[datetime | None]
+    ended_utc: Mapped[datetime | None]
+    state: Mapped[str] = mapped_column(String(16), index=True)
+    detail: Mapped[str] = mapped_column(Text, default="")
+    """Why it has no result."""
+    throw_ids: Mapped[list[Any]]
+    profile_version_count: Mapped[int] = mapped_column(BigInteger)
+    """Of the twin that the throws were compared with: when the run was asked for, then when it began."""
+    profile_sha256: Mapped[str] = mapped_column(String(64))
+    """Of that profile's content (server.twins.content_sha256)."""
+    verdict: Mapped[str | None] = mapped_column(String(16))
+    sentence: Mapped[str] = mapped_column(Text, default="")
+    effect_count: Mapped[int] = mapped_column(BigInteger, default=0)
+    """Effects that could be applied to the twin."""
+    result: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), deferred=True)
+    """JSON of diagnosis.verdict.Diagnosis."""
+    report: Mapped[bytes | None] = mapped_column(LargeBinary, deferred=True)
+    """Compressed HTML page, as it was made with the result."""
+    applied_version_count: Mapped[int | None] = mapped_column(BigInteger)
+    """Version of the twin profile that this run was applied as."""
+    __table_args__ = (Index("ix_gap_runs_machine_id_gap_run_id", "machine_id", "gap_run_id"),)
+
+
+class TwinVersion(Base):
+    """Where a version of a machine's twin profile came from; the profiles themselves are files."""
+
+    __tablename__ = "twin_versions"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    version_count: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    profile_sha256: Mapped[str] = mapped_column(String(64))
+    """Of its content: a file that somebody else has put there is no version of ours."""
+    before_version_count: Mapped[int | None] = mapped_column(BigInteger)
+    """Version that undo goes back to; None when there is none."""
+    before_file: Mapped[str | None] = mapped_column(String(128))
+    """Where that version is kept, beside the profile."""
+    cause: Mapped[str] = mapped_column(String(16))
+    """``applied`` or ``undone``."""
+    gap_run_id: Mapped[str | None] = mapped_column(String(36))
+    """Run whose effects were the last to be added to what this version says."""
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+
+
 class Audit(Base):
     """One link of the hash chain; the database itself refuses to change or delete it."""
 

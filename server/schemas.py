@@ -62,6 +62,8 @@ class Permission(StrEnum):
     LEASE_TAKE = "lease.take"
     STOP_CLEAR = "stop.clear"
     AUDIT_READ = "audit.read"
+    GAP_RUN = "gap.run"
+    TWIN_APPLY = "twin.apply"
     POLICY_UPLOAD = "policy.upload"
     POLICY_APPROVE = "policy.approve"
     POLICY_DEPLOY = "policy.deploy"

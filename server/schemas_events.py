@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, RootModel
 
 from server.schemas import LeaseView, MachineView, TargetView, View
+from server.schemas_gap import GapRunRow
 from server.schemas_history import ThrowRow
 from server.schemas_plans import PlanView
 
@@ -62,6 +63,21 @@ class ThrowUpdatedEvent(View):
     throw: ThrowRow
 
 
+class GapUpdatedEvent(View):
+    """A diagnosis has news: its place in the queue, progress, the end."""
+
+    kind: Literal["gap.updated"] = "gap.updated"
+    run: GapRunRow
+
+
+class TwinUpdatedEvent(View):
+    """A machine's twin has another profile from now on."""
+
+    kind: Literal["twin.updated"] = "twin.updated"
+    machine_id: str
+    version_count: int
+
+
 class AlertEvent(View):
     """Something a person should look at."""
 
@@ -81,6 +97,8 @@ class ServerEvent(
             | TargetProposedEvent
             | PlanUpdatedEvent
             | ThrowUpdatedEvent
+            | GapUpdatedEvent
+            | TwinUpdatedEvent
             | AlertEvent,
             Field(discriminator="kind"),
         ]

@@ -190,4 +190,9 @@ def load_profile(path: Path) -> TwinProfile:
 
 def save_profile(profile: TwinProfile, path: Path) -> None:
     """Write a profile as indented JSON, so that the difference between two versions reads well."""
-    path.write_text(profile.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    path.write_text(profile_text(profile), encoding="utf-8")
+
+
+def profile_text(profile: TwinProfile) -> str:
+    """A profile as it is written into a file."""
+    return profile.model_dump_json(indent=2) + "\n"

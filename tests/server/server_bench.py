@@ -113,6 +113,7 @@ def add_people(services: Services) -> None:
         ("bob", Role.OPERATOR),
         ("sue", Role.SUPERVISOR),
         ("vic", Role.VIEWER),
+        ("eve", Role.ENGINEER),
         ("root", Role.ADMIN),
     ):
         services.accounts.create_user(name, PASSWORD, role)

@@ -80,10 +80,10 @@ def test_older_schema_names_the_remedy(database, monkeypatch):
             return Scripts()
 
         def get_current_head(self):
-            return "0002"
+            return "9998"
 
         def walk_revisions(self):
-            return [type("Script", (), {"revision": name}) for name in ("0001", "0002")]
+            return [type("Script", (), {"revision": name}) for name in ("0001", "0002", "9998")]
 
     monkeypatch.setattr(module, "ScriptDirectory", Scripts)
     assert database.standing() is DatabaseStanding.OLDER

@@ -228,6 +228,114 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{machine_id}/gap-runs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Gap Runs
+         * @description Diagnoses of a machine, newest first.
+         */
+        get: operations["list_gap_runs"];
+        put?: never;
+        /**
+         * Create Gap Run
+         * @description Queue a diagnosis; its progress comes as `gap.updated` events.
+         */
+        post: operations["create_gap_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/gap-runs/{gap_run_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Gap Run
+         * @description One diagnosis with its result.
+         */
+        get: operations["read_gap_run"];
+        put?: never;
+        post?: never;
+        /**
+         * Cancel Gap Run
+         * @description Stop a diagnosis that waits or runs; its row stays.
+         */
+        delete: operations["cancel_gap_run"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/gap-runs/{gap_run_id}/apply": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Apply Gap Run
+         * @description Add what this diagnosis found to the machine's twin, as a new version of its profile.
+         */
+        post: operations["apply_gap_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/gap-runs/{gap_run_id}/preview": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Preview Gap Run
+         * @description A target previewed with the twin as it is, and with what this diagnosis found.
+         */
+        get: operations["preview_gap_run"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/gap-runs/{gap_run_id}/report.html": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Gap Report
+         * @description The report as one page.
+         */
+        get: operations["read_gap_report"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{machine_id}/lease": {
         parameters: {
             query?: never;
@@ -390,6 +498,46 @@ export interface paths {
          */
         put: operations["put_throw_log"];
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/twin-profile": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Twin Profile
+         * @description The twin profile that previews of this machine use.
+         */
+        get: operations["read_twin_profile"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/twin-profile/undo": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Undo Twin Profile
+         * @description Go back to the profile before the last one applied, as a new version.
+         */
+        post: operations["undo_twin_profile"];
         delete?: never;
         options?: never;
         head?: never;
@@ -743,6 +891,20 @@ export interface components {
             text: string;
         };
         /**
+         * Ambiguity
+         * @description Causes that these data cannot tell apart.
+         */
+        Ambiguity: {
+            /** Members */
+            members: string[];
+            /** Separating Motion */
+            separating_motion: {
+                [key: string]: unknown;
+            };
+            /** Why */
+            why: string;
+        };
+        /**
          * ArmBody
          * @description Arm a plan; with the hash that was shown, a plan that changed since is refused.
          */
@@ -824,6 +986,21 @@ export interface components {
             row_count: number;
         };
         /**
+         * Cause
+         * @description A hypothesis: a set of effects, ``none`` or ``unknown``, and its probability.
+         */
+        Cause: {
+            /** Effects */
+            effects: components["schemas"]["FittedEffect"][];
+            /**
+             * Name
+             * @default
+             */
+            name: string;
+            /** Probability */
+            probability: number;
+        };
+        /**
          * CheckResult
          * @description One arming check, as the operator reads it.
          */
@@ -879,6 +1056,60 @@ export interface components {
             state: components["schemas"]["ThrowState"];
         };
         /**
+         * Diagnosis
+         * @description The result.
+         */
+        Diagnosis: {
+            ambiguity?: components["schemas"]["Ambiguity"] | null;
+            /**
+             * Causes
+             * @default []
+             */
+            causes: components["schemas"]["Cause"][];
+            /**
+             * Evidence
+             * @default {}
+             */
+            evidence: {
+                [key: string]: unknown;
+            };
+            /** @default {} */
+            gap: components["schemas"]["Gap"];
+            /**
+             * Plots
+             * @default {}
+             */
+            plots: {
+                [key: string]: unknown;
+            };
+            /**
+             * Sentence
+             * @default
+             */
+            sentence: string;
+            shrink?: components["schemas"]["Shrink"] | null;
+            /**
+             * Stages
+             * @default []
+             */
+            stages: components["schemas"]["StageGap"][];
+            verdict: components["schemas"]["VerdictKind"];
+        };
+        /**
+         * Effect
+         * @description An effect of the library at a size; parameters left out are 0.
+         */
+        Effect: {
+            /** Effect */
+            effect: string;
+            /** Joint */
+            joint?: string | null;
+            /** Parameters */
+            parameters: {
+                [key: string]: number;
+            };
+        };
+        /**
          * ErrorBody
          * @description The one shape of every error answer.
          */
@@ -918,6 +1149,162 @@ export interface components {
             state: "accepted" | "unknown";
             /** Throw Id */
             throw_id: string;
+        };
+        /**
+         * FittedEffect
+         * @description An effect of the library at its fitted size.
+         */
+        FittedEffect: {
+            /** Effect */
+            effect: string;
+            /** Joint */
+            joint?: string | null;
+            /** Parameters */
+            parameters: {
+                [key: string]: components["schemas"]["FittedParameter"];
+            };
+        };
+        /**
+         * FittedParameter
+         * @description A magnitude with its interval.
+         */
+        FittedParameter: {
+            /** Ci90 */
+            ci90: [
+                number,
+                number
+            ];
+            /** Unit */
+            unit: string;
+            /** Value */
+            value: number;
+        };
+        /**
+         * Gap
+         * @description Twin against measured, before anything is added. None where it was not measured.
+         */
+        Gap: {
+            /** Crossrange Bias M */
+            crossrange_bias_m?: number | null;
+            /** Downrange Bias M */
+            downrange_bias_m?: number | null;
+            /** Impact Rms M */
+            impact_rms_m?: number | null;
+            /** Trajectory Rms Ratio */
+            trajectory_rms_ratio?: number | null;
+        };
+        /**
+         * GapPreviewView
+         * @description A throw previewed without and with what a diagnosis found, all else equal.
+         */
+        GapPreviewView: {
+            after: components["schemas"]["GapSideView"];
+            before: components["schemas"]["GapSideView"];
+            /** Is Machine Pose */
+            is_machine_pose: boolean;
+            /** Machine Id */
+            machine_id: string;
+            mode: components["schemas"]["Mode"];
+            target: components["schemas"]["TargetView"];
+        };
+        /**
+         * GapRunPage
+         * @description Diagnoses of a machine, newest first; pass `next_cursor` to go on.
+         */
+        GapRunPage: {
+            /** Next Cursor */
+            next_cursor: string | null;
+            /** Rows */
+            rows: components["schemas"]["GapRunRow"][];
+        };
+        /**
+         * GapRunRequest
+         * @description Diagnose a machine: throws by name, or its newest ones that landed and have a log.
+         */
+        GapRunRequest: {
+            mode?: components["schemas"]["Mode"] | null;
+            /** Newest Count */
+            newest_count?: number | null;
+            /** Throw Ids */
+            throw_ids?: string[] | null;
+        };
+        /**
+         * GapRunRow
+         * @description One line of the history of diagnoses.
+         */
+        GapRunRow: {
+            /** Applied Version Count */
+            applied_version_count: number | null;
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Detail */
+            detail: string;
+            /** Effect Count */
+            effect_count: number;
+            /** Ended Utc */
+            ended_utc: string | null;
+            /** Gap Run Id */
+            gap_run_id: string;
+            /** Machine Id */
+            machine_id: string;
+            /** Profile Version Count */
+            profile_version_count: number;
+            /** Progress Ratio */
+            progress_ratio: number;
+            /** Sentence */
+            sentence: string;
+            /** Started Utc */
+            started_utc: string | null;
+            state: components["schemas"]["GapState"];
+            /** Step */
+            step: string;
+            /** Throw Count */
+            throw_count: number;
+            verdict: components["schemas"]["VerdictKind"] | null;
+        };
+        /**
+         * GapRunView
+         * @description One diagnosis.
+         */
+        GapRunView: {
+            result: components["schemas"]["Diagnosis"] | null;
+            row: components["schemas"]["GapRunRow"];
+            /** Throw Ids */
+            throw_ids: string[];
+        };
+        /**
+         * GapSideView
+         * @description What one version of the twin says a throw would do.
+         */
+        GapSideView: {
+            prediction: components["schemas"]["PredictionView"] | null;
+            /** Refusals */
+            refusals: components["schemas"]["RefusalView"][];
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * GapState
+         * @description Life of a diagnosis.
+         * @enum {string}
+         */
+        GapState: "queued" | "running" | "done" | "failed" | "cancelled" | "interrupted";
+        /**
+         * GapUpdatedEvent
+         * @description A diagnosis has news: its place in the queue, progress, the end.
+         */
+        GapUpdatedEvent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "gap.updated";
+            run: components["schemas"]["GapRunRow"];
         };
         /**
          * GroupBy
@@ -1301,6 +1688,16 @@ export interface components {
             unknown_throw_id: string | null;
         };
         /**
+         * Miss
+         * @description A horizontal displacement in frame `throw`.
+         */
+        Miss: {
+            /** Crossrange */
+            crossrange: number;
+            /** Downrange */
+            downrange: number;
+        };
+        /**
          * Mode
          * @description How the machine throws: within the arm plane, or with the cabin turning.
          * @enum {string}
@@ -1336,7 +1733,7 @@ export interface components {
          * @description One right; roles are sets of these (server/auth.py).
          * @enum {string}
          */
-        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "policy.upload" | "policy.approve" | "policy.deploy" | "machine.enrol" | "admin";
+        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "machine.enrol" | "admin";
         /**
          * PhaseBand
          * @description A phase of a throw on the time axis.
@@ -1662,7 +2059,7 @@ export interface components {
          * ServerEvent
          * @description Payload of every server-sent event; `kind` is also the event's name.
          */
-        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["AlertEvent"];
+        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["AlertEvent"];
         /**
          * SessionView
          * @description Who is signed in.
@@ -1680,6 +2077,52 @@ export interface components {
             session_id: string;
             /** Username */
             username: string;
+        };
+        /**
+         * Shrink
+         * @description How far the gap shrinks on throws that were not used to find the cause.
+         */
+        Shrink: {
+            /** After M */
+            after_m: number;
+            /** Before M */
+            before_m: number;
+            /** Ci90 */
+            ci90: [
+                number,
+                number
+            ];
+            /** Held Out Throws */
+            held_out_throws: number;
+            /** Predicted Ratio */
+            predicted_ratio: number | null;
+            /** Ratio */
+            ratio: number;
+            /** Removable Ratio */
+            removable_ratio: number;
+        };
+        /**
+         * Stage
+         * @description Links of the chain from command to impact, in its order.
+         * @enum {string}
+         */
+        Stage: "actuation" | "swing" | "release" | "flight" | "aim";
+        /**
+         * StageGap
+         * @description What one stage contributes to the miss; the terms of all stages sum to measured minus twin.
+         */
+        StageGap: {
+            /** Ci90 M */
+            ci90_m: [
+                number,
+                number
+            ];
+            /** Joint */
+            joint?: string | null;
+            miss_m: components["schemas"]["Miss"];
+            /** Share Ratio */
+            share_ratio: number;
+            stage: components["schemas"]["Stage"];
         };
         /**
          * StopView
@@ -1958,6 +2401,69 @@ export interface components {
             /** Wall S */
             wall_s: number;
         };
+        /**
+         * TwinProfileView
+         * @description The twin profile that previews of a machine use now.
+         */
+        TwinProfileView: {
+            /** Effects */
+            effects: components["schemas"]["Effect"][];
+            /** Machine Id */
+            machine_id: string;
+            /** Note */
+            note: string;
+            /** Undo Version Count */
+            undo_version_count: number | null;
+            /** Version Count */
+            version_count: number;
+            /** Versions */
+            versions: components["schemas"]["TwinVersionView"][];
+        };
+        /**
+         * TwinUpdatedEvent
+         * @description A machine's twin has another profile from now on.
+         */
+        TwinUpdatedEvent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "twin.updated";
+            /** Machine Id */
+            machine_id: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * TwinVersionView
+         * @description Where a version of a twin profile came from.
+         */
+        TwinVersionView: {
+            /** Before Version Count */
+            before_version_count: number | null;
+            /**
+             * Cause
+             * @enum {string}
+             */
+            cause: "applied" | "undone";
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Gap Run Id */
+            gap_run_id: string | null;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * VerdictKind
+         * @description The answer in one word.
+         * @enum {string}
+         */
+        VerdictKind: "none" | "explained" | "ambiguous" | "unknown" | "bad_data";
         /**
          * ViewRequest
          * @description What this session's 3D view shows; what is left out stays.
@@ -3330,6 +3836,805 @@ export interface operations {
             };
         };
     };
+    list_gap_runs: {
+        parameters: {
+            query?: {
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GapRunPage"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    create_gap_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["GapRunRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GapRunRow"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_gap_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                gap_run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GapRunView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    cancel_gap_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                gap_run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GapRunRow"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    apply_gap_run: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                gap_run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TwinProfileView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    preview_gap_run: {
+        parameters: {
+            query: {
+                mode: components["schemas"]["Mode"];
+                range_m: number;
+                azimuth_rad?: number;
+                height_m?: number;
+            };
+            header?: never;
+            path: {
+                machine_id: string;
+                gap_run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GapPreviewView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_gap_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                gap_run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
     acquire_lease: {
         parameters: {
             query?: never;
@@ -4373,6 +5678,230 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_twin_profile: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TwinProfileView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    undo_twin_profile: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TwinProfileView"];
+                };
             };
             /** @description Bad Request */
             400: {
