@@ -109,11 +109,16 @@ def _delayed(values: Array, ticks: int) -> Array:
 def correction(
     model: HealthyModel, data: ReplayInput, motion: MeasuredMotion, joint: int, predicted: Array
 ) -> Array:
-    """What a healthy machine's velocity (T,) is above the twin's."""
+    """What a healthy machine's velocity is above the twin's, for predictions (T,) or (m, T)."""
     found = model.joints[joint]
-    values = inputs(data, motion, joint, predicted)
-    scaled = (values - np.asarray(found.centre)) / np.asarray(found.scale)
-    return scaled @ np.asarray(found.weight) + found.offset
+    weight = np.asarray(found.weight) / np.asarray(found.scale)
+    if not weight.any():
+        return np.zeros_like(predicted)
+    offset = found.offset - float(np.asarray(found.centre) @ weight)
+    tracks = [
+        inputs(data, motion, joint, one) @ weight + offset for one in np.atleast_2d(predicted)
+    ]
+    return np.reshape(tracks, predicted.shape)
 
 
 def learn(values: Sequence[Array], residuals: Sequence[Array]) -> JointFilter:

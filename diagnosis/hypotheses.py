@@ -35,8 +35,8 @@ from diagnosis.whitening import (
     widened,
 )
 from machine.calibration import ValveCalibration
-from machine.conventions import Array, IntArray
-from sim_twin.effects import Effect, resolve
+from machine.conventions import ACTIVE_JOINTS, Array, IntArray
+from sim_twin.effects import DRIFT, Effect, resolve
 from sim_twin.profile import TwinProfile
 
 BOOTSTRAP_COUNT = 40
@@ -45,6 +45,9 @@ PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
 WEIGHED_COUNT = 8
+LOUD_SD = 3.0
+"""A joint's leftover power that calls for a look at everything that could act on it."""
+WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
 MARGIN_LOG_ODDS = 3.0
 """A grown set must promise to come this close to the best one."""
 
@@ -118,14 +121,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     size; so pairs are looked for behind refined singles, and triples behind refined pairs.
     """
     none = _Trial((), np.zeros(0), problem.linear, problem.whitened, problem.information)
-    first = search(screen(total(problem.information), problem.layout.priors), problem.layout.priors)
-    singles = [e for e in first if len(e.members) == 1][:SINGLE_COUNT]
-    # The parts of the best sets, too: alone they may look worse than they are.
-    parts = {(g,) for e in first[:PART_COUNT] for g in e.members} - {e.members for e in singles}
-    seeds = {e.members: e.mean for e in singles}
-    base = screen(total(problem.information), problem.layout.priors)
-    seeds |= {m: weigh(base, problem.layout.priors, m).mean for m in sorted(parts)}
-    found = [none, *_settle(problem, seeds, 2)]
+    found = [none, *_singles(problem)]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
         best = sorted(
@@ -142,6 +138,58 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         chosen.append(none)
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
     return [_weighed(problem, trial, weights) for trial in chosen]
+
+
+def _singles(problem: Problem) -> list["_Trial"]:
+    """The most hopeful effects alone, each settled at its own size.
+
+    Seeds are the best by slopes at "no effect", the members of the best sets (alone they may look worse than
+    they are), and everything that could act on the loudest joint. Effects with a threshold hardly show in a
+    slope at 0, so they also start from a typical size.
+    """
+    priors = problem.layout.priors
+    base = screen(total(problem.information), priors)
+    first = search(base, priors)
+    seeds = [e.members for e in first if len(e.members) == 1][:SINGLE_COUNT]
+    seeds += [(g,) for e in first[:PART_COUNT] for g in e.members]
+    seeds += [(g,) for g in _of_loud_joint(problem, base.mean)]
+    linear = {m: weigh(base, priors, m).mean for m in dict.fromkeys(seeds)}
+    typical = {
+        m: priors.slab_sd[priors.groups[m[0]]]
+        for m in linear
+        if problem.layout.groups[m[0]][0] in WITH_THRESHOLD
+    }
+    settled: dict[Set, _Trial] = {}
+    for start in (linear, typical):
+        for trial in _round(problem, start):
+            before = settled.get(trial.members)
+            if before is None or _log_evidence(problem, before) < _log_evidence(problem, trial):
+                settled[trial.members] = trial
+    best = sorted(settled.values(), key=lambda t: -_log_evidence(problem, t))[:SINGLE_COUNT]
+    return _round(problem, {t.members: t.sizes for t in best})
+
+
+def _of_loud_joint(problem: Problem, mean: Array) -> list[int]:
+    """Groups of constant effects at the driven joint that is furthest above a healthy one, if one is."""
+    power: dict[str, tuple[float, int]] = {}
+    for whitened in problem.whitened:
+        for name, (square, count) in leftovers(whitened, mean).items():
+            before = power.get(name, (0.0, 0))
+            power[name] = before[0] + square, before[1] + count
+    levels = {
+        joint: (np.log(power[name][0] / power[name][1]) - healthy[0]) / healthy[1]
+        for joint in ACTIVE_JOINTS
+        if (name := f"actuation.{joint}") in power
+        and (healthy := problem.model.unknown_level.get(name)) is not None
+    }
+    loud = max(levels, key=lambda joint: levels[joint], default=None)
+    if loud is None or levels[loud] < LOUD_SD:
+        return []
+    return [
+        g
+        for g, (effect, joint) in enumerate(problem.layout.groups)
+        if joint == loud and not effect.startswith(DRIFT)
+    ]
 
 
 def _grown(
@@ -222,7 +270,7 @@ def _estimated(
         change = problem.linear[i].residual - at[i].residual
         linear.append(_carried(at[i], effects, p.input.progress_ratio))
         factor = widened(p, problem.model, problem.factor[i], change)
-        whitened.append(whiten_throw(p, linear[i], problem.model, factor))
+        whitened.append(whiten_throw(p, linear[i], problem.model, factor, problem.linear[i]))
     informations = information(whitened)
     base = screen(total(informations), problem.layout.priors)
     sizes = weigh(base, problem.layout.priors, members).mean

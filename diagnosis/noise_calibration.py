@@ -303,7 +303,8 @@ def with_levels(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
                     float(max(LEVEL_WIDENING_RATIO * np.std(values), MIN_LEVEL_SD)),
                 )
                 for name, values in levels.items()
-                if values
+                # One row a throw is all nuisance.
+                if values and name != "release.switch"
             }
         }
     )

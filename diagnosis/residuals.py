@@ -390,7 +390,7 @@ def _linear(
 ) -> Linear:
     """A throw's residual and slopes from the batch; what was not simulated is as in `first`."""
     n = prepared.measured.size
-    predicted = _predicted(prepared, output, part)
+    predicted = _predicted(prepared, output, part, healthy)
     residual = np.full(n, np.nan) if first is None else first.residual.copy()
     jacobian = np.zeros((n, len(library()))) if first is None else first.jacobian.copy()
     velocity = np.zeros((0, ACTIVE_COUNT)) if first is None else first.predicted_velocity
@@ -404,7 +404,6 @@ def _linear(
         velocity = output.joint_velocity_rad_m_per_s[
             part.bases[View.ACTUATION], : prepared.motion.t_s.size
         ]
-        _take_off_health(prepared, healthy, velocity, residual)
     for parameter in {parameter for parameter, _ in part.moves}:
         jacobian[:, parameter] = 0.0
     for (parameter, view), (element, step) in part.moves.items():
@@ -438,7 +437,7 @@ def _linear(
 
 
 def _predicted(
-    prepared: PreparedThrow, output: ReplayOutput, part: _Part
+    prepared: PreparedThrow, output: ReplayOutput, part: _Part, healthy: HealthyModel
 ) -> dict[View, dict[int, Array]]:
     """What the twin says of the throw's vector (n,) in each simulated view, by element."""
     elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
@@ -448,7 +447,9 @@ def _predicted(
         if element not in elements[view]:
             elements[view].append(element)
     return {
-        view: dict(zip(chosen, _predict(prepared, output, np.asarray(chosen), view), strict=True))
+        view: dict(
+            zip(chosen, _predict(prepared, output, np.asarray(chosen), view, healthy), strict=True)
+        )
         for view, chosen in elements.items()
     }
 
@@ -476,20 +477,6 @@ def _compare_switch(
     jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
 
 
-def _take_off_health(
-    prepared: PreparedThrow, healthy: HealthyModel, velocity: Array, residual: Array
-) -> None:
-    """Subtract, in place, what every healthy machine is off its twin."""
-    for joint, name in enumerate(ACTIVE_JOINTS):
-        block = prepared.block(f"{View.ACTUATION}.{name}")
-        if block is None:
-            continue
-        track = correction(healthy, prepared.input, prepared.motion, joint, velocity[:, joint])
-        residual[block.rows] -= prepared.joint_pair @ np.interp(
-            prepared.joint_at_s, prepared.motion.t_s, track
-        )
-
-
 def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) -> Array:
     """Impact (2,) by release position and velocity (6,), numerically, with the nominal drag."""
     ball = load_spec().ball
@@ -500,7 +487,11 @@ def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) 
 
 
 def _predict(
-    prepared: PreparedThrow, output: ReplayOutput, elements: IntArray, view: View
+    prepared: PreparedThrow,
+    output: ReplayOutput,
+    elements: IntArray,
+    view: View,
+    healthy: HealthyModel,
 ) -> Array:
     """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
     out = np.zeros((elements.size, prepared.measured.size))
@@ -509,7 +500,10 @@ def _predict(
             continue
         channel = block.name.partition(".")[2]
         if view is View.ACTUATION:
-            track = output.joint_velocity_rad_m_per_s[elements, :, joint_index(channel)]
+            joint, rows = joint_index(channel), prepared.motion.t_s.size
+            track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
+            # What every machine is off its twin follows the motion that the effects lead to.
+            track = track + correction(healthy, prepared.input, prepared.motion, joint, track)
             out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
         elif view is View.SWING:
             kind, letter = channel.split(".")

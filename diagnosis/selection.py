@@ -212,7 +212,7 @@ def _log_mass(mean: Array, sd: Array, low: Array, high: Array) -> Array:
 
 
 def search(
-    base: Screen, priors: Priors, *, width: int = 24, largest: int = 3, candidates: int = 40
+    base: Screen, priors: Priors, *, width: int = 12, largest: int = 3, candidates: int = 40
 ) -> list[SetEvidence]:
     """Hypotheses worth keeping, best first; "no effect" is always among them.
 

@@ -104,9 +104,23 @@ def widened(
 
 
 def whiten_throw(
-    prepared: PreparedThrow, linear: Linear, model: NoiseModel, factor: Sequence[Array]
+    prepared: PreparedThrow,
+    linear: Linear,
+    model: NoiseModel,
+    factor: Sequence[Array],
+    healthy: Linear | None = None,
 ) -> Whitened:
-    """Whiten a throw's blocks; rows that the twin could not predict count as no data."""
+    """Whiten a throw's blocks; rows that the twin could not predict count as no data.
+
+    Args:
+        prepared: the throw.
+        linear: its residual and slopes.
+        model: noise and scatter.
+        factor: of the blocks' covariances.
+        healthy: linearised without effects: the throw's nuisances follow its slopes, so that hypotheses
+            differ in what they predict, not in what they call scatter; `linear` if left out.
+    """
+    own = linear if healthy is None else healthy
     of_set = _set_columns(prepared, linear)
     middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
     middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
@@ -116,7 +130,8 @@ def whiten_throw(
             linear.residual - linear.jacobian @ middle - of_set @ middle_of_set,
             linear.jacobian,
             of_set,
-            _throw_columns(prepared, linear, model),
+            _throw_columns(prepared, own, model),
+            own.jacobian * sd,
         ]
     )
     # Only the ball and the impact can be missing, and their noise is white.
@@ -128,7 +143,7 @@ def whiten_throw(
     return Whitened(
         columns[:, 0],
         slopes,
-        np.column_stack([columns[:, 1 + slopes.shape[1] :], slopes[:, :count] * sd]),
+        columns[:, 1 + slopes.shape[1] :],
         prepared.input.progress_ratio,
         {block.name: block.rows for block in prepared.blocks},
         float(sum(np.log(np.diag(lower)).sum() for lower in factor)),
