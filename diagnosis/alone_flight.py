@@ -294,7 +294,10 @@ def _integrate(
             falling = 0.5 - 0.5 * np.tanh(0.5 * (fast - critical) / CRISIS_WIDTH_M_PER_S)
             drag = k * (above + (1.0 - above) * falling)
         a = gravity - drag * fast * relative
-        return a if spin is None else a + fast * _lift(spin, relative)
+        if spin is None:
+            return a
+        # Lift along the ground speed: otherwise wind without drag could bend a flight through its spin.
+        return a + np.sqrt(np.sum(v * v, axis=1, keepdims=True)) * _lift(spin, v)
 
     path = np.empty((len(grid_s), count, axes))
     p, v, step_s = start, speed, float(grid_s[1])
@@ -320,13 +323,13 @@ def _spin_axes(speed: Array, back: Array, side: Array) -> Array:
     return back * right + side * np.array([0.0, 0.0, 1.0])
 
 
-def _lift(axis: Array, relative: Array) -> Array:
+def _lift(axis: Array, speed: Array) -> Array:
     """Magnus direction axis x velocity, per unit of speed, in the axes at hand."""
-    axes = relative.shape[1]
-    full = np.zeros((len(relative), 3))
-    full[:, 0], full[:, 2] = relative[:, 0], relative[:, -1]
+    axes = speed.shape[1]
+    full = np.zeros((len(speed), 3))
+    full[:, 0], full[:, 2] = speed[:, 0], speed[:, -1]
     if axes == 3:
-        full[:, 1] = relative[:, 1]
+        full[:, 1] = speed[:, 1]
     lifted = np.cross(axis, full)
     return lifted if axes == 3 else lifted[:, [0, 2]]
 

@@ -66,6 +66,15 @@ def test_drag_comes_back_as_a_coefficient_when_the_ball_is_known(tmp_path: Path)
     assert found.shrink.ratio > 0.9
 
 
+def test_wind_is_named_beside_drag(tmp_path: Path) -> None:
+    flights = [thrown(v, 0.03, (3.0, -2.0, 0.0), 0.9) for v in VELOCITIES]
+    found = flight_from_csv(write(tmp_path / "a.csv", flights, 50.0))
+    named = {e.effect: e.parameters for e in found.causes[0].effects}
+    assert set(named) == {"air_drag", "wind"}
+    assert named["wind"]["x_m_per_s"].value == pytest.approx(3.0, abs=0.4)
+    assert named["wind"]["y_m_per_s"].value == pytest.approx(-2.0, abs=0.4)
+
+
 def test_a_bounce_ends_the_flight(tmp_path: Path) -> None:
     down = thrown((2.0, 0.0, 0.0), span_s=0.5)
     up = thrown((2.0, 0.0, 4.0), span_s=0.5) + down[-1] - [0.0, 0.0, 1.5]
