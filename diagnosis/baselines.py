@@ -187,7 +187,9 @@ def _effects(theta: Array) -> tuple[Effect, ...]:
 
 
 def _bounded(theta: Array) -> Array:
-    return np.array([p.clip(float(size)) for p, size in zip(library(), theta, strict=True)])
+    # A finite-difference step must fit between the size and its bound.
+    pairs = zip(library(), theta, strict=True)
+    return np.array([min(p.clip(float(size)), p.high - p.step) for p, size in pairs])
 
 
 def _candidates(theta: Array, sd: Array, score: Array) -> list[Candidate]:
