@@ -183,9 +183,15 @@ def flight(
 
 def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) -> int:
     """Print the verdict, write the files, and give the exit code."""
-    print(f"{found.verdict.value}: {found.sentence}")
-    for cause in found.causes[:5]:
-        print(f"  {cause.probability:5.2f}  {cause.name}")
+    parts: dict[str, dict[str, str]] = found.evidence.get("parts", {})
+    if parts:
+        print(found.verdict.value)
+        for name, part in parts.items():
+            print(f"  {name}, {part['verdict']}: {part['sentence']}")
+    else:
+        print(f"{found.verdict.value}: {found.sentence}")
+        for cause in found.causes[:5]:
+            print(f"  {cause.probability:5.2f}  {cause.name}")
     if found.ambiguity is not None:
         print(
             f"To tell {' from '.join(found.ambiguity.members)}: {found.ambiguity.separating_motion['words']}"
