@@ -62,6 +62,14 @@ const policies = createRoute({
   component: lazyRouteComponent(() => import("./routes/policies"), "PoliciesPage"),
 });
 
+const gap = createRoute({
+  getParentRoute: () => frame,
+  path: "/gap",
+  validateSearch: (search: Record<string, unknown>): { run?: string } =>
+    typeof search.run === "string" ? { run: search.run } : {},
+  component: lazyRouteComponent(() => import("./routes/gap"), "GapPage"),
+});
+
 const fleet = createRoute({
   getParentRoute: () => frame,
   path: "/fleet",
@@ -76,7 +84,7 @@ const admin = createRoute({
 
 const tree = root.addChildren([
   login,
-  frame.addChildren([home, operate, throws, oneThrow, policies, fleet, admin]),
+  frame.addChildren([home, operate, throws, oneThrow, policies, gap, fleet, admin]),
 ]);
 
 export const router = createRouter({ routeTree: tree, defaultPreload: "intent" });

@@ -1,5 +1,6 @@
 import {
   IconArrowBounce,
+  IconArrowsDiff,
   IconBackhoe,
   IconBrain,
   IconClipboardList,
@@ -13,6 +14,7 @@ const PAGES = [
   { to: "/operate", label: "Operate", icon: IconArrowBounce },
   { to: "/throws", label: "Throws", icon: IconTable },
   { to: "/policies", label: "Policies", icon: IconBrain },
+  { to: "/gap", label: "Gap", icon: IconArrowsDiff },
   { to: "/fleet", label: "Fleet", icon: IconBackhoe },
 ] as const;
 

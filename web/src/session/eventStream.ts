@@ -12,6 +12,8 @@ export const EVENT_KINDS: readonly ServerEvent["kind"][] = [
   "target.proposed",
   "plan.updated",
   "throw.updated",
+  "gap.updated",
+  "twin.updated",
   "alert",
 ];
 

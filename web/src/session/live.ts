@@ -7,6 +7,7 @@ import { quiet } from "./quiet";
 export type Machine = Schema["MachineView"];
 export type Plan = Schema["PlanView"];
 export type Throw = Schema["ThrowRow"];
+export type GapRun = Schema["GapRunRow"];
 export type Alert = Schema["AlertEvent"] & { id: number };
 export type ServerEvent =
   | Schema["MachineStateEvent"]
@@ -15,12 +16,15 @@ export type ServerEvent =
   | Schema["TargetProposedEvent"]
   | Schema["PlanUpdatedEvent"]
   | Schema["ThrowUpdatedEvent"]
+  | Schema["GapUpdatedEvent"]
+  | Schema["TwinUpdatedEvent"]
   | Schema["AlertEvent"];
 
 export type Live = {
   machines: Readonly<Record<string, Machine>>;
   plans: Readonly<Record<string, Plan>>;
   throws: Readonly<Record<string, Throw>>;
+  gapRuns: Readonly<Record<string, GapRun>>;
   /** Why a picked point cannot be a target, by machine. */
   targetRefusals: Readonly<Record<string, string>>;
   /** Last lease change by machine, to tell why control was lost. */
@@ -40,6 +44,7 @@ export const EMPTY_LIVE: Live = {
   machines: {},
   plans: {},
   throws: {},
+  gapRuns: {},
   targetRefusals: {},
   leaseNews: {},
   alerts: [],
@@ -71,6 +76,8 @@ export function reduceLive(live: Live, action: LiveAction): Live {
       return {
         ...live,
         isLoaded: true,
+        // News of runs may have been missed: what is asked anew counts.
+        gapRuns: {},
         machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, quiet(m)])),
       };
     case "plan":
@@ -112,6 +119,10 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       return putPlan(live, event.plan);
     case "throw.updated":
       return { ...live, throws: put(live.throws, event.throw.throw_id, event.throw) };
+    case "gap.updated":
+      return { ...live, gapRuns: put(live.gapRuns, event.run.gap_run_id, event.run) };
+    case "twin.updated":
+      return live;
     case "alert":
       return { ...live, alerts: addAlert(live.alerts, event) };
   }

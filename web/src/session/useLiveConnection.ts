@@ -5,7 +5,7 @@ import { useEffect } from "react";
 import { api, take } from "./client";
 import { markData, markOpen } from "./connection";
 import { EventStream } from "./eventStream";
-import type { ServerEvent } from "./live";
+import type { GapRun, ServerEvent } from "./live";
 import { dispatchLive } from "./liveStore";
 import { ME } from "./queries";
 
@@ -19,12 +19,18 @@ function eventsUrl(machineId: string | null): string {
   return machineId === null ? path : `${path}?machine_id=${encodeURIComponent(machineId)}`;
 }
 
+/** A run that began to wait or has ended changes lists and results; progress alone does not. */
+const isTurn = (run: GapRun) => run.state !== "running";
+
 export function useLiveConnection(sessionId: string | null, machineId: string | null): void {
   const client = useQueryClient();
   useEffect(() => {
     if (sessionId === null) return;
     const onEvent = (event: ServerEvent) => {
       dispatchLive({ kind: "event", event, sessionId });
+      if (event.kind === "twin.updated" || (event.kind === "gap.updated" && isTurn(event.run))) {
+        void client.invalidateQueries({ queryKey: ["gap"] });
+      }
       if (event.kind === "throw.updated" && event.throw.phase === "ended") {
         void client.invalidateQueries({ queryKey: ["throws"] });
         void client.invalidateQueries({ queryKey: ["throw", event.throw.throw_id] });

@@ -1,0 +1,67 @@
+import { crossrangeWords, downrangeWords, metres, percent } from "../words/format";
+import classes from "./ChainFlow.module.css";
+import type { Chain, Link, Term } from "./chain";
+import { IntervalBar } from "./IntervalBar";
+
+/** Where the gap lies: the chain from command to impact, metres of miss a stage. */
+export function ChainFlow({ chain }: { chain: Chain }) {
+  return (
+    <>
+      <p className={classes.note}>
+        {chain.isMetric
+          ? "Metres of miss that each stage adds, measured minus twin, along the target line and across it. Bar: 90 % interval along the line, mean over the throws."
+          : "One stage was recorded alone: its share is all of the gap."}
+      </p>
+      <ol className={classes.chain}>
+        {chain.links.map((link) => (
+          <li key={link.stage} className={classes.link} data-here={link.isHere || undefined}>
+            <h3>
+              {link.title}
+              {link.isHere && <span className={classes.here}>cause</span>}
+            </h3>
+            <p className={classes.dim}>{link.between}</p>
+            {link.terms.length === 0 ? (
+              <p className={classes.dim}>{chain.isMetric ? "no term" : "not recorded"}</p>
+            ) : (
+              chain.isMetric && <Terms link={link} limit_m={chain.limit_m} />
+            )}
+          </li>
+        ))}
+      </ol>
+    </>
+  );
+}
+
+function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
+  return (
+    <>
+      <p className={classes.sum}>
+        {downrangeWords(link.downrange_m)}
+        <br />
+        {crossrangeWords(link.crossrange_m)}
+      </p>
+      {link.terms.map((term) => (
+        <div key={term.joint ?? ""} className={classes.term}>
+          {term.joint && (
+            <p>
+              <strong>{term.joint}</strong> {downrangeWords(term.downrange_m)},{" "}
+              {crossrangeWords(term.crossrange_m)}
+            </p>
+          )}
+          <IntervalBar
+            value_m={term.downrange_m}
+            ci90_m={term.ci90_m}
+            limit_m={limit_m}
+            words={barWords(term)}
+          />
+          <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>
+        </div>
+      ))}
+    </>
+  );
+}
+
+function barWords(term: Term): string {
+  const [low, high] = term.ci90_m;
+  return `${downrangeWords(term.downrange_m)}, 90 % interval ${metres(low)} to ${metres(high)}`;
+}

@@ -1,0 +1,95 @@
+import { Button, Progress } from "@mantine/core";
+import { useMay } from "../session/useSession";
+import { errorWords } from "../words/errors";
+import { count, metres, percent } from "../words/format";
+import { localStamp } from "../words/time";
+import classes from "./RunHead.module.css";
+import { reportHref, useGapActions } from "./useGap";
+import { type Diagnosis, isLook, isOpen, type Run, runWord } from "./words";
+
+type Props = { run: Run; found: Diagnosis | null };
+
+/** What a run says: its verdict as a sentence, or how far it is and a way to stop it. */
+export function RunHead({ run, found }: Props) {
+  const { cancel } = useGapActions(run.machine_id);
+  const mayRun = useMay("gap.run");
+  return (
+    <header className={classes.head}>
+      <div className={classes.line}>
+        <span className={classes.kind} data-look={isLook(run.verdict) || undefined}>
+          {runWord(run)}
+        </span>
+        <span className={classes.dim}>
+          {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
+          {run.profile_version_count}, {localStamp(run.created_utc)}, {run.created_by}
+        </span>
+        {run.state === "done" && (
+          <Button
+            component="a"
+            size="xs"
+            variant="default"
+            ml="auto"
+            href={reportHref(run.machine_id, run.gap_run_id)}
+            target="_blank"
+            rel="noreferrer"
+          >
+            Report
+          </Button>
+        )}
+      </div>
+      {run.sentence && <p className={classes.sentence}>{run.sentence}</p>}
+      {run.detail && (
+        <p className={classes.detail} role="alert">
+          {run.detail}
+        </p>
+      )}
+      {isOpen(run) && (
+        <div className={classes.progress}>
+          <Progress
+            value={100 * run.progress_ratio}
+            size="lg"
+            aria-label="Progress of the diagnosis"
+          />
+          <span aria-live="polite">
+            {run.state === "queued" ? "Waiting for its turn" : run.step},{" "}
+            {percent(run.progress_ratio)}
+          </span>
+          <Button
+            variant="default"
+            disabled={!mayRun}
+            loading={cancel.isPending}
+            onClick={() => cancel.mutate(run.gap_run_id)}
+          >
+            Cancel
+          </Button>
+          {cancel.isError && (
+            <p className={classes.detail} role="alert">
+              {errorWords(cancel.error)}
+            </p>
+          )}
+        </div>
+      )}
+      {found && <Facts found={found} />}
+    </header>
+  );
+}
+
+function Facts({ found }: { found: Diagnosis }) {
+  const { gap } = found;
+  const facts: [string, string][] = [];
+  if (typeof gap.impact_rms_m === "number")
+    facts.push(["Twin misses by, root mean square", metres(gap.impact_rms_m)]);
+  if (typeof gap.trajectory_rms_ratio === "number")
+    facts.push(["Residual over a healthy machine's", gap.trajectory_rms_ratio.toFixed(2)]);
+  if (facts.length === 0) return null;
+  return (
+    <dl className={classes.facts}>
+      {facts.map(([name, value]) => (
+        <div key={name}>
+          <dt>{name}</dt>
+          <dd>{value}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}

@@ -1,0 +1,74 @@
+/** The chain from command to impact as the page draws it: every stage, with what it adds to the miss. */
+
+import type { Diagnosis } from "./words";
+
+export type Term = {
+  joint: string | null;
+  downrange_m: number;
+  crossrange_m: number;
+  share_ratio: number;
+  ci90_m: readonly [number, number];
+};
+
+export type Link = {
+  stage: string;
+  title: string;
+  between: string;
+  terms: readonly Term[];
+  downrange_m: number;
+  crossrange_m: number;
+  /** The verdict points here. */
+  isHere: boolean;
+};
+
+export type Chain = {
+  links: readonly Link[];
+  /** Half of every interval bar, m. */
+  limit_m: number;
+  /** False for one stage recorded alone: its share is known, metres are not. */
+  isMetric: boolean;
+};
+
+const STAGES = [
+  ["actuation", "Actuation", "command to joint motion"],
+  ["swing", "Swing", "joint motion to gripper"],
+  ["release", "Release", "command to opening"],
+  ["flight", "Flight", "release to impact"],
+  ["aim", "Aim", "sensors, base, survey"],
+] as const;
+
+export function chainOf(found: Diagnosis): Chain {
+  const here = stageOf(found.evidence.where);
+  const numbers = found.stages.flatMap((term) => [...term.ci90_m, term.miss_m.downrange]);
+  const limit_m = Math.max(0, ...numbers.filter(Number.isFinite).map(Math.abs));
+  const links = STAGES.map(([stage, title, between]) => {
+    const terms = found.stages
+      .filter((term) => term.stage === stage)
+      .map((term) => ({
+        joint: term.joint ?? null,
+        downrange_m: term.miss_m.downrange,
+        crossrange_m: term.miss_m.crossrange,
+        share_ratio: term.share_ratio,
+        ci90_m: term.ci90_m,
+      }));
+    return {
+      stage,
+      title,
+      between,
+      terms,
+      downrange_m: sum(terms.map((term) => term.downrange_m)),
+      crossrange_m: sum(terms.map((term) => term.crossrange_m)),
+      isHere: stage === here,
+    };
+  });
+  return { links, limit_m, isMetric: limit_m > 0 };
+}
+
+function sum(values: readonly number[]): number {
+  return values.reduce((total, value) => total + value, 0);
+}
+
+function stageOf(where: unknown): string | null {
+  const stage = (where as { stage?: unknown } | null | undefined)?.stage;
+  return typeof stage === "string" ? stage : null;
+}

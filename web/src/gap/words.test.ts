@@ -1,0 +1,164 @@
+import { describe, expect, it } from "vitest";
+import { chainOf } from "./chain";
+import { overlaysOf } from "./plots";
+import { refusedOf, ruledOutOf } from "./ruledOut";
+import {
+  additionWords,
+  causeWords,
+  type Diagnosis,
+  parameterWords,
+  probabilityWords,
+  sizeWords,
+} from "./words";
+
+const found: Diagnosis = {
+  verdict: "explained",
+  sentence: "The dipper is late.",
+  gap: { impact_rms_m: 0.4 },
+  stages: [
+    {
+      stage: "actuation",
+      joint: "boom",
+      miss_m: { downrange: 0.1, crossrange: 0.02 },
+      share_ratio: 0.2,
+      ci90_m: [0.05, 0.15],
+    },
+    {
+      stage: "actuation",
+      joint: "dipper",
+      miss_m: { downrange: -0.4, crossrange: 0 },
+      share_ratio: 0.7,
+      ci90_m: [-0.5, -0.3],
+    },
+    {
+      stage: "flight",
+      miss_m: { downrange: 0.03, crossrange: 0 },
+      share_ratio: 0.1,
+      ci90_m: [0, 0.06],
+    },
+  ],
+  causes: [
+    {
+      effects: [
+        {
+          effect: "valve_dead_time",
+          joint: "dipper",
+          parameters: { extra_dead_time_s: { value: 0.062, ci90: [0.055, 0.07], unit: "s" } },
+        },
+      ],
+      probability: 0.93,
+      name: "valve dead time of the dipper",
+    },
+    { effects: [], probability: 0.07, name: "unknown" },
+  ],
+  evidence: { where: { stage: "actuation", joint: "dipper" } },
+  plots: {},
+};
+
+describe("words of a diagnosis", () => {
+  it("name causes with their joints", () => {
+    expect(found.causes.map(causeWords)).toEqual(["valve dead time, dipper", "something unknown"]);
+  });
+
+  it("give sizes in units a person would choose", () => {
+    const size = (value: number, unit: string) =>
+      sizeWords({ value, ci90: [value * 0.9, value * 1.1], unit }).value;
+    expect(sizeWords({ value: 0.062, ci90: [0.055, 0.07], unit: "s" })).toEqual({
+      value: "62.0 ms",
+      interval: "55.0 to 70.0 ms",
+    });
+    expect(size(-0.02, "rad")).toBe("−20.0 mrad");
+    expect(size(0.3, "1")).toBe("30.0 %");
+    expect(size(2, "m/s")).toBe("2.00 m/s");
+    expect(size(1.5, "s")).toBe("1.50 s");
+  });
+
+  it("leave units out of parameter names", () => {
+    expect(parameterWords("extra_dead_time_s")).toBe("extra dead time");
+    expect(parameterWords("half_width_ratio")).toBe("half width");
+    expect(parameterWords("gap_rad_m")).toBe("gap");
+    expect(parameterWords("valve_lag.extra_lag_s")).toBe("valve lag, extra lag");
+  });
+
+  it("are never quite certain", () => {
+    expect([0.9999, 0.42, 1e-9].map(probabilityWords)).toEqual(["> 99 %", "42 %", "< 1 %"]);
+  });
+
+  it("say what applying would add", () => {
+    expect(additionWords(found)).toBe("Adds valve dead time, dipper: extra dead time 62.0 ms.");
+    expect(additionWords({ ...found, causes: [] })).toBe("Adds nothing.");
+  });
+});
+
+describe("the chain", () => {
+  it("has every stage in its order, sums of joints, and the place of the cause", () => {
+    const chain = chainOf(found);
+    expect(chain.links.map((link) => link.stage)).toEqual([
+      "actuation",
+      "swing",
+      "release",
+      "flight",
+      "aim",
+    ]);
+    expect(chain.links[0]?.downrange_m).toBeCloseTo(-0.3);
+    expect(chain.links[0]?.terms.map((term) => term.joint)).toEqual(["boom", "dipper"]);
+    expect(chain.links.map((link) => link.isHere)).toEqual([true, false, false, false, false]);
+    expect(chain.links[1]?.terms).toEqual([]);
+    expect(chain.limit_m).toBe(0.5);
+    expect(chain.isMetric).toBe(true);
+  });
+
+  it("of one stage alone has no metres", () => {
+    const alone = {
+      stage: "swing" as const,
+      miss_m: { downrange: 0, crossrange: 0 },
+      share_ratio: 1,
+      ci90_m: [0, 0] as [number, number],
+    };
+    const chain = chainOf({ ...found, stages: [alone], evidence: {} });
+    expect(chain.isMetric).toBe(false);
+    expect(chain.links.some((link) => link.isHere)).toBe(false);
+  });
+});
+
+describe("overlays", () => {
+  it("know measured, before and after under their names, and what is left", () => {
+    const [overlay, ...rest] = overlaysOf({
+      t1_dipper: {
+        x: [0, 1, 2],
+        unit: "rad/s",
+        measured: [1, 2, null],
+        ideal: [0, 1, 2],
+        explained: [1, 2, 3],
+        other: [1],
+      },
+      empty: { x: [], measured: [] },
+      odd: "text",
+    });
+    expect(rest).toEqual([]);
+    expect(overlay?.name).toBe("t1 dipper");
+    expect(overlay?.lines.map((line) => line.label)).toEqual([
+      "measured",
+      "twin before",
+      "twin after",
+    ]);
+    expect(overlay?.left.map((line) => line.values)).toEqual([
+      [1, 1, null],
+      [0, 0, null],
+    ]);
+  });
+});
+
+describe("reasons", () => {
+  it("are read from evidence, whatever else stands there", () => {
+    const evidence = {
+      ruled_out: [{ effect: "wind", joint: null, log_odds: -4.25 }, "text", null],
+      refused: [{ path: "/data/throws/a.mcap", reason: "10 Hz" }],
+    };
+    expect(ruledOutOf(evidence)).toEqual([
+      { name: "wind", why: "log odds -4.3 against no effect" },
+    ]);
+    expect(refusedOf(evidence)).toEqual([{ name: "a.mcap", why: "10 Hz" }]);
+    expect(ruledOutOf({})).toEqual([]);
+  });
+});

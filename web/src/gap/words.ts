@@ -1,0 +1,103 @@
+/** A diagnosis in words: verdicts, stages, causes, sizes; pure, and shared by all of the page. */
+
+import type { Schema } from "../session/client";
+import { fixed, percent } from "../words/format";
+
+export type Diagnosis = Schema["Diagnosis"];
+export type Run = Schema["GapRunRow"];
+export type Verdict = Schema["VerdictKind"];
+type Fitted = Schema["FittedEffect"];
+type Size = Schema["FittedParameter"];
+
+const VERDICTS: Record<Verdict, string> = {
+  none: "No gap beyond a healthy machine's",
+  explained: "Explained",
+  ambiguous: "Ambiguous: two causes fit",
+  unknown: "Unknown effect",
+  bad_data: "Data cannot be used",
+};
+
+const STATES: Record<Run["state"], string> = {
+  queued: "Waiting",
+  running: "Running",
+  done: "Done",
+  failed: "Failed",
+  cancelled: "Cancelled",
+  interrupted: "Interrupted",
+};
+
+export const verdictWord = (verdict: Verdict) => VERDICTS[verdict];
+
+/** Amber is "look": the person has to do something before this means anything. */
+export const isLook = (verdict: Verdict | null) =>
+  verdict === "ambiguous" || verdict === "unknown" || verdict === "bad_data";
+
+export const isOpen = (run: Run) => run.state === "queued" || run.state === "running";
+
+/** One word for a run: its verdict once there is one, else where it stands. */
+export const runWord = (run: Run) => (run.verdict ? verdictWord(run.verdict) : STATES[run.state]);
+
+export function effectWords(effect: string, joint: string | null | undefined): string {
+  const name = effect.replaceAll("_", " ");
+  return joint ? `${name}, ${joint}` : name;
+}
+
+export function causeWords(cause: Schema["Cause"]): string {
+  if (cause.effects.length > 0) {
+    return cause.effects.map((e) => effectWords(e.effect, e.joint)).join(" + ");
+  }
+  if (cause.name === "none") return "no effect";
+  return cause.name === "unknown" ? "something unknown" : cause.name;
+}
+
+/** Never quite certain: a posterior of 1 is a rounding. */
+export function probabilityWords(probability: number): string {
+  if (probability > 0.995) return "> 99 %";
+  return probability < 0.005 ? "< 1 %" : percent(probability);
+}
+
+const UNIT_SUFFIX =
+  /_(rad_m_per_s|rad_per_s2|rad_per_s|m_per_s|per_s2|per_s|per_m|rad_m|ratio|rad|kg|s|m)$/;
+
+export const parameterWords = (name: string) =>
+  name.replaceAll(".", ", ").replace(UNIT_SUFFIX, "").replaceAll("_", " ");
+
+/** Value and interval in the unit a person would choose: "62.0 ms", "55.0 to 70.0 ms". */
+export function sizeWords(size: Size): { value: string; interval: string } {
+  const largest = Math.max(Math.abs(size.value), ...size.ci90.map(Math.abs));
+  const [scale, unit] = shownUnit(size.unit, largest);
+  const shown = largest * scale;
+  const digits = shown >= 100 ? 0 : shown >= 10 ? 1 : 2;
+  const text = (value: number) => fixed(value * scale, digits);
+  const tail = unit ? ` ${unit}` : "";
+  return {
+    value: `${text(size.value)}${tail}`,
+    interval: `${text(size.ci90[0])} to ${text(size.ci90[1])}${tail}`,
+  };
+}
+
+function shownUnit(unit: string, largest: number): [number, string] {
+  if (unit === "s" && largest < 1) return [1000, "ms"];
+  if (unit === "rad" && largest < 1) return [1000, "mrad"];
+  if (unit === "m" && largest < 0.1) return [1000, "mm"];
+  if (unit === "m/s" && largest < 0.1) return [1000, "mm/s"];
+  return unit === "" || unit === "1" || unit === "ratio" ? [100, "%"] : [1, unit];
+}
+
+/** Lines of an effect: what, how large, how sure. */
+export function sizesOf(effect: Fitted): { name: string; value: string; interval: string }[] {
+  return Object.entries(effect.parameters).map(([name, size]) => ({
+    name: parameterWords(name),
+    ...sizeWords(size),
+  }));
+}
+
+/** "Adds valve dead time, dipper: extra dead time 62.0 ms." */
+export function additionWords(found: Diagnosis): string {
+  const effects = found.causes[0]?.effects ?? [];
+  const parts = effects.map((effect) => {
+    const sizes = sizesOf(effect).map((size) => `${size.name} ${size.value}`);
+    return `${effectWords(effect.effect, effect.joint)}: ${sizes.join(", ")}`;
+  });
+  return parts.length === 0 ? "Adds nothing." : `Adds ${parts.join("; ")}.`;
+}

@@ -1,0 +1,64 @@
+import { useNavigate, useSearch } from "@tanstack/react-router";
+import { RunHead } from "../gap/RunHead";
+import { RunList } from "../gap/RunList";
+import { RunResult } from "../gap/RunResult";
+import { StartPanel } from "../gap/StartPanel";
+import { useGapRun, useGapRuns } from "../gap/useGap";
+import { useMachineId } from "../machine/useMachine";
+import { GateSentence } from "../operate/GateSentence";
+import { errorWords } from "../words/errors";
+import classes from "./gap.module.css";
+
+/** Gap: why a machine and its twin differ; throws to diagnose at the left, what was found at the right. */
+export function GapPage() {
+  const [machineId] = useMachineId();
+  if (machineId === null) {
+    return <GateSentence sentence="No machine is known yet. Fleet shows how one is added." />;
+  }
+  return <GapOf key={machineId} machineId={machineId} />;
+}
+
+function GapOf({ machineId }: { machineId: string }) {
+  const { run: wanted } = useSearch({ from: "/frame/gap" });
+  const navigate = useNavigate({ from: "/gap" });
+  const runs = useGapRuns(machineId);
+  const shown = wanted ?? runs.rows[0]?.gap_run_id;
+  const select = (run: string) => void navigate({ search: { run } });
+  return (
+    <div className={classes.page}>
+      <h1 className="visually-hidden">Gap between machine and twin</h1>
+      <div className={classes.side}>
+        <StartPanel machineId={machineId} onStarted={select} />
+        {runs.isError ? (
+          <GateSentence sentence={errorWords(runs.error)} />
+        ) : (
+          <RunList runs={runs} selected={shown ?? null} onSelect={select} />
+        )}
+      </div>
+      <div className={classes.main}>
+        {shown ? (
+          <OneRun machineId={machineId} runId={shown} />
+        ) : (
+          runs.isSuccess && (
+            <GateSentence
+              sentence={`${machineId} was not diagnosed yet. Choose throws at the left and start: it takes about a minute and does not touch the machine.`}
+            />
+          )
+        )}
+      </div>
+    </div>
+  );
+}
+
+function OneRun({ machineId, runId }: { machineId: string; runId: string }) {
+  const run = useGapRun(machineId, runId);
+  if (run.isError && !run.data) return <GateSentence sentence={errorWords(run.error)} />;
+  if (!run.row) return null;
+  const found = run.data?.result ?? null;
+  return (
+    <>
+      <RunHead run={run.row} found={found} />
+      {found && <RunResult key={runId} run={run.row} found={found} />}
+    </>
+  );
+}
