@@ -23,6 +23,7 @@ def run(
     seconds: float = float("inf"),
     unroll: int = 1,
     warm_start: Path | None = None,
+    checkpoint_seconds: float = 20.0,
 ) -> int:
     """Train a policy; run the same line again to go on after an interruption.
 
@@ -40,6 +41,7 @@ def run(
         seconds: learning ends here even if iterations are left.
         unroll: physics ticks unrolled when compiling (8 compiles longest).
         warm_start: checkpoint.npz of another run whose networks this one starts from.
+        checkpoint_seconds: learning between two checkpoints.
     """
     if device != "any":
         os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
@@ -52,8 +54,8 @@ def run(
     config = PpoConfig()
     config = replace(
         config,
-        iteration_count=iterations or config.iteration_count,
-        environment_count=environments or config.environment_count,
+        iteration_count=config.iteration_count if iterations is None else iterations,
+        environment_count=config.environment_count if environments is None else environments,
     )
     options = RunOptions(
         out=out,
@@ -64,6 +66,7 @@ def run(
         time_limit_s=seconds,
         unroll_count=unroll,
         warm_start=warm_start,
+        checkpoint_period_s=checkpoint_seconds,
     )
     card = train(load_spec(), task_for(chosen, reward), config, options, print_line)
     print_line(f"wrote {out / card.policy_id}")

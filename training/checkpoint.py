@@ -4,7 +4,10 @@ A resumed run goes on exactly as an uninterrupted one would on the same device (
 """
 
 import os
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from zipfile import BadZipFile
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +34,9 @@ def load_checkpoint(path: Path, like: Learner, fingerprint: str) -> Learner:
     """Read a learner of the same structure as `like`.
 
     Raises:
-        UsageError: the file belongs to another configuration.
+        UsageError: the file belongs to another configuration, or is damaged.
     """
-    with np.load(path) as stored:
+    with _opened(path) as stored:
         if str(stored["fingerprint"]) != fingerprint:
             raise UsageError(
                 f"{path} was written under another configuration; train into another --out folder, "
@@ -49,10 +52,10 @@ def load_weights(path: Path, like: Learner) -> Learner:
     The spread of the actions stays that of `like`, so that the new run explores again.
 
     Raises:
-        UsageError: the other run had networks of other sizes.
+        UsageError: the other run had networks of other sizes, or the file is no checkpoint.
     """
     wanted = (".networks.actor", ".networks.critic", ".normaliser")
-    with np.load(path) as stored:
+    with _opened(path) as stored:
         leaves: list[jax.Array] = []
         for name, leaf in _named(like):
             if name.startswith(wanted) and stored[name].shape != leaf.shape:
@@ -62,6 +65,22 @@ def load_weights(path: Path, like: Learner) -> Learner:
                 )
             leaves.append(_from_numpy(stored[name], leaf) if name.startswith(wanted) else leaf)
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[Mapping[str, np.ndarray]]:
+    """The arrays of a checkpoint file.
+
+    Raises:
+        UsageError: the file is missing, damaged or something else.
+    """
+    try:
+        with np.load(path) as stored:
+            yield stored
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+        raise UsageError(
+            f"{path} is not a readable checkpoint ({error}); give another, or train into an empty folder"
+        ) from error
 
 
 def _named(learner: Learner) -> list[tuple[str, jax.Array]]:

@@ -194,7 +194,7 @@ class Trainer:
         """Epochs of minibatches, split along the environments; returns mean (KL, value loss, entropy)."""
         config = self.config
         parts = config.minibatch_count
-        share = batch.drives / batch.drives.sum()
+        share = batch.drives / jnp.maximum(batch.drives.sum(), 1.0)
         mean = (share * batch.advantage).sum()
         spread = jnp.sqrt((share * jnp.square(batch.advantage - mean)).sum())
         batch = batch._replace(advantage=(batch.advantage - mean) / (spread + 1e-8))

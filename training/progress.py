@@ -2,9 +2,11 @@
 
 import csv
 import json
+import os
 from dataclasses import asdict, dataclass, fields
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
@@ -33,7 +35,7 @@ class ProgressRow:
     landed_ratio: float
     """Episodes that ended with a landing."""
     miss_mean_m: float
-    """Mean distance to the target of the landings, with exploration noise."""
+    """Mean distance to the target of the landings, with exploration noise; NaN where nothing landed."""
     miss_rms_m: float
     within_quarter_ratio: float
     """Landings within 0.25 m."""
@@ -61,7 +63,8 @@ def progress_rows(
     times = np.linspace(wall_s[0], wall_s[1], count + 1)[1:]
     rows: list[ProgressRow] = []
     for i in range(count):
-        done, landed = max(float(host["done"][i]), 1.0), max(float(host["landed"][i]), 1.0)
+        done, landed = max(float(host["done"][i]), 1.0), float(host["landed"][i])
+        landings = landed or float("nan")
         failure = host["failure"][i] / done
         rows.append(
             ProgressRow(
@@ -70,10 +73,10 @@ def progress_rows(
                 wall_s=round(float(times[i]), 3),
                 reward_ratio=float(host["reward"][i]) / steps_each,
                 episode_count=int(host["done"][i]),
-                landed_ratio=float(host["landed"][i]) / done,
-                miss_mean_m=float(host["miss"][i]) / landed,
-                miss_rms_m=float(np.sqrt(host["miss_squared"][i] / landed)),
-                within_quarter_ratio=float(host["within_quarter"][i]) / landed,
+                landed_ratio=landed / done,
+                miss_mean_m=float(host["miss"][i]) / landings,
+                miss_rms_m=float(np.sqrt(host["miss_squared"][i] / landings)),
+                within_quarter_ratio=float(host["within_quarter"][i]) / max(landed, 1.0),
                 duration_s=float(host["duration"][i]) / done,
                 numeric_ratio=float(failure[Failure.NUMERIC]),
                 collision_ratio=float(failure[Failure.COLLISION]),
@@ -93,56 +96,71 @@ def progress_rows(
 def progress_line(row: ProgressRow, total: int) -> str:
     """One line for people."""
     rate = row.environment_step_count / max(row.wall_s, 1e-9) / 1e6
+    miss = f"{row.miss_mean_m:.3f} m" if isfinite(row.miss_mean_m) else "-"
     return (
         f"iteration {row.iteration_count}/{total}  {row.wall_s:6.1f} s  {rate:5.2f} M steps/s  "
-        f"landed {100.0 * row.landed_ratio:5.1f} %  miss {row.miss_mean_m:.3f} m  "
+        f"landed {100.0 * row.landed_ratio:5.1f} %  miss {miss}  "
         f"within 0.25 m {100.0 * row.within_quarter_ratio:5.1f} %  reward {row.reward_ratio:+.3f}  "
         f"kl {row.divergence_ratio:.4f}  rate {row.learning_rate_ratio:.1e}  sd {row.deviation_ratio:.3f}"
     )
 
 
 def append_rows(path: Path, rows: list[ProgressRow]) -> None:
-    """Append to the CSV, with a header if it is new; rows at or after the first new one are dropped.
+    """Append to the CSV, with a header if it is new."""
+    fresh = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as stream:
+        _write(stream, rows, header=fresh)
 
-    A killed run may have written rows beyond its last checkpoint; they are run again after a resume.
+
+def keep_rows(path: Path, iteration_count: int) -> list[ProgressRow]:
+    """Rows up to an iteration, all others taken out of the CSV.
+
+    A killed run may have written rows beyond its last checkpoint, or half a line; those iterations are run
+    again. The file is replaced as a whole, so that a kill in the middle leaves the old one.
     """
-    names = [field.name for field in fields(ProgressRow)]
-    kept = [row for row in read_rows(path) if row.iteration_count < rows[0].iteration_count]
-    stale = path.is_file() and len(kept) != len(read_rows(path))
-    if stale or not path.is_file():
-        _write(path, names, [*kept, *rows], "w")
-    else:
-        _write(path, names, rows, "a")
+    if not path.is_file():
+        return []
+    kept = [row for row in read_rows(path) if row.iteration_count <= iteration_count]
+    partial = path.with_suffix(".partial.csv")
+    with partial.open("w", newline="", encoding="utf-8") as stream:
+        _write(stream, kept, header=True)
+    os.replace(partial, path)
+    return kept
 
 
-def _write(path: Path, names: list[str], rows: list[ProgressRow], mode: str) -> None:
-    with path.open(mode, newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, names)
-        if mode == "w":
-            writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+def _write(stream: TextIO, rows: list[ProgressRow], *, header: bool) -> None:
+    writer = csv.DictWriter(stream, [field.name for field in fields(ProgressRow)])
+    if header:
+        writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
 
 
 def read_rows(path: Path) -> list[ProgressRow]:
-    """Read the CSV back; none if there is no file."""
+    """Read the CSV back; none if there is no file. A last line without its end is not read."""
     if not path.is_file():
         return []
     whole = {field.name for field in fields(ProgressRow) if field.type in (int, "int")}
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows: list[dict[str, Any]] = [
-            {k: int(v) if k in whole else float(v) for k, v in row.items()}
-            for row in csv.DictReader(stream)
-        ]
+    text = path.read_bytes().decode("utf-8")
+    complete = text[: text.rfind("\n") + 1]
+    rows: list[dict[str, Any]] = [
+        {k: int(v) if k in whole else float(v) for k, v in row.items()}
+        for row in csv.DictReader(complete.splitlines())
+    ]
     return [ProgressRow(**row) for row in rows]
 
 
 def write_summary(path: Path, rows: list[ProgressRow], accuracy: "list[Accuracy]") -> None:
-    """Write the last row and the accuracy by distance as JSON."""
+    """Write the last row and the accuracy by distance as JSON; null where nothing landed."""
     content = {
-        "last": asdict(rows[-1]) if rows else None,
-        "accuracy": [asdict(entry) for entry in accuracy],
+        "last": _finite(asdict(rows[-1])) if rows else None,
+        "accuracy": [_finite(asdict(entry)) for entry in accuracy],
     }
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON knows no NaN."""
+    return {k: None if isinstance(v, float) and not isfinite(v) else v for k, v in row.items()}
 
 
 def plot_curve(path: Path, rows: list[ProgressRow], title: str) -> None:

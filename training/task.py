@@ -225,7 +225,7 @@ class PpoConfig:
     trace_ratio: float = 0.95
     """Lambda of the advantage estimate."""
     clip_ratio: float = 0.2
-    """Clipping of the probability ratio, and of the value's change."""
+    """Clipping of the probability ratio."""
     entropy_ratio: float = 0.002
     """Weight of the entropy."""
     value_ratio: float = 0.5

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -16,6 +17,7 @@ import numpy as np
 from machine.errors import UsageError
 from machine.policy_card import PolicyCard, TrainingRecord
 from machine.spec import MachineSpec
+from runtime.policy import POLICY_ID
 from training.checkpoint import (
     CHECKPOINT_FILE,
     load_checkpoint,
@@ -31,6 +33,7 @@ from training.progress import (
     CURVE_FILE,
     SUMMARY_FILE,
     append_rows,
+    keep_rows,
     plot_curve,
     progress_line,
     progress_rows,
@@ -41,7 +44,6 @@ from training.task import PpoConfig, TaskConfig
 
 MEASURED_RANGES_M = (7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.87)
 """Where accuracy is measured after training (paper: 7 to 10 m; the last is 45 % past the reach)."""
-CHECKPOINT_PERIOD_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class RunOptions:
     """Physics ticks unrolled in the compiled loop: more compile longer and run faster on a GPU."""
     warm_start: Path | None = None
     """Checkpoint of another run whose networks this one starts from."""
+    checkpoint_period_s: float = 20.0
+    """A kill costs at most this much of the learning, and the chunk that was running."""
 
 
 def train(
@@ -76,12 +80,7 @@ def train(
     say: Callable[[str], None],
 ) -> PolicyCard:
     """Train to the end, from the checkpoint in `options.out` if there is one, and export the policy."""
-    if config.environment_count % config.minibatch_count:
-        raise UsageError(
-            f"{config.environment_count} environments do not split into {config.minibatch_count} "
-            "minibatches; choose a multiple"
-        )
-    options.out.mkdir(parents=True, exist_ok=True)
+    _check(config, options)
     learner, trainer, fingerprint = _prepare(spec, task, config, options, say)
     learner, wall_s = _learn(learner, trainer, fingerprint, options, say)
     host = jax.device_get((learner.networks.actor, learner.normaliser))
@@ -129,6 +128,42 @@ def train(
         )
 
 
+def _check(config: PpoConfig, options: RunOptions) -> None:
+    """Refuse what would fail later, some of it only after the whole training.
+
+    Raises:
+        UsageError: with the option, its value and what would do.
+    """
+    count, parts = config.environment_count, config.minibatch_count
+    if count < 1 or count % parts:
+        raise UsageError(
+            f"{count} environments do not split into {parts} minibatches; choose a multiple"
+        )
+    for name, value, least in (
+        ("iterations", config.iteration_count, 1),
+        ("seed", options.seed_count, 0),
+        ("throws", options.measured_throw_count, 0),
+        ("unroll", options.unroll_count, 1),
+    ):
+        if value < least:
+            raise UsageError(f"{name} must be {least} or more, is {value}")
+    if not options.time_limit_s > 0.0:
+        raise UsageError(f"seconds must be more than 0, is {options.time_limit_s}")
+    if not POLICY_ID.fullmatch(options.policy_id):
+        raise UsageError(
+            f"policy id {options.policy_id!r} does not fit {POLICY_ID.pattern}: "
+            "3 to 64 lower-case letters, digits, dots, dashes"
+        )
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=options.out):
+            pass
+    except OSError as error:
+        raise UsageError(
+            f"cannot write to {options.out} ({error}); choose another --out"
+        ) from error
+
+
 def _prepare(
     spec: MachineSpec,
     task: TaskConfig,
@@ -169,11 +204,11 @@ def _learn(
     config, csv_path = trainer.config, options.out / CSV_FILE
     path = options.out / CHECKPOINT_FILE
     iteration = int(learner.iteration)
-    earlier = [row for row in read_rows(csv_path) if row.iteration_count <= iteration]
+    earlier = keep_rows(csv_path, iteration)
     before = earlier[-1].wall_s if earlier else 0.0
     started = saved = time.perf_counter()
     last = started
-    over = False
+    over = before > options.time_limit_s
     while iteration < config.iteration_count and not over:
         chunk = min(options.chunk_count, config.iteration_count - iteration)
         learner, metrics = trainer.advance(learner, chunk)
@@ -189,7 +224,7 @@ def _learn(
         say(progress_line(rows[-1], config.iteration_count))
         iteration, last = iteration + chunk, now
         over = before + now - started > options.time_limit_s
-        if now - saved > CHECKPOINT_PERIOD_S or over or iteration >= config.iteration_count:
+        if now - saved > options.checkpoint_period_s or over or iteration >= config.iteration_count:
             save_checkpoint(path, learner, fingerprint)
             saved = time.perf_counter()
     return learner, before + last - started
@@ -198,8 +233,11 @@ def _learn(
 def accuracy_line(entry: Accuracy) -> str:
     """One line for people."""
     failures = ", ".join(f"{count} {name}" for name, count in entry.failure_count.items())
+    landed = f"{entry.range_m:6.2f} m  landed {entry.landed_count}/{entry.throw_count}  "
+    if not entry.landed_count:
+        return f"{landed}{failures}"
     return (
-        f"{entry.range_m:6.2f} m  landed {entry.landed_count}/{entry.throw_count}  "
+        f"{landed}"
         f"down {100 * entry.downrange_mean_m:+.1f} sd {100 * entry.downrange_sd_m:.1f} cm  "
         f"cross {100 * entry.crossrange_mean_m:+.1f} sd {100 * entry.crossrange_sd_m:.1f} cm  "
         f"{entry.duration_s:.2f} s  {failures}"
