@@ -12,6 +12,7 @@ from diagnosis.hypotheses import explore, pose
 from diagnosis.jitter import fit_jitter
 from diagnosis.logs import LoadedSet
 from diagnosis.noise import NoiseModel, load_noise
+from diagnosis.overlay import overlay
 from diagnosis.parameters import layout
 from diagnosis.ranking import rank
 from diagnosis.residuals import prepare
@@ -102,5 +103,9 @@ def _diagnose(
     found = (
         shrink(problem, best, float(np.sqrt(np.mean(np.square(floor))))) if best.members else None
     )
+    tell(0.97, "series")
+    first = next((effect.joint for effect in best.effects if effect.joint is not None), None)
+    plots = overlay(problem, best.effects, first)
     tell(1.0, "done")
-    return conclude(Findings(loaded, problem, ranked, terms, found, seconds))
+    concluded = conclude(Findings(loaded, problem, ranked, terms, found, seconds))
+    return concluded.model_copy(update={"plots": plots})

@@ -74,14 +74,14 @@ def impacts(
         inputs, [ReplayElement(i) for i in range(len(inputs))], profile, problem.calibration
     )
     moved = [
-        _corrected(p, problem.healthy, alone.joint_velocity_rad_m_per_s[i])
+        corrected_input(p, problem.healthy, alone.joint_velocity_rad_m_per_s[i])
         for i, p in enumerate(prepared)
     ]
     elements = [ReplayElement(i, measured_joints=ALL) for i in range(len(inputs))]
     return replay(moved, elements, profile, problem.calibration).impact_m[:, :2]
 
 
-def _corrected(p: PreparedThrow, healthy: HealthyModel, velocity: Array) -> ReplayInput:
+def corrected_input(p: PreparedThrow, healthy: HealthyModel, velocity: Array) -> ReplayInput:
     """The throw with simulated and corrected joint motion in place of the measured one."""
     rows = p.motion.t_s.size
     corrected = velocity[:rows].copy()
