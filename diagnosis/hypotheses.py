@@ -23,6 +23,7 @@ from diagnosis.selection import (
     members_index,
     screen,
     search,
+    subsets,
     total,
     weigh,
 )
@@ -35,16 +36,18 @@ from diagnosis.whitening import (
     widened,
 )
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_JOINTS, Array, IntArray
+from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects import DRIFT, Effect, resolve
 from sim_twin.profile import TwinProfile
 
-BOOTSTRAP_COUNT = 40
+BOOTSTRAP_COUNT = 30
+SET_FORM_ERROR_RATIO = 0.2
+"""Of an effect's signal, the same in every throw."""
 SINGLE_COUNT = 6
 PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
-WEIGHED_COUNT = 8
+WEIGHED_COUNT = 5
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
@@ -120,7 +123,14 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     What bends an effect of finite size looks like a second effect from "no effect", and not from its own
     size; so pairs are looked for behind refined singles, and triples behind refined pairs.
     """
-    none = _Trial((), np.zeros(0), problem.linear, problem.whitened, problem.information)
+    none = _Trial(
+        (),
+        np.zeros(0),
+        problem.linear,
+        problem.whitened,
+        problem.information,
+        problem.layout.priors,
+    )
     found = [none, *_singles(problem)]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
@@ -131,13 +141,19 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         leader = max(_log_evidence(problem, t) for t in found)
         seeds = _grown(problem, best[:behind], kept, leader - MARGIN_LOG_ODDS)
         found += _settle(problem, seeds, 2 if size == 2 else 1)
-        tick(0.4 + 0.25 * (size - 1))
+        tick(0.4 + 0.2 * (size - 1))
     ranked = sorted(found, key=lambda t: -_log_evidence(problem, t))
-    chosen = ranked[:WEIGHED_COUNT]
-    if none not in chosen:
-        chosen.append(none)
+    chosen = {t.members: t.sizes for t in ranked[:WEIGHED_COUNT] if t.members}
+    # A set must not win because it was simulated nearer to its best size than its own parts were.
+    by_members = {t.members: t for t in found}
+    for members in list(chosen)[:PART_COUNT]:
+        for part in subsets(members):
+            if part in by_members and part:
+                chosen.setdefault(part, by_members[part].sizes)
+    tick(0.9)
+    settled = [none, *_settle(problem, chosen, 2)]
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
-    return [_weighed(problem, trial, weights) for trial in chosen]
+    return [_weighed(problem, trial, weights) for trial in settled]
 
 
 def _singles(problem: Problem) -> list["_Trial"]:
@@ -199,9 +215,9 @@ def _grown(
 
     Sets that promise less evidence than `least` are not worth a simulation.
     """
-    priors = problem.layout.priors
     weighed: dict[Set, tuple[float, Array]] = {}
     for trial in behind:
+        priors = trial.priors
         base = screen(total(trial.information), priors)
         offset = _log_evidence(problem, trial) - weigh(base, priors, trial.members).log_odds
         for group in range(len(priors.groups)):
@@ -228,7 +244,7 @@ def _settle(problem: Problem, seeds: dict[Set, Array], rounds: int) -> list["_Tr
 
 
 def _log_evidence(problem: Problem, trial: "_Trial") -> float:
-    return log_evidence(total(trial.information), problem.layout.priors, trial.members)
+    return log_evidence(total(trial.information), trial.priors, trial.members)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,6 +255,23 @@ class _Trial:
     linear: Sequence[Linear]
     whitened: Sequence[Whitened]
     information: Sequence[Information]
+    priors: Priors
+
+
+def _formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Priors:
+    """Spikes under a hypothesis: what other parameters can make of its effects' form error.
+
+    A real effect is never quite the library's, in the same way in every throw. Where another parameter's
+    slopes lie along the hypothesis' signal, a share of that signal may look like it.
+    """
+    index = members_index(priors, members)
+    precision = data.precision
+    signal = np.sqrt(max(float(sizes @ precision[np.ix_(index, index)] @ sizes), 0.0))
+    own = np.sqrt(np.maximum(np.diag(precision), 1e-12))
+    along = np.abs(precision[:, index] @ sizes) / (own * max(signal, 1e-12))
+    extra = SET_FORM_ERROR_RATIO * signal * np.minimum(along, 1.0) / own
+    extra[index] = 0.0
+    return priors._replace(spike_sd=np.hypot(priors.spike_sd, extra))
 
 
 def _round(problem: Problem, seeds: dict[Set, Array]) -> list[_Trial]:
@@ -272,9 +305,22 @@ def _estimated(
         factor = widened(p, problem.model, problem.factor[i], change)
         whitened.append(whiten_throw(p, linear[i], problem.model, factor, problem.linear[i]))
     informations = information(whitened)
-    base = screen(total(informations), problem.layout.priors)
-    sizes = weigh(base, problem.layout.priors, members).mean
-    return _Trial(members, sizes, linear, whitened, informations)
+    data = total(informations)
+    start = np.array([v for e in effects for v in _sizes_of(e)])
+    priors = _formed(problem.layout.priors, data, members, start)
+    sizes = weigh(screen(data, priors), priors, members).mean
+    return _Trial(members, sizes, linear, whitened, informations, priors)
+
+
+def _sizes_of(effect: Effect) -> list[float]:
+    """Sizes of an effect in the order of the vector."""
+    if effect.effect == DRIFT:
+        return list(effect.parameters.values())
+    return [
+        effect.parameters.get(p.name, 0.0)
+        for p in library()
+        if p.group == (effect.effect, effect.joint)
+    ]
 
 
 def _carried(at: Linear, effects: Sequence[Effect], progress_ratio: float) -> Linear:
@@ -314,31 +360,18 @@ def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, 
 
 
 def _weighed(problem: Problem, trial: _Trial, weights: Array) -> Hypothesis:
-    priors = problem.layout.priors
-    informations = trial.information
-    kept = _kept(problem.layout, trial.members)
-    small = _restricted(priors, kept)
-    members = tuple(range(len(trial.members)))
-    small_members = small._replace(
-        groups=tuple(
-            np.flatnonzero(np.isin(kept, priors.groups[group])) for group in trial.members
-        ),
-        log_prior=np.array([priors.log_prior[group] for group in trial.members]),
-    )
-    reduced = [_restrict(i, kept) for i in informations]
-    logs = np.array([log_evidence(total(reduced, w), small_members, members) for w in weights])
-    base = screen(total(reduced), small_members)
-    evidence = weigh(base, small_members, members)
-    mean = np.zeros(priors.spike_sd.size)
-    mean[kept] = _conditional_mean(base.mean, base.covariance, small_members, evidence)
+    priors, members = trial.priors, trial.members
+    logs = np.array([log_evidence(total(trial.information, w), priors, members) for w in weights])
+    base = screen(total(trial.information), priors)
+    evidence = weigh(base, priors, members)
     return Hypothesis(
-        members=trial.members,
-        effects=fitted_effects(problem.layout, trial.members, evidence.mean),
-        evidence=evidence._replace(members=trial.members),
+        members=members,
+        effects=fitted_effects(problem.layout, members, evidence.mean),
+        evidence=evidence,
         log_evidence=logs,
-        mean=mean,
+        mean=_conditional_mean(base.mean, base.covariance, priors, evidence),
         whitened=trial.whitened,
-        information=informations,
+        information=trial.information,
     )
 
 
@@ -349,28 +382,6 @@ def _conditional_mean(mean: Array, covariance: Array, priors: Priors, found: Set
     index = members_index(priors, found.members)
     block = covariance[np.ix_(index, index)]
     return mean + covariance[:, index] @ np.linalg.solve(block, found.mean - mean[index])
-
-
-def _kept(layout: Layout, members: Set) -> IntArray:
-    """All parameters but the drifts that are no members: nobody's scatter drifts."""
-    index = members_index(layout.priors, members)
-    drift = np.arange(layout.parameter_count, layout.parameter_count + layout.drift_count)
-    return np.setdiff1d(np.arange(layout.size_count), np.setdiff1d(drift, index))
-
-
-def _restrict(found: Information, kept: IntArray) -> Information:
-    return found._replace(
-        precision=found.precision[np.ix_(kept, kept)], gradient=found.gradient[kept]
-    )
-
-
-def _restricted(priors: Priors, kept: IntArray) -> Priors:
-    return priors._replace(
-        spike_sd=priors.spike_sd[kept],
-        slab_sd=priors.slab_sd[kept],
-        low=priors.low[kept],
-        high=priors.high[kept],
-    )
 
 
 def leftover_levels(hypothesis: Hypothesis) -> dict[str, float]:
