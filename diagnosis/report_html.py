@@ -105,7 +105,9 @@ def _chain(found: Diagnosis) -> str:
     if not found.stages:
         return ""
     where = found.evidence.get("where")
-    here = str(where.get("stage")) if isinstance(where, Mapping) else ""
+    # Without a gap the place is only the largest term: nothing to point at.
+    is_pointed = isinstance(where, Mapping) and found.verdict is not VerdictKind.NONE
+    here = str(where.get("stage")) if isinstance(where, Mapping) and is_pointed else ""
     is_metric = any(value != 0.0 for s in found.stages for value in (*s.ci90_m, s.miss_m.downrange))
     limit = max(
         (abs(v) for s in found.stages for v in (*s.ci90_m, s.miss_m.downrange) if v == v),
@@ -114,17 +116,15 @@ def _chain(found: Diagnosis) -> str:
     cards: list[str] = []
     for stage, (name, link) in STAGE_WORDS.items():
         terms = [s for s in found.stages if s.stage is stage]
-        marked = "true" if terms and (stage == here or not here) and not is_metric else "false"
-        if stage == here:
-            marked = "true"
+        is_marked = stage == here or (not here and not is_metric and bool(terms))
         content = (
             _terms(terms, limit)
             if is_metric and terms
             else _without_metres(stage, terms, is_metric)
         )
         cards.append(
-            f'<li data-here="{marked}"><h3>{escape(name)}</h3><p class="dim">{escape(link)}</p>'
-            f"{content}</li>"
+            f'<li data-here="{str(is_marked).lower()}"><h3>{escape(name)}</h3>'
+            f'<p class="dim">{escape(link)}</p>{content}</li>'
         )
     note = (
         "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % "

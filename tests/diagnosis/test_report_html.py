@@ -198,6 +198,11 @@ def test_an_ambiguous_result_names_the_next_experiment() -> None:
     assert "hold s 1.5" in text
 
 
+def test_without_a_gap_nothing_is_pointed_at() -> None:
+    page = report_html(diagnosis(VerdictKind.NONE))
+    assert '<li data-here="true"' not in page
+
+
 def test_bad_data_opens_what_was_refused() -> None:
     page = report_html(diagnosis(VerdictKind.BAD_DATA, stages=(), causes=(), shrink=None, plots={}))
     assert "<details open><summary>1 logs were not used" in page

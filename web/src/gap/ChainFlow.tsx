@@ -14,10 +14,10 @@ export function ChainFlow({ chain }: { chain: Chain }) {
       </p>
       <ol className={classes.chain}>
         {chain.links.map((link) => (
-          <li key={link.stage} className={classes.link} data-here={link.isHere || undefined}>
+          <li key={link.stage} className={classes.link} data-here={link.here || undefined}>
             <h3>
               {link.title}
-              {link.isHere && <span className={classes.here}>cause</span>}
+              {link.here && <span className={classes.here}>{link.here}</span>}
             </h3>
             <p className={classes.dim}>{link.between}</p>
             {link.terms.length === 0 ? (
@@ -43,10 +43,17 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
       {link.terms.map((term) => (
         <div key={term.joint ?? ""} className={classes.term}>
           {term.joint && (
-            <p>
-              <strong>{term.joint}</strong> {downrangeWords(term.downrange_m)},{" "}
-              {crossrangeWords(term.crossrange_m)}
-            </p>
+            <>
+              <p className={classes.joint}>
+                <strong>{term.joint}</strong>
+                <span className={classes.dim}>{percent(term.share_ratio)}</span>
+              </p>
+              <p>
+                {downrangeWords(term.downrange_m)}
+                <br />
+                {crossrangeWords(term.crossrange_m)}
+              </p>
+            </>
           )}
           <IntervalBar
             value_m={term.downrange_m}
@@ -54,7 +61,7 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
             limit_m={limit_m}
             words={barWords(term)}
           />
-          <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>
+          {!term.joint && <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>}
         </div>
       ))}
     </>

@@ -5,7 +5,7 @@ import { count, metres, percent } from "../words/format";
 import { localStamp } from "../words/time";
 import classes from "./RunHead.module.css";
 import { reportHref, useGapActions } from "./useGap";
-import { type Diagnosis, isLook, isOpen, type Run, runWord } from "./words";
+import { type Diagnosis, isLook, isOpen, type Run, runTitle } from "./words";
 
 type Props = { run: Run; found: Diagnosis | null };
 
@@ -17,7 +17,7 @@ export function RunHead({ run, found }: Props) {
     <header className={classes.head}>
       <div className={classes.line}>
         <span className={classes.kind} data-look={isLook(run.verdict) || undefined}>
-          {runWord(run)}
+          {runTitle(run)}
         </span>
         <span className={classes.dim}>
           {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}

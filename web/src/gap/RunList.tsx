@@ -18,6 +18,7 @@ export function RunList({ runs, selected, onSelect }: Props) {
       <h2>
         Diagnoses <span className={classes.zone}>times in {zoneName(new Date())}</span>
       </h2>
+      {runs.isSuccess && runs.rows.length === 0 && <p className={classes.none}>None yet.</p>}
       <ul>
         {runs.rows.map((run) => (
           <li key={run.gap_run_id}>

@@ -34,7 +34,7 @@ export function ThrowPicker({ throws, chosen, onChange }: Props) {
             </th>
             <th scope="col">Time, {zoneName(new Date())}</th>
             <th scope="col">Mode</th>
-            <th scope="col">Range, m</th>
+            <th scope="col">At, m</th>
             <th scope="col">Along, m</th>
           </tr>
         </thead>
@@ -51,7 +51,7 @@ export function ThrowPicker({ throws, chosen, onChange }: Props) {
                   <span className="visually-hidden">Throw of {shortStamp(row.created_utc)}</span>
                 </label>
               </td>
-              <td>{shortStamp(row.created_utc)}</td>
+              <td>{shortStamp(row.created_utc).slice(0, -3)}</td>
               <td>{row.mode.toUpperCase()}</td>
               <td>{fixed(row.target.range_m)}</td>
               <td>{signed(row.measured_downrange_error_m)}</td>

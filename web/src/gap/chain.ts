@@ -1,6 +1,6 @@
 /** The chain from command to impact as the page draws it: every stage, with what it adds to the miss. */
 
-import type { Diagnosis } from "./words";
+import { type Diagnosis, hereWord } from "./words";
 
 export type Term = {
   joint: string | null;
@@ -17,8 +17,8 @@ export type Link = {
   terms: readonly Term[];
   downrange_m: number;
   crossrange_m: number;
-  /** The verdict points here. */
-  isHere: boolean;
+  /** What the verdict says of this stage when it points here; else empty. */
+  here: string;
 };
 
 export type Chain = {
@@ -58,7 +58,7 @@ export function chainOf(found: Diagnosis): Chain {
       terms,
       downrange_m: sum(terms.map((term) => term.downrange_m)),
       crossrange_m: sum(terms.map((term) => term.crossrange_m)),
-      isHere: stage === here,
+      here: stage === here ? hereWord(found.verdict) : "",
     };
   });
   return { links, limit_m, isMetric: limit_m > 0 };

@@ -102,7 +102,9 @@ describe("the chain", () => {
     ]);
     expect(chain.links[0]?.downrange_m).toBeCloseTo(-0.3);
     expect(chain.links[0]?.terms.map((term) => term.joint)).toEqual(["boom", "dipper"]);
-    expect(chain.links.map((link) => link.isHere)).toEqual([true, false, false, false, false]);
+    expect(chain.links.map((link) => link.here)).toEqual(["cause", "", "", "", ""]);
+    const healthy = chainOf({ ...found, verdict: "none" });
+    expect(healthy.links[0]?.here).toBe("largest");
     expect(chain.links[1]?.terms).toEqual([]);
     expect(chain.limit_m).toBe(0.5);
     expect(chain.isMetric).toBe(true);
@@ -117,7 +119,7 @@ describe("the chain", () => {
     };
     const chain = chainOf({ ...found, stages: [alone], evidence: {} });
     expect(chain.isMetric).toBe(false);
-    expect(chain.links.some((link) => link.isHere)).toBe(false);
+    expect(chain.links.some((link) => link.here)).toBe(false);
   });
 });
 

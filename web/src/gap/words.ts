@@ -17,6 +17,23 @@ const VERDICTS: Record<Verdict, string> = {
   bad_data: "Data cannot be used",
 };
 
+const SHORT: Record<Verdict, string> = {
+  none: "No gap",
+  explained: "Explained",
+  ambiguous: "Ambiguous",
+  unknown: "Unknown effect",
+  bad_data: "Bad data",
+};
+
+/** What the stage that the verdict points to is. */
+const HERE: Record<Verdict, string> = {
+  none: "largest",
+  explained: "cause",
+  ambiguous: "cause",
+  unknown: "unexplained",
+  bad_data: "",
+};
+
 const STATES: Record<Run["state"], string> = {
   queued: "Waiting",
   running: "Running",
@@ -26,7 +43,7 @@ const STATES: Record<Run["state"], string> = {
   interrupted: "Interrupted",
 };
 
-export const verdictWord = (verdict: Verdict) => VERDICTS[verdict];
+export const hereWord = (verdict: Verdict) => HERE[verdict];
 
 /** Amber is "look": the person has to do something before this means anything. */
 export const isLook = (verdict: Verdict | null) =>
@@ -35,7 +52,10 @@ export const isLook = (verdict: Verdict | null) =>
 export const isOpen = (run: Run) => run.state === "queued" || run.state === "running";
 
 /** One word for a run: its verdict once there is one, else where it stands. */
-export const runWord = (run: Run) => (run.verdict ? verdictWord(run.verdict) : STATES[run.state]);
+export const runWord = (run: Run) => (run.verdict ? SHORT[run.verdict] : STATES[run.state]);
+
+/** The same as a heading. */
+export const runTitle = (run: Run) => (run.verdict ? VERDICTS[run.verdict] : STATES[run.state]);
 
 export function effectWords(effect: string, joint: string | null | undefined): string {
   const name = effect.replaceAll("_", " ");
