@@ -269,8 +269,10 @@ def _formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pr
     signal = np.sqrt(max(float(sizes @ precision[np.ix_(index, index)] @ sizes), 0.0))
     own = np.sqrt(np.maximum(np.diag(precision), 1e-12))
     along = np.abs(precision[:, index] @ sizes) / (own * max(signal, 1e-12))
-    extra = SET_FORM_ERROR_RATIO * signal * np.minimum(along, 1.0) / own
-    extra[index] = 0.0
+    along[index] = 0.0
+    # All of them together make up the share.
+    share = along / max(float(np.linalg.norm(along)), 1.0)
+    extra = SET_FORM_ERROR_RATIO * signal * share / own
     return priors._replace(spike_sd=np.hypot(priors.spike_sd, extra))
 
 

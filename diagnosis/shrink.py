@@ -184,8 +184,8 @@ def _closed(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> fl
 def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:
     """The realised shrink with a paired bootstrap over throws, and its measure; None without impacts.
 
-    The impact is the measure where the gap stands clear of what healthy machines scatter; otherwise
-    the channels that the effects move are (sensors, for one, move no impact in a replay).
+    The impact is the measure where the gap, and what the effects move it by, stand clear of what healthy
+    machines scatter; otherwise the channels that the effects move are (sensors move no impact in a replay).
 
     Args:
         problem: the set.
@@ -199,7 +199,8 @@ def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Sh
         return None
     before, after = _rows(held.before, good), _rows(held.after, good)
     gap_m = _rms(before.impact_m)
-    by_impact = gap_m > CLEAR_RATIO * floor_m
+    moved_m = _rms(before.impact_m - after.impact_m)
+    by_impact = gap_m > CLEAR_RATIO * floor_m and moved_m > floor_m
     floor = min(floor_m, 0.999 * gap_m)
     rng = np.random.default_rng(0)
     drawn = [
