@@ -46,14 +46,15 @@ def throw_once(
     """Throw once from every row of the table; the info of the step in which each episode ended."""
     count = table.start_rad_m.shape[0]
     reset_key, run_key = jax.random.split(key)
-    state = env.reset(reset_key, table, jnp.arange(count))
+    state = jax.jit(env.reset)(reset_key, table, jnp.arange(count))
     # The load flies at most a second and a half after the last chance to release.
     steps = int(env.task.episode.time_limit_s / 0.08) + 25
     _, _, first = jax.eval_shape(env.step, key, state, jnp.zeros((count, env.action_count)))
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
 
-    def step(carry: tuple[Any, StepInfo], step_key: Field) -> tuple[tuple[Any, StepInfo], None]:
-        state, end = carry
+    # Not a scan over the steps: on the CPU that compiled, but never came back (JAX 0.10.2).
+    @jax.jit
+    def step(state: Any, end: StepInfo, step_key: Field) -> tuple[Any, StepInfo]:
         observation, _ = env.observe(state)
         action = act(actor, normaliser, observation)
         after, _, info = env.step(step_key, state, action)
@@ -63,9 +64,11 @@ def throw_once(
             return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), old, new)
 
         state = jax.tree.map(keep, state, after)
-        return (state, jax.tree.map(keep, end, info)), None
+        return state, jax.tree.map(keep, end, info)
 
-    (_, end), _ = jax.lax.scan(step, (state, blank), jax.random.split(run_key, steps))
+    end = blank
+    for step_key in jax.random.split(run_key, steps):
+        state, end = step(state, end, step_key)
     return end
 
 
@@ -83,8 +86,8 @@ def measure(
     rng = np.random.default_rng(seed)
     distance = np.repeat(np.asarray(ranges_m, dtype=np.float64), throw_count)
     table = start_table(spec, task.mode, distance, np.zeros_like(distance), rng)
-    run = jax.jit(lambda a, n, t, k: throw_once(env, a, n, t, k))
-    end = jax.tree.map(np.asarray, run(actor, normaliser, table, jax.random.key(seed)))
+    thrown = throw_once(env, actor, normaliser, table, jax.random.key(seed))
+    end = jax.tree.map(np.asarray, thrown)
     result: list[Accuracy] = []
     for index, range_m in enumerate(ranges_m):
         rows = slice(index * throw_count, (index + 1) * throw_count)
