@@ -227,15 +227,19 @@ def _shrink(found: Diagnosis) -> str:
         for name, value in (("twin before", shrink.before_m), ("twin after", shrink.after_m))
     )
     what = "throws" if unit == "m" and found.gap.impact_rms_m is not None else "pieces"
+    is_by_channels = found.evidence.get("shrink_measure") == "channels"
+    gap = "gap in the channels that it moves" if is_by_channels else "removable gap"
     words = (
-        f"Adding the cause removes {percent(shrink.ratio)} of the removable gap on "
+        f"Adding the cause removes {percent(shrink.ratio)} of the {gap} on "
         f"{shrink.held_out_throws} held-out {what}, 90 % interval {percent(shrink.ci90[0])} to "
         f"{percent(shrink.ci90[1])}."
     )
     if shrink.predicted_ratio is not None:
         words += f" Predicted before it was added: {percent(shrink.predicted_ratio)}."
     words += (
-        f" {percent(shrink.removable_ratio)} of the gap is removable; the rest is noise and jitter."
+        " The miss itself is no measure here; below, for comparison."
+        if is_by_channels
+        else f" {percent(shrink.removable_ratio)} of the gap is removable; the rest is noise and jitter."
     )
     return _section("How far it shrinks", f"<p>{escape(words)}</p><table>{rows}</table>")
 

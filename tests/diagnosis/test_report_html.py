@@ -198,6 +198,12 @@ def test_an_ambiguous_result_names_the_next_experiment() -> None:
     assert "hold s 1.5" in text
 
 
+def test_a_shrink_of_channels_is_no_shrink_of_the_miss() -> None:
+    text = text_of(report_html(diagnosis(evidence={"shrink_measure": "channels"})))
+    assert "81 % of the gap in the channels that it moves" in text
+    assert "removable" not in text
+
+
 def test_without_a_gap_nothing_is_pointed_at() -> None:
     page = report_html(diagnosis(VerdictKind.NONE))
     assert '<li data-here="true"' not in page

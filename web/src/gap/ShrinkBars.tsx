@@ -1,6 +1,6 @@
-import { fixed, percent } from "../words/format";
+import { fixed } from "../words/format";
 import classes from "./ShrinkBars.module.css";
-import type { Diagnosis } from "./words";
+import { type Diagnosis, shrinkWords } from "./words";
 
 /** How far the gap shrinks on throws that did not choose the cause. */
 export function ShrinkBars({ found }: { found: Diagnosis }) {
@@ -15,13 +15,7 @@ export function ShrinkBars({ found }: { found: Diagnosis }) {
   ];
   return (
     <>
-      <p className={classes.words}>
-        Removes {percent(shrink.ratio)} of the removable gap on {shrink.held_out_throws} held-out
-        throws, 90 % interval {percent(shrink.ci90[0])} to {percent(shrink.ci90[1])}.
-        {typeof shrink.predicted_ratio === "number" &&
-          ` Predicted before it was added: ${percent(shrink.predicted_ratio)}.`}{" "}
-        {percent(shrink.removable_ratio)} of the gap is removable, the rest is noise and jitter.
-      </p>
+      <p className={classes.words}>{shrinkWords(shrink, found.evidence.shrink_measure)}</p>
       <dl className={classes.bars}>
         {rows.map((row) => (
           <div key={row.name} className={classes.row}>

@@ -4,6 +4,8 @@ import type { Line } from "../charts/seriesPlot";
 
 export type Overlay = {
   name: string;
+  /** What is shown together: the name up to its first comma. */
+  group: string;
   unit: string;
   x: readonly number[];
   lines: readonly Line[];
@@ -39,18 +41,19 @@ function overlayOf(name: string, plot: unknown): Overlay | null {
   const after = pick(AFTER);
   const lines = [
     ...line("measured", measured, "--ink"),
-    ...line("twin before", before, "--chart-2", true),
-    ...line("twin after", after, "--chart-1"),
+    ...line("before", before, "--chart-2", true),
+    ...line("after", after, "--chart-1"),
   ];
   if (lines.length === 0) return null;
   return {
     name,
+    group: name.split(",")[0] ?? name,
     unit: typeof fields.unit === "string" ? fields.unit : "",
     x,
     lines,
     left: [
-      ...line("measured minus twin before", minus(measured, before), "--chart-2", true),
-      ...line("measured minus twin after", minus(measured, after), "--chart-1"),
+      ...line("before", minus(measured, before), "--chart-2", true),
+      ...line("after", minus(measured, after), "--chart-1"),
     ],
   };
 }

@@ -10,14 +10,14 @@ import {
 import { api, type Schema, take } from "../session/client";
 import type { GapRun } from "../session/live";
 import { useLive } from "../session/liveStore";
+import { newest } from "./words";
 
 const GAP = "gap";
 const PAGE_ROWS = 30;
 const RECENT_THROWS = 60;
 
-/** A row as the list has it, or newer as an event told it. */
 function useNewest(row: GapRun | undefined): GapRun | undefined {
-  return useLive((live) => (row ? (live.gapRuns[row.gap_run_id] ?? row) : undefined));
+  return useLive((live) => (row ? newest(row, live.gapRuns) : undefined));
 }
 
 export function useGapRuns(machineId: string | null) {
@@ -38,7 +38,7 @@ export function useGapRuns(machineId: string | null) {
     getNextPageParam: (page) => page.next_cursor,
   });
   const rows = pages.data?.pages.flatMap((page) => page.rows) ?? [];
-  return { ...pages, rows: rows.map((row) => live[row.gap_run_id] ?? row) };
+  return { ...pages, rows: rows.map((row) => newest(row, live)) };
 }
 
 export function useGapRun(machineId: string | null, runId: string | undefined) {

@@ -6,8 +6,11 @@ import {
   additionWords,
   causeWords,
   type Diagnosis,
+  newest,
   parameterWords,
   probabilityWords,
+  type Run,
+  shrinkWords,
   sizeWords,
 } from "./words";
 
@@ -84,9 +87,40 @@ describe("words of a diagnosis", () => {
     expect([0.9999, 0.42, 1e-9].map(probabilityWords)).toEqual(["> 99 %", "42 %", "< 1 %"]);
   });
 
+  it("say how far it shrinks, and on what that was measured", () => {
+    const shrink = {
+      before_m: 0.4,
+      after_m: 0.1,
+      ratio: 0.81,
+      ci90: [0.7, 0.88] as [number, number],
+      held_out_throws: 12,
+      predicted_ratio: 0.85,
+      removable_ratio: 0.9,
+    };
+    expect(shrinkWords(shrink, "impact")).toBe(
+      "Removes 81 % of the removable gap on 12 held-out throws, 90 % interval 70 % to 88 %. Predicted before it was added: 85 %. 90 % of the gap is removable, the rest is noise and jitter.",
+    );
+    const channels = shrinkWords({ ...shrink, predicted_ratio: null }, "channels");
+    expect(channels).toContain("81 % of the gap in the channels that it moves");
+    expect(channels).not.toContain("removable");
+  });
+
   it("say what applying would add", () => {
     expect(additionWords(found)).toBe("Adds valve dead time, dipper: extra dead time 62.0 ms.");
     expect(additionWords({ ...found, causes: [] })).toBe("Adds nothing.");
+  });
+});
+
+describe("a run", () => {
+  const row = (state: Run["state"], progress_ratio = 0) =>
+    ({ gap_run_id: "g1", state, progress_ratio }) as Run;
+
+  it("follows events while it is open, and is what was asked for once it ended", () => {
+    const told = { g1: row("running", 0.5) };
+    expect(newest(row("queued"), told).progress_ratio).toBe(0.5);
+    expect(newest(row("running"), {}).progress_ratio).toBe(0);
+    expect(newest(row("done"), told).state).toBe("done");
+    expect(newest(row("running"), { g1: row("done") }).state).toBe("done");
   });
 });
 
@@ -139,11 +173,8 @@ describe("overlays", () => {
     });
     expect(rest).toEqual([]);
     expect(overlay?.name).toBe("t1 dipper");
-    expect(overlay?.lines.map((line) => line.label)).toEqual([
-      "measured",
-      "twin before",
-      "twin after",
-    ]);
+    expect(overlay?.group).toBe("t1 dipper");
+    expect(overlay?.lines.map((line) => line.label)).toEqual(["measured", "before", "after"]);
     expect(overlay?.left.map((line) => line.values)).toEqual([
       [1, 1, null],
       [0, 0, null],

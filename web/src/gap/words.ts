@@ -51,6 +51,10 @@ export const isLook = (verdict: Verdict | null) =>
 
 export const isOpen = (run: Run) => run.state === "queued" || run.state === "running";
 
+/** A row as it was asked for, or newer as events told it; an ended run is what was asked for. */
+export const newest = (row: Run, told: Readonly<Record<string, Run>>): Run =>
+  isOpen(row) ? (told[row.gap_run_id] ?? row) : row;
+
 /** One word for a run: its verdict once there is one, else where it stands. */
 export const runWord = (run: Run) => (run.verdict ? SHORT[run.verdict] : STATES[run.state]);
 
@@ -110,6 +114,26 @@ export function sizesOf(effect: Fitted): { name: string; value: string; interval
     name: parameterWords(name),
     ...sizeWords(size),
   }));
+}
+
+/**
+ * How far the gap shrinks. Where the impact is no measure of the effect (a sensor moves none), the recorded
+ * channels are, and metres say nothing about the share.
+ */
+export function shrinkWords(shrink: Schema["Shrink"], measure: unknown): string {
+  const isByChannels = measure === "channels";
+  const what = isByChannels ? "gap in the channels that it moves" : "removable gap";
+  const parts = [
+    `Removes ${percent(shrink.ratio)} of the ${what} on ${shrink.held_out_throws} held-out throws, 90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}.`,
+  ];
+  if (typeof shrink.predicted_ratio === "number")
+    parts.push(`Predicted before it was added: ${percent(shrink.predicted_ratio)}.`);
+  parts.push(
+    isByChannels
+      ? "The miss itself is no measure here: below, for comparison."
+      : `${percent(shrink.removable_ratio)} of the gap is removable, the rest is noise and jitter.`,
+  );
+  return parts.join(" ");
 }
 
 /** "Adds valve dead time, dipper: extra dead time 62.0 ms." */
