@@ -40,30 +40,32 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
         <br />
         {crossrangeWords(link.crossrange_m)}
       </p>
-      {link.terms.map((term) => (
-        <div key={term.joint ?? ""} className={classes.term}>
-          {term.joint && (
-            <>
-              <p className={classes.joint}>
-                <strong>{term.joint}</strong>
-                <span className={classes.dim}>{percent(term.share_ratio)}</span>
-              </p>
-              <p>
-                {downrangeWords(term.downrange_m)}
-                <br />
-                {crossrangeWords(term.crossrange_m)}
-              </p>
-            </>
-          )}
-          <IntervalBar
-            value_m={term.downrange_m}
-            ci90_m={term.ci90_m}
-            limit_m={limit_m}
-            words={barWords(term)}
-          />
-          {!term.joint && <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>}
-        </div>
-      ))}
+      <div className={classes.terms}>
+        {link.terms.map((term) => (
+          <div key={term.joint ?? ""} className={classes.term}>
+            {term.joint && (
+              <>
+                <p className={classes.joint}>
+                  <strong>{term.joint}</strong>
+                  <span className={classes.dim}>{percent(term.share_ratio)}</span>
+                </p>
+                <p>
+                  {downrangeWords(term.downrange_m)}
+                  <br />
+                  {crossrangeWords(term.crossrange_m)}
+                </p>
+              </>
+            )}
+            <IntervalBar
+              value_m={term.downrange_m}
+              ci90_m={term.ci90_m}
+              limit_m={limit_m}
+              words={barWords(term)}
+            />
+            {!term.joint && <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>}
+          </div>
+        ))}
+      </div>
     </>
   );
 }
