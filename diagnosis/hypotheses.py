@@ -41,7 +41,7 @@ from sim_twin.effects import DRIFT, Effect, resolve
 from sim_twin.profile import TwinProfile
 
 BOOTSTRAP_COUNT = 30
-SET_FORM_ERROR_RATIO = 0.2
+SET_FORM_ERROR_RATIO = 0.1
 """Of an effect's signal, the same in every throw."""
 SINGLE_COUNT = 6
 PART_COUNT = 3

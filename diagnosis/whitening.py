@@ -40,7 +40,7 @@ THROW_NUISANCES = (
 )
 """Names of the columns of `Whitened.nuisance`; behind them come all parameters of the library: each varies a
 little from throw to throw on any machine."""
-FORM_ERROR_RATIO = 0.15
+FORM_ERROR_RATIO = 0.03
 """Discrepancy of a real effect from the library's, as a share of what it changes."""
 OIL_LAG_S = 0.05 * 0.06
 """Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
