@@ -42,7 +42,7 @@ def acceleration(
 ) -> Array:
     """Acceleration (..., 3) of the load at a velocity (..., 3), m/s^2; `lift_per_m` (..., 3) is l."""
     relative = velocity_m_per_s - wind_m_per_s
-    speed = np.linalg.norm(relative, axis=-1, keepdims=True)
+    speed = np.sqrt(np.add.reduce(relative * relative, axis=-1, keepdims=True))
     result = -np.asarray(drag_per_m)[..., None] * speed * relative
     result[..., 2] -= GRAVITY_M_PER_S2
     if lift_per_m is not None:
@@ -60,16 +60,18 @@ def step_flight(
 ) -> tuple[Array, Array]:
     """One Runge-Kutta step of the flight; shapes (..., 3)."""
     h = np.asarray(step_s)[..., None]
+    half = 0.5 * h
     v1 = velocity_m_per_s
     a1 = acceleration(v1, drag_per_m, wind_m_per_s, lift_per_m)
-    v2 = v1 + 0.5 * h * a1
+    v2 = v1 + half * a1
     a2 = acceleration(v2, drag_per_m, wind_m_per_s, lift_per_m)
-    v3 = v1 + 0.5 * h * a2
+    v3 = v1 + half * a2
     a3 = acceleration(v3, drag_per_m, wind_m_per_s, lift_per_m)
     v4 = v1 + h * a3
     a4 = acceleration(v4, drag_per_m, wind_m_per_s, lift_per_m)
-    position = position_m + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
-    velocity = velocity_m_per_s + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    sixth = h / 6.0
+    position = position_m + sixth * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
+    velocity = velocity_m_per_s + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     return position, velocity
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 
 from machine.conventions import ACTIVE_COUNT, Array
 from machine.errors import UsageError
-from machine.kinematics import cylinder_arm_m, namespace
+from machine.kinematics import components, cylinder_arm_m, namespace
 from machine.registration import Registration
 from machine.spec import MachineSpec
 
@@ -67,6 +67,15 @@ def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
     one = boom * 0.0 + 1.0
     xp = namespace(boom)
     return xp.stack([one, boom, dipper, one], axis=-1)
+
+
+def actuator_ratio_magnitude(spec: MachineSpec, active_position_rad_m: Array) -> Array:
+    """|actuator_ratio| (N, 4) of numpy arrays (N, 4), as the control step needs it in every tick."""
+    ratio = np.ones_like(active_position_rad_m)
+    _, boom, dipper, _ = components(active_position_rad_m.T)
+    ratio[:, 1] = cylinder_arm_m(spec.hydraulics.boom_cylinder, boom)
+    ratio[:, 2] = cylinder_arm_m(spec.hydraulics.dipper_cylinder, dipper)
+    return np.abs(ratio, out=ratio)
 
 
 def nominal_calibration(spec: MachineSpec, machine_id: str = "nominal") -> ValveCalibration:

@@ -20,6 +20,14 @@ def namespace(array: Any) -> Any:
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
+def components(array: Array) -> Any:
+    """The K components of (K, N) one by one: rows (N,), or plain numbers where N is 1.
+
+    numpy takes ten times as long for an array of one number as for the number; the bits are the same.
+    """
+    return array if array.shape[1] != 1 else array[:, 0].tolist()
+
+
 class ToolState(NamedTuple):
     """Position and velocity of a point, shape (..., 3), m and m/s, frame `machine`."""
 

@@ -1,16 +1,16 @@
 """Motion of the tool pin in the arm plane: what swings the gripper, and what can damp it; batched."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from machine.conventions import Array
+from machine.kinematics import components
 from machine.spec import MachineSpec
 from runtime.driver import SensorSample
 
 
-@dataclass(frozen=True, slots=True)
-class ArmMotion:
+class ArmMotion(NamedTuple):
     """Tool pin of N machines at one tick."""
 
     radius_m: Array
@@ -26,8 +26,9 @@ class ArmMotion:
     def of(cls, spec: MachineSpec, sample: SensorSample) -> "ArmMotion":
         """From the joint sensors, by the derivative of machine.kinematics.pin_in_plane."""
         g = spec.geometry
-        _, boom, dipper, extension = sample.joint_position_rad_m.T
-        turning, boom_rate, dipper_rate, extending = sample.joint_velocity_rad_m_per_s.T
+        position, velocity = sample.joint_position_rad_m.T, sample.joint_velocity_rad_m_per_s.T
+        _, boom, dipper, extension = components(position)
+        turning, boom_rate, dipper_rate, extending = components(velocity)
         tube = boom + dipper
         cos_tube, sin_tube = np.cos(tube), np.sin(tube)
         length = g.dipper_to_telescope_m + g.telescope_to_pin_m + extension
@@ -35,13 +36,16 @@ class ArmMotion:
         along = length * cos_tube - g.telescope_axis_offset_m * sin_tube
         boom_x, boom_z = g.boom_length_m * np.cos(boom), g.boom_length_m * np.sin(boom)
         tube_rate = boom_rate + dipper_rate
-        motion = np.empty((3, tube.shape[0]))
-        motion[0] = along * tube_rate - boom_z * boom_rate + sin_tube * extending
-        motion[1] = across * tube_rate + boom_x * boom_rate - cos_tube * extending
-        motion[2] = turning
+        rows = np.empty((6, position.shape[1]))
+        rows[0] = along * tube_rate - boom_z * boom_rate + sin_tube * extending
+        rows[1] = across * tube_rate + boom_x * boom_rate - cos_tube * extending
+        rows[2] = turning
+        rows[3] = g.boom_pivot_m[0] + boom_x + across
+        rows[4] = along
+        rows[5] = sin_tube
         return cls(
-            radius_m=g.boom_pivot_m[0] + boom_x + across,
-            dipper_arm_m=along,
-            telescope_arm_ratio=sin_tube,
-            velocity_rad_m_per_s=motion,
+            radius_m=rows[3],
+            dipper_arm_m=rows[4],
+            telescope_arm_ratio=rows[5],
+            velocity_rad_m_per_s=rows[:3],
         )

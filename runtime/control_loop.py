@@ -4,12 +4,12 @@
 eighth tick of a throw. It keeps no clock, does no I/O and decides no motion: throw_states.py does.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.calibration import actuator_ratio
+from machine.calibration import actuator_ratio_magnitude
 from machine.conventions import (
     CONTROL_PERIOD_S,
     Array,
@@ -69,8 +69,7 @@ _VIOLATIONS = tuple(
 _CLOSING_ON_ITS_OWN = int(safety.CLOSING & ~safety.Intervention.STOPPED)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sensed:
+class _Sensed(NamedTuple):
     """What the sensors of one tick mean."""
 
     arm: ArmMotion
@@ -80,11 +79,11 @@ class _Sensed:
     """(N, 6) all joints."""
     velocity: Array
     begins: BoolArray
+    any_begins: bool
     motion_tick: IntArray
 
 
-@dataclass(frozen=True, slots=True)
-class _Driven:
+class _Driven(NamedTuple):
     """What becomes of the requests of one tick."""
 
     controller: ControllerState
@@ -156,8 +155,10 @@ def step(
     throw = policy.memory
     swing, request, aligned, settled = _motions(params, state, inputs, sensed, throw)
     driven = _drive(params, state, inputs, throw, request, now_ns)
-    gone = throw.released & ~sample.payload_held
-    waited = throw.released_tick_count >= _RELEASE_WAIT_TICKS
+    gone = done = throw.released
+    if np.count_nonzero(throw.released):
+        gone = throw.released & ~sample.payload_held
+        done = gone | (throw.released & (throw.released_tick_count >= _RELEASE_WAIT_TICKS))
     after = ControlState(
         tick_count=state.tick_count + 1,
         motion=motion,
@@ -175,7 +176,7 @@ def step(
         policy_row=policy.row,
         release_commanded=throw.released,
         load_gone=gone,
-        throw_done=throw.released & (gone | waited),
+        throw_done=done,
         aligned=aligned,
         settled=settled,
         violation_count=_violations(spec, motion, sensed, policy, driven.gated),
@@ -185,6 +186,8 @@ def step(
 
 def next_motion(motion: IntArray, outputs: ControlOutputs) -> IntArray:
     """Motion (N,) of the next tick when nobody interferes: ALIGN -> THROW -> SETTLE; for rollouts."""
+    if not (np.count_nonzero(outputs.aligned) or np.count_nonzero(outputs.throw_done)):
+        return motion
     starts = (motion == _ALIGN) & outputs.aligned
     ends = (motion == _THROW) & outputs.throw_done
     return np.where(starts, _THROW, np.where(ends, _SETTLE, motion))
@@ -208,8 +211,11 @@ def _sense(
     blend = CONTROL_PERIOD_S / SPEED_FILTER_S
     filtered = state.speed_rad_m_per_s + blend * (speed - state.speed_rad_m_per_s)
     begins: BoolArray = np.not_equal(inputs.motion, state.motion)
-    ticks = np.where(begins, 0, state.motion_tick_count + 1)
-    return imu_state, _Sensed(arm, imu, filtered, position, velocity, begins, ticks)
+    any_begins = bool(np.count_nonzero(begins))
+    ticks = state.motion_tick_count + 1
+    if any_begins:
+        ticks[begins] = 0
+    return imu_state, _Sensed(arm, imu, filtered, position, velocity, begins, any_begins, ticks)
 
 
 def _motions(
@@ -222,13 +228,16 @@ def _motions(
     """Velocity requests (N, 4) of whatever motion each machine runs, and whether it is done."""
     spec, motion = params.spec, inputs.motion
     active = inputs.sample.joint_position_rad_m
-    request = np.where((motion == _THROW)[:, None], throw.request_rad_m_per_s, 0.0)
+    running = set(motion.tolist())
+    request = throw.request_rad_m_per_s
+    if running != {_THROW}:
+        request = np.where((motion == _THROW)[:, None], request, 0.0)
     aligned = settled = np.zeros(motion.shape, dtype=np.bool_)
     swing = state.swing
-    aligning, settling = motion == _ALIGN, motion == _SETTLE
-    if not (aligning.any() or settling.any()):
+    if _ALIGN not in running and _SETTLE not in running:
         return swing, request, aligned, settled
-    if sensed.begins.any():
+    aligning, settling = motion == _ALIGN, motion == _SETTLE
+    if sensed.any_begins:
         turn = np.zeros(motion.shape)
         if params.mode is Mode.PLANAR:
             target = np.where(aligning[:, None], inputs.target_m, (1.0, 0.0, 0.0))
@@ -236,17 +245,20 @@ def _motions(
         homing = aligning & ~is_valid_start(spec, sensed.position)
         swing = swing_control.begin(swing, sensed.begins, active[:, 0], turn, homing)
     before, amplitude = swing, swing_control.swing_amplitude_rad(spec, sensed.imu)
-    if aligning.any():
+    if _ALIGN in running:
         swing, output = swing_control.align(spec, before, active, sensed.filtered_speed, amplitude)
         request = np.where(aligning[:, None], output.request_rad_m_per_s, request)
         aligned = aligning & output.done
-    if settling.any():
+    if _SETTLE in running:
         settled_swing, output = swing_control.settle(
             spec, before, active, sensed.filtered_speed, sensed.arm, sensed.imu, amplitude
         )
         request = np.where(settling[:, None], output.request_rad_m_per_s, request)
         settled = settling & output.done
-        swing = swing_control.choose(settling, settled_swing, swing)
+        if running == {_SETTLE}:
+            swing = settled_swing
+        else:
+            swing = swing_control.choose(settling, settled_swing, swing)
     return swing, request, aligned, settled
 
 
@@ -261,14 +273,16 @@ def _drive(
     """From velocity requests (N, 4) to what the safety gate lets through."""
     spec, sample, motion = params.spec, inputs.sample, inputs.motion
     active, speed = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
-    ratio = np.abs(actuator_ratio(spec, active))
+    ratio = actuator_ratio_magnitude(spec, active)
     previous = state.controller.delay_line[0]
     reference = shape_with_ratio(spec, request, previous, active, ratio, CONTROL_PERIOD_S)
     controller, valve = params.controller.update(state.controller, reference, speed, ratio)
-    opening = throw.released & ((motion == _THROW) | (motion == _SETTLE))
+    opening = throw.released
+    if np.count_nonzero(opening):
+        opening = opening & ((motion == _THROW) | (motion == _SETTLE))
     memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
     closed: BoolArray = np.not_equal(gated.intervention_count & _CLOSING, 0)
-    if closed.any():
+    if np.count_nonzero(closed):
         # A machine whose valves were closed starts again from standstill, not from old wishes.
         controller = controller.forget(closed)
     return _Driven(controller, memory, reference, valve, gated)
@@ -282,9 +296,12 @@ def _violations(
     gated: safety.SafetyOutput,
 ) -> IntArray:
     imu, limit = sensed.imu, spec.limits.swing_rad
-    needs_imu = (motion == _THROW) | (motion == _ALIGN)
-    swings = (np.abs(imu.swing_rad) > limit) | (np.abs(imu.roll_rad) > limit)
+    swings = np.fmax(np.abs(imu.swing_rad), np.abs(imu.roll_rad)) > limit
     old = imu.age_s > IMU_AGE_MAX_S
+    odd = swings | old | policy.failed
+    if not (np.count_nonzero(odd) or np.count_nonzero(gated.intervention_count)):
+        return np.zeros(motion.shape, dtype=np.int64)
+    needs_imu = (motion == _THROW) | (motion == _ALIGN)
     return (
         (gated.intervention_count & _CLOSING_ON_ITS_OWN > 0) * _VIOLATIONS[0]
         + (needs_imu & swings) * _VIOLATIONS[1]

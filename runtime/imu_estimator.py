@@ -9,13 +9,20 @@ the gripper hangs plumb up to friction. It refuses nothing; an old sample shows 
 Axes of the swing frame S (cabin frame turned by the swing): e1 forward, e2 left, e3 up along the hanger.
 """
 
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from machine.conventions import CONTROL_PERIOD_S, GRAVITY_M_PER_S2, Array, BoolArray, IntArray
+from machine.conventions import (
+    CONTROL_PERIOD_NS,
+    CONTROL_PERIOD_S,
+    GRAVITY_M_PER_S2,
+    Array,
+    BoolArray,
+    IntArray,
+)
+from machine.kinematics import components
 from machine.spec import MachineSpec
 from runtime.driver import SensorSample
 
@@ -48,6 +55,8 @@ LONGEST_STEP_S = 0.30
 class _Constants(NamedTuple):
     frequency: Array
     """(2, 1) small-swing angular frequency of pitch and roll, rad/s."""
+    squared: Array
+    """(2, 1) its square."""
     hanger: float
     """Pin to roll axis, m."""
 
@@ -66,7 +75,8 @@ def _constants(spec: MachineSpec) -> _Constants:
     roll_moment = p.gripper_mass_kg * p.gripper_com_m
     roll_inertia = p.gripper_mass_kg * p.gripper_com_m**2 + p.gripper_inertia_kg_m2[0]
     squared = GRAVITY_M_PER_S2 * np.array([[moment / inertia], [roll_moment / roll_inertia]])
-    return _Constants(np.sqrt(squared), a)
+    frequency = np.sqrt(squared)
+    return _Constants(frequency, frequency * frequency, a)
 
 
 def swing_frequency_rad_per_s(spec: MachineSpec) -> tuple[float, float]:
@@ -75,8 +85,7 @@ def swing_frequency_rad_per_s(spec: MachineSpec) -> tuple[float, float]:
     return float(pitch), float(roll)
 
 
-@dataclass(frozen=True, slots=True)
-class ImuState:
+class ImuState(NamedTuple):
     """Memory of the estimator; component axis first, then machines."""
 
     t_ns: IntArray
@@ -162,12 +171,24 @@ def update(
         now_ns: the tick.
     """
     state = _follow_machine(state, sample, pin_velocity_rad_m_per_s)
-    gyro, accel = sample.imu_gyro_rad_per_s.T, sample.imu_accel_m_per_s2.T
-    usable = np.isfinite(gyro).all(axis=0) & np.isfinite(accel).all(axis=0)
-    new = usable & (sample.imu_t_mono_ns > state.t_ns) & (sample.imu_t_mono_ns <= now_ns)
-    if new.any():
+    t_ns, gyro, accel = (
+        sample.imu_t_mono_ns,
+        sample.imu_gyro_rad_per_s.T,
+        sample.imu_accel_m_per_s2.T,
+    )
+    usable = (np.isfinite(gyro) & np.isfinite(accel)).all(axis=0)
+    new = usable & (t_ns > state.t_ns) & (t_ns <= now_ns)
+    new_count = np.count_nonzero(new)
+    if new_count == new.size:
+        state = _take_sample(spec, state, t_ns, gyro, accel, pin_radius_m)
+    elif new_count:
+        # The machines without one work out a sample of zeros, which is thrown away.
+        t_ns = np.where(new, t_ns, state.t_ns + CONTROL_PERIOD_NS)
         gyro, accel = np.where(new, gyro, 0.0), np.where(new, accel, 0.0)
-        state = _take_sample(spec, state, sample, gyro, accel, pin_radius_m, new)
+        taken = _take_sample(spec, state, t_ns, gyro, accel, pin_radius_m)
+        state = ImuState(
+            *(np.where(new, one, other) for one, other in zip(taken, state, strict=True))
+        )
     return state, _extrapolate(spec, state, now_ns)
 
 
@@ -176,48 +197,52 @@ def _follow_machine(state: ImuState, sample: SensorSample, pin_velocity: Array) 
     gain = CONTROL_PERIOD_S / PIN_FILTER_S
     moved = gain * (pin_velocity - state.pin_velocity_rad_m_per_s)
     before = state.pin_acceleration_rad_m_per_s2
-    speed = np.abs(sample.joint_velocity_rad_m_per_s).max(axis=1)
-    still = speed < REST_JOINT_SPEED_RAD_M_PER_S
-    return _replace(
-        state,
+    moves = ~(np.abs(sample.joint_velocity_rad_m_per_s) < REST_JOINT_SPEED_RAD_M_PER_S)
+    rest_s = state.rest_s
+    if np.count_nonzero(moves):
+        rest_s = np.where(moves.any(axis=1), 0.0, rest_s)
+    return state._replace(
         pin_velocity_rad_m_per_s=state.pin_velocity_rad_m_per_s + moved,
         pin_acceleration_rad_m_per_s2=before + gain * (moved / CONTROL_PERIOD_S - before),
-        rest_s=np.where(still, state.rest_s, 0.0),
+        rest_s=rest_s,
     )
 
 
 def _take_sample(
     spec: MachineSpec,
     state: ImuState,
-    sample: SensorSample,
+    t_ns: IntArray,
     gyro: Array,
     accel: Array,
     pin_radius: Array,
-    new: BoolArray,
 ) -> ImuState:
-    first = new & (state.t_ns == 0)
-    if first.any():
+    """Take in samples of times (N,), rates and specific forces (3, N), newer than the last of each."""
+    first = state.t_ns == 0
+    dt: Array = np.multiply(t_ns - state.t_ns, 1e-9)
+    if np.count_nonzero(first):
+        dt[first] = CONTROL_PERIOD_S
         state = _begin(state, gyro, accel, first)
-    dt = np.where(state.t_ns > 0, (sample.imu_t_mono_ns - state.t_ns) * 1e-9, CONTROL_PERIOD_S)
-    dt = np.where(new, dt, CONTROL_PERIOD_S)
     gap = dt > LONGEST_STEP_S
+    any_gap = np.count_nonzero(gap) > 0
     before = state.rate_rad_per_s
-    rate = _joint_rates(state, gyro - state.gyro_bias_rad_per_s)
+    turning = gyro - state.gyro_bias_rad_per_s
+    rate = _joint_rates(state, turning)
     # On the virtual machine no filter of the rate (alpha-beta-gamma, accelerometer, joint sensors) did
     # better than 15 % below these differences: what is missing after 30 ms is the drives' own jerk.
-    acceleration = np.where(gap, 0.0, (rate - before) / dt)
-    trend = np.where(gap, 0.0, acceleration - state.acceleration_rad_per_s2)
-    angle = state.angle_rad + np.where(gap, 0.0, 0.5 * dt) * (before + rate)
-    moved = _replace(
-        state,
-        t_ns=np.where(new, sample.imu_t_mono_ns, state.t_ns),
-        angle_rad=np.where(new, angle, state.angle_rad),
-        rate_rad_per_s=np.where(new, rate, state.rate_rad_per_s),
-        acceleration_rad_per_s2=np.where(new, acceleration, state.acceleration_rad_per_s2),
-        trend_rad_per_s2=np.where(new, trend, state.trend_rad_per_s2),
+    acceleration = (rate - before) / dt
+    step = 0.5 * dt
+    if any_gap:
+        acceleration = np.where(gap, 0.0, acceleration)
+        step = np.where(gap, 0.0, step)
+    trend = acceleration - state.acceleration_rad_per_s2
+    moved = state._replace(
+        t_ns=t_ns.copy(),
+        angle_rad=state.angle_rad + step * (before + rate),
+        rate_rad_per_s=rate,
+        acceleration_rad_per_s2=acceleration,
+        trend_rad_per_s2=np.where(gap, 0.0, trend) if any_gap else trend,
     )
-    error = _tilt_error(spec, moved, gyro - moved.gyro_bias_rad_per_s, accel, pin_radius)
-    return _correct(moved, error, gyro, dt, new)
+    return _correct(moved, _tilt_error(spec, moved, turning, accel, pin_radius), gyro, dt)
 
 
 def _begin(state: ImuState, gyro: Array, accel: Array, first: BoolArray) -> ImuState:
@@ -226,8 +251,7 @@ def _begin(state: ImuState, gyro: Array, accel: Array, first: BoolArray) -> ImuS
     tilt = np.stack([np.arctan2(accel[0], accel[2]), np.arctan2(accel[1], accel[2])])
     outside = tilt - np.clip(tilt, -START_ANGLE_ZONE_RAD, START_ANGLE_ZONE_RAD)
     bias = np.where(first & resting, gyro, state.gyro_bias_rad_per_s)
-    return _replace(
-        state,
+    return state._replace(
         angle_rad=np.where(first, outside, state.angle_rad),
         gyro_bias_rad_per_s=bias,
         gyro_mean_rad_per_s=np.where(first, gyro, state.gyro_mean_rad_per_s),
@@ -239,10 +263,12 @@ def _joint_rates(state: ImuState, gyro: Array) -> Array:
 
     In S the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
     """
-    swing, roll = state.angle_rad
+    swing, roll = components(state.angle_rad)
+    wx, wy, wz = components(gyro)
+    _, _, cabin = components(state.pin_velocity_rad_m_per_s)
     rates = np.empty_like(state.angle_rad)
-    rates[0] = np.sin(roll) * gyro[2] - np.cos(roll) * gyro[1]
-    rates[1] = gyro[0] - state.pin_velocity_rad_m_per_s[2] * np.sin(swing)
+    rates[0] = np.sin(roll) * wz - np.cos(roll) * wy
+    rates[1] = wx - cabin * np.sin(swing)
     return rates
 
 
@@ -254,38 +280,39 @@ def _tilt_error(
     The sample's specific force is carried from the IMU to the roll axis and from there to the pin, where
     it is gravity plus the pin's acceleration.
     """
-    swing, roll = state.angle_rad
-    swing_acc, roll_acc = state.acceleration_rad_per_s2
-    sin_r, cos_r = np.sin(roll), np.cos(roll)
+    swing, roll = components(state.angle_rad)
+    swing_acc, roll_acc = components(state.acceleration_rad_per_s2)
+    sin_s, cos_s, sin_r, cos_r = np.sin(swing), np.cos(swing), np.sin(roll), np.cos(roll)
     x, _, z = IMU_POSITION_M
-    wx, wy, wz = gyro
+    wx, wy, wz = components(gyro)
+    ax, ay, az = components(accel)
     by, bz = -cos_r * swing_acc, sin_r * swing_acc
     # accel - beta x p - w x (w x p), p = (x, 0, z) in the gripper's frame
     along = wx * x + wz * z
     square = wx * wx + wy * wy + wz * wz
-    f1 = accel[0] - by * z - wx * along + square * x
-    f2 = accel[1] - (bz * x - roll_acc * z) - wy * along
-    f3 = accel[2] + by * x - wz * along + square * z
+    f1 = ax - by * z - wx * along + square * x
+    f2 = ay - (bz * x - roll_acc * z) - wy * along
+    f3 = az + by * x - wz * along + square * z
     # into S, then from the roll axis up to the pin (the hanger does not roll)
-    pin_speed, _, cabin = state.pin_velocity_rad_m_per_s
-    o1, o3 = cabin * np.sin(swing), cabin * np.cos(swing)
-    a, swing_rate = _constants(spec).hanger, state.rate_rad_per_s[0]
+    pin_speed, _, cabin = components(state.pin_velocity_rad_m_per_s)
+    o1, o3 = cabin * sin_s, cabin * cos_s
+    a, (swing_rate, _) = _constants(spec).hanger, components(state.rate_rad_per_s)
     s1 = f1 - a * (swing_acc - o1 * o3)
     s2 = cos_r * f2 - sin_r * f3 - 2.0 * a * swing_rate * o3
-    pin_x, pin_z, cabin_acc = state.pin_acceleration_rad_m_per_s2
+    pin_x, pin_z, cabin_acc = components(state.pin_acceleration_rad_m_per_s2)
+    (radius,) = components(pin_radius[None])
     offset = spec.geometry.arm_plane_offset_m
-    pin_x = pin_x - cabin * cabin * pin_radius - cabin_acc * offset
-    pin_y = 2.0 * cabin * pin_speed + cabin_acc * pin_radius - cabin * cabin * offset
+    pin_x = pin_x - cabin * cabin * radius - cabin_acc * offset
+    pin_y = 2.0 * cabin * pin_speed + cabin_acc * radius - cabin * cabin * offset
     up = GRAVITY_M_PER_S2 + pin_z
-    sin_s, cos_s = np.sin(swing), np.cos(swing)
     expected1 = pin_x * cos_s + up * sin_s
     along_hanger = np.maximum(up * cos_s - pin_x * sin_s, 0.3 * GRAVITY_M_PER_S2)
     error = np.empty_like(state.angle_rad)
-    error[0], error[1] = s1 - expected1, s2 - pin_y
-    return error / along_hanger
+    error[0], error[1] = (s1 - expected1) / along_hanger, (s2 - pin_y) / along_hanger
+    return error
 
 
-def _correct(state: ImuState, error: Array, gyro: Array, dt: Array, new: BoolArray) -> ImuState:
+def _correct(state: ImuState, error: Array, gyro: Array, dt: Array) -> ImuState:
     """Slow correction by gravity; gyro bias, accelerometer offset and plumb angle while at rest."""
     window = np.minimum(dt / REST_WINDOW_S, 1.0)
     mean = state.gyro_mean_rad_per_s + window * (gyro - state.gyro_mean_rad_per_s)
@@ -296,7 +323,26 @@ def _correct(state: ImuState, error: Array, gyro: Array, dt: Array, new: BoolArr
         np.abs(mean).max(axis=0) < REST_RATE_MAX_RAD_PER_S
     )
     rest = np.where(calm, state.rest_s + dt, 0.0)
-    resting = new & (rest > REST_MIN_S)
+    resting = rest > REST_MIN_S
+    if np.count_nonzero(resting):
+        state = _rest(state, error, mean, dt, resting)
+    else:
+        state = state._replace(angle_rad=state.angle_rad + _pull_to_gravity(state, error, dt))
+    return state._replace(gyro_mean_rad_per_s=mean, gyro_variance_rad2_per_s2=variance, rest_s=rest)
+
+
+def _pull_to_gravity(state: ImuState, error: Array, dt: Array) -> Array:
+    """Change of the angles (2, N) of a swinging gripper: small, smaller while the pin accelerates."""
+    outward, up, turning = components(state.pin_acceleration_rad_m_per_s2)
+    pull = (
+        outward * outward + up * up + 36.0 * turning * turning
+    ) / PIN_ACCELERATION_TRUST_M_PER_S2**2
+    off = np.minimum(np.maximum(error - state.tilt_offset_rad, -0.3), 0.3)
+    return dt / GRAVITY_TIME_S / (1.0 + pull) * off
+
+
+def _rest(state: ImuState, error: Array, mean: Array, dt: Array, resting: BoolArray) -> ImuState:
+    """Learn gyro bias and accelerometer offset of the machines (N,) at rest; theirs hang plumb."""
     samples = state.rest_sample_count + resting
     # A running mean that never forgets faster than 10 s: several rests average the friction's zone.
     share = np.where(resting, 1.0 / np.clip(samples, 1.0, 1000.0), 0.0)
@@ -304,40 +350,26 @@ def _correct(state: ImuState, error: Array, gyro: Array, dt: Array, new: BoolArr
     offset = state.tilt_offset_rad + share * (tilt - state.tilt_offset_rad)
     plumb = np.clip(tilt - offset, -PLUMB_ZONE_RAD, PLUMB_ZONE_RAD)
     at_rest = np.minimum(dt / REST_ANGLE_TIME_S, 1.0) * (plumb - state.angle_rad)
-    outward, up, turning = state.pin_acceleration_rad_m_per_s2
-    pull = (
-        outward * outward + up * up + 36.0 * turning * turning
-    ) / PIN_ACCELERATION_TRUST_M_PER_S2**2
-    swinging = dt / GRAVITY_TIME_S / (1.0 + pull) * np.clip(error - offset, -0.3, 0.3)
-    change = np.where(resting, at_rest, swinging)
     bias = state.gyro_bias_rad_per_s
-    return _replace(
-        state,
-        angle_rad=state.angle_rad + np.where(new, change, 0.0),
+    state = state._replace(
         gyro_bias_rad_per_s=bias + share * (mean - bias),
-        gyro_mean_rad_per_s=np.where(new, mean, state.gyro_mean_rad_per_s),
-        gyro_variance_rad2_per_s2=np.where(new, variance, state.gyro_variance_rad2_per_s2),
         tilt_offset_rad=offset,
-        rest_s=np.where(new, rest, state.rest_s),
         rest_sample_count=samples,
     )
+    change = np.where(resting, at_rest, _pull_to_gravity(state, error, dt))
+    return state._replace(angle_rad=state.angle_rad + change)
 
 
 def _extrapolate(spec: MachineSpec, state: ImuState, now_ns: int) -> ImuEstimate:
     """Carry angle and rate to the tick with the free pendulum under a constant pin acceleration."""
-    age = np.where(state.t_ns > 0, (now_ns - state.t_ns) * 1e-9, np.inf)
-    tau = np.minimum(age, LONGEST_EXTRAPOLATION_S)
-    w = _constants(spec).frequency
-    c, s = np.cos(w * tau), np.sin(w * tau) / w
+    age: Array = np.multiply(now_ns - state.t_ns, 1e-9)
+    if np.count_nonzero(state.t_ns) != age.size:
+        age[state.t_ns == 0] = np.inf
+    constants = _constants(spec)
+    w, phase = constants.frequency, constants.frequency * np.minimum(age, LONGEST_EXTRAPOLATION_S)
+    c, s = np.cos(phase), np.sin(phase) / w
     rate = state.rate_rad_per_s
     acceleration = state.acceleration_rad_per_s2 + TREND_SHARE * state.trend_rad_per_s2
-    angle = state.angle_rad + rate * s + acceleration * ((1.0 - c) / (w * w))
+    angle = state.angle_rad + rate * s + acceleration * ((1.0 - c) / constants.squared)
     now_rate = rate * c + acceleration * s
     return ImuEstimate(angle[0], angle[1], now_rate[0], now_rate[1], age)
-
-
-def _replace(state: ImuState, **changes: Array | IntArray) -> ImuState:
-    """`dataclasses.replace` without its field-by-field checks, which cost 10 us a tick."""
-    values = {name: getattr(state, name) for name in ImuState.__slots__}
-    values.update(changes)
-    return ImuState(**values)

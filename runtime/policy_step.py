@@ -4,8 +4,7 @@ Machines whose throws began at different ticks ask their policy at different tic
 out. It does not limit what the policy asks for: the velocity controller and the safety gate do.
 """
 
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +28,7 @@ _ALIGN, _THROW = int(Motion.ALIGN), int(Motion.THROW)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-@dataclass(frozen=True, slots=True)
-class ThrowMemory:
+class ThrowMemory(NamedTuple):
     """What a throw remembers from policy step to policy step."""
 
     slew_turns_count: Array
@@ -49,8 +47,7 @@ class ThrowMemory:
     """(N,) ticks since the release command."""
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyInputs:
+class PolicyInputs(NamedTuple):
     """What one tick offers to the policies."""
 
     position_rad_m: Array
@@ -68,8 +65,7 @@ class PolicyInputs:
     now_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyOutputs:
+class PolicyOutputs(NamedTuple):
     """What the policies of one tick gave."""
 
     memory: ThrowMemory
@@ -106,14 +102,9 @@ def run_policies(
         PolicyError: a machine throws and there is no policy, or it cannot run.
     """
     throws = inputs.motion == _THROW
-    fresh = inputs.begins & (throws | (inputs.motion == _ALIGN))
-    released = memory.released & ~fresh
-    memory = replace(
-        memory,
-        released=released,
-        released_tick_count=np.where(released, memory.released_tick_count + 1, 0),
-    )
-    due = np.flatnonzero(throws & (inputs.motion_tick_count % POLICY_DECIMATION == 0))
+    if np.count_nonzero(memory.released):
+        memory = _wait(memory, inputs, throws)
+    (due,) = (throws & (inputs.motion_tick_count % POLICY_DECIMATION == 0)).nonzero()
     failed = np.zeros(throws.shape, dtype=np.bool_)
     if due.size == 0:
         return PolicyOutputs(memory, None, failed)
@@ -133,13 +124,19 @@ def run_policies(
         np.clip(action[:, :-1], -1.0, 1.0) * policy.action_scale_rad_m_per_s
     )
     opens = action[:, -1] > RELEASE_THRESHOLD_RATIO
-    memory = replace(
-        memory,
+    memory = memory._replace(
         action_ratio=_put(memory.action_ratio, due, action),
         request_rad_m_per_s=_put(memory.request_rad_m_per_s, due, request),
-        released=_put(released, due, released[due] | opens),
+        released=_put(memory.released, due, memory.released[due] | opens),
     )
     return PolicyOutputs(memory, _row(inputs, due, seen, raw), failed)
+
+
+def _wait(memory: ThrowMemory, inputs: PolicyInputs, throws: BoolArray) -> ThrowMemory:
+    """One more tick since the releases; a new ALIGN or THROW forgets its machine's."""
+    released = memory.released & ~(inputs.begins & (throws | (inputs.motion == _ALIGN)))
+    ticks = np.where(released, memory.released_tick_count + 1, 0)
+    return memory._replace(released=released, released_tick_count=ticks)
 
 
 def _observe(
@@ -149,7 +146,7 @@ def _observe(
     begins, target = inputs.begins[due], inputs.target_m[due]
     position, velocity = inputs.position_rad_m[due], inputs.velocity_rad_m_per_s[due]
     turns = memory.slew_turns_count[due]
-    if begins.any():
+    if np.count_nonzero(begins):
         turns = np.where(begins, observation.start_turns(position[:, 0], target), turns)
     frame = observation.policy_frame(spec, mode, position, velocity, target, turns)
     positions = observation.push_history(
@@ -159,14 +156,13 @@ def _observe(
         memory.velocity_history_rad_m_per_s[due], frame.joint_velocity_rad_m_per_s
     )
     previous = memory.action_ratio[due]
-    if begins.any():
+    if np.count_nonzero(begins):
         start = begins[:, None, None]
         positions = np.where(start, frame.joint_position_rad_m[:, None], positions)
         velocities = np.where(start, frame.joint_velocity_rad_m_per_s[:, None], velocities)
         previous = np.where(begins[:, None], 0.0, previous)
     seen = observation.build(mode, frame, positions, velocities, previous, memory.released[due])
-    return seen, replace(
-        memory,
+    return seen, memory._replace(
         slew_turns_count=_put(memory.slew_turns_count, due, turns),
         position_history_rad_m=_put(memory.position_history_rad_m, due, positions),
         velocity_history_rad_m_per_s=_put(memory.velocity_history_rad_m_per_s, due, velocities),

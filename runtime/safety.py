@@ -4,9 +4,9 @@ It shares no helper with the policy and the controller, does its own arithmetic,
 never opens a valve that was not asked for, and it is no safety-rated function (docs/safety.md).
 """
 
-from dataclasses import dataclass
 from enum import IntFlag
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,14 +75,14 @@ _POSITION_LIMIT = int(Intervention.POSITION_LIMIT)
 _RANGE_CLIPPED = int(Intervention.RANGE_CLIPPED)
 _RATE_CLIPPED = int(Intervention.RATE_CLIPPED)
 _GRIPPER_KEPT_CLOSED = int(Intervention.GRIPPER_KEPT_CLOSED)
+_CLIP_BITS = (_RANGE_CLIPPED, _RATE_CLIPPED, _POSITION_LIMIT)
 _FADE = TICK_S / STOP_DELAY_S
 _HOLD, _THROW, _SETTLE, _STOP = (
     int(m) for m in (Motion.HOLD, Motion.THROW, Motion.SETTLE, Motion.STOP)
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SafetyMemory:
+class SafetyMemory(NamedTuple):
     """What the gate remembers: only what it let through."""
 
     valve_ratio: Array
@@ -95,8 +95,7 @@ class SafetyMemory:
     """(N,)"""
 
 
-@dataclass(frozen=True, slots=True)
-class SafetyOutput:
+class SafetyOutput(NamedTuple):
     """What goes to the machine, and why."""
 
     valve_ratio: Array
@@ -107,12 +106,14 @@ class SafetyOutput:
     """(N,) bits of `Intervention`; 0 = as requested."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Limits:
+class _Limits(NamedTuple):
+    """All (1, 4)."""
+
     low: Array
     high: Array
     speed_positive: Array
     speed_negative: Array
+    speed_negative_size: Array
     speed_gain: Array
     """What a joint may gain until a closed valve acts."""
     stop_per_speed_squared: Array
@@ -122,13 +123,16 @@ class _Limits:
 def _limits(spec: MachineSpec) -> _Limits:
     low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]
     high = [np.inf if v is None else v for v in spec.limits.position_max_rad_m]
+    speed_negative_size = OVER_SPEED_RATIO * np.asarray([spec.limits.speed_negative_rad_m_per_s])
+    acceleration = np.asarray([spec.limits.acceleration_rad_m_per_s2])
     return _Limits(
-        low=np.asarray(low) + LIMIT_MARGIN_RAD_M,
-        high=np.asarray(high) - LIMIT_MARGIN_RAD_M,
-        speed_positive=OVER_SPEED_RATIO * np.asarray(spec.limits.speed_positive_rad_m_per_s),
-        speed_negative=-OVER_SPEED_RATIO * np.asarray(spec.limits.speed_negative_rad_m_per_s),
-        speed_gain=STOP_DELAY_S * np.asarray(spec.limits.acceleration_rad_m_per_s2),
-        stop_per_speed_squared=0.5 / np.asarray(spec.limits.acceleration_rad_m_per_s2),
+        low=np.asarray([low]) + LIMIT_MARGIN_RAD_M,
+        high=np.asarray([high]) - LIMIT_MARGIN_RAD_M,
+        speed_positive=OVER_SPEED_RATIO * np.asarray([spec.limits.speed_positive_rad_m_per_s]),
+        speed_negative=-speed_negative_size,
+        speed_negative_size=speed_negative_size,
+        speed_gain=STOP_DELAY_S * acceleration,
+        stop_per_speed_squared=0.5 / acceleration,
     )
 
 
@@ -163,18 +167,23 @@ def apply(
         so that the valves open again only through the rate limit.
     """
     limits = _limits(spec)
-    bits = _closing_bits(limits, requested_ratio, memory, sample, motion, now_ns)
-    closed: BoolArray = np.not_equal(bits, 0)
-    if closed.any():
-        # Nothing is wanted of machines that are closed; their numbers may be NaN.
-        requested_ratio = np.where(closed[:, None], 0.0, requested_ratio)
     with np.errstate(invalid="ignore", over="ignore"):
+        bits = _closing_bits(limits, requested_ratio, memory, sample, motion, now_ns)
+        closed: BoolArray = np.not_equal(bits, 0)
+        any_closed = np.count_nonzero(closed) > 0
+        if any_closed:
+            # Nothing is wanted of machines that are closed; their numbers may be NaN.
+            requested_ratio = np.where(closed[:, None], 0.0, requested_ratio)
         valve, clip_bits = _clip_valves(limits, requested_ratio, sample, memory)
-    may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
-    opened = open_requested & may_open & ~closed
-    bits = bits + clip_bits * ~closed + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
-    if closed.any():
+    if any_closed:
         valve = np.where(closed[:, None], 0.0, valve)
+        clip_bits = np.where(closed, bits, clip_bits)
+    bits = clip_bits
+    opened = open_requested
+    if np.count_nonzero(open_requested):
+        may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
+        opened = open_requested & may_open & ~closed
+        bits = bits + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
     after = SafetyMemory(
         valve_ratio=valve,
         recent_up_ratio=np.fmax(valve, memory.recent_up_ratio - _FADE),
@@ -194,19 +203,23 @@ def _closing_bits(
 ) -> IntArray:
     """Every reason (N,) to close all valves of a machine."""
     position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
-    with np.errstate(invalid="ignore", over="ignore"):
-        numbers = requested_ratio + memory.valve_ratio + position + velocity
-    broken: BoolArray = np.asarray(~np.isfinite(numbers).all(axis=1))
+    finite = np.isfinite(requested_ratio + memory.valve_ratio + position + velocity)
+    fast = (velocity > limits.speed_positive) | (velocity < limits.speed_negative)
     age_ns = now_ns - sample.t_mono_ns
     stale = age_ns > SENSOR_AGE_MAX_NS or age_ns < 0
-    fast = ((velocity > limits.speed_positive) | (velocity < limits.speed_negative)).any(axis=1)
+    disabled, stopped = ~sample.local_enable, (motion < _HOLD) | (motion >= _STOP)
+    # Sorting out the reasons costs more than seeing that there is none, as in nearly every tick.
+    odd_joint_count = np.count_nonzero(fast | ~finite)
+    odd_machine_count = np.count_nonzero(disabled | sample.emergency_stop | stopped)
+    if not (stale or odd_joint_count or odd_machine_count):
+        return np.zeros(motion.shape, dtype=np.int64)
     return (
-        broken * _NOT_FINITE
+        ~finite.all(axis=1) * _NOT_FINITE
         + stale * _STALE_SENSORS
-        + ~sample.local_enable * _LOCAL_DISABLED
+        + disabled * _LOCAL_DISABLED
         + sample.emergency_stop * _EMERGENCY_STOP
-        + fast * _OVER_SPEED
-        + ((motion < _HOLD) | (motion >= _STOP)) * _STOPPED
+        + fast.any(axis=1) * _OVER_SPEED
+        + stopped * _STOPPED
     )
 
 
@@ -222,16 +235,16 @@ def _clip_valves(
     # on its way to the joint may speed it up until then.
     up, down = np.maximum(velocity, 0.0), np.maximum(-velocity, 0.0)
     up_coming = memory.recent_up_ratio * limits.speed_positive
-    down_coming = memory.recent_down_ratio * -limits.speed_negative
+    down_coming = memory.recent_down_ratio * limits.speed_negative_size
     up = np.fmax(up, np.fmin(up + limits.speed_gain, up_coming))
     down = np.fmax(down, np.fmin(down + limits.speed_gain, down_coming))
     slowing = limits.stop_per_speed_squared
     over = position + up * STOP_DELAY_S + slowing * up * up >= limits.high
     under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low
-    stops = np.where(rated > 0.0, over, (rated < 0.0) & under)
-    bits = (
-        (ranged != wanted).any(axis=1) * _RANGE_CLIPPED
-        + (rated != ranged).any(axis=1) * _RATE_CLIPPED
-        + stops.any(axis=1) * _POSITION_LIMIT
-    )
+    stops = ((rated > 0.0) & over) | ((rated < 0.0) & under)
+    clipped = ranged != wanted, rated != ranged, stops
+    bits = np.zeros(wanted.shape[0], dtype=np.int64)
+    for joints, bit in zip(clipped, _CLIP_BITS, strict=True):
+        if np.count_nonzero(joints):
+            bits += joints.any(axis=1) * bit
     return np.where(stops, 0.0, rated), bits

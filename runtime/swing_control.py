@@ -5,7 +5,6 @@ pin that follows the swing takes energy out of it. It gives velocity requests on
 valves are dealt with where every request is.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -62,8 +61,7 @@ SETTLED_POSITION_RAD_M = 0.05
 SETTLED_SWING_RAD = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class SwingState:
+class SwingState(NamedTuple):
     """Memory of the motions."""
 
     time_s: Array
@@ -111,12 +109,7 @@ def begin(
 
 def choose(first: BoolArray, one: SwingState, other: SwingState) -> SwingState:
     """Memory `one` for the machines (N,) where `first`, `other` for the rest."""
-    return SwingState(
-        *(
-            np.where(first, getattr(one, name), getattr(other, name))
-            for name in SwingState.__slots__
-        )
-    )
+    return SwingState(*(np.where(first, a, b) for a, b in zip(one, other, strict=True)))
 
 
 def swing_amplitude_rad(spec: MachineSpec, imu: ImuEstimate) -> Array:
@@ -261,7 +254,8 @@ def _settle_request(
     lean = _ahead(imu.roll_rad, imu.roll_rate_rad_per_s, roll, DAMPING_LEAD_S[1])
     calm = 1.0 / (1.0 + (amplitude / RETURN_SWING_RAD) ** 2)
     fastest = np.asarray(RETURN_SPEED_RAD_M_PER_S)
-    request = np.clip(RETURN_GAIN_PER_S * gap, -fastest, fastest) * calm[:, None]
+    back = np.minimum(np.maximum(RETURN_GAIN_PER_S * gap, -fastest), fastest)
+    request = back * calm[:, None]
     request[:, 0] = _pin_speed(lean, amplitude) / np.maximum(arm.radius_m, 2.0)
     # Outward speed by the dipper while the tube stands, by the telescope while it lies (least effort).
     dipper, telescope = arm.dipper_arm_m, TELESCOPE_WEIGHT * arm.telescope_arm_ratio
@@ -284,5 +278,6 @@ def _ahead(angle: Array, rate: Array, frequency: float, lead_s: float) -> Array:
 
 def _pin_speed(angle: Array, amplitude: Array) -> Array:
     """Speed of the pin towards the load; nothing once friction will hold the rest."""
-    wanted = np.clip(DAMPING_M_PER_S_PER_RAD * angle, -DAMPING_SPEED_M_PER_S, DAMPING_SPEED_M_PER_S)
+    wanted = np.maximum(DAMPING_M_PER_S_PER_RAD * angle, -DAMPING_SPEED_M_PER_S)
+    wanted = np.minimum(wanted, DAMPING_SPEED_M_PER_S)
     return np.where(amplitude > 2.0 * DAMPING_DEAD_ZONE_RAD, wanted, 0.0)

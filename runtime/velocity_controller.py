@@ -5,8 +5,9 @@ the machine follows. The controller itself is numpy only. It knows no valve dela
 compares with the velocity that a machine of nominal response would have by now.
 """
 
+from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class _ShapeConstants(NamedTuple):
     acceleration: Array
     stop_acceleration: Array
     stop_delay: Array
+    stop_delay_squared: Array
     low: Array
     high: Array
     area_positive: Array
@@ -39,7 +41,8 @@ class _ShapeConstants(NamedTuple):
 
 
 @cache
-def _shape_constants(spec: MachineSpec) -> _ShapeConstants:
+def _shape_constants(spec: MachineSpec, axis_count: int) -> _ShapeConstants:
+    """Constants over joints with as many axes as what they meet, which numpy answers with speed."""
     h, limits = spec.hydraulics, spec.limits
     quarter_pi = 0.25 * np.pi
     bores = np.array([h.boom_cylinder.bore_m, h.dipper_cylinder.bore_m, h.telescope_bore_m])
@@ -49,18 +52,24 @@ def _shape_constants(spec: MachineSpec) -> _ShapeConstants:
     acceleration = np.asarray(limits.acceleration_rad_m_per_s2)
     low, high = spec.position_range_rad_m
     delay = np.asarray(spec.response.dead_time_s) + np.asarray(spec.response.lag_s)
+    stop_delay = SOFT_STOP_DELAY_RATIO * delay
+
+    def shaped(values: Sequence[float] | Array) -> Array:
+        return np.asarray(values).reshape((1,) * (axis_count - 1) + (ACTIVE_COUNT,))
+
     return _ShapeConstants(
-        speed_positive=np.asarray(limits.speed_positive_rad_m_per_s),
-        speed_negative=np.asarray(limits.speed_negative_rad_m_per_s),
-        acceleration=acceleration,
-        stop_acceleration=SOFT_STOP_ACCELERATION_RATIO * acceleration,
-        stop_delay=SOFT_STOP_DELAY_RATIO * delay,
+        speed_positive=shaped(limits.speed_positive_rad_m_per_s),
+        speed_negative=shaped(limits.speed_negative_rad_m_per_s),
+        acceleration=shaped(acceleration),
+        stop_acceleration=shaped(SOFT_STOP_ACCELERATION_RATIO * acceleration),
+        stop_delay=shaped(stop_delay),
+        stop_delay_squared=shaped(stop_delay * stop_delay),
         # A continuous joint has limits too far away to matter; float32 must hold their square.
-        low=np.maximum(low + SOFT_STOP_MARGIN_RAD_M, -1e6),
-        high=np.minimum(high - SOFT_STOP_MARGIN_RAD_M, 1e6),
+        low=shaped(np.maximum(low + SOFT_STOP_MARGIN_RAD_M, -1e6)),
+        high=shaped(np.minimum(high - SOFT_STOP_MARGIN_RAD_M, 1e6)),
         # The dipper's cylinder shortens as the joint opens: its annulus fills on the positive side.
-        area_positive=np.array([slew, full[0], annulus[1], full[2]]),
-        area_negative=np.array([slew, annulus[0], full[1], annulus[2]]),
+        area_positive=shaped([slew, full[0], annulus[1], full[2]]),
+        area_negative=shaped([slew, annulus[0], full[1], annulus[2]]),
         flow=FLOW_SHARE_RATIO * h.pump_flow_m3_per_s,
     )
 
@@ -72,18 +81,18 @@ def flow_demand_m3_per_s(
 
     Boom down counts with its annulus: the load may drive the cylinder, the pump still fills it.
     """
-    return _demand(_shape_constants(spec), velocity_rad_m_per_s, ratio_magnitude)
+    k = _shape_constants(spec, velocity_rad_m_per_s.ndim)
+    xp = namespace(velocity_rad_m_per_s)
+    return _demand(xp, k, velocity_rad_m_per_s, ratio_magnitude)
 
 
-def _demand(k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
-    xp = namespace(velocity)
+def _demand(xp: Any, k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
     area = xp.where(velocity >= 0.0, k.area_positive, k.area_negative)
     return (xp.abs(velocity) * ratio_magnitude * area).sum(axis=-1)
 
 
-def _allocate(k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
-    xp = namespace(velocity)
-    demand = _demand(k, velocity, ratio_magnitude)
+def _allocate(xp: Any, k: _ShapeConstants, velocity: Array, ratio_magnitude: Array) -> Array:
+    demand = _demand(xp, k, velocity, ratio_magnitude)
     scale = k.flow / xp.maximum(demand, k.flow)
     return velocity * scale[..., None]
 
@@ -127,23 +136,23 @@ def shape_with_ratio(
     dt_s: float,
 ) -> Array:
     """`shape_reference` for a caller who already has |actuator_ratio| (..., 4)."""
-    k = _shape_constants(spec)
+    k = _shape_constants(spec, request_rad_m_per_s.ndim)
     xp = namespace(request_rad_m_per_s)
-    upper = xp.minimum(k.speed_positive, _approach(k, k.high - active_position_rad_m))
-    lower = -xp.minimum(k.speed_negative, _approach(k, active_position_rad_m - k.low))
-    wanted = _allocate(k, xp.clip(request_rad_m_per_s, lower, upper), ratio_magnitude)
+    upper = xp.minimum(k.speed_positive, _approach(xp, k, k.high - active_position_rad_m))
+    lower = -xp.minimum(k.speed_negative, _approach(xp, k, active_position_rad_m - k.low))
+    allowed = xp.minimum(xp.maximum(request_rad_m_per_s, lower), upper)
+    wanted = _allocate(xp, k, allowed, ratio_magnitude)
     change = k.acceleration * dt_s
     previous = previous_reference_rad_m_per_s
-    ramped = xp.clip(wanted, previous - change, previous + change)
-    return _allocate(k, xp.clip(ramped, lower, upper), ratio_magnitude)
+    ramped = xp.minimum(xp.maximum(wanted, previous - change), previous + change)
+    return _allocate(xp, k, xp.minimum(xp.maximum(ramped, lower), upper), ratio_magnitude)
 
 
-def _approach(k: _ShapeConstants, distance: Array) -> Array:
+def _approach(xp: Any, k: _ShapeConstants, distance: Array) -> Array:
     """Highest speed from which distance = v delay + v^2 / (2 a) still stops; 0 at or past the limit."""
-    xp = namespace(distance)
     a, delay = k.stop_acceleration, k.stop_delay
     room = xp.maximum(distance, 0.0)
-    return a * (xp.sqrt(delay * delay + 2.0 * room / a) - delay)
+    return a * (xp.sqrt(k.stop_delay_squared + 2.0 * room / a) - delay)
 
 
 ECHO_RATIO = (0.25, 0.35, 0.0, 0.0)
@@ -193,14 +202,17 @@ class VelocityController:
             for joint, table in enumerate(calibration.tables)
         ]
         self._delay_ticks = _ticks(spec.response.dead_time_s)
-        self._blend = 1.0 - np.exp(-CONTROL_PERIOD_S / np.asarray(RESPONSE_LAG_S))
-        self._echo = np.asarray(ECHO_RATIO)
         self._echo_ticks = _ticks(ECHO_DELAY_S)
-        self._lead = np.asarray(LEAD_TIME_S) / CONTROL_PERIOD_S
-        self._integral_step = np.asarray(INTEGRAL_PER_S) * CONTROL_PERIOD_S
-        self._integral_limit = INTEGRAL_LIMIT_RATIO * np.minimum(
-            limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s
+        self._places_of: dict[int, IntArray] = {}
+        # (1, 4), which numpy combines with one machine's (1, 4) twice as fast as (4,).
+        self._blend = 1.0 - np.exp(-CONTROL_PERIOD_S / np.asarray([RESPONSE_LAG_S]))
+        self._echo = np.asarray([ECHO_RATIO])
+        self._lead = np.asarray([LEAD_TIME_S]) / CONTROL_PERIOD_S
+        self._integral_step = np.asarray([INTEGRAL_PER_S]) * CONTROL_PERIOD_S
+        self._integral_high = INTEGRAL_LIMIT_RATIO * np.minimum(
+            [limits.speed_positive_rad_m_per_s], [limits.speed_negative_rad_m_per_s]
         )
+        self._integral_low = -self._integral_high
 
     def initial(self, count: int) -> ControllerState:
         """Memory of `count` machines that stand still."""
@@ -219,14 +231,10 @@ class VelocityController:
         """One tick: references, measured velocities, |actuator_ratio|, all (N, 4), to valves (N, 4)."""
         reference = reference_rad_m_per_s
         line = np.concatenate([reference[None], state.delay_line[:-1]])
-        joints = np.arange(ACTIVE_COUNT)
-        echo = line[self._echo_ticks, :, joints].T
-        delayed = line[self._delay_ticks, :, joints].T
+        echo, delayed = line.reshape(-1)[self._places(reference.shape[0])]
         expected = state.expected + self._blend * (delayed - state.expected)
         error = expected - velocity_rad_m_per_s
-        moves = (np.abs(reference) > STANDSTILL_RAD_M_PER_S) | (
-            np.abs(expected) > STANDSTILL_RAD_M_PER_S
-        )
+        moves = np.fmax(np.abs(reference), np.abs(expected)) > STANDSTILL_RAD_M_PER_S
         speed = (
             reference
             + self._echo * (echo - reference)
@@ -236,10 +244,18 @@ class VelocityController:
         valve = self._valve(speed * ratio_magnitude)
         # Anti-windup: a saturated valve takes no more of the same sign; a standing joint forgets.
         grows = moves & ((np.abs(valve) < 1.0) | (error * valve < 0.0))
-        integral = np.where(grows, state.integral + self._integral_step * error, state.integral)
-        integral = np.where(moves, integral, 0.98 * integral)
-        integral = np.clip(integral, -self._integral_limit, self._integral_limit)
+        integral = np.where(moves, state.integral, 0.98 * state.integral)
+        np.add(integral, self._integral_step * error, out=integral, where=grows)
+        integral = np.minimum(np.maximum(integral, self._integral_low), self._integral_high)
         return ControllerState(line, expected, integral), valve
+
+    def _places(self, count: int) -> IntArray:
+        """Where echo and delayed reference (2, N, 4) stand in the flat delay line of N machines."""
+        if count not in self._places_of:
+            ticks = np.stack([self._echo_ticks, self._delay_ticks])[:, None]
+            columns = np.arange(count * ACTIVE_COUNT).reshape(1, count, ACTIVE_COUNT)
+            self._places_of[count] = ticks * (count * ACTIVE_COUNT) + columns
+        return self._places_of[count]
 
     def _valve(self, actuator_speed: Array) -> Array:
         valve = np.empty_like(actuator_speed)

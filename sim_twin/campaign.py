@@ -163,7 +163,7 @@ class ThrowBatch:
         self.rollout = Rollout(plant, params, target_m, start_rad_m, seed)
         self._taken, self._count = taken, plant.count
         low, high = params.spec.position_range_rad_m
-        self._low, self._high = low + LIMIT_REACHED_RAD_M, high - LIMIT_REACHED_RAD_M
+        self._low, self._high = low[None] + LIMIT_REACHED_RAD_M, high[None] - LIMIT_REACHED_RAD_M
         self.outcome = np.full(plant.count, "", dtype="U16")
         """(N,) `Outcome`; empty while the throw runs."""
         self.outcome[taken:] = Outcome.TIMEOUT
@@ -200,7 +200,7 @@ class ThrowBatch:
 
     def _note_release(self, sample: SensorSample, outputs: ControlOutputs) -> None:
         left = self._was_held & ~sample.payload_held
-        if left.any():
+        if np.count_nonzero(left):
             self._was_held &= sample.payload_held
             row = outputs.row[left]
             grip = grip_centre(
@@ -216,22 +216,22 @@ class ThrowBatch:
         position = sample.joint_position_rad_m
         holding = sample.payload_held
         violation = outputs.violation_count
-        beyond = ((position <= self._low) | (position >= self._high)).any(axis=-1)
-        beyond |= (violation & _BEYOND) != 0
-        aborted = (violation & _ABORTED) != 0
-        late = ~outputs.release_commanded & (
-            aborted | (elapsed_s >= RELEASE_TIMEOUT_S - 0.5 * CONTROL_PERIOD_S)
-        )
-        landed = sample.impact_t_mono_ns > rollout.start_ns
-        if self.ends_at_release:
-            landed = ~holding
+        at_limit = (position <= self._low) | (position >= self._high)
+        collided = rollout.plant.collided()
+        landed = ~holding if self.ends_at_release else sample.impact_t_mono_ns > rollout.start_ns
+        late = elapsed_s >= RELEASE_TIMEOUT_S - 0.5 * CONTROL_PERIOD_S
+        some = self.running & (collided | landed | (violation != 0))
+        if not (late or np.count_nonzero(some) or np.count_nonzero(at_limit)):
+            return False
+        beyond = at_limit.any(axis=-1) | ((violation & _BEYOND) != 0)
+        fails = ~outputs.release_commanded & (late | ((violation & _ABORTED) != 0))
         ended = np.zeros(self._count, dtype=np.bool_)
         # First match wins: a machine that broke something has not made a good throw.
         for outcome, happened in (
-            (Outcome.COLLISION, rollout.plant.collided()),
+            (Outcome.COLLISION, collided),
             (Outcome.LIMIT, beyond & holding & (rollout.motion == _THROW)),
             (Outcome.LANDED, landed),
-            (Outcome.NO_RELEASE, late & holding),
+            (Outcome.NO_RELEASE, fails & holding),
             (Outcome.TIMEOUT, np.full(self._count, elapsed_s >= END_TIMEOUT_S)),
         ):
             new = self.running & happened & ~ended

@@ -1,6 +1,6 @@
 """How close a predicted motion comes to ground, machine and joint limits; geometry only, no dynamics."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -36,8 +36,17 @@ class Clearance(NamedTuple):
     """``m`` or ``rad``."""
 
 
-def solid_clearances(frames_rad_m: Array, period_s: float) -> list[Clearance]:
-    """Distances between the gripper's collision shapes and everything solid, over frames (T, 6)."""
+def solid_clearances(
+    frames_rad_m: Array, period_s: float, known: Sequence[Clearance] = (), known_count: int = 0
+) -> list[Clearance]:
+    """Distances between the gripper's collision shapes and everything solid, over frames (T, 6).
+
+    Args:
+        frames_rad_m: joint positions.
+        period_s: from frame to frame.
+        known: what this function returned for the first `known_count` frames; they are not looked at again.
+        known_count: how many.
+    """
     model, _ = twin_model()
     data = mujoco.MjData(model)
     pairs = {
@@ -49,8 +58,9 @@ def solid_clearances(frames_rad_m: Array, period_s: float) -> list[Clearance]:
         for name, others in OBSTACLES.items()
     }
     smallest: dict[str, tuple[float, int]] = dict.fromkeys(pairs, (FAR_M, 0))
+    smallest |= {c.name: (c.value_rad_m, round(c.at_s / period_s)) for c in known}
     segment = np.zeros(6)
-    for index, frame in enumerate(frames_rad_m):
+    for index, frame in enumerate(frames_rad_m[known_count:], known_count):
         data.qpos[:] = frame
         mujoco.mj_kinematics(model, data)
         for name, ids in pairs.items():

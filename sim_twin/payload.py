@@ -100,7 +100,7 @@ class Payload:
 
     def command(self, gripper_open: BoolArray, now_ns: int) -> None:
         """Open where commanded; taking the command back before the load has left keeps the load."""
-        if np.array_equal(gripper_open, self._last_open):
+        if not np.count_nonzero(gripper_open != self._last_open):
             return
         rising = gripper_open & ~self._last_open & self.held
         self.release_t_ns[rising] = now_ns + self._delay_ns[rising]
@@ -123,7 +123,7 @@ class Payload:
 
     def due(self, until_ns: int) -> IntArray:
         """Indices of the machines whose load leaves by `until_ns`."""
-        return np.flatnonzero(self.held & (self.release_t_ns <= until_ns))
+        return (self.held & (self.release_t_ns <= until_ns)).nonzero()[0]
 
     def release(
         self, rows: IntArray, before: ToolState, after: ToolState, until_ns: int, tick_s: float
@@ -165,7 +165,7 @@ class Payload:
 
     def fly(self, now_ns: int, tick_s: float) -> None:
         """Move the loads in the air to `now_ns`, one tick or what is left of it since their release."""
-        if not self.flying.any():
+        if not np.count_nonzero(self.flying):
             return
         rows = np.flatnonzero(self.flying)
         step_s = np.minimum((now_ns - self.release_t_ns[rows]) * 1e-9, tick_s)

@@ -155,6 +155,9 @@ class _NominalThrow:
             self._twin, params, self._target, self.start[None], request.seed, 1
         )
         self._film = [self.start]
+        self._solids: list[Clearance] = []
+        self._solids_count = 0
+        """Frames that the distances in `_solids` cover."""
 
     def run(self, on_progress: Progress | None) -> ThrowPreview:
         """Throw; tell about it when the load leaves and when it has come down."""
@@ -197,8 +200,10 @@ class _NominalThrow:
         thrown = frames.shape[0]
         if not np.isnan(result.throw_duration_s):
             thrown = self._turn.shape[0] + 1 + round(result.throw_duration_s / FRAME_PERIOD_S)
+        self._solids = solid_clearances(frames, FRAME_PERIOD_S, self._solids, self._solids_count)
+        self._solids_count = frames.shape[0]
         clearances = (
-            *solid_clearances(frames, FRAME_PERIOD_S),
+            *self._solids,
             # After the release the arm may come near a limit; the throw itself is what counts.
             *limit_clearances(self._spec, frames[:thrown], FRAME_PERIOD_S),
         )

@@ -57,17 +57,17 @@ class _RatioTable:
 
     def __init__(self, spec: MachineSpec) -> None:
         low, high = spec.position_range_rad_m
-        self._angle = np.zeros((RATIO_POINT_COUNT, ACTIVE_COUNT))
-        self._angle[:, 1:3] = np.linspace(low[1:3] - 0.05, high[1:3] + 0.05, RATIO_POINT_COUNT)
-        self._value = np.abs(actuator_ratio(spec, self._angle))
+        angle = np.zeros((RATIO_POINT_COUNT, ACTIVE_COUNT))
+        angle[:, 1:3] = np.linspace(low[1:3] - 0.05, high[1:3] + 0.05, RATIO_POINT_COUNT)
+        value = np.abs(actuator_ratio(spec, angle))
+        # Contiguous columns, which np.interp need not copy.
+        self._tables = [(j, angle[:, j].copy(), value[:, j].copy()) for j in (1, 2)]
 
     def at(self, active_position_rad_m: Array) -> Array:
         """Magnitudes (N, 4) at positions (N, 4)."""
         ratio = np.ones_like(active_position_rad_m)
-        for joint in (1, 2):
-            ratio[:, joint] = np.interp(
-                active_position_rad_m[:, joint], self._angle[:, joint], self._value[:, joint]
-            )
+        for joint, angles, values in self._tables:
+            ratio[:, joint] = np.interp(active_position_rad_m[:, joint], angles, values)
         return ratio
 
 

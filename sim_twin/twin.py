@@ -90,7 +90,8 @@ class Twin:
         self._bind()
         self._response = VelocityResponse(self.spec, profile, calibration, count, arrays)
         self._payload = Payload(self.spec, profile, count, arrays)
-        self._low, self._high = self.spec.position_range_rad_m
+        low, high = self.spec.position_range_rad_m
+        self._low, self._high = low[None], high[None]
         self._now_ns = START_NS
         self._valve = np.zeros((count, ACTIVE_COUNT))
         self._collided = np.zeros(count, dtype=np.bool_)
@@ -98,8 +99,8 @@ class Twin:
         self._friction_width = np.full((count, 2), FRICTION_WIDTH_RAD_PER_S)
         self._prescribed: PrescribedMotion | None = None
         self._missed = np.zeros((count, ACTIVE_COUNT))
-        self._noise_offset = np.zeros((count, 1), dtype=np.int64)
-        self._noise_sd = noise_sd(profile)
+        self._noise_offset = np.zeros(count, dtype=np.int64)
+        self._noise_sd = noise_sd(profile)[None]
         # The same in every sample, and nobody's to change.
         self._pressure = _constant(count, self.spec.hydraulics.supply_pressure_pa)
         self._survey_sd = _constant(count, profile.noise.survey_sd_m)
@@ -173,7 +174,7 @@ class Twin:
         # Row by row, so that machine i draws the same numbers however many machines follow it.
         normal = rng.standard_normal((self.count, 3 * ACTIVE_COUNT + 5))
         self._noise_offset = np.random.default_rng((seed, 1)).integers(
-            0, NOISE_TABLE_SIZE, (self.count, 1)
+            0, NOISE_TABLE_SIZE, self.count
         )
         self._response.reset(normal[:, : 3 * ACTIVE_COUNT].reshape(self.count, 3, ACTIVE_COUNT))
         self._payload.reset(normal[:, 12:16])
@@ -247,9 +248,10 @@ class Twin:
 
     def _tick(self) -> None:
         q, v = self._position, self._velocity
-        reference = self._response.step(self._valve, q[:, :ACTIVE_COUNT])
-        room_low = (self._low - q[:, :ACTIVE_COUNT]) / CONTROL_PERIOD_S
-        room_high = (self._high - q[:, :ACTIVE_COUNT]) / CONTROL_PERIOD_S
+        active = q[:, :ACTIVE_COUNT]
+        reference = self._response.step(self._valve, active)
+        room_low = (self._low - active) / CONTROL_PERIOD_S
+        room_high = (self._high - active) / CONTROL_PERIOD_S
         # A cylinder at its end stop stands still, whatever its valve does.
         reference = np.minimum(np.maximum(reference, room_low), room_high)
         given = self._prescribed
@@ -264,7 +266,8 @@ class Twin:
         before = self._load_state(due, 0.0) if due.size else None
         self._batch.step(self._frozen_rows)
         self._now_ns = end_ns
-        self._collided |= self._contacts > 0
+        if np.count_nonzero(self._contacts):
+            self._collided |= self._contacts > 0
         if given is not None:
             self._missed += given.velocity_rad_m_per_s[:, :ACTIVE_COUNT] - v[:, :ACTIVE_COUNT]
             self._missed[~given.mask[:, :ACTIVE_COUNT]] = 0.0
@@ -327,7 +330,7 @@ class Twin:
             supply_pressure_pa=self._pressure,
             local_enable=self._enabled,
             emergency_stop=self._stopped,
-            ball_t_mono_ns=np.where(load.flying, self._now_ns, 0),
+            ball_t_mono_ns=load.flying * np.int64(self._now_ns),
             ball_position_m=load.position_m.copy(),
             impact_t_mono_ns=impact_t_ns,
             impact_position_m=impact_m,
@@ -341,7 +344,8 @@ class Twin:
             PlantError: a command of the wrong shape, not finite, or beyond -1..1.
         """
         valve = command.valve_ratio
-        if valve.shape != self._valve.shape or not bool((np.abs(valve) <= 1.0 + 1e-9).all()):
+        within = np.abs(valve) <= 1.0 + 1e-9
+        if valve.shape != self._valve.shape or np.count_nonzero(within) != within.size:
             raise PlantError(
                 f"valve commands must be {self._valve.shape} within -1..1, got {valve.shape} "
                 f"up to {np.max(np.abs(valve), initial=0.0):.3g}"

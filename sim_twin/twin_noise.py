@@ -9,17 +9,18 @@ from sim_twin.profile import TwinProfile
 
 NOISE_TABLE_SIZE = 1 << 17
 NOISE_CHANNELS = 14
-_COLUMNS = np.arange(NOISE_CHANNELS)
 
 
 @cache
-def _table() -> Array:
-    return np.random.default_rng(20_240_519).standard_normal(NOISE_TABLE_SIZE + NOISE_CHANNELS)
+def _windows() -> Array:
+    """Every 14 numbers of the table that follow each other; a view."""
+    table = np.random.default_rng(20_240_519).standard_normal(NOISE_TABLE_SIZE + NOISE_CHANNELS)
+    return np.lib.stride_tricks.sliding_window_view(table, NOISE_CHANNELS)
 
 
 def noise_at(offset: IntArray, tick: int) -> Array:
-    """Standard normal numbers (N, 14) of a tick, for machines at these places (N, 1) of the table."""
-    return _table()[(offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE + _COLUMNS]
+    """Standard normal numbers (N, 14) of a tick, for machines at these places (N,) of the table."""
+    return _windows()[(offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE]
 
 
 def noise_sd(profile: TwinProfile) -> Array:

@@ -33,6 +33,7 @@ class Scripted:
     class card:  # noqa: N801
         mode = Mode.PLANAR
         policy_id = "scripted"
+        policy_sha256 = "0" * 64
 
     def __init__(self, action=(0.3, 0.0, 0.0, -1.0)):
         self.action = action
@@ -147,17 +148,17 @@ def test_next_motion():
 )
 def test_violations(change, violation):
     loop = Loop(policy=Scripted())
-    loop.state = replace(loop.state, imu=replace(loop.state.imu, t_ns=np.array([0])))
+    loop.state = replace(loop.state, imu=loop.state.imu._replace(t_ns=np.array([0])))
     assert loop.step(Motion.THROW, **change).violation_count[0] == int(violation)
 
 
 def test_an_imu_of_150_ms_will_do_and_an_idle_machine_needs_none():
     loop = Loop(policy=Scripted())
-    loop.state = replace(loop.state, imu=replace(loop.state.imu, t_ns=np.array([0])))
+    loop.state = replace(loop.state, imu=loop.state.imu._replace(t_ns=np.array([0])))
     old = {"imu_t_mono_ns": np.array([NOW_NS - 149_999_000])}
     assert loop.step(Motion.THROW, **old).violation_count[0] == 0
     loop = Loop()
-    loop.state = replace(loop.state, imu=replace(loop.state.imu, t_ns=np.array([0])))
+    loop.state = replace(loop.state, imu=loop.state.imu._replace(t_ns=np.array([0])))
     assert loop.step(Motion.HOLD, imu_t_mono_ns=np.array([0])).violation_count[0] == 0
     assert loop.step(Motion.ALIGN, imu_t_mono_ns=np.array([0])).violation_count[0] == Violation.IMU
 
@@ -169,7 +170,7 @@ def test_too_much_swing(axis, sign, beyond, violates):
     loop = Loop(policy=Scripted())
     angle = np.zeros((2, 1))
     angle[axis] = sign * (SPEC.limits.swing_rad + beyond)
-    imu = replace(loop.state.imu, t_ns=np.array([NOW_NS - 1]), angle_rad=angle)
+    imu = loop.state.imu._replace(t_ns=np.array([NOW_NS - 1]), angle_rad=angle)
     loop.state = replace(loop.state, imu=imu)
     # The hand-made sample is not newer, so the angle stays.
     out = loop.step(Motion.THROW, imu_t_mono_ns=np.array([NOW_NS - 1]))

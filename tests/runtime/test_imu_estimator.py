@@ -75,6 +75,7 @@ class Wandering:
     class card:  # noqa: N801
         mode = Mode.SPATIAL
         policy_id = "wandering"
+        policy_sha256 = "0" * 64
 
     def __init__(self, count):
         self.rng = np.random.default_rng(3)
@@ -171,8 +172,7 @@ def swinging(t_s, amplitude=0.2):
 
 def run_swing(ticks, change=lambda sample, tick: sample, amplitude=0.2, error_rad=0.0):
     """Follow a free swing from its turning point on, the angle there known up to an error."""
-    state = replace(
-        imu_estimator.initial_imu(at_rest(1)),
+    state = imu_estimator.initial_imu(at_rest(1))._replace(
         t_ns=np.array([NOW_NS - 30_000_000]),
         angle_rad=np.array([[amplitude + error_rad], [0.0]]),
     )

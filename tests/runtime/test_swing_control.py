@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,7 +117,7 @@ def test_homing_brings_the_arm_to_the_safe_pose_while_the_cabin_turns():
 
 def test_begin_touches_only_the_machines_that_begin():
     state = sc.initial_swing(np.zeros(2))
-    state = replace(state, time_s=np.array([5.0, 5.0]), quiet_s=np.array([1.0, 1.0]))
+    state = state._replace(time_s=np.array([5.0, 5.0]), quiet_s=np.array([1.0, 1.0]))
     after = sc.begin(
         state,
         np.array([True, False]),
@@ -161,7 +160,7 @@ def settle_once(position, estimate, speed=None):
     return sc.settle(
         SPEC,
         # The follow-through of the first seconds has tests of its own.
-        replace(sc.initial_swing(position[:, 0]), time_s=np.array([10.0])),
+        sc.initial_swing(position[:, 0])._replace(time_s=np.array([10.0])),
         position,
         np.zeros((1, 4)) if speed is None else speed,
         ArmMotion.of(SPEC, sample),
