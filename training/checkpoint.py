@@ -75,7 +75,8 @@ def _opened(path: Path) -> Generator[Mapping[str, np.ndarray]]:
         UsageError: the file is missing, damaged or something else.
     """
     try:
-        with np.load(path) as stored:
+        # Opened here: NumPy leaves a damaged archive's file open.
+        with path.open("rb") as file, np.load(file) as stored:
             yield stored
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise UsageError(
