@@ -311,7 +311,7 @@ def with_levels(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
 
 
 def calibrate_noise(
-    sets: Sequence[HealthySet], note: str, say: Any = print
+    sets: Sequence[HealthySet], note: str, say: Any = lambda text: sys.stdout.write(f"{text}\n")
 ) -> tuple[HealthyModel, NoiseModel]:
     """Learn both files' content."""
     healthy = learn_healthy(sets, note)
@@ -328,12 +328,12 @@ def main(arguments: Sequence[str]) -> int:
     """Command line."""
     folders = [Path(a) for a in arguments]
     if len(folders) < FOLD_COUNT:
-        print(f"at least {FOLD_COUNT} sets are needed, not {len(folders)}", file=sys.stderr)
+        sys.stderr.write(f"at least {FOLD_COUNT} sets are needed, not {len(folders)}\n")
         return 1
     sets: list[HealthySet] = []
     for folder in folders:
         sets.append(load_set(folder))
-        print(folder, flush=True)
+        sys.stdout.write(f"{folder}\n")
     note = f"{len(folders)} healthy sets, {sum(len(s.prepared) for s in sets)} throws"
     healthy, model = calibrate_noise(sets, note)
     HEALTHY_PATH.write_text(healthy.model_dump_json() + "\n", encoding="utf-8")
