@@ -4,7 +4,7 @@ With two busy cores OpenBLAS's threads made a diagnosis ten times slower than on
 """
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ def _libraries() -> tuple[tuple[Any, Any], ...]:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
+def one_blas_thread() -> Generator[None]:
     """Limit OpenBLAS to one thread inside; does nothing where there is none."""
     before = [int(getter()) for getter, _ in _libraries()]
     for _, setter in _libraries():
