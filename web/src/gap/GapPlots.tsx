@@ -40,8 +40,8 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
           .flatMap((overlay) => [
             <div key={overlay.name} className={classes.cell}>
               <TimeSeries
-                title={overlay.name}
-                unit={overlay.unit}
+                title={titleOf(overlay.name, overlay.unit)}
+                unit=""
                 t_s={overlay.x}
                 lines={overlay.lines}
                 bands={NO_BANDS}
@@ -52,8 +52,8 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
             overlay.left.length > 0 && (
               <div key={`${overlay.name} left`} className={classes.cell}>
                 <TimeSeries
-                  title={`${overlay.name}: measured minus twin`}
-                  unit={overlay.unit}
+                  title={titleOf(`${overlay.name}: measured minus twin`, overlay.unit)}
+                  unit=""
                   t_s={overlay.x}
                   lines={overlay.left}
                   bands={NO_BANDS}
@@ -67,3 +67,6 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
     </>
   );
 }
+
+/** The unit stands here once, so that all values of the legend fit in one line. */
+const titleOf = (name: string, unit: string) => (unit ? `${name}, ${unit}` : name);

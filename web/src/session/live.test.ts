@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import {
   EMPTY_LIVE,
+  type GapRun,
   type Live,
   type Machine,
   type Plan,
@@ -150,6 +151,17 @@ describe("throws, leases, alerts", () => {
     const one = event(loaded, { kind: "throw.updated", throw: row("throwing") });
     const two = event(one, { kind: "throw.updated", throw: row("ended") });
     expect(two.throws.t1?.phase).toBe("ended");
+  });
+
+  it("keep the last word of a diagnosis, until all is asked anew", () => {
+    const run = (progress_ratio: number) =>
+      ({ gap_run_id: "g1", state: "running", progress_ratio }) as GapRun;
+    const one = event(loaded, { kind: "gap.updated", run: run(0.2) });
+    const two = event(one, { kind: "gap.updated", run: run(0.6) });
+    expect(two.gapRuns.g1?.progress_ratio).toBe(0.6);
+    const twin = event(two, { kind: "twin.updated", machine_id: "m001", version_count: 3 });
+    expect(twin).toBe(two);
+    expect(reduceLive(two, { kind: "resync", machines: [] }).gapRuns).toEqual({});
   });
 
   it("remember why a lease changed", () => {
