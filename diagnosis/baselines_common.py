@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diagnosis.logs import LoadedSet
-from diagnosis.residuals import PreparedThrow, prepare
+from diagnosis.prepared import PreparedThrow, prepare
 from diagnosis.verdict import (
     Cause,
     Diagnosis,

@@ -14,8 +14,8 @@ from diagnosis.logs import LoadedSet
 from diagnosis.noise import NoiseModel, load_noise
 from diagnosis.overlay import overlay
 from diagnosis.parameters import layout
+from diagnosis.prepared import prepare
 from diagnosis.ranking import rank
-from diagnosis.residuals import prepare
 from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread

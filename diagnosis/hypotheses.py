@@ -12,7 +12,8 @@ import numpy as np
 from diagnosis.healthy import HealthyModel
 from diagnosis.noise import NoiseModel
 from diagnosis.parameters import Layout, Parameter, effects_of, index_of, library
-from diagnosis.residuals import Linear, PreparedThrow, linearise, relinearise
+from diagnosis.prepared import PreparedThrow
+from diagnosis.residuals import Linear, linearise, relinearise
 from diagnosis.selection import (
     Information,
     Priors,

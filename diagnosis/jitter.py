@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.noise import NoiseModel
-from diagnosis.residuals import PreparedThrow
+from diagnosis.prepared import PreparedThrow
 from machine.conventions import Array
 from sim_twin.effects import EFFECTS, Effect
 from sim_twin.profile import TwinProfile

@@ -22,7 +22,8 @@ from diagnosis.healthy import HEALTHY_PATH, HealthyModel, correction, inputs, le
 from diagnosis.logs import load_throws
 from diagnosis.noise import NOISE_PATH, ChannelNoise, NoiseModel
 from diagnosis.parameters import layout, library
-from diagnosis.residuals import Linear, PreparedThrow, linearise, prepare
+from diagnosis.prepared import PreparedThrow, prepare
+from diagnosis.residuals import Linear, linearise
 from diagnosis.selection import inform, screen, total
 from diagnosis.whitening import (
     SET_NUISANCES,

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from diagnosis.hypotheses import Problem
-from diagnosis.residuals import ALL, PreparedThrow
+from diagnosis.prepared import PreparedThrow
+from diagnosis.residuals import ALL
 from diagnosis.shrink import corrected_input
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects import Effect

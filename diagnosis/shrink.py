@@ -15,7 +15,8 @@ import numpy as np
 from diagnosis.healthy import HealthyModel, correction
 from diagnosis.hypotheses import Hypothesis, Problem, fitted_effects
 from diagnosis.parameters import View, library
-from diagnosis.residuals import ALL, PreparedThrow, relinearise
+from diagnosis.prepared import PreparedThrow
+from diagnosis.residuals import ALL, relinearise
 from diagnosis.selection import members_index, screen, total, weigh
 from diagnosis.verdict import Shrink
 from diagnosis.whitening import leftovers, whiten_throw

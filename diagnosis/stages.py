@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.residuals import PreparedThrow
+from diagnosis.prepared import PreparedThrow
 from diagnosis.verdict import Miss, Stage, StageGap
 from machine.ballistics import STEP_S, drag_per_m, step_flight
 from machine.calibration import ValveCalibration

@@ -12,7 +12,8 @@ import numpy as np
 
 from diagnosis.noise import NoiseModel, whiten, whitener
 from diagnosis.parameters import index_of, library
-from diagnosis.residuals import Linear, PreparedThrow
+from diagnosis.prepared import PreparedThrow
+from diagnosis.residuals import Linear
 from diagnosis.selection import Information, inform
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import rotate_z

@@ -10,7 +10,7 @@ from diagnosis.healthy import HealthyModel, correction, inputs, learn, nothing
 from diagnosis.jitter import fit_jitter
 from diagnosis.noise import ChannelNoise, load_noise, whiten, whitener
 from diagnosis.parameters import layout, library
-from diagnosis.residuals import prepare
+from diagnosis.prepared import prepare
 from diagnosis.separating import separating_motion
 from diagnosis.whitening import set_nuisance_sd
 from sim_twin.effects import Effect

@@ -7,7 +7,7 @@ from twin_throws import health, profile, throws
 from diagnosis.hypotheses import pose
 from diagnosis.overlay import overlay
 from diagnosis.parameters import layout
-from diagnosis.residuals import prepare
+from diagnosis.prepared import prepare
 from diagnosis.whitening import set_nuisance_sd
 from sim_twin.effects import Effect
 

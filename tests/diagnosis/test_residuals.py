@@ -5,7 +5,8 @@ import pytest
 from twin_throws import health, profile, throws
 
 from diagnosis.parameters import View, index_of, library
-from diagnosis.residuals import Linear, PreparedThrow, linearise, prepare, relinearise
+from diagnosis.prepared import PreparedThrow, prepare
+from diagnosis.residuals import Linear, linearise, relinearise
 from sim_twin.effects import Effect
 
 

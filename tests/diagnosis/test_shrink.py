@@ -6,7 +6,7 @@ from twin_throws import health, profile, throws
 
 from diagnosis.hypotheses import Hypothesis, Problem, pose
 from diagnosis.parameters import layout
-from diagnosis.residuals import prepare
+from diagnosis.prepared import prepare
 from diagnosis.selection import SetEvidence
 from diagnosis.shrink import impacts, shrink, with_effects
 from diagnosis.whitening import set_nuisance_sd

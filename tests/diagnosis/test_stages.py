@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from twin_throws import profile, throws
 
-from diagnosis.residuals import prepare
+from diagnosis.prepared import prepare
 from diagnosis.stages import Terms, release_state, stage_gaps, swap_stages
 from diagnosis.verdict import Stage
 from machine.ballistics import drag_per_m, step_flight
