@@ -169,8 +169,8 @@ def _span(low: float, high: float) -> tuple[float, float]:
 
 
 def _ticks(low: float, high: float, count: int) -> list[float]:
-    """Round numbers within a range."""
-    raw = (high - low) / max(count, 1)
+    """Round numbers within a range: `count` of them or a few more."""
+    raw = 0.6 * (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw)
     first = math.ceil(low / step - 1e-9)

@@ -244,6 +244,12 @@ def test_a_flat_line_has_an_axis() -> None:
     assert "<polyline" in figure("flat", {"x": [0, 1], "measured": [2.0, 2.0]})
 
 
+def test_a_panel_about_zero_has_numbers_on_both_sides() -> None:
+    drawn = figure("left", {"x": [0, 1, 2], "measured": [0.0, 0.16, 0.0], "ideal": [0.16, 0, 0.16]})
+    assert ">−0.1</text>" in drawn
+    assert ">0.1</text>" in drawn
+
+
 def test_words() -> None:
     assert downrange(0.124) == "+0.12 m long"
     assert downrange(0.001) == "0.00 m on range"
