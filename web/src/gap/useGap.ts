@@ -89,7 +89,8 @@ export function useThrowsToDiagnose(machineId: string | null) {
 /** Start, cancel, apply and undo; each reads everything of the page anew. */
 export function useGapActions(machineId: string) {
   const client = useQueryClient();
-  const onSettled = () => client.invalidateQueries({ queryKey: [GAP] });
+  // Not waited for: without a server the reading would take as long as the server is away.
+  const onSettled = () => void client.invalidateQueries({ queryKey: [GAP] });
   const path = (gap_run_id: string) => ({
     params: { path: { machine_id: machineId, gap_run_id } },
   });
