@@ -59,7 +59,7 @@ class TrueEffect(_Part):
 
     effect: str
     joint: str | None = None
-    parameters: dict[str, float]
+    parameters: Mapping[str, float]
     stage: str
     multiple_ratio: float
     """Size over its detection limit."""
