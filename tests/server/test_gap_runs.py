@@ -102,7 +102,7 @@ def test_throws_by_name_or_the_newest_of_a_mode(running, ada, throws):
         assert view["throw_ids"] == chosen
         assert view["row"]["verdict"] == "none"
         assert view["row"]["effect_count"] == 0
-        view = ended(ada, start(ada, newest_count=8, mode="3d"))
+        view = ended(ada, start(ada, newest_count=6, mode="3d"))
         assert view["throw_ids"] == throws[:6]
 
 
