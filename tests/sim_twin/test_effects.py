@@ -48,7 +48,13 @@ def test_an_effect_is_fully_described(name: str) -> None:
 
 
 def test_the_library_holds_every_name_of_the_contract() -> None:
-    for stage, count in (("actuation", 10), ("swing", 7), ("release", 3), ("flight", 3), ("aim", 8)):
+    for stage, count in (
+        ("actuation", 10),
+        ("swing", 7),
+        ("release", 3),
+        ("flight", 3),
+        ("aim", 8),
+    ):
         names = [n for n, spec in EFFECTS.items() if spec.stage == stage and n != DRIFT]
         assert len(names) == count, (stage, names)
 
