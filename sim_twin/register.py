@@ -16,6 +16,7 @@ from sim_twin.throw_start import scattered_starts
 
 FIRST_RANGE_M, LAST_RANGE_M, RANGE_STEP_M = 6.0, 10.75, 0.25
 THROWS_AT_RANGE = 8
+NEAR_TARGET_RAD = 0.3
 REGISTRATION_THROW_COUNT = THROWS_AT_RANGE * (
     1 + round((LAST_RANGE_M - FIRST_RANGE_M) / RANGE_STEP_M)
 )
@@ -59,7 +60,11 @@ def register_machine(
 
 
 def _starts(spec: MachineSpec, mode: Mode, target_m: Array, rng: np.random.Generator) -> Array:
-    """The safe pose, in which every throw of an operator begins; the cabin stands anywhere in 3D."""
+    """The safe pose, in which every throw of an operator begins.
+
+    In 3D the cabin stands anywhere in every other throw, and near the target in the rest: operators mostly
+    throw again where they have just thrown, and the mean miss differs between the two.
+    """
     count = target_m.shape[0]
     spread = nominal_profile(spec).spread
     starts = scattered_starts(spec, spread, safe_pose(), count, rng)
@@ -67,4 +72,5 @@ def _starts(spec: MachineSpec, mode: Mode, target_m: Array, rng: np.random.Gener
         starts[:, 0] += aligned_slew_rad(spec, target_m)
     else:
         starts[:, 0] = rng.uniform(-np.pi, np.pi, count)
+        starts[::2, 0] = rng.uniform(-NEAR_TARGET_RAD, NEAR_TARGET_RAD, starts[::2].shape[0])
     return starts
