@@ -19,7 +19,7 @@ from diagnosis.alone_selection import every_third, select, spread_blocks
 from diagnosis.alone_verdict import StageNames, diagnosis_of
 from diagnosis.clock_audit import ClockAudit
 from diagnosis.tables import (
-    RefusedTable,
+    RefusedTableError,
     Table,
     audit_times,
     clean_series,
@@ -121,12 +121,12 @@ def read_motion(
     """One joint of a table.
 
     Raises:
-        RefusedTable: unusable columns.
+        RefusedTableError: unusable columns.
     """
     raw_s = time_seconds(table, time)
     if np.any(np.diff(raw_s[np.isfinite(raw_s)]) < 0.0):
         split_runs(raw_s[np.isfinite(raw_s)])
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the times in column {time!r} go back: unsorted rows, several runs in one file, or a clock that "
             "was set. Sort the rows, or give one file a run"
         )
@@ -137,12 +137,12 @@ def read_motion(
     held = np.clip(np.searchsorted(raw_s[known], time_s, side="right") - 1, 0, None)
     u = commands[known][held]
     if np.ptp(u) == 0.0:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the command {command!r} is {u[0]:.6g} throughout: constant channel. Without a command that "
             "changes nothing can be said; record steps in both directions with rests between"
         )
     if np.ptp(position) == 0.0:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{output!r} is {position[0]:.6g} throughout while the command changes: constant channel. "
             "Check the sensor, or choose another column"
         )
@@ -160,11 +160,11 @@ def diagnose_joint(
     """Diagnose one joint.
 
     Raises:
-        RefusedTable: too short, or no motion that could tell anything.
+        RefusedTableError: too short, or no motion that could tell anything.
     """
     span_s = float(motion.time_s[-1] - motion.time_s[0])
     if span_s < MIN_SPAN_S:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the record lasts {span_s:.2f} s, at least {MIN_SPAN_S:g} s are needed; record several steps"
         )
     zero, zero_note = rest_command(motion)
@@ -278,7 +278,7 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
     hole = time_s[after] - time_s[after - 1]
     sample = sample[hole < max(5.0 * period_s, 0.1)]
     if sample.size < 30:
-        raise RefusedTable(f"{sample.size} usable samples are left, at least 30 are needed")
+        raise RefusedTableError(f"{sample.size} usable samples are left, at least 30 are needed")
     top = float(np.quantile(np.abs(measured[sample]), 0.99))
     blocks = max(span_s / BLOCKS_COUNT, 1.0)
     run = np.zeros(len(sample), dtype=np.int64)

@@ -14,7 +14,7 @@ import numpy as np
 from diagnosis.alone_fit import FreeParameter, Option
 from diagnosis.alone_selection import every_third, select
 from diagnosis.alone_verdict import StageNames, diagnosis_of
-from diagnosis.tables import RefusedTable
+from diagnosis.tables import RefusedTableError
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
@@ -135,12 +135,12 @@ def diagnose_ball(
     """Diagnose the flights of one ball.
 
     Raises:
-        RefusedTable: nothing falls in them, or the lengths are in another unit.
+        RefusedTableError: nothing falls in them, or the lengths are in another unit.
     """
     usable = tuple(_trimmed(flight) for flight in flights)
     usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
     if not usable:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"no flight of {name or 'the ball'} has {MIN_FLIGHT_ROWS} samples in the air; track it longer"
         )
     _check_fall(usable)
@@ -355,12 +355,12 @@ def _check_fall(flights: Sequence[Flight]) -> None:
     fall = float(np.median(down))
     for factor, unit in ((1000.0, "mm"), (100.0, "cm"), (1.0 / 0.3048, "feet")):
         if 0.85 * factor < fall / GRAVITY_M_PER_S2 < 1.15 * factor:
-            raise RefusedTable(
+            raise RefusedTableError(
                 f"the ball falls at {fall:.4g} m/s^2: swapped units ({unit} for m). "
                 f"Give --length-unit {unit}"
             )
     if not 0.2 < fall / GRAVITY_M_PER_S2 < 1.6:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the ball first falls at {fall:.3g} m/s^2 along z, gravity is 9.81: wrong axis or sign (z is "
             "up), swapped units, or this is no free flight. Choose the columns, or give --length-unit"
         )

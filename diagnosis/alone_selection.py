@@ -368,11 +368,6 @@ def describe(selection: Selection) -> dict[str, Any]:
     }
 
 
-def option_of(effect: str, options: Sequence[Option]) -> Option:
-    """The option of a fit that realises an effect."""
-    return next(option for option in options if option.effect == effect)
-
-
 def spread_blocks(time_s: Array, seconds: float, run: IntArray) -> IntArray:
     """Number the contiguous pieces of `seconds` within each run, (samples,)."""
     piece = np.floor((time_s - time_s[0]) / seconds)

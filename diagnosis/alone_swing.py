@@ -14,7 +14,7 @@ import numpy as np
 from diagnosis.alone_fit import FreeParameter, Option
 from diagnosis.alone_selection import every_third, select, spread_blocks
 from diagnosis.alone_verdict import StageNames, diagnosis_of
-from diagnosis.tables import RefusedTable
+from diagnosis.tables import RefusedTableError
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
@@ -104,12 +104,12 @@ def diagnose_swing(
         progress: told what was found.
 
     Raises:
-        RefusedTable: nothing swings.
+        RefusedTableError: nothing swings.
     """
     noise = _noise(swings)
     usable = tuple(s for s in (_free_part(swing, noise) for swing in swings) if s is not None)
     if not usable:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"fewer than {MIN_PERIODS:g} periods of free swing above the noise ({noise:.2g} rad): record "
             "from the release until the swing has died down"
         )

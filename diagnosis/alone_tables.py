@@ -17,7 +17,7 @@ from diagnosis.alone_swing import Swing, diagnose_swing
 from diagnosis.clock_audit import audit_clock
 from diagnosis.tables import (
     MIN_ROWS,
-    RefusedTable,
+    RefusedTableError,
     Table,
     check_rate,
     clean_series,
@@ -74,7 +74,7 @@ def actuation_from_csv(
         outputs = _listed(velocity if is_speed else position)
         if not outputs:
             outputs, is_speed = _guessed_output(table)
-    except RefusedTable as error:
+    except RefusedTableError as error:
         return refused(str(error))
     if len(commands) != len(outputs):
         raise UsageError(
@@ -88,7 +88,7 @@ def actuation_from_csv(
         try:
             motion, audit = read_motion(table, time, one, output, is_speed)
             found = diagnose_joint(motion, audit, name, kind, tell)
-        except RefusedTable as error:
+        except RefusedTableError as error:
             parts[output] = refused(str(error), {"notes": table.notes})
             continue
         parts[output] = _noted(found, table.notes)
@@ -116,7 +116,7 @@ def swing_from_csv(
         ]
         reference = math.nan if length_m is None else length_m
         found = diagnose_swing(swings, reference, None, tell)
-    except RefusedTable as error:
+    except RefusedTableError as error:
         return refused(str(error))
     return _noted(found, table.notes)
 
@@ -150,7 +150,7 @@ def flight_from_csv(
         parts: dict[str, Diagnosis] = {}
         labels = _group_labels(table, group)
         balls = table.labels(owners[0]) if owners else ["ball"] * table.row_count
-    except RefusedTable as error:
+    except RefusedTableError as error:
         return refused(str(error))
     for name in dict.fromkeys(balls):
         mine = np.array([label == name for label in balls])
@@ -158,7 +158,7 @@ def flight_from_csv(
             runs = _runs(table, time, labels, columns, " and ".join(names), mine)
             flights = [Flight(t, np.stack(p, axis=1)) for t, p in runs]
             found = diagnose_ball(flights, ball or Ball(), name if owners else None, tell)
-        except RefusedTable as error:
+        except RefusedTableError as error:
             parts[name] = refused(str(error))
             continue
         parts[name] = _noted(found, table.notes)
@@ -200,7 +200,7 @@ def _runs(
     if short:
         table.notes.append(f"{short} runs of fewer than {MIN_ROWS // 2} rows left out")
     if not found:
-        raise RefusedTable(f"{table.path.name} has no run of {MIN_ROWS // 2} rows with {what}")
+        raise RefusedTableError(f"{table.path.name} has no run of {MIN_ROWS // 2} rows with {what}")
     return found
 
 
@@ -225,7 +225,7 @@ def _guessed_output(table: Table) -> tuple[list[str], bool]:
     """A position column if exactly one fits, else a velocity column."""
     try:
         return [table.guess("position", "--position", POSITION_WORDS)], False
-    except RefusedTable:
+    except RefusedTableError:
         return [
             table.guess("position or velocity", "--position or --velocity", VELOCITY_WORDS)
         ], True

@@ -1,6 +1,6 @@
 """Reasons to refuse a throw log: each check gives the numbers, the likely cause and the remedy.
 
-A check never repairs and never guesses: it raises `RefusedLog`, or returns.
+A check never repairs and never guesses: it raises `RefusedLogError`, or returns.
 """
 
 from typing import Any, Final
@@ -34,7 +34,7 @@ MIN_PRESSURE_PA: Final = 1e5
 DEGREES: Final = 180.0 / np.pi
 
 
-class RefusedLog(LogError):  # noqa: N818 - it is a decision about a log, not a failure of the program
+class RefusedLogError(LogError):
     """A log that cannot be used: the text says why, with numbers, and what to do."""
 
 
@@ -42,14 +42,14 @@ def check_finite(name: str, missing: NDArray[np.bool_]) -> int:
     """Check the holes of a channel, (ticks,) true where a number is missing; returns how many there are.
 
     Raises:
-        RefusedLog: more in a row, or more altogether, than may be interpolated.
+        RefusedLogError: more in a row, or more altogether, than may be interpolated.
     """
     count = int(np.sum(missing))
     if count == 0:
         return 0
     longest = longest_run(missing)
     if longest > MAX_REPAIRED_TICKS or count > MAX_MISSING_RATIO * len(missing):
-        raise RefusedLog(
+        raise RefusedLogError(
             f"{name} has {count} of {len(missing)} values missing or NaN, {longest} in a row; up to "
             f"{MAX_REPAIRED_TICKS} in a row are interpolated. A sensor or its cable dropped out: "
             "repair it and record this throw again"
@@ -67,7 +67,7 @@ def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
     """Frozen joint sensors: (T, 4) position and velocity as read, valve commands, on the tick grid.
 
     Raises:
-        RefusedLog: a sensor stands still to the last bit while another one says that the joint moves.
+        RefusedLogError: a sensor stands still to the last bit while another one says that the joint moves.
     """
     stuck = round(STUCK_S / CONTROL_PERIOD_S)
     for joint, name in enumerate(ACTIVE_JOINTS):
@@ -75,7 +75,7 @@ def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
         for start, end in _runs(np.diff(position[:, joint]) == 0.0, stuck):
             moved = float(np.ptp(travel[start : end + 1]))
             if moved > STUCK_TRAVEL_RAD_M:
-                raise RefusedLog(
+                raise RefusedLogError(
                     f"the position of {name} stays at {position[start, joint]:.6g} for "
                     f"{(end - start) * CONTROL_PERIOD_S:.2f} s while its velocity sensor travels "
                     f"{moved:.3f}: constant channel. Check the encoder and its cable"
@@ -84,14 +84,14 @@ def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
             held = velocity[start, joint] * (end - start) * CONTROL_PERIOD_S
             moved = abs(position[end, joint] - position[start, joint] - held)
             if moved > STUCK_TRAVEL_RAD_M:
-                raise RefusedLog(
+                raise RefusedLogError(
                     f"the velocity of {name} stays at {velocity[start, joint]:.6g} for "
                     f"{(end - start) * CONTROL_PERIOD_S:.2f} s while its position moves on by "
                     f"{moved:.3f}: constant channel. Check the sensor"
                 )
         still = np.ptp(position[:, joint]) == 0.0 and np.ptp(velocity[:, joint]) == 0.0
         if still and float(np.max(np.abs(valve[:, joint]))) > 0.2:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"position and velocity of {name} are constant while its valve was opened to "
                 f"{float(np.max(np.abs(valve[:, joint]))):.2f}. Check the joint's sensors"
             )
@@ -99,7 +99,7 @@ def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
         float(np.max(np.ptp(valve, axis=0))) == 0.0
         and float(np.max(np.ptp(position, axis=0))) > 0.1
     ):
-        raise RefusedLog(
+        raise RefusedLogError(
             "all four valve commands are constant while joints move by more than 0.1: the commands "
             "were not recorded. Log valve_applied_ratio"
         )
@@ -109,14 +109,14 @@ def check_constant(name: str, samples: Array) -> None:
     """A channel (K, axes) of a sensor that always has noise.
 
     Raises:
-        RefusedLog: an axis never changes.
+        RefusedLogError: an axis never changes.
     """
     if len(samples) < 5:
         return
     still = np.flatnonzero(np.ptp(samples, axis=0) == 0.0)
     if still.size:
         axes = ", ".join("xyz"[axis] for axis in still)
-        raise RefusedLog(
+        raise RefusedLogError(
             f"{name} {axes} is {samples[0, still[0]]:.6g} in all {len(samples)} samples: constant "
             "channel. A live sensor has noise; check its power and cable"
         )
@@ -132,7 +132,7 @@ def check_joint_units(spec: MachineSpec, position: Array, velocity: Array, estim
         estimate: (T, 6) joint positions that the policy saw.
 
     Raises:
-        RefusedLog: degrees for radians, millimetres for metres, or numbers no such machine can reach.
+        RefusedLogError: degrees for radians, millimetres for metres, or numbers no such machine can reach.
     """
     low, high = spec.position_range_rad_m
     speed = np.maximum(
@@ -143,14 +143,14 @@ def check_joint_units(spec: MachineSpec, position: Array, velocity: Array, estim
         factor, wrong, right = (1000.0, "mm", "m") if is_length else (DEGREES, "degrees", "rad")
         seen = (float(np.min(position[:, joint])), float(np.max(position[:, joint])))
         if seen[0] < low[joint] - RANGE_SLACK_RAD_M or seen[1] > high[joint] + RANGE_SLACK_RAD_M:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"{name} runs from {seen[0]:.4g} to {seen[1]:.4g} {right}, its range is "
                 f"{low[joint]:.3g} to {high[joint]:.3g} {right}: swapped units ({wrong} for {right}, "
                 f"factor {factor:.4g}), or a wrong zero. Convert or calibrate the sensor"
             )
         peak = float(np.quantile(np.abs(velocity[:, joint]), 0.98))
         if peak > SPEED_SLACK_RATIO * speed[joint]:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"{name} moves at {peak:.4g} {right}/s, its limit is {speed[joint]:.3g} {right}/s: "
                 f"swapped units ({wrong}/s for {right}/s), or a broken velocity sensor"
             )
@@ -158,14 +158,14 @@ def check_joint_units(spec: MachineSpec, position: Array, velocity: Array, estim
     apart = np.quantile(np.abs(estimate[:, :4] - position), 0.9, axis=0)
     worst = int(np.argmax(apart))
     if apart[worst] > 0.5:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"estimate and sensor of {ACTIVE_JOINTS[worst]} are {apart[worst]:.3g} apart: swapped units "
             "in one of them, or another machine's estimator"
         )
     for joint in (4, 5):
         peak = float(np.max(np.abs(estimate[:, joint])))
         if peak > np.pi:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"{JOINT_NAMES[joint]} reaches {peak:.4g} rad; a hanging gripper stays within pi: "
                 "swapped units (degrees for rad)"
             )
@@ -175,20 +175,20 @@ def check_imu_units(gyro_rad_per_s: Array, accel_m_per_s2: Array) -> None:
     """Units of the IMU, (K, 3) each.
 
     Raises:
-        RefusedLog: degrees for radians or g for m/s^2.
+        RefusedLogError: degrees for radians or g for m/s^2.
     """
     if len(gyro_rad_per_s) == 0:
         return
     peak = float(np.quantile(np.abs(gyro_rad_per_s), 0.995))
     if peak > MAX_GYRO_RAD_PER_S:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the gyro reads up to {peak:.4g} rad/s, a gripper turns at less than "
             f"{MAX_GYRO_RAD_PER_S:g} rad/s: swapped units (degrees/s for rad/s)"
         )
     force = float(np.median(np.linalg.norm(accel_m_per_s2, axis=1)))
     low, high = SPECIFIC_FORCE_M_PER_S2
     if not low < force < high:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the accelerometer's median magnitude is {force:.4g} m/s^2, a hanging gripper reads about "
             "9.81: swapped units (g for m/s^2) or a broken sensor"
         )
@@ -198,12 +198,12 @@ def check_places(**points_m: Array) -> None:
     """Points in frame `machine`, each (..., 3), m.
 
     Raises:
-        RefusedLog: further away than any throw.
+        RefusedLogError: further away than any throw.
     """
     for name, points in points_m.items():
         farthest = float(np.max(np.abs(points), initial=0.0, where=np.isfinite(points)))
         if farthest > MAX_DISTANCE_M:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"{name} is {farthest:.4g} m from the machine, throws end within {MAX_DISTANCE_M:g} m: "
                 "swapped units (mm for m), or a survey in another frame"
             )
@@ -213,16 +213,16 @@ def check_valve_and_supply(valve_ratio: Array, supply_pressure_pa: Array) -> Non
     """Valve commands (T, 4) within -1..1 and a supply pressure (T,) in Pa.
 
     Raises:
-        RefusedLog: per cent for ratio, bar for pascal.
+        RefusedLogError: per cent for ratio, bar for pascal.
     """
     peak = float(np.max(np.abs(valve_ratio)))
     if peak > 1.05:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"a valve command of {peak:.4g} lies outside -1..1: swapped units (per cent or mA for ratio)"
         )
     known = supply_pressure_pa[np.isfinite(supply_pressure_pa) & (supply_pressure_pa > 0.0)]
     if known.size and float(np.median(known)) < MIN_PRESSURE_PA:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the supply pressure is {float(np.median(known)):.4g} Pa, less than the air's: swapped "
             "units (bar or MPa for Pa), or the pump was off"
         )
@@ -232,11 +232,11 @@ def check_machine(metadata: dict[str, Any], spec: MachineSpec) -> None:
     """The log's machine type must be the one the twin models.
 
     Raises:
-        RefusedLog: another model hash.
+        RefusedLogError: another model hash.
     """
     seen = str(metadata.get("model_sha256") or "")
     if seen and seen != spec.sha256:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"wrong machine: the log's model hash is {seen[:12]}, this twin's is {spec.sha256[:12]}. "
             "The log comes from another machine type or model version; use the twin it was recorded with"
         )
@@ -254,7 +254,7 @@ def _check_agreement(
         return
     slope = float(np.dot(rate, mean) / np.dot(mean, mean))
     if not 0.3 < slope < 3.0:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the position of {name} moves {slope:.3g} times as far as its velocity says: swapped units "
             f"({wrong}, factor {factor:.4g}) or sign in one of the two"
         )

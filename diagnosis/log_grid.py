@@ -13,7 +13,7 @@ from diagnosis.log_checks import (
     CLOCK_JUMP_S,
     MAX_MISSING_RATIO,
     MAX_REPAIRED_TICKS,
-    RefusedLog,
+    RefusedLogError,
     check_finite,
 )
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, Motion
@@ -54,10 +54,10 @@ def grid_control(rows: NDArray[np.void]) -> ControlGrid:
         rows: (rows,) telemetry.CONTROL_ROW as logged.
 
     Raises:
-        RefusedLog: too slow, too many holes, a clock that jumps, or no throw in it.
+        RefusedLogError: too slow, too many holes, a clock that jumps, or no throw in it.
     """
     if len(rows) < 10:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"it holds {len(rows)} control rows: truncated, or recorded without /control"
         )
     time_s = (rows["t_mono_ns"] - rows["t_mono_ns"][0]).astype(np.float64) * 1e-9
@@ -70,7 +70,7 @@ def grid_control(rows: NDArray[np.void]) -> ControlGrid:
         notes.append(f"{audit.duplicate_count} duplicate control rows dropped")
     thrown = np.flatnonzero(rows["motion_code_count"] == Motion.THROW)
     if thrown.size == 0:
-        raise RefusedLog(
+        raise RefusedLogError(
             "no row of it has motion_code_count 2 (throw): the machine never threw in this log"
         )
     start = int(thrown[0])
@@ -142,23 +142,23 @@ def _check_clock(time_s: Array, tick_count: Array, audit: ClockAudit) -> None:
     steps, ticks = np.diff(time_s), np.diff(tick_count)
     if audit.backward_count:
         at = int(np.argmin(steps))
-        raise RefusedLog(
+        raise RefusedLogError(
             f"its clock jumps back by {-steps[at]:.3f} s at row {at + 1} of {len(time_s)}: {_CLOCK_SET}"
         )
     if np.any(ticks < 0.0):
         # A writer that sorts by time interleaves the rows before and after a jump.
         at = int(np.argmax(ticks < 0.0))
-        raise RefusedLog(
+        raise RefusedLogError(
             f"its clock jumps back: the tick counter goes from {tick_count[at]:.0f} to "
             f"{tick_count[at + 1]:.0f} while time goes on, {int(np.sum(ticks < 0.0))} times: {_CLOCK_SET}"
         )
     if audit.rate_hz < MIN_RATE_HZ:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"it was logged at {audit.rate_hz:.3g} Hz, at least {MIN_RATE_HZ:g} Hz are needed (a "
             "machine logs 100 Hz): thinned out or written by another recorder. Use the original log"
         )
     if audit.rate_hz > 1000.0:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"its clock says {audit.rate_hz:.3g} Hz: swapped units (microseconds for nanoseconds)"
         )
     if np.any(ticks > 0.0):
@@ -166,14 +166,14 @@ def _check_clock(time_s: Array, tick_count: Array, audit: ClockAudit) -> None:
         surprise = steps - ticks * CONTROL_PERIOD_S
         at = int(np.argmax(np.abs(surprise)))
         if abs(surprise[at]) > CLOCK_JUMP_S and ticks[at] > 0.0:
-            raise RefusedLog(
+            raise RefusedLogError(
                 f"its clock jumps by {surprise[at]:+.3f} s at row {at + 1} of {len(time_s)} (the tick "
                 f"counter advances by {ticks[at]:.0f}): {_CLOCK_SET}"
             )
     allowed_s = (MAX_REPAIRED_TICKS + 1) * max(CONTROL_PERIOD_S, 1.0 / audit.rate_hz)
     if audit.longest_gap_s > allowed_s + GRID_TOLERANCE_S:
         at = int(np.argmax(steps))
-        raise RefusedLog(
+        raise RefusedLogError(
             f"{steps[at]:.3f} s without a row after row {at} of {len(time_s)}; up to "
             f"{MAX_REPAIRED_TICKS} missing ticks are interpolated. The recorder could not keep up or "
             "its clock jumped: check the disk and record again"
@@ -188,7 +188,7 @@ def _note_holes(measured: BoolArray, audit: ClockAudit, notes: list[str]) -> Non
         notes.append(f"resampled from {audit.rate_hz:.3g} Hz to {1 / CONTROL_PERIOD_S:g} Hz")
         return
     if missing > MAX_MISSING_RATIO * len(measured):
-        raise RefusedLog(
+        raise RefusedLogError(
             f"{missing} of {len(measured)} control ticks are missing or more than "
             f"{GRID_TOLERANCE_S * 1e3:g} ms late (jitter {audit.jitter_s * 1e3:.1f} ms): the recorder "
             "could not keep up. Record again with less load on the machine's computer"
@@ -201,7 +201,7 @@ def _check_sensor_clock(sensor_t_s: Array, time_s: Array) -> None:
     # The first row may carry a sample from before the loop ran.
     low, high = float(np.min(age_s[1:])), float(np.max(age_s[1:]))
     if low < -0.02 or high > 0.25:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"joint samples are {low:.3f} to {high:.3f} s old when they are logged, 0 to 0.25 s is "
             "possible: sensors and control have different clocks, or the sensors hung. Synchronise them"
         )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from diagnosis.clock_audit import MIN_RATE_HZ, ClockAudit, audit_clock
 from diagnosis.log_checks import (
     MAX_MISSING_RATIO,
-    RefusedLog,
+    RefusedLogError,
     check_constant,
     check_imu_units,
     check_joint_units,
@@ -209,7 +209,7 @@ def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
     notes = list(grid.notes)
     opened = np.flatnonzero(grid.gripper_open & (grid.t_s >= 0.0))
     if opened.size == 0:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"it ends {grid.t_s[-1]:.2f} s after the throw's start without an opening command: "
             "truncated or aborted. Only throws that released can be diagnosed"
         )
@@ -228,7 +228,7 @@ def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
     target_m = _target(log.metadata)
     check_places(target=target_m, ball=ball_m, impact=impact_m)
     if not np.all(np.isfinite(impact_m)) and len(ball_m) < MIN_BALL_SAMPLES_COUNT:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"no impact and {len(ball_m)} ball samples: nobody measured where this load went. Truncated, "
             "or neither survey nor tracker ran"
         )
@@ -283,7 +283,7 @@ def _check_outcome(log: ThrowLog) -> None:
     outcome = str(log.metadata.get(RESULT_RECORD, {}).get("outcome") or "")
     if outcome in ("aborted", "stopped", "fault"):
         detail = log.metadata[RESULT_RECORD].get("detail") or "no detail"
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the throw ended {outcome} ({detail}); only throws that landed can be used"
         )
 
@@ -303,7 +303,7 @@ def _samples(
     values = np.concatenate([rows[field].astype(np.float64) for field in fields], axis=1)
     audit = audit_clock(time_s)
     if audit.backward_count:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the clock of /{name} goes back {audit.backward_count} times: it was set during the throw, "
             "or samples are out of order. Record with the machine's monotonic clock"
         )
@@ -311,7 +311,7 @@ def _samples(
     finite = np.all(np.isfinite(values), axis=1)
     lost = int(np.sum(~finite))
     if lost > max(3, MAX_MISSING_RATIO * len(values)):
-        raise RefusedLog(
+        raise RefusedLogError(
             f"/{name} has {lost} of {len(values)} samples with NaN: the sensor dropped out. Repair it "
             "and record this throw again"
         )
@@ -327,13 +327,13 @@ def _check_imu(t_s: Array, gyro: Array, accel: Array, audit: ClockAudit, open_s:
     during = (t_s >= 0.0) & (t_s <= open_s)
     if int(np.sum(during)) < MIN_RATE_HZ * open_s:
         rate = float(np.sum(during)) / max(open_s, 1e-3)
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the IMU has {rate:.3g} samples a second during the throw, at least {MIN_RATE_HZ:g} are "
             "needed: it hung, has another clock, or was thinned out. Check its cable and clock"
         )
     gap_s = float(np.max(np.diff(t_s[during]), initial=0.0))
     if gap_s > IMU_GAP_S:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"{gap_s:.2f} s without an IMU sample during the throw: it dropped out or its clock jumped "
             f"(longest gap in the log {audit.longest_gap_s:.2f} s). Check its cable and clock"
         )
@@ -352,7 +352,7 @@ def _impact(log: ThrowLog, start_ns: int, notes: list[str]) -> tuple[Array, floa
         return np.full(3, math.nan), math.nan, math.nan
     time_s = (log.impact_t_mono_ns - start_ns) * 1e-9 if log.impact_t_mono_ns else math.nan
     if not math.isnan(time_s) and not 0.0 < time_s < 60.0:
-        raise RefusedLog(
+        raise RefusedLogError(
             f"the impact lies {time_s:.3g} s after the throw's start: the survey has another clock, or "
             "the clock jumped. Record with the machine's monotonic clock"
         )
@@ -366,7 +366,9 @@ def _target(metadata: Mapping[str, Any]) -> Array:
     except (KeyError, TypeError, ValueError):
         values = [math.nan]
     if not all(math.isfinite(value) for value in values):
-        raise RefusedLog(f"its target is {target!r}; {{x_m, y_m, z_m}} in frame machine is needed")
+        raise RefusedLogError(
+            f"its target is {target!r}; {{x_m, y_m, z_m}} in frame machine is needed"
+        )
     return np.asarray(values)
 
 
@@ -374,7 +376,7 @@ def _calibration(metadata: Mapping[str, Any]) -> ValveCalibration:
     try:
         return ValveCalibration.model_validate(metadata.get("calibration"))
     except ValueError as error:
-        raise RefusedLog(
+        raise RefusedLogError(
             "it carries no valve calibration, without which commands mean nothing; record with a "
             "calibrated machine (`downrange calibrate`)"
         ) from error
@@ -387,7 +389,7 @@ def _profile(metadata: Mapping[str, Any]) -> TwinProfile | None:
     try:
         return TwinProfile.model_validate(profile)
     except ValueError as error:
-        raise RefusedLog(f"its twin profile cannot be read: {error}") from error
+        raise RefusedLogError(f"its twin profile cannot be read: {error}") from error
 
 
 def _rates(clocks: Sequence[Mapping[str, Any]]) -> dict[str, float]:

@@ -274,11 +274,6 @@ def expected_log_odds(
     return float(own.log_odds - other.log_odds - prior)
 
 
-def shares_member(a: Set, b: Set) -> bool:
-    """Whether two hypotheses have an effect in common."""
-    return bool(set(a) & set(b))
-
-
 def subsets(members: Set) -> list[Set]:
     """All proper subsets, the empty one too."""
     return [s for size in range(len(members)) for s in combinations(members, size)]

@@ -18,7 +18,6 @@ from machine.errors import LogError
 MIN_TABLE_RATE_HZ: Final = 12.0
 """Below this a table hides dead times, and friction within a swing; tracked balls come at 15 Hz."""
 MIN_ROWS: Final = 20
-MAX_HOLE_ROWS: Final = 5
 RUN_GAP_S: Final = 1.0
 RUN_GAP_PERIODS: Final = 12.0
 """A pause of this many periods (and of 1 s) begins a new run."""
@@ -29,7 +28,7 @@ TIME_UNITS: Final[Mapping[str, float]] = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s
 ANGLE_DEGREES: Final = ("deg", "degrees", "degree")
 
 
-class RefusedTable(LogError):  # noqa: N818 - a decision about a file, not a failure of the program
+class RefusedTableError(LogError):
     """A table that cannot be used: the text says why, with numbers, and what to do."""
 
 
@@ -50,12 +49,12 @@ class Table:
         """A column as numbers, (rows,); empty or unreadable cells are nan.
 
         Raises:
-            RefusedTable: no such column, or hardly a number in it.
+            RefusedTableError: no such column, or hardly a number in it.
         """
         values = np.array([_number(text) for text in self.columns[self.column(name)]])
         good = float(np.mean(np.isfinite(values))) if len(values) else 0.0
         if good < NUMBERS_RATIO:
-            raise RefusedTable(
+            raise RefusedTableError(
                 f"column {name!r} of {self.path.name} holds a number in {good:.0%} of its rows; "
                 "choose another column"
             )
@@ -69,13 +68,13 @@ class Table:
         """The column's own name; case and blanks do not matter.
 
         Raises:
-            RefusedTable: no such column.
+            RefusedTableError: no such column.
         """
         if name in self.columns:
             return name
         matches = [own for own in self.columns if own.strip().lower() == name.strip().lower()]
         if len(matches) != 1:
-            raise RefusedTable(
+            raise RefusedTableError(
                 f"{self.path.name} has no column {name!r}; it has {', '.join(self.columns)}"
             )
         return matches[0]
@@ -84,7 +83,7 @@ class Table:
         """The only column whose name begins with or holds one of `words`, noted as a guess.
 
         Raises:
-            RefusedTable: none or several; the text names the columns and the option to give.
+            RefusedTableError: none or several; the text names the columns and the option to give.
         """
         found = [
             name
@@ -93,7 +92,7 @@ class Table:
         ]
         if len(found) != 1:
             seen = "none" if not found else " and ".join(found)
-            raise RefusedTable(
+            raise RefusedTableError(
                 f"which column of {self.path.name} is the {what}? It has {', '.join(self.columns)} "
                 f"({seen} would fit); give {option} COLUMN"
             )
@@ -105,15 +104,15 @@ def read_table(path: Path) -> Table:
     """Read a CSV file with a header line; comma, semicolon, tab or blank between cells.
 
     Raises:
-        RefusedTable: missing, empty or without a header.
+        RefusedTableError: missing, empty or without a header.
     """
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
-        raise RefusedTable(f"cannot open {path}: {error.strerror}") from error
+        raise RefusedTableError(f"cannot open {path}: {error.strerror}") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if len(lines) < MIN_ROWS + 1:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{path.name} has {len(lines)} lines, at least {MIN_ROWS + 1} are needed: empty or cut off"
         )
     separator = max(",;\t", key=lines[0].count)
@@ -122,12 +121,14 @@ def read_table(path: Path) -> Table:
     rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
     header = [name.strip() for name in rows[0]]
     if all(np.isfinite(_number(name)) for name in header):
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the first line of {path.name} holds numbers ({', '.join(header[:4])}...); the columns need "
             "names: add a header line"
         )
     if len(set(header)) != len(header):
-        raise RefusedTable(f"{path.name} has two columns of the same name: {', '.join(header)}")
+        raise RefusedTableError(
+            f"{path.name} has two columns of the same name: {', '.join(header)}"
+        )
     body = [row for row in rows[1:] if len(row) >= len(header) // 2 + 1]
     table = Table(
         path,
@@ -147,14 +148,14 @@ def time_seconds(table: Table, name: str) -> Array:
     """A time column in seconds from its first row, (rows,); the unit is in its name or in its steps.
 
     Raises:
-        RefusedTable: no unit makes sense of it.
+        RefusedTableError: no unit makes sense of it.
     """
     values = table.numbers(name)
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
     steps = steps[steps > 0.0]
     if steps.size == 0:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"the times in column {name!r} never increase (all {finite[0]:.6g}): constant channel. "
             "Choose the time column"
         )
@@ -180,15 +181,15 @@ def check_rate(audit: ClockAudit, what: str, min_rate_hz: float = MIN_TABLE_RATE
     """Refuse records that are too slow.
 
     Raises:
-        RefusedTable: below `min_rate_hz`.
+        RefusedTableError: below `min_rate_hz`.
     """
     if audit.rate_hz < min_rate_hz:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{what} was recorded at {audit.rate_hz:.3g} Hz, at least {min_rate_hz:g} Hz are needed: "
             "effects of a tenth of a second hide between samples. Record faster"
         )
     if audit.rate_hz > 2e5:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{what} says {audit.rate_hz:.3g} Hz: swapped units of time. Give seconds, or a column name "
             "that ends with _ms, _us or _ns"
         )
@@ -198,7 +199,7 @@ def split_runs(time_s: Array) -> IntArray:
     """Number of the run of each row, (rows,): a new one where time starts again or pauses.
 
     Raises:
-        RefusedTable: the clock jumps back again and again.
+        RefusedTableError: the clock jumps back again and again.
     """
     steps = np.diff(time_s)
     forward = steps[steps > 0.0]
@@ -206,7 +207,7 @@ def split_runs(time_s: Array) -> IntArray:
     new = (steps < 0.0) | (steps > max(RUN_GAP_S, RUN_GAP_PERIODS * period))
     runs = np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
     if runs[-1] > len(time_s) / MIN_ROWS:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"its clock jumps or pauses {runs[-1]} times in {len(time_s)} rows: unsorted rows or a clock "
             "that was set. Sort by time, or give --group COLUMN to tell runs apart"
         )
@@ -219,11 +220,11 @@ def clean_series(
     """Rows with a time and a number, (kept,), duplicates dropped; holes are left to interpolation.
 
     Raises:
-        RefusedTable: too much is missing, or time goes back.
+        RefusedTableError: too much is missing, or time goes back.
     """
     inside = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
     if inside.size < min_rows:
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{what} has {inside.size} numbers, at least {min_rows} are needed; the record is too short"
         )
     first, last = int(inside[0]), int(inside[-1])
@@ -232,7 +233,7 @@ def clean_series(
     if ends:
         notes.append(f"{what}: {ends} rows without a number at the ends left out")
     if holes > MAX_MISSING_RATIO * (last - first + 1):
-        raise RefusedTable(
+        raise RefusedTableError(
             f"{what} lacks {holes} of {last - first + 1} numbers (NaN or empty): the sensor dropped out. "
             "Repair it and record again"
         )

@@ -23,8 +23,6 @@ PASSIVE_JOINTS: Final = JOINT_NAMES[4:]
 ACTIVE_COUNT: Final = 4
 JOINT_COUNT: Final = 6
 
-CONTROL_RATE_HZ: Final = 100.0
-"""Rate of velocity control, safety and telemetry (paper, section III-E)."""
 CONTROL_PERIOD_NS: Final = 10_000_000
 CONTROL_PERIOD_S: Final = 0.01
 POLICY_DECIMATION: Final = 8

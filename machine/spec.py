@@ -45,11 +45,6 @@ class Geometry(_Frozen):
         """Signed y of the arm plane in the slew frame."""
         return self.boom_pivot_m[1]
 
-    @property
-    def pin_to_grip_centre_m(self) -> float:
-        """Pitch axis to grip centre of a hanging gripper."""
-        return self.pitch_to_roll_m + self.roll_to_grip_centre_m
-
 
 class Limits(_Frozen):
     """Limits of the four active joints, in joint order; infinite slew is a null."""

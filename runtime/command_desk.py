@@ -32,8 +32,6 @@ from runtime.server_link import ReplySlot
 logger = logging.getLogger(__name__)
 
 WAITING_LIMIT_COUNT: Final = 64
-ANSWER_LIMIT_S: Final = 5.0
-"""An asker has given up long before (0.5 s); then the slot is let go."""
 COMMANDS: Final[TypeAdapter[Command]] = TypeAdapter(Command)
 
 Send = Callable[[Kind, dict[str, Any]], bool]

@@ -214,10 +214,6 @@ class Outbox:
         with self._lock:
             return int(self._database.execute("SELECT count(*) FROM events").fetchone()[0])
 
-    def is_full(self) -> bool:
-        """Whether droppable events are being dropped: the alarm shown to operators."""
-        return self.count() >= self._limit_count
-
     def dropped_count(self) -> int:
         """Events dropped because the outbox was full, ever."""
         return int(self.meta("dropped_count", "0"))

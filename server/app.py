@@ -6,8 +6,8 @@
 import asyncio
 import logging
 import time
-from collections.abc import AsyncGenerator
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.middleware.gzip import GZipMiddleware
@@ -147,7 +147,9 @@ def openapi_document(app: FastAPI) -> dict[str, object]:
     return document
 
 
-def _lifespan(settings: Settings, scene: ViewerScene, proxy: ViewerProxy):  # noqa: ANN202  FastAPI's type
+def _lifespan(
+    settings: Settings, scene: ViewerScene, proxy: ViewerProxy
+) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         async with AsyncExitStack() as stack:

@@ -1,4 +1,4 @@
-"""What a session marks on the ground: reach, zones, impacts, target and the predicted throw."""
+"""What a session marks on the ground: reach, impacts, target and the predicted throw."""
 
 import math
 from typing import Literal
@@ -32,7 +32,6 @@ class MarkNodes:
         """Draw every group anew, in the session's colours."""
         self._clear("target")
         self.draw_reach(state, ground)
-        self.draw_zones(state)
         self.draw_impacts(state)
         self.draw_plan(state)
         self.draw_target(state)
@@ -108,16 +107,6 @@ class MarkNodes:
             angle = math.radians(degrees)
             at = (radius * math.cos(angle), radius * math.sin(angle), LIFT_M)
             nodes.append(self._label(f"/reach/{name}_label", text, at, 1.0))
-
-    def draw_zones(self, state: SessionView) -> None:
-        """Exclusion zones: outline and hatching."""
-        nodes = self._clear("zones")
-        theme = THEMES[state.theme]
-        for index, polygon in enumerate(state.zones_m):
-            outline = np.column_stack([polygon, np.zeros(len(polygon))])
-            closed = shapes.polyline(np.concatenate([outline, outline[:1]]))
-            segments = np.concatenate([closed, shapes.hatch(polygon)])
-            nodes.append(self._lines(f"/zones/{index}", segments, theme.zone, 1.6, (0, 0, LIFT_M)))
 
     def draw_impacts(self, state: SessionView) -> None:
         """Past impacts as crosses; the newest one larger, with its miss in words."""

@@ -1,6 +1,6 @@
 """A click in the 3D view becomes a point on the ground; a ray that grazes it is refused with a reason.
 
-Pure arithmetic, frame `machine`. It says nothing about reach or zones: that is the plan's matter.
+Pure arithmetic, frame `machine`. It says nothing about reach: that is the plan's matter.
 """
 
 import math

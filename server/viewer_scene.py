@@ -138,15 +138,6 @@ class ViewerScene:
             lambda view, state: view.marks.draw_reach(state, view.ground),
         )
 
-    def set_zones(self, session_id: str, zones_m: Sequence[Array]) -> None:
-        """Show exclusion zones: polygons (N, 2), m, frame `machine`."""
-        zones = tuple(np.asarray(zone, dtype=np.float64).reshape(-1, 2) for zone in zones_m)
-        self._stage.apply(
-            session_id,
-            lambda state: setattr(state, "zones_m", zones),
-            lambda view, state: view.marks.draw_zones(state),
-        )
-
     def set_theme(self, session_id: str, theme: ThemeName) -> None:
         """Light or dark."""
         if theme not in THEMES:

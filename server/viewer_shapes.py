@@ -1,4 +1,4 @@
-"""Points of what lies on the ground in the view: rings, marks, ellipses, hatching. Pure arithmetic.
+"""Points of what lies on the ground in the view: rings, marks, ellipses. Pure arithmetic.
 
 Line sets have shape (N, 2, 3); meshes are (vertices (V, 3), faces (F, 3)); metres, frame `machine`.
 """
@@ -106,29 +106,6 @@ def fan(outline_m: Array) -> Mesh:
     i = np.arange(count)
     faces = np.stack([np.zeros_like(i), 1 + i, 1 + (i + 1) % count], axis=-1)
     return vertices, faces.astype(np.uint32)
-
-
-def hatch(polygon_m: Array, spacing_m: float = 0.6) -> Array:
-    """Diagonal hatch lines inside a polygon (N, 2), segments (M, 2, 3) at z = 0.
-
-    Even-odd rule, so the polygon may be concave.
-    """
-    # In the turned frame (u, v) the hatch lines are v = constant.
-    turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / math.sqrt(2.0)
-    turned = polygon_m @ turn.T
-    nearest = np.roll(turned, -1, axis=0)
-    levels = np.arange(
-        math.ceil(turned[:, 1].min() / spacing_m) * spacing_m, turned[:, 1].max(), spacing_m
-    )
-    segments: list[Array] = []
-    for level in levels:
-        crosses_level = (turned[:, 1] <= level) != (nearest[:, 1] <= level)
-        a, b = turned[crosses_level], nearest[crosses_level]
-        u = np.sort(a[:, 0] + (level - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0]))
-        for start, end in zip(u[0::2], u[1::2], strict=False):
-            line = np.array([[start, level], [end, level]]) @ turn
-            segments.append(np.column_stack([line, np.zeros(2)]))
-    return np.stack(segments) if segments else np.zeros((0, 2, 3))
 
 
 def range_label(target_m: tuple[float, float, float]) -> str:

@@ -83,8 +83,6 @@ class SessionView:
     pick_height_m: float = 0.0
     is_picking: bool = True
     reach: Reach | None = None
-    zones_m: tuple[Array, ...] = ()
-    """Polygons (N, 2) on the ground."""
     plan: PlanView | None = None
     preview: Playback | None = None
     impacts: ImpactMarks = field(default_factory=ImpactMarks)

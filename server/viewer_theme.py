@@ -24,7 +24,6 @@ class Theme:
     accent: Rgb
     measured: Rgb
     past: Rgb
-    zone: Rgb
     lost: Rgb
     light_intensity_ratio: float
     sky_intensity_ratio: float
@@ -44,7 +43,6 @@ THEMES: dict[ThemeName, Theme] = {
         accent=(24, 100, 190),
         measured=(20, 24, 30),
         past=(110, 118, 128),
-        zone=(176, 96, 0),
         lost=(120, 126, 134),
         light_intensity_ratio=2.2,
         sky_intensity_ratio=0.55,
@@ -62,7 +60,6 @@ THEMES: dict[ThemeName, Theme] = {
         accent=(92, 174, 255),
         measured=(245, 247, 250),
         past=(140, 148, 158),
-        zone=(255, 179, 71),
         lost=(120, 126, 134),
         light_intensity_ratio=1.7,
         sky_intensity_ratio=0.35,

@@ -14,7 +14,6 @@ GYRO = slice(3, 6)
 GRIP_POSITION = slice(6, 9)
 GRIP_VELOCITY = slice(9, 12)
 GRIP_RATE = slice(12, 15)
-SENSOR_COUNT = 15
 """Columns of the model's true sensor data; the grip's are in frame `machine`, the IMU's in its own."""
 
 

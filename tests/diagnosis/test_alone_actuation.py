@@ -59,7 +59,7 @@ def record(
     for number in range(int(span_s / 3.2)):
         on = (time_s >= 1.0 + 3.2 * number) & (time_s < 3.0 + 3.2 * number)
         command[on] = LEVELS[number % len(LEVELS)]
-    _, position = plant(command, **effects)  # type: ignore[arg-type]
+    _, position = plant(command, **effects)
     seen_s = np.arange(0.0, span_s - 0.1, 1.0 / rate_hz)
     seen_s = np.sort(seen_s + jitter / rate_hz * rng.uniform(-1, 1, len(seen_s))).clip(0.0)
     u = command[(seen_s / STEP_S).astype(int)] * scale

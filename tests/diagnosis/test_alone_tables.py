@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from diagnosis.tables import RefusedTable, read_table, split_runs, time_seconds
+from diagnosis.tables import RefusedTableError, read_table, split_runs, time_seconds
 from diagnosis.verdict import Diagnosis
 
 
@@ -109,5 +109,5 @@ def test_times_take_their_unit_from_name_or_step(tmp_path: Path) -> None:
 def test_a_restart_of_time_begins_a_run_and_chaos_is_refused() -> None:
     runs = split_runs(np.concatenate([TIME_S, TIME_S, TIME_S + 20.0]))
     assert runs.max() == 2
-    with pytest.raises(RefusedTable, match="clock jumps"):
+    with pytest.raises(RefusedTableError, match="clock jumps"):
         split_runs(np.random.default_rng(0).uniform(0.0, 10.0, 200))

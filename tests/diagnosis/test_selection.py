@@ -78,7 +78,7 @@ def test_evidence_equals_the_dense_gaussian(monkeypatch: pytest.MonkeyPatch) -> 
 
     def log_density(sd: Array) -> float:
         covariance = np.eye(30) + jacobian @ np.diag(sd**2) @ jacobian.T
-        density: Any = multivariate_normal(cov=covariance)  # pyright: ignore[reportArgumentType]
+        density: Any = multivariate_normal(cov=covariance)
         return float(density.logpdf(residual))
 
     sd = prior.spike_sd.copy()

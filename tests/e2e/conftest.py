@@ -1,6 +1,5 @@
 """A real Chromium in front of the real product; every test fails on an error in the browser's console."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,20 +8,8 @@ from browser_console import Console
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from stack import ServerAlone, Stack, running_demo
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
+from tests.chromium import CHROMIUM, FLAGS
+
 TIMEOUT_MS = 60_000
 """Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""
 

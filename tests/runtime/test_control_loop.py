@@ -1,5 +1,6 @@
 import copy
 from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,10 +31,7 @@ class Scripted:
 
     action_scale_rad_m_per_s = np.array([0.5, 0.7, 0.5])
 
-    class card:  # noqa: N801
-        mode = Mode.PLANAR
-        policy_id = "scripted"
-        policy_sha256 = "0" * 64
+    card = SimpleNamespace(mode=Mode.PLANAR, policy_id="scripted", policy_sha256="0" * 64)
 
     def __init__(self, action=(0.3, 0.0, 0.0, -1.0)):
         self.action = action

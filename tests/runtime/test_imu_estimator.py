@@ -1,5 +1,6 @@
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,10 +73,7 @@ class Wandering:
 
     action_scale_rad_m_per_s = np.array([0.6, 0.35, 0.5, 0.35])
 
-    class card:  # noqa: N801
-        mode = Mode.SPATIAL
-        policy_id = "wandering"
-        policy_sha256 = "0" * 64
+    card = SimpleNamespace(mode=Mode.SPATIAL, policy_id="wandering", policy_sha256="0" * 64)
 
     def __init__(self, count):
         self.rng = np.random.default_rng(3)

@@ -9,19 +9,8 @@ from viewer_app import ViewerApp, wait_for
 
 from machine.starts import safe_pose
 from server.viewer_state import Reach
+from tests.chromium import CHROMIUM, FLAGS
 
-CHROMIUM = "/usr/bin/chromium"
-FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 SIZE = {"width": 480, "height": 300}
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
@@ -41,7 +30,7 @@ def app() -> Iterator[ViewerApp]:
 def page(app: ViewerApp) -> Iterator[Page]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        context = browser.new_context(viewport=SIZE)  # pyright: ignore[reportArgumentType]
+        context = browser.new_context(viewport=SIZE)
         context.add_cookies([{"name": "sid", "value": "s1", "url": app.origin}])
         opened = context.new_page()
         opened.goto(app.origin)

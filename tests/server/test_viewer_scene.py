@@ -273,15 +273,14 @@ def test_how_long_ago_in_words(ago_s: float, text: str) -> None:
     assert lost_text(ago_s) == text
 
 
-def test_impacts_and_zones(app: ViewerApp, session: str, client: ViewClient) -> None:
+def test_impacts_are_marked_and_cleared(app: ViewerApp, session: str, client: ViewClient) -> None:
     app.scene.show_impacts(
         session,
         [(9.0, 0.1, 0.0), (8.9, 0.0, 0.0)],
         latest=(9.1, 0.0, 0.0),
         latest_text="+0.10 m long",
     )
-    app.scene.set_zones(session, [np.array([[10.0, 2.0], [14.0, 2.0], [14.0, 6.0], [10.0, 6.0]])])
-    client.until(lambda: "/zones/0" in client.nodes, "the zone")
+    client.until(lambda: "/impacts/latest_label" in client.nodes, "the marks")
     assert {"/impacts/past", "/impacts/latest"} <= set(client.nodes)
     assert client.nodes["/impacts/latest_label"]["text"] == "+0.10 m long"
     app.scene.show_impacts(session, [])
@@ -327,9 +326,9 @@ def test_camera_presets(app: ViewerApp, session: str, client: ViewClient) -> Non
     client.until(lambda: asked("SetCameraLookAtMessage"), "the camera")
     assert asked("SetCameraPositionMessage")[-1]["position"][2] > 40.0
     with pytest.raises(ValueError, match="3d, top, side"):
-        app.scene.set_camera(session, "below")  # pyright: ignore[reportArgumentType]
+        app.scene.set_camera(session, "below")
     with pytest.raises(ValueError, match="light, dark"):
-        app.scene.set_theme(session, "pink")  # pyright: ignore[reportArgumentType]
+        app.scene.set_theme(session, "pink")
 
 
 @pytest.mark.parametrize("joints", [[0.0] * 5, [0.0] * 7, [float("nan")] * 6])

@@ -97,22 +97,6 @@ def test_crosses_are_centred_on_their_points(
     np.testing.assert_allclose(segments.mean(axis=1)[1::2], points, atol=1e-9)
 
 
-def test_hatching_stays_inside_a_concave_zone() -> None:
-    zone = np.array([[0, 0], [6, 0], [6, 6], [4, 6], [4, 2], [0, 2]], dtype=float)
-    segments = shapes.hatch(zone, 0.5)
-    assert len(segments) > 10
-    for u in np.linspace(0.02, 0.98, 9):
-        x, y, z = (segments[:, 0] + u * (segments[:, 1] - segments[:, 0])).T
-        assert ((y <= 2.0 + 1e-9) | (x >= 4.0 - 1e-9)).all()
-        assert (x >= -1e-9).all() and (x <= 6.0 + 1e-9).all()
-        assert (y >= -1e-9).all() and (y <= 6.0 + 1e-9).all()
-        assert (z == 0.0).all()
-
-
-def test_a_sliver_has_no_hatching() -> None:
-    assert shapes.hatch(np.array([[0.0, 0.1], [0.1, 0.2], [0.1, 0.21]])).shape == (0, 2, 3)
-
-
 @pytest.mark.parametrize(
     ("target", "text"),
     [

@@ -203,7 +203,7 @@ def test_flight_effects_agree_with_an_independent_integration(surface_m: float) 
     def ground(_: float, state: Array) -> float:
         return float(state[2] - surface_m - ball.radius_m)
 
-    ground.terminal, ground.direction = True, -1.0  # type: ignore[attr-defined]
+    ground.terminal, ground.direction = True, -1.0
     start = np.concatenate([position[0], velocity[0]])
     answer = solve_ivp(motion, (0.0, 5.0), start, events=ground, rtol=1e-10, atol=1e-10)
     flight = fly(position, velocity, PROFILE, [effects], surface_height_m=surface_m)

@@ -208,7 +208,7 @@ def test_landing_agrees_with_an_independent_integration(surface_m: float) -> Non
     def ground(_: float, state: Array) -> float:
         return float(state[2] - surface_m - SPEC.ball.radius_m)
 
-    ground.terminal = True  # type: ignore[attr-defined]
+    ground.terminal = True
     start = np.concatenate([load.release_position_m[0], load.release_velocity_m_per_s[0]])
     answer = solve_ivp(flight, (0.0, 5.0), start, events=ground, rtol=1e-9, atol=1e-9)
     sample = twin.read()
