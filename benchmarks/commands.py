@@ -6,24 +6,20 @@ The machine is the tests' stand-in (tests/server/fake_machine.py), in this proce
 floor is the bare command over Zenoh, without HTTP, rights, lease and audit.
 """
 
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import tyro
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "server"))
-
-from fake_machine import FakeMachine
 from httpx import Client
-from server_bench import Running, add_people, make_settings, running_server, wait_for
 
 from machine.messages import LoadRequest
 from server.clock import new_id
-from server.plan_store import PlanStore
-from server.policies import PolicyShelf
+from server.plans.plan_store import PlanStore
+from server.plans.policies import PolicyShelf
+from tests.server.fake_machine import FakeMachine
+from tests.server.server_bench import Running, add_people, make_settings, running_server, wait_for
 
 
 def show(name: str, seconds: list[float]) -> None:

@@ -21,11 +21,11 @@ from machine.conventions import CONTROL_PERIOD_NS, POLICY_DECIMATION, Mode, Moti
 from machine.policy_card import POLICY_FILE
 from machine.spec import load_spec
 from machine.starts import sample_starts
-from runtime import control_loop
-from runtime.control_loop import ControlInputs, ControlParams
+from runtime.control import control_loop
+from runtime.control.control_loop import ControlInputs, ControlParams
+from runtime.control.policy import PolicyRunner, find_policy
 from runtime.driver import SensorSample
-from runtime.policy import PolicyRunner, find_policy
-from sim_twin.twin import Twin
+from sim_twin.twin.twin import Twin
 
 RECORDED_TICKS = 160
 """Two throws' worth; longer runs go through them again."""

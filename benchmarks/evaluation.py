@@ -19,12 +19,12 @@ from cli.evaluate import MAX_BATCH_COUNT, open_policy
 from machine.conventions import CONTROL_PERIOD_S, Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose, sample_starts
-from runtime import control_loop
-from runtime.control_loop import ControlParams
+from runtime.control import control_loop
+from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
-from sim_twin.campaign import run_throws
-from sim_twin.plants import plant_calibration, plant_maker
-from sim_twin.twin_model import twin_model
+from sim_twin.throws.campaign import run_throws
+from sim_twin.throws.plants import plant_calibration, plant_maker
+from sim_twin.twin.model import twin_model
 
 TARGET_FACTOR = {"twin": 300.0, "virtual": 100.0}
 

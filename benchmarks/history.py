@@ -16,11 +16,11 @@ from sqlalchemy import insert
 
 from machine.conventions import Mode
 from server.clock import id_at, utc_now
-from server.database import Database, upgrade
-from server.history import History, ThrowFilter
-from server.models import Machine, Throw
-from server.schemas_history import GroupBy, Outcome
-from server.stats import Statistics
+from server.schemas.history import GroupBy, Outcome
+from server.store.database import Database, upgrade
+from server.store.models import Machine, Throw
+from server.throws.history import History, ThrowFilter
+from server.throws.stats import Statistics
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
 CHUNK = 20_000

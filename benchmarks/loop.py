@@ -19,11 +19,11 @@ import numpy as np
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS
 from machine.spec import load_spec
-from runtime.clock import LATE_TICK_NS, RealTimeClock, Ticker
-from runtime.control_core import Fixed, MachineControl
-from runtime.driver_loader import load_driver
-from runtime.ipc import Kind, PacketSocket, pack_rows, packet_pair
-from runtime.real_time import GarbageRest, become_real_time
+from runtime.control.control_core import Fixed, MachineControl
+from runtime.process.clock import LATE_TICK_NS, RealTimeClock, Ticker
+from runtime.process.driver_loader import load_driver
+from runtime.process.ipc import Kind, PacketSocket, pack_rows, packet_pair
+from runtime.process.real_time import GarbageRest, become_real_time
 
 HOG = "while True:\n    sum(range(10000))\n"
 
@@ -85,7 +85,7 @@ def measure(ticks: int, driver: str, is_real_time: bool, hogs: int) -> dict[str,
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--ticks", type=int, default=2000)
-    parser.add_argument("--driver", default="sim_twin.virtual_machine:VirtualMachine")
+    parser.add_argument("--driver", default="sim_twin.virtual.virtual_machine:VirtualMachine")
     parser.add_argument("--worker", action="store_true")
     parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")
     given = parser.parse_args()

@@ -25,10 +25,10 @@ from machine.kinematics import aligned_slew_rad
 from machine.messages import Target
 from machine.spec import load_spec
 from machine.starts import safe_pose
-from runtime.control_loop import ControlParams
-from sim_twin.preview import PreviewRequest, ThrowPreview, preview
-from sim_twin.profile import nominal_profile
-from sim_twin.twin_model import twin_model
+from runtime.control.control_loop import ControlParams
+from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
+from sim_twin.twin.model import twin_model
+from sim_twin.twin.profile import nominal_profile
 
 TARGET_MS = {"shown": 150.0, "ellipse": 2000.0}
 

@@ -13,16 +13,11 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "server")]
-
-from viewer_app import CAMERA, Port, ViewClient, ViewerApp, click, wait_for  # noqa: E402
-
-from machine.starts import safe_pose  # noqa: E402
+from machine.starts import safe_pose
+from tests.server.viewer_app import CAMERA, Port, ViewClient, ViewerApp, click, wait_for
 
 CLICKS = 200
 CLIENTS = 10

@@ -10,14 +10,14 @@ from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Mode
 from machine.registration import Registration
 from machine.spec import load_spec
-from runtime.control_loop import ControlParams
-from runtime.policy import PolicyRunner, find_policy
-from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.excite import RESPONSE_COPY_COUNT, identify_profile
-from sim_twin.identify import ResponseFit
-from sim_twin.plants import PlantMaker, plant_maker
-from sim_twin.profile import save_profile
-from sim_twin.register import REGISTRATION_THROW_COUNT, register_machine
+from runtime.control.control_loop import ControlParams
+from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.identify.excite import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.identify.register import REGISTRATION_THROW_COUNT, register_machine
+from sim_twin.identify.response_fit import ResponseFit
+from sim_twin.throws.plants import PlantMaker, plant_maker
+from sim_twin.twin.profile import save_profile
 
 
 def run(

@@ -6,11 +6,11 @@ from typing import Literal
 import tyro
 
 from cli.evaluate import progress_line
-from diagnosis.challenge import answered, run_challenge
-from diagnosis.challenge_make import make_challenge
-from diagnosis.challenge_score import Measure, as_json, match, measures, read_sealed, table
-from diagnosis.challenge_score import mistakes as missed
-from diagnosis.challenge_truth import Tier
+from diagnosis.challenge.make import make_challenge
+from diagnosis.challenge.run import answered, run_challenge
+from diagnosis.challenge.score import Measure, as_json, match, measures, read_sealed, table
+from diagnosis.challenge.score import mistakes as missed
+from diagnosis.challenge.truth import Tier
 from machine.errors import UsageError
 
 

@@ -6,8 +6,8 @@ import tyro
 from alembic import command
 from alembic.util import CommandError
 
-from server.database import Database, DatabaseError, DatabaseStanding, alembic_config
 from server.settings import load_settings
+from server.store.database import Database, DatabaseError, DatabaseStanding, alembic_config
 
 
 def run(

@@ -15,7 +15,7 @@ import httpx
 
 from cli.calibrate import run as calibrate_machine
 from machine.errors import UsageError
-from server.auth import FIRST_LOGIN_FILE
+from server.accounts.auth import FIRST_LOGIN_FILE
 from server.serve import open_socket
 
 MACHINE_ID = "m001"

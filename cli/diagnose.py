@@ -7,16 +7,16 @@ from typing import Literal
 
 import tyro
 
-from diagnosis.alone_flight import Ball
-from diagnosis.alone_tables import actuation_from_csv, flight_from_csv, swing_from_csv
+from diagnosis.alone.diagnose import actuation_from_csv, flight_from_csv, swing_from_csv
+from diagnosis.alone.flight import Ball
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
-from diagnosis.logs import load_throws
-from diagnosis.report_html import report_html
+from diagnosis.loading.logs import load_throws
+from diagnosis.report.report_html import report_html
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
-from sim_twin.profile import load_profile, nominal_profile, save_profile
+from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
 
 
 def throws(

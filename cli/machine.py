@@ -8,10 +8,10 @@ import tyro
 from pydantic import ValidationError
 
 from machine.errors import UsageError
-from runtime.machine_process import run_machine
-from runtime.settings import MachineSettings
+from runtime.process.machine_process import run_machine
+from runtime.process.settings import MachineSettings
 
-VIRTUAL_DRIVER = "sim_twin.virtual_machine:VirtualMachine"
+VIRTUAL_DRIVER = "sim_twin.virtual.virtual_machine:VirtualMachine"
 
 
 def run(

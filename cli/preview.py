@@ -13,9 +13,9 @@ from machine.errors import UsageError
 from machine.messages import Target
 from machine.spec import load_spec
 from machine.starts import safe_pose
-from runtime.control_loop import ControlParams
-from sim_twin.preview import PreviewRequest, ThrowPreview, preview
-from sim_twin.profile import load_profile, nominal_profile
+from runtime.control.control_loop import ControlParams
+from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
+from sim_twin.twin.profile import load_profile, nominal_profile
 
 
 def run(

@@ -11,11 +11,11 @@ from cli.evaluate import Campaign, open_campaign, progress_line
 from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.starts import sample_starts
-from sim_twin.accuracy import outcome_counts
-from sim_twin.campaign import ThrowResult, run_throws
-from sim_twin.plants import TWIN, VIRTUAL, plant_profile
-from sim_twin.profile import TwinProfile, load_profile, nominal_profile
-from sim_twin.throw_logs import CampaignRecorder, LogContext
+from sim_twin.throws.accuracy import outcome_counts
+from sim_twin.throws.campaign import ThrowResult, run_throws
+from sim_twin.throws.plants import TWIN, VIRTUAL, plant_profile
+from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
+from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 
 MAX_RECORDED_COUNT = 64
 """Throws kept in memory side by side (a throw is about 1 MB of rows)."""

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import tyro
 
 from machine.errors import UsageError
-from server.auth import FIRST_LOGIN_FILE
-from server.throw_client import ThrowClient, ThrowReport, login_from_file
+from server.accounts.auth import FIRST_LOGIN_FILE
+from server.throws.throw_client import ThrowClient, ThrowReport, login_from_file
 
 
 def run(

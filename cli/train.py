@@ -47,7 +47,7 @@ def run(
         os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
     from dataclasses import replace
 
-    from training.task import PpoConfig, task_for
+    from training.environment.task import PpoConfig, task_for
     from training.train import RunOptions, train
 
     chosen = Mode(mode)

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.hypotheses import Hypothesis, Problem
-from diagnosis.jitter import JITTER, PARAMETER
-from diagnosis.logs import LoadedSet
-from diagnosis.parameters import library
-from diagnosis.ranking import Ranked
-from diagnosis.selection import members_index, screen, total, weigh
-from diagnosis.separating import acting_name, separating_motion
+from diagnosis.causes.hypotheses import Hypothesis, Problem
+from diagnosis.causes.jitter import JITTER, PARAMETER
+from diagnosis.causes.parameters import library
+from diagnosis.causes.ranking import Ranked
+from diagnosis.causes.selection import members_index, screen, total, weigh
+from diagnosis.causes.separating import acting_name, separating_motion
+from diagnosis.loading.logs import LoadedSet
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
     Ambiguity,
@@ -26,7 +26,7 @@ from diagnosis.verdict import (
     StageGap,
     VerdictKind,
 )
-from sim_twin.effects import Effect, effect_stage, parameter_unit
+from sim_twin.effects.effect import Effect, effect_stage, parameter_unit
 
 NORMAL_90 = 1.6449
 SIZE_ERROR_RATIO = 0.04

@@ -1,8 +1,8 @@
 """From a diagnosis to the next version of a machine's twin profile."""
 
 from diagnosis.verdict import Diagnosis, VerdictKind
-from sim_twin.effects import Effect
-from sim_twin.profile import TwinProfile
+from sim_twin.effects.effect import Effect
+from sim_twin.twin.profile import TwinProfile
 
 
 def found_effects(found: Diagnosis) -> tuple[Effect, ...]:

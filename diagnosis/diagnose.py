@@ -6,22 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.healthy import HealthyModel, load_healthy
+from diagnosis.causes.hypotheses import explore, pose
+from diagnosis.causes.jitter import fit_jitter
+from diagnosis.causes.noise import NoiseModel, load_noise
+from diagnosis.causes.parameters import layout
+from diagnosis.causes.ranking import rank
+from diagnosis.causes.whitening import set_nuisance_sd
 from diagnosis.conclude import Findings, conclude
-from diagnosis.healthy import HealthyModel, load_healthy
-from diagnosis.hypotheses import explore, pose
-from diagnosis.jitter import fit_jitter
-from diagnosis.logs import LoadedSet
-from diagnosis.noise import NoiseModel, load_noise
-from diagnosis.overlay import overlay
-from diagnosis.parameters import layout
-from diagnosis.prepared import prepare
-from diagnosis.ranking import rank
+from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.prepared import prepare
+from diagnosis.report.overlay import overlay
 from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
-from diagnosis.whitening import set_nuisance_sd
-from sim_twin.profile import TwinProfile
+from sim_twin.twin.profile import TwinProfile
 
 Progress = Callable[[float, str], None]
 """Told the share done, 0 to 1, and what is being done."""

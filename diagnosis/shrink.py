@@ -12,18 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.healthy import HealthyModel, correction
-from diagnosis.hypotheses import Hypothesis, Problem, fitted_effects
-from diagnosis.parameters import View, library
-from diagnosis.prepared import PreparedThrow
-from diagnosis.residuals import ALL, relinearise
-from diagnosis.selection import members_index, screen, total, weigh
+from diagnosis.causes.healthy import HealthyModel, correction
+from diagnosis.causes.hypotheses import Hypothesis, Problem, fitted_effects
+from diagnosis.causes.parameters import View, library
+from diagnosis.causes.residuals import ALL, relinearise
+from diagnosis.causes.selection import members_index, screen, total, weigh
+from diagnosis.causes.whitening import leftovers, whiten_throw
+from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.verdict import Shrink
-from diagnosis.whitening import leftovers, whiten_throw
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
-from sim_twin.effects import Effect
-from sim_twin.profile import TwinProfile, load_profile, save_profile
-from sim_twin.replay import ReplayElement, ReplayInput, replay
+from sim_twin.effects.effect import Effect
+from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
+from sim_twin.twin.profile import TwinProfile, load_profile, save_profile
 
 PART_COUNT = 3
 BOOTSTRAP_COUNT = 400

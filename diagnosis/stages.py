@@ -19,16 +19,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.prepared import PreparedThrow
+from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.verdict import Miss, Stage, StageGap
 from machine.ballistics import STEP_S, drag_per_m, step_flight
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import to_throw_frame
 from machine.spec import load_spec
-from sim_twin.profile import TwinProfile
-from sim_twin.replay import ReplayElement, fly, replay
-from sim_twin.replay_types import FourFlags
+from sim_twin.replay.replay import ReplayElement, fly, replay
+from sim_twin.replay.types import FourFlags
+from sim_twin.twin.profile import TwinProfile
 
 BOOTSTRAP_COUNT = 400
 MIN_BALL_COUNT = 6

@@ -1,11 +1,11 @@
-"""Runs migrations on the database that the caller names (server.database, `downrange db`)."""
+"""Runs migrations on the database that the caller names (server.store.database, `downrange db`)."""
 
 from alembic import context
 from sqlalchemy import Connection
 
-from server.database import Database
-from server.models import Base
 from server.settings import load_settings
+from server.store.database import Database
+from server.store.models import Base
 
 
 def _run(connection: Connection) -> None:

@@ -17,10 +17,9 @@ from starlette.requests import HTTPConnection
 
 from machine.errors import DownrangeError
 from machine.spec import load_spec
-from server.auth import COOKIE, Session
+from server.accounts.auth import COOKIE, Session
 from server.error_shape import add_error_handlers
 from server.errors import NotFoundError
-from server.instance_lock import instance_lock
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
@@ -37,14 +36,15 @@ from server.routes import (
     policies,
     view,
 )
-from server.schemas import ErrorBody
-from server.schemas_plans import HoldMessage, HoldReply
+from server.schemas.console import ErrorBody
+from server.schemas.plans import HoldMessage, HoldReply
 from server.services import Services, open_services
 from server.settings import Settings
+from server.store.instance_lock import instance_lock
 from server.version import SOFTWARE
-from server.viewer_pick import PickRefusedError
-from server.viewer_proxy import ViewerProxy
-from server.viewer_scene import ViewerScene
+from server.viewer.scene import ViewerScene
+from server.viewer_door.pick import PickRefusedError
+from server.viewer_door.proxy import ViewerProxy
 
 logger = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from server.schemas_events import (
+from server.schemas.events import (
     AlertEvent,
     GapUpdatedEvent,
     LeaseChangedEvent,

@@ -12,39 +12,39 @@ from starlette.requests import HTTPConnection
 
 from machine.errors import DownrangeError
 from machine.spec import load_spec
-from runtime.zenoh_config import router_config
-from server.audit import AuditChain
-from server.auth import Accounts, Session
-from server.commands import CommandDesk
-from server.database import Database, DatabaseStanding, upgrade
+from runtime.link.zenoh_config import router_config
+from server.accounts.audit import AuditChain
+from server.accounts.auth import Accounts, Session
 from server.events import EventHub
-from server.gap_preview import GapPreviews
-from server.gap_runs import GapDesk
-from server.history import History
-from server.hold import HoldDesk
-from server.impact_board import ImpactBoard
-from server.ingest import EventIngest
-from server.lease_notices import LeaseNotices
-from server.leases import LeaseBook
-from server.machine_link import MachineLink
-from server.machine_views import MachineViews
-from server.machines import Registry
+from server.gap.preview import GapPreviews
+from server.gap.runs import GapDesk
+from server.gap.twin_versions import TwinVersions
+from server.machines.commands import CommandDesk
+from server.machines.lease_notices import LeaseNotices
+from server.machines.leases import LeaseBook
+from server.machines.machine_link import MachineLink
+from server.machines.machine_views import MachineViews
+from server.machines.machines import Registry
+from server.machines.stops import StopDesk
+from server.machines.twins import TwinFiles
 from server.metrics import Metrics
-from server.plan_store import PlanStore
-from server.plans import Planner
-from server.policies import PolicyShelf
-from server.preview_pool import PreviewPool
-from server.replays import Replays
+from server.plans.plan_store import PlanStore
+from server.plans.plans import Planner
+from server.plans.policies import PolicyShelf
+from server.plans.preview_pool import PreviewPool
+from server.plans.targets import TargetDesk
 from server.settings import Settings
-from server.stats import Statistics
-from server.stops import StopDesk
-from server.targets import TargetDesk
-from server.throw_desk import ThrowDesk
-from server.throw_logs import LogStore
-from server.throws import ThrowBook
-from server.twin_versions import TwinVersions
-from server.twins import TwinFiles
-from server.viewer_scene import ViewerScene
+from server.store.database import Database, DatabaseStanding, upgrade
+from server.store.ingest import EventIngest
+from server.throws.history import History
+from server.throws.hold import HoldDesk
+from server.throws.impact_board import ImpactBoard
+from server.throws.replays import Replays
+from server.throws.stats import Statistics
+from server.throws.throw_desk import ThrowDesk
+from server.throws.throw_logs import LogStore
+from server.throws.throws import ThrowBook
+from server.viewer.scene import ViewerScene
 
 logger = logging.getLogger(__name__)
 

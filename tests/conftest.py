@@ -10,7 +10,7 @@ from hypothesis import settings
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
 from machine.spec import load_spec
-from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
 
 # A busy machine must not fail a property: examples have no time limit of their own. They are the same in
 # every run, so that a red run is about the change; --hypothesis-profile=explore looks further.

@@ -25,10 +25,10 @@ from machine.policy_card import (
     file_sha256,
 )
 from machine.spec import MachineSpec
-from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from training.environment.task import TaskConfig
 from training.measure import act
 from training.networks import NORMALISED_LIMIT, Layers, Normaliser
-from training.task import TaskConfig
 
 OPSET = 17
 """Known to every onnxruntime since 1.12."""

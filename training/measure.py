@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from machine.spec import MachineSpec
-from training.environment import StartTable, ThrowEnvironment, start_table
-from training.episode import Failure, StepInfo
+from training.environment.environment import StartTable, ThrowEnvironment, start_table
+from training.environment.episode import Failure, StepInfo
+from training.environment.task import TaskConfig
 from training.networks import Layers, Normaliser, apply_layers, normalise
-from training.task import TaskConfig
 
 Field = Any
 

@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from training.environment import EnvironmentState, StartTable, ThrowEnvironment
-from training.episode import Failure, StepInfo
+from training.environment.environment import EnvironmentState, StartTable, ThrowEnvironment
+from training.environment.episode import Failure, StepInfo
+from training.environment.task import PpoConfig
 from training.networks import (
     Networks,
     Normaliser,
@@ -22,7 +23,6 @@ from training.networks import (
     normalise,
     update_normaliser,
 )
-from training.task import PpoConfig
 
 Field = Any
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from training.episode import Failure
+from training.environment.episode import Failure
 
 if TYPE_CHECKING:
     from training.measure import Accuracy

@@ -17,14 +17,15 @@ import numpy as np
 from machine.errors import UsageError
 from machine.policy_card import PolicyCard, TrainingRecord
 from machine.spec import MachineSpec
-from runtime.policy import POLICY_ID
+from runtime.control.policy import POLICY_ID
 from training.checkpoint import (
     CHECKPOINT_FILE,
     load_checkpoint,
     load_weights,
     save_checkpoint,
 )
-from training.environment import ThrowEnvironment, random_table
+from training.environment.environment import ThrowEnvironment, random_table
+from training.environment.task import PpoConfig, TaskConfig
 from training.export import export_policy
 from training.measure import Accuracy, measure
 from training.ppo import Learner, Trainer
@@ -40,7 +41,6 @@ from training.progress import (
     read_rows,
     write_summary,
 )
-from training.task import PpoConfig, TaskConfig
 
 MEASURED_RANGES_M = (7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.87)
 """Where accuracy is measured after training (paper: 7 to 10 m; the last is 45 % past the reach)."""

@@ -6,11 +6,11 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from sqlalchemy import select
 
-from server.access import Auditor
+from server.accounts.access import Auditor
 from server.errors import ApiError
-from server.models import Audit
-from server.schemas_history import AuditPage, AuditRow, AuditVerdict
+from server.schemas.history import AuditPage, AuditRow, AuditVerdict
 from server.services import ServicesDep
+from server.store.models import Audit
 
 router = APIRouter(tags=["audit"])
 

@@ -2,9 +2,9 @@
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from server.access import SessionDep, check_own_page
-from server.auth import COOKIE
-from server.schemas import LoginRequest, SessionView
+from server.accounts.access import SessionDep, check_own_page
+from server.accounts.auth import COOKIE
+from server.schemas.console import LoginRequest, SessionView
 from server.services import ServicesDep
 
 router = APIRouter(tags=["auth"])

@@ -7,10 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import StreamingResponse
 
-from server.access import Viewer
-from server.auth import COOKIE
+from server.accounts.access import Viewer
+from server.accounts.auth import COOKIE
 from server.events import Frame, HubClient
-from server.schemas_events import ServerEvent
+from server.schemas.events import ServerEvent
 from server.services import Services, ServicesDep
 
 router = APIRouter(tags=["events"])

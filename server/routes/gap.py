@@ -7,8 +7,8 @@ from fastapi import APIRouter, Query, Response
 
 from machine.conventions import Mode
 from machine.messages import Target
-from server.access import GapRunner, TwinKeeper, Viewer
-from server.schemas_gap import (
+from server.accounts.access import GapRunner, TwinKeeper, Viewer
+from server.schemas.gap import (
     GapPreviewView,
     GapRunPage,
     GapRunRequest,

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response
 from sqlalchemy.exc import SQLAlchemyError
 
-from server.schemas import HealthView
+from server.schemas.console import HealthView
 from server.services import ServicesDep
 from server.version import SOFTWARE
 

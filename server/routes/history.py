@@ -7,11 +7,9 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import FileResponse, StreamingResponse
 
 from machine.conventions import Mode
-from server.access import ImpactMarker, Viewer
-from server.audit import Entry
-from server.history import ThrowFilter
-from server.impacts import add_impact, impact_view, impact_views, point_of, target_of
-from server.schemas_history import (
+from server.accounts.access import ImpactMarker, Viewer
+from server.accounts.audit import Entry
+from server.schemas.history import (
     GroupBy,
     ImpactRequest,
     ImpactView,
@@ -24,8 +22,10 @@ from server.schemas_history import (
     ThrowStats,
 )
 from server.services import ServicesDep
-from server.throw_details import throw_detail
-from server.throw_series import series_of
+from server.throws.history import ThrowFilter
+from server.throws.impacts import add_impact, impact_view, impact_views, point_of, target_of
+from server.throws.throw_details import throw_detail
+from server.throws.throw_series import series_of
 
 router = APIRouter(tags=["history"])
 

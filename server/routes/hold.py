@@ -7,11 +7,11 @@ from fastapi import APIRouter, WebSocket
 from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from server.access import check_origin
-from server.auth import COOKIE, Session
+from server.accounts.access import check_origin
+from server.accounts.auth import COOKIE, Session
 from server.errors import ForbiddenError
-from server.schemas import Permission
-from server.schemas_plans import HoldMessage, HoldReply
+from server.schemas.console import Permission
+from server.schemas.plans import HoldMessage, HoldReply
 from server.services import Services, get_services
 
 logger = logging.getLogger(__name__)

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from server.access import LeaseTaker, Lessee
-from server.schemas import LeaseView, TakeRequest
+from server.accounts.access import LeaseTaker, Lessee
+from server.schemas.console import LeaseView, TakeRequest
 from server.services import ServicesDep
 
 router = APIRouter(tags=["leases"])

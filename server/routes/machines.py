@@ -9,10 +9,10 @@ from machine.messages import (
     LoadRequest,
     StopClearRequest,
 )
-from server.access import Enroller, StopClearer, Stopper, Thrower, Viewer
-from server.auth import Session
+from server.accounts.access import Enroller, StopClearer, Stopper, Thrower, Viewer
+from server.accounts.auth import Session
 from server.clock import new_id
-from server.schemas import (
+from server.schemas.console import (
     CommandView,
     MachineEnrolRequest,
     MachineView,

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from server.access import Thrower, Viewer
-from server.schemas_plans import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
+from server.accounts.access import Thrower, Viewer
+from server.schemas.plans import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
 from server.services import ServicesDep
 
 router = APIRouter(tags=["plans"])

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from server.access import Viewer
-from server.schemas_history import PolicyView
+from server.accounts.access import Viewer
+from server.schemas.history import PolicyView
 from server.services import ServicesDep
 
 router = APIRouter(tags=["policies"])

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from server.access import Viewer
-from server.schemas import ViewRequest
+from server.accounts.access import Viewer
+from server.schemas.console import ViewRequest
 from server.services import ServicesDep
 
 router = APIRouter(tags=["view"])

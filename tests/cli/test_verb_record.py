@@ -6,7 +6,7 @@ import pytest
 from cli.main import main
 from machine.messages import EventKind
 from machine.spec import load_spec
-from runtime.log_reader import read_throw_log
+from runtime.records.log_reader import read_throw_log
 
 
 def record(policies: Path, out: Path, *more: str) -> int:

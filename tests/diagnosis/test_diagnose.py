@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
-from twin_throws import health, profile, throws
 
 from diagnosis.diagnose import CancelledError, diagnose_throws
 from diagnosis.verdict import Diagnosis, VerdictKind
-from sim_twin.effects import Effect
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
 
 
 def diagnosed(*effects: Effect) -> Diagnosis:

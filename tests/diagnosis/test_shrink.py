@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from twin_throws import health, profile, throws
 
-from diagnosis.hypotheses import Hypothesis, Problem, pose
-from diagnosis.parameters import layout
-from diagnosis.prepared import prepare
-from diagnosis.selection import SetEvidence
+from diagnosis.causes.hypotheses import Hypothesis, Problem, pose
+from diagnosis.causes.parameters import layout
+from diagnosis.causes.selection import SetEvidence
+from diagnosis.causes.whitening import set_nuisance_sd
+from diagnosis.loading.prepared import prepare
 from diagnosis.shrink import impacts, shrink, with_effects
-from diagnosis.whitening import set_nuisance_sd
-from sim_twin.effects import Effect
-from sim_twin.profile import load_profile, save_profile
+from sim_twin.effects.effect import Effect
+from sim_twin.twin.profile import load_profile, save_profile
+from tests.diagnosis.twin_throws import health, profile, throws
 
 EFFECT = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12})
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twin_throws import profile, throws
 
-from diagnosis.prepared import prepare
+from diagnosis.loading.prepared import prepare
 from diagnosis.stages import Terms, release_state, stage_gaps, swap_stages
 from diagnosis.verdict import Stage
 from machine.ballistics import drag_per_m, step_flight
 from machine.spec import load_spec
-from sim_twin.effects import Effect
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import profile, throws
 
 COUNT = 4
 

@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnosis.causes.healthy import nothing
+from diagnosis.causes.noise import ChannelNoise, NoiseModel
+from diagnosis.causes.parameters import library
+from diagnosis.causes.whitening import SET_NUISANCES, THROW_NUISANCES
 from diagnosis.diagnose import Health
-from diagnosis.healthy import nothing
-from diagnosis.logs import LoadedSet, ThrowData
-from diagnosis.noise import ChannelNoise, NoiseModel
-from diagnosis.parameters import library
-from diagnosis.whitening import SET_NUISANCES, THROW_NUISANCES
+from diagnosis.loading.logs import LoadedSet, ThrowData
 from machine.calibration import nominal_calibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import hanging_pitch_rad
 from machine.spec import load_spec
-from sim_twin.effects import Effect
-from sim_twin.profile import TwinProfile, nominal_profile
-from sim_twin.replay import ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.effects.effect import Effect
+from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.twin.profile import TwinProfile, nominal_profile
 
 TICKS = 200
 OPEN_TICK = 90

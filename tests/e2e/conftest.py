@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from browser_console import Console
 from playwright.sync_api import Browser, Page, expect, sync_playwright
-from stack import ServerAlone, Stack, running_demo
 
 from tests.chromium import CHROMIUM, FLAGS
+from tests.e2e.browser_console import Console
+from tests.e2e.stack import ServerAlone, Stack, running_demo
 
 TIMEOUT_MS = 60_000
 """Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""

@@ -4,7 +4,8 @@ import re
 
 from playwright.sync_api import Locator, Page
 from playwright.sync_api import TimeoutError as BrowserTimeoutError
-from stack import Stack
+
+from tests.e2e.stack import Stack
 
 HOLD = '[data-testid="hold"]'
 STARVED = "heartbeat"

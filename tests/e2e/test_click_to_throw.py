@@ -3,7 +3,10 @@
 import contextlib
 from collections.abc import Callable
 
-from operator_page import (
+from playwright.sync_api import Page, expect
+from playwright.sync_api import TimeoutError as BrowserTimeoutError
+
+from tests.e2e.operator_page import (
     gate,
     load_if_empty,
     metres_of,
@@ -12,9 +15,7 @@ from operator_page import (
     take_control,
     throw_until_landed,
 )
-from playwright.sync_api import Page, expect
-from playwright.sync_api import TimeoutError as BrowserTimeoutError
-from stack import Stack
+from tests.e2e.stack import Stack
 
 
 def _click_the_ground(page: Page) -> None:

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 
-from operator_page import (
+from playwright.sync_api import Page, expect
+
+from tests.e2e.operator_page import (
     HOLD,
     gate,
     load_if_empty,
@@ -11,8 +13,7 @@ from operator_page import (
     throw_until_landed,
     without_view,
 )
-from playwright.sync_api import Page, expect
-from stack import Stack
+from tests.e2e.stack import Stack
 
 OUTLINE = "getComputedStyle(document.activeElement).outlineStyle"
 

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 
-from browser_console import Console
-from operator_page import sign_in, without_view
 from playwright.sync_api import Page, expect
-from stack import ServerAlone
+
+from tests.e2e.browser_console import Console
+from tests.e2e.operator_page import sign_in, without_view
+from tests.e2e.stack import ServerAlone
 
 
 def test_server_dies_and_comes_back(

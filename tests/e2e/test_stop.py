@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterator
 
 import pytest
-from operator_page import gate, lamp, sign_in, take_control, without_view
 from playwright.sync_api import Page, expect
-from stack import Stack, client, until
+
+from tests.e2e.operator_page import gate, lamp, sign_in, take_control, without_view
+from tests.e2e.stack import Stack, client, until
 
 
 @pytest.fixture(autouse=True)

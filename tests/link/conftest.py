@@ -1,16 +1,12 @@
 """Yards shared by the tests of one file: starting a machine's processes takes seconds."""
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "runtime"))
-
-from quick_policy import write_policies
-from yard import Yard
+from tests.link.yard import Yard
+from tests.runtime.quick_policy import write_policies
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from yard import Server, Yard, make, wait_for
 
 from machine.messages import FireRequest, LeaseNotice, OperatorHeartbeat, ThrowState
+from tests.link.yard import Server, Yard, make, wait_for
 
 HELD_S = 5.0
 
@@ -200,7 +200,7 @@ def test_wrong_password_keeps_a_machine_out_until_it_is_corrected(tmp_path, poli
     yard = Yard(tmp_path, policies)
     yard.machine.password_file.write_text("guess", encoding="utf-8")
     yard.machine.start()
-    yard.machine.child("runtime.link_process")
+    yard.machine.child("runtime.process.link_process")
     time.sleep(3.0)
     assert not yard.server.is_alive
     assert not yard.server.states

@@ -5,13 +5,13 @@ import time
 from pathlib import Path
 
 import pytest
-from yard import Server, wait_for
 
 from machine.messages import ThrowState
-from runtime.log_reader import read_throw_log
+from runtime.records.log_reader import read_throw_log
+from tests.link.yard import Server, wait_for
 
-CONTROL = "runtime.control_process"
-LINK = "runtime.link_process"
+CONTROL = "runtime.process.control_process"
+LINK = "runtime.process.link_process"
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,7 @@
 """One throw through real processes and a real router, from lease to the stored log."""
 
 from machine.messages import FireRequest
-from runtime.log_reader import read_throw_log
+from runtime.records.log_reader import read_throw_log
 
 
 def test_a_throw_from_lease_to_log(yard):

@@ -11,7 +11,7 @@ import zenoh
 
 from machine.channels import machine_key
 from machine.errors import UsageError
-from runtime.zenoh_config import client_config, router_config
+from runtime.link.zenoh_config import client_config, router_config
 
 SITE = "yard"
 USERS = {"m001": "one", "m002": "two", "server": "three"}

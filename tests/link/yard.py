@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from relay import Relay
 
 from machine.channels import machine_key
 from machine.conventions import Mode
@@ -38,8 +37,9 @@ from machine.messages import (
 )
 from machine.policy_card import load_card
 from machine.spec import load_spec
-from runtime.policy import find_policy
-from runtime.zenoh_config import router_config
+from runtime.control.policy import find_policy
+from runtime.link.zenoh_config import router_config
+from tests.link.relay import Relay
 
 SITE = "yard"
 MACHINE = "m001"
@@ -259,8 +259,8 @@ class Machine:
 
     def start(self) -> None:
         environment = dict(os.environ)
-        environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "runtime")])
-        options = {"driver": "fake_driver:FakeDriver", **self._options}
+        environment["PYTHONPATH"] = str(ROOT)
+        options = {"driver": "tests.runtime.fake_driver:FakeDriver", **self._options}
         self.process = subprocess.Popen(
             [
                 sys.executable, "-m", "cli.main", "machine", "--machine-id", MACHINE,
@@ -275,7 +275,7 @@ class Machine:
         )  # fmt: skip
 
     def child(self, module: str) -> int:
-        """Process id of `runtime.control_process` or `runtime.link_process`."""
+        """Process id of `runtime.process.control_process` or `runtime.process.link_process`."""
 
         def find() -> int | None:
             children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")

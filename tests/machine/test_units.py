@@ -13,10 +13,10 @@ from machine.conventions import UNIT_SUFFIXES
 from machine.telemetry import CONTROL_ROW, POLICY_ROW
 
 FOREIGN = {
-    "server.viewer_frames",  # the 3D view's own protocol
+    "server.viewer_door.frames",  # the 3D view's own protocol
     "diagnosis.verdict",  # a published shape: the unit stands beside the value or in the name around it
-    "diagnosis.noise",  # numbers of a channel, each in that channel's unit
-    "diagnosis.healthy",  # learned weights over inputs of many units
+    "diagnosis.causes.noise",  # numbers of a channel, each in that channel's unit
+    "diagnosis.causes.healthy",  # learned weights over inputs of many units
 }
 """Modules whose field names are not ours to choose, or have no one unit."""
 SEEDS = {"seed", "unit_seed"}
@@ -27,7 +27,7 @@ PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
 def models() -> list[type[BaseModel]]:
     found: dict[str, type[BaseModel]] = {}
     for package in PACKAGES:
-        for module in pkgutil.iter_modules(
+        for module in pkgutil.walk_packages(
             importlib.import_module(package).__path__, f"{package}."
         ):
             if module.name in FOREIGN:

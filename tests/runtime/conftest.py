@@ -1,14 +1,11 @@
 """Fixtures of the runtime's tests."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from machine_bench import Bench
-from quick_policy import write_policies
+from tests.runtime.machine_bench import Bench
+from tests.runtime.quick_policy import write_policies
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from machine.messages import EventKind, ImpactSurvey, MachineEvent
-from runtime.throw_log import ROW_TYPES, ThrowLog
+from runtime.records.throw_log import ROW_TYPES, ThrowLog
 
 
 def random_rows(name: str, count: int, seed: int, *, specials: bool = False) -> np.ndarray:

@@ -4,8 +4,6 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from fake_driver import FakeDriver
-
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.messages import (
@@ -19,9 +17,10 @@ from machine.messages import (
     ThrowPlan,
 )
 from machine.spec import load_spec
-from runtime.control_core import Fixed, MachineControl, TickReport
-from runtime.policy import PolicyRunner, find_policy
-from runtime.throw_model import Event
+from runtime.control.control_core import Fixed, MachineControl, TickReport
+from runtime.control.policy import PolicyRunner, find_policy
+from runtime.throw.model import Event
+from tests.runtime.fake_driver import FakeDriver
 
 SPEC = load_spec()
 

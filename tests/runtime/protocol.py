@@ -19,8 +19,8 @@ from machine.messages import (
     ThrowState,
 )
 from machine.policy_card import PolicyCard
-from runtime.throw_model import Effects, Facts, ThrowMachine, Tick
-from runtime.throw_states import update
+from runtime.throw.model import Effects, Facts, ThrowMachine, Tick
+from runtime.throw.states import update
 
 MODEL = "a" * 64
 POLICY = "b" * 64

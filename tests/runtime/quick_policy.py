@@ -11,7 +11,7 @@ from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
 from machine.spec import load_spec
 from machine.starts import safe_pose
-from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
 
 MOVE_RAD = 0.15
 DIPPER_ACTION = 0.3

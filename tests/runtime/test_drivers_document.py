@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machine_bench import Bench, make
 
 from machine.errors import UsageError
 from machine.messages import StopRequest, ThrowState
 from machine.starts import safe_pose
 from runtime.driver import Driver
-from runtime.driver_loader import load_driver
+from runtime.process.driver_loader import load_driver
+from tests.runtime.machine_bench import Bench, make
 
 DOCUMENT = Path(__file__).parents[2] / "docs/drivers.md"
 SENSORS = struct.Struct("<4f4f3f3fH")

@@ -13,7 +13,7 @@ HEAVY = ("mujoco", "scipy", "fastapi", "sqlalchemy", "viser", "jax", "matplotlib
 IMPORT_ALL = f"""
 import importlib, importlib.util, pkgutil
 for package in ("machine", "runtime"):
-    for module in pkgutil.iter_modules(importlib.import_module(package).__path__, package + "."):
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
         importlib.import_module(module.name)
 importlib.import_module("cli.machine")
 present = [name for name in {HEAVY!r} if importlib.util.find_spec(name)]

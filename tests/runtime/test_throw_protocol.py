@@ -8,7 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from machine.conventions import Motion
 from machine.messages import OperatorHeartbeat, ThrowState
-from runtime.throw_model import LinkLost, ThrowMachine
+from runtime.throw.model import LinkLost, ThrowMachine
 from tests.runtime.protocol import FACTS, Bench, plan
 
 S = ThrowState

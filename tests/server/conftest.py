@@ -15,18 +15,18 @@ import httpx
 import psycopg
 import pytest
 from argon2 import PasswordHasher
-from fake_machine import FakeMachine
-from server_bench import Running, add_people, make_settings, running_server, wait_for
 from sqlalchemy import make_url
 
 from machine.spec import load_spec
-from server import auth
-from server.auth import FIRST_LOGIN_FILE, Session
+from server.accounts import auth
+from server.accounts.auth import FIRST_LOGIN_FILE, Session
 from server.clock import new_id, utc_now
-from server.database import upgrade
-from server.schemas import Role
+from server.schemas.console import Role
 from server.services import Services, assemble, prepare_database
-from server.viewer_scene import ViewerScene
+from server.store.database import upgrade
+from server.viewer.scene import ViewerScene
+from tests.server.fake_machine import FakeMachine
+from tests.server.server_bench import Running, add_people, make_settings, running_server, wait_for
 
 
 @pytest.fixture(scope="session", autouse=True)

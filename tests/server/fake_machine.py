@@ -29,7 +29,7 @@ from machine.messages import (
 )
 from machine.spec import load_spec
 from machine.starts import safe_pose
-from runtime.zenoh_config import client_config
+from runtime.link.zenoh_config import client_config
 
 COMMANDS = TypeAdapter(Command)
 NONCE_S = 10.0

@@ -7,9 +7,9 @@ from pathlib import Path
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
-from server.auth import Session
+from server.accounts.auth import Session
 from server.clock import new_id, utc_now
-from server.schemas import Role
+from server.schemas.console import Role
 from server.services import Services
 
 

@@ -14,7 +14,7 @@ from diagnosis.verdict import (
     StageGap,
     VerdictKind,
 )
-from server.gap_worker import GapJob, Progress
+from server.gap.worker import GapJob, Progress
 
 EXTRA_S = 0.06
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
-from fake_machine import FakeMachine
 
 from machine.conventions import Mode
 from machine.policy_card import load_card
-from server.schemas import Role
+from server.schemas.console import Role
 from server.serve import make_server, open_socket
 from server.services import Services
 from server.settings import Settings
+from tests.server.fake_machine import FakeMachine
 
 PASSWORD = "correct horse battery"
 

@@ -4,10 +4,10 @@ import json
 
 import httpx
 import pytest
-from server_bench import wait_for
 
 from server.app import create_app
 from server.settings import Settings
+from tests.server.server_bench import wait_for
 
 OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
 UPLOAD = "/api/v1/machines/{machine_id}/throw-logs/{throw_id}"

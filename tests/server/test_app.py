@@ -1,8 +1,8 @@
 import httpx
 import pytest
-from server_bench import add_people, make_settings, running_server
 
-from server.auth import COOKIE
+from server.accounts.auth import COOKIE
+from tests.server.server_bench import add_people, make_settings, running_server
 
 PAGE = "<!doctype html><title>Console</title>"
 

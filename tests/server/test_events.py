@@ -5,10 +5,10 @@ import time
 
 import httpx
 import pytest
-from server_bench import wait_for
 
 from server.events import QUEUE_LENGTH, EventHub
-from server.schemas_events import AlertEvent, ServerEvent
+from server.schemas.events import AlertEvent, ServerEvent
+from tests.server.server_bench import wait_for
 
 
 class Listener:
@@ -127,7 +127,7 @@ def test_a_client_that_does_not_read_is_closed_and_costs_a_bounded_queue():
 
 @pytest.fixture
 def state_event(parts):
-    from server.schemas_events import MachineStateEvent
+    from server.schemas.events import MachineStateEvent
 
     parts.services.registry.enrol("m001", "", parts.session().actor)
     return MachineStateEvent(machine=parts.services.views.view("m001"))

@@ -1,20 +1,20 @@
 """Twin profiles from diagnoses: apply, undo, versions, previews before and after."""
 
-import gap_fakes
 import pytest
-from gap_bench import add_throws
-from gap_fakes import EXTRA_S, explained
-from server_bench import wait_for
-from test_events import Listener
-from test_plans import NEAR, create, finished
 
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.errors import UsageError
 from machine.spec import load_spec
-from server.gap_worker import GapProcess
-from server.twins import TwinFiles, content_sha256
-from sim_twin.profile import load_profile, nominal_profile, save_profile
+from server.gap.worker import GapProcess
+from server.machines.twins import TwinFiles, content_sha256
+from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
+from tests.server import gap_fakes
+from tests.server.gap_bench import add_throws
+from tests.server.gap_fakes import EXTRA_S, explained
+from tests.server.plans.test_plans import NEAR, create, finished
+from tests.server.server_bench import wait_for
+from tests.server.test_events import Listener
 
 RUNS = "/machines/m001/gap-runs"
 TWIN = "/machines/m001/twin-profile"

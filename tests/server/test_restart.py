@@ -9,17 +9,17 @@ import time
 
 import httpx
 import pytest
-from server_bench import add_people, free_port, make_settings, running_server, wait_for
 from sqlalchemy import text
 
 from machine.errors import UsageError
 from machine.messages import ThrowState
 from machine.spec import load_spec
-from server.database import Database, DatabaseError, upgrade
-from server.instance_lock import instance_lock
 from server.serve import open_socket, serve
 from server.services import LinkError, open_services
-from server.viewer_scene import ViewerScene
+from server.store.database import Database, DatabaseError, upgrade
+from server.store.instance_lock import instance_lock
+from server.viewer.scene import ViewerScene
+from tests.server.server_bench import add_people, free_port, make_settings, running_server, wait_for
 
 PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Error, Page, sync_playwright
-from viewer_app import ViewerApp, wait_for
 
 from machine.starts import safe_pose
-from server.viewer_state import Reach
+from server.viewer.state import Reach
 from tests.chromium import CHROMIUM, FLAGS
+from tests.server.viewer_app import ViewerApp, wait_for
 
 SIZE = {"width": 480, "height": 300}
 

@@ -8,11 +8,11 @@ import pytest
 from machine.conventions import Mode
 from machine.spec import load_spec
 from machine.starts import sample_starts
-from runtime.control_loop import ControlParams
-from runtime.policy import PolicyRunner, find_policy
-from sim_twin.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.campaign import Outcome, run_throws
-from sim_twin.virtual_machine import VirtualMachine
+from runtime.control.control_loop import ControlParams
+from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.throws.campaign import Outcome, run_throws
+from sim_twin.virtual.virtual_machine import VirtualMachine
 
 SPEC = load_spec()
 POLICIES = Path(__file__).parents[2] / "policies"

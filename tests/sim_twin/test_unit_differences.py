@@ -1,4 +1,4 @@
-"""sim_twin/units.py (tests/machine has a test_units.py of its own)."""
+"""sim_twin/virtual/units.py (tests/machine has a test_units.py of its own)."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from machine.conventions import UNIT_SUFFIXES
 from machine.spec import load_spec
-from sim_twin.units import (
+from sim_twin.virtual.units import (
     UNIT_HALF_WIDTH,
     MachineUnit,
     draw_conditions,

@@ -10,10 +10,10 @@ from machine.conventions import CONTROL_PERIOD_NS, Array
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
-from sim_twin.effects import Effect
-from sim_twin.profile import exact_profile, nominal_profile
-from sim_twin.replay import ReplayInput
-from sim_twin.twin import Twin
+from sim_twin.effects.effect import Effect
+from sim_twin.replay.replay import ReplayInput
+from sim_twin.twin.profile import exact_profile, nominal_profile
+from sim_twin.twin.twin import Twin
 
 SPEC = load_spec()
 PROFILE = exact_profile(nominal_profile(SPEC))

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import jax
 import pytest
-from tiny_training import Throws, throws_of
 
 from machine.conventions import Mode
+from tests.training.tiny_training import Throws, throws_of
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,18 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_training import SPEC, host
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
-from runtime.observation import ACTION_NAMES, OBSERVATION_NAMES
-from runtime.policy import PolicyRunner
+from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.policy import PolicyRunner
+from tests.training.tiny_training import SPEC, host
 from training import export
+from training.environment.task import task_for
 from training.export import export_policy, parity_error, policy_model
 from training.measure import act
 from training.networks import Layers, Normaliser, make_layers
-from training.task import task_for
 
 
 class Exported(NamedTuple):

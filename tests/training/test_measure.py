@@ -1,9 +1,9 @@
 """Accuracy is measured: on the CPU as well, where one scan over the steps never came back."""
 
 import jax
-from tiny_training import SPEC, small_task
 
 from machine.conventions import Mode
+from tests.training.tiny_training import SPEC, small_task
 from training.measure import measure
 from training.networks import make_layers, make_normaliser
 from training.train import accuracy_line

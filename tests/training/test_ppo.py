@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_training import host
 
-from training.environment import StartTable, ThrowEnvironment
-from training.episode import StepInfo
+from tests.training.tiny_training import host
+from training.environment.environment import StartTable, ThrowEnvironment
+from training.environment.episode import StepInfo
+from training.environment.task import PpoConfig
 from training.networks import make_normaliser, normalise, update_normaliser
 from training.ppo import Batch, Learner, Trainer, log_density
-from training.task import PpoConfig
 
 COUNT = 64
 

@@ -15,7 +15,7 @@ import pytest
 from machine.errors import UsageError
 from machine.policy_card import POLICY_FILE, load_card
 from machine.spec import load_spec
-from runtime.policy import PolicyRunner
+from runtime.control.policy import PolicyRunner
 from training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from training.ppo import Learner
 from training.progress import CSV_FILE, CURVE_FILE, SUMMARY_FILE, read_rows

@@ -11,8 +11,13 @@ import numpy as np
 
 from machine.conventions import Mode
 from machine.spec import load_spec
-from training.environment import EnvironmentState, StartTable, ThrowEnvironment, random_table
-from training.task import TaskConfig, task_for
+from training.environment.environment import (
+    EnvironmentState,
+    StartTable,
+    ThrowEnvironment,
+    random_table,
+)
+from training.environment.task import TaskConfig, task_for
 
 SPEC = load_spec()
 COUNT = 256

@@ -1730,7 +1730,7 @@ export interface components {
         Outcome: "landed" | "aborted" | "stopped" | "fault" | "interrupted" | "refused" | "not_executed";
         /**
          * Permission
-         * @description One right; roles are sets of these (server/auth.py).
+         * @description One right; roles are sets of these (server/accounts/auth.py).
          * @enum {string}
          */
         Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "machine.enrol" | "admin";

@@ -1,0 +1,1 @@
+"""Diagnoses of one stage from its own data: actuation, swing, flight."""

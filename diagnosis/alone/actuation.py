@@ -1,0 +1,428 @@
+"""Diagnoses the actuation of one joint from commands and its motion alone, without a machine model.
+
+The ideal joint moves at a speed in proportion to its command. What it does instead is explained by dead time,
+lag, dead band and the other effects of response.py, or called unknown. Nothing is said about sensor
+latency: with one sensor it is the same as dead time.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_coeffs
+
+from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.response import actuation_options, play, simulate_position, simulate_speed
+from diagnosis.alone.selection import every_third, select, spread_blocks
+from diagnosis.alone.tables import (
+    RefusedTableError,
+    Table,
+    audit_times,
+    clean_series,
+    has_degrees,
+    name_words,
+    split_runs,
+    time_seconds,
+)
+from diagnosis.alone.verdict import StageNames, diagnosis_of
+from diagnosis.loading.clock_audit import ClockAudit
+from diagnosis.verdict import Diagnosis, Stage
+from machine.conventions import Array, BoolArray, IntArray
+
+Kind = Literal["speed", "position"]
+MIN_SPAN_S: Final = 2.0
+MAX_TICKS: Final = 5_000
+POSITION_RATIO: Final = 0.25
+"""A position that follows its command leaves less than this unexplained; a drifting one does not follow."""
+LONGEST_SPAN_S: Final = 150.0
+"""A tick is then 30 ms, still less than any lag worth naming; longer records add time and little else."""
+MAX_SAMPLES: Final = 2_000
+FINEST_TICK_S: Final = 0.005
+COARSEST_TICK_S: Final = 0.02
+NOISE_RATIO: Final = 0.03
+"""Of the top speed: what the window that turns positions into speeds leaves of the sensor's noise."""
+LONGEST_WINDOW_S: Final = 0.4
+BLOCKS_COUNT: Final = 15
+
+
+class Motion(NamedTuple):
+    """One joint's record, cleaned; times from its first row."""
+
+    time_s: Array
+    command: Array
+    """(rows,) as given."""
+    output: Array
+    """(rows,) position or speed; rad, rad/s, m, m/s, or the unit of the file."""
+    is_speed: bool
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class ActuationProblem:
+    """Residuals of a joint's speed on an even grid; see `fit.Problem`."""
+
+    command: Array
+    """(ticks,) -1..1, rest at 0."""
+    measured: Array
+    """(samples,) speed seen through the window, or position for a position command."""
+    sample: IntArray
+    """(samples,) the tick of each residual."""
+    window: Array
+    """Kernel that turns positions into speeds; empty when the output is used as it is."""
+    step_s: float
+    kind: Kind
+    nuisance: tuple[FreeParameter, ...]
+    options: tuple[Option, ...]
+    block: IntArray
+    noise: float
+
+    @property
+    def rich(self) -> tuple[str, ...]:
+        """What every hydraulic joint has some of."""
+        return (
+            "valve_dead_time",
+            "valve_lag_two_sided",
+            "valve_dead_band_even",
+            "speed_limit",
+            "acceleration_limit",
+        )
+
+    @property
+    def held(self) -> BoolArray:
+        """Every third piece of the record."""
+        return every_third(self.block)
+
+    @property
+    def local(self) -> frozenset[str]:
+        """None: the record is one run."""
+        return frozenset()
+
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
+        """(sets, samples) measured minus simulated."""
+        return np.stack([self.measured - self.simulate(one)[self.sample] for one in values])
+
+    def simulate(self, values: Mapping[str, float]) -> Array:
+        """(ticks,) the output as the same window would see it."""
+        gap = values.get("backlash.gap_rad_m", 0.0)
+        if self.kind == "position" or self.window.size == 0:
+            output = simulate_speed(self.command, self.step_s, values) + values["offset"]
+            return play(output, 0.5 * gap) if gap > 0.0 else output
+        position = simulate_position(self.command, self.step_s, values)
+        if gap > 0.0:
+            position = play(position, 0.5 * gap)
+        return np.convolve(np.pad(position, len(self.window) // 2, "edge"), self.window, "valid")
+
+
+def read_motion(
+    table: Table, time: str, command: str, output: str, is_speed: bool
+) -> tuple[Motion, ClockAudit]:
+    """One joint of a table.
+
+    Raises:
+        RefusedTableError: unusable columns.
+    """
+    raw_s = time_seconds(table, time)
+    if np.any(np.diff(raw_s[np.isfinite(raw_s)]) < 0.0):
+        split_runs(raw_s[np.isfinite(raw_s)])
+        raise RefusedTableError(
+            f"the times in column {time!r} go back: unsorted rows, several runs in one file, or a clock that "
+            "was set. Sort the rows, or give one file a run"
+        )
+    audit = audit_times(table, raw_s, f"{table.path.name}")
+    values, commands = table.numbers(output), table.numbers(command)
+    time_s, position = clean_series(raw_s, values, f"column {output!r}", table.notes)
+    known = np.isfinite(commands) & np.isfinite(raw_s)
+    held = np.clip(np.searchsorted(raw_s[known], time_s, side="right") - 1, 0, None)
+    u = commands[known][held]
+    if np.ptp(u) == 0.0:
+        raise RefusedTableError(
+            f"the command {command!r} is {u[0]:.6g} throughout: constant channel. Without a command that "
+            "changes nothing can be said; record steps in both directions with rests between"
+        )
+    if np.ptp(position) == 0.0:
+        raise RefusedTableError(
+            f"{output!r} is {position[0]:.6g} throughout while the command changes: constant channel. "
+            "Check the sensor, or choose another column"
+        )
+    position, unit = _in_si(table, output, position, is_speed)
+    return Motion(time_s, u, position, is_speed, unit), audit
+
+
+def diagnose_joint(
+    motion: Motion,
+    audit: ClockAudit,
+    joint: str | None = None,
+    kind: Literal["auto", "speed", "position"] = "auto",
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose one joint.
+
+    Raises:
+        RefusedTableError: too short, or no motion that could tell anything.
+    """
+    span_s = float(motion.time_s[-1] - motion.time_s[0])
+    if span_s < MIN_SPAN_S:
+        raise RefusedTableError(
+            f"the record lasts {span_s:.2f} s, at least {MIN_SPAN_S:g} s are needed; record several steps"
+        )
+    zero, zero_note = rest_command(motion)
+    notes = [zero_note]
+    if span_s > LONGEST_SPAN_S:
+        motion = busiest_part(motion, zero)
+        first = float(motion.time_s[0])
+        notes.append(
+            f"of {span_s:.0f} s the {LONGEST_SPAN_S:g} s with the most commands are used, from "
+            f"{first:.0f} s on"
+        )
+    problem = make_problem(motion, zero, "speed" if kind == "auto" else kind, 1.0 / audit.rate_hz)
+    signal = float(np.sqrt(np.mean(problem.measured**2)))
+    selection = select(problem, signal, problem.noise, progress)
+    if kind == "auto" and not motion.is_speed and selection.left_ratio > 0.3:
+        other = make_problem(motion, zero, "position", 1.0 / audit.rate_hz)
+        spread = float(np.std(other.measured))
+        tried = select(other, spread, other.noise, progress)
+        if tried.left_ratio < min(0.5 * selection.left_ratio, POSITION_RATIO):
+            problem, selection, signal = other, tried, spread
+            notes.append("the position follows the command: taken as a position command")
+    gain = selection.best.fit.as_mapping()["speed_per_command"]
+    scale = float(np.max(np.abs(motion.command - zero)))
+    rate = "" if problem.kind == "position" else "/s"
+    evidence: dict[str, Any] = {
+        "rate_hz": audit.rate_hz,
+        "clock": audit.as_json(),
+        "samples": len(motion.time_s),
+        "span_s": span_s,
+        "command_kind": problem.kind,
+        "command_rest": zero,
+        "command_full": scale,
+        "gain_per_full_command": {"value": gain, "unit": f"{motion.unit}{rate}"},
+        "window_s": len(problem.window) * problem.step_s,
+        "noise": {"value": problem.noise, "unit": f"{motion.unit}{rate}"},
+        "not_separable": [
+            "dead time of the valve and latency of the joint's sensor: with one sensor they are one number",
+            "load, pump flow and temperature: they need a machine model or other channels",
+        ],
+        "notes": notes,
+    }
+    return diagnosis_of(
+        problem,
+        selection,
+        problem.noise,
+        StageNames(Stage.ACTUATION, joint, f"{motion.unit}{rate}", _SEPARATING),
+        evidence,
+        _plots(
+            problem,
+            selection.base.fit.as_mapping(),
+            selection.best.fit.as_mapping(),
+            motion.unit + rate,
+        ),
+    )
+
+
+def busiest_part(motion: Motion, zero: float) -> Motion:
+    """The stretch of `LONGEST_SPAN_S` in which commands change most."""
+    change = np.concatenate([[0.0], np.abs(np.diff(motion.command - zero))])
+    total = np.cumsum(change)
+    end = np.searchsorted(motion.time_s, motion.time_s + LONGEST_SPAN_S) - 1
+    whole = motion.time_s + LONGEST_SPAN_S <= motion.time_s[-1]
+    start = int(np.argmax(np.where(whole, total[end] - total, -1.0)))
+    part = slice(start, int(end[start]) + 1)
+    return motion._replace(
+        time_s=motion.time_s[part], command=motion.command[part], output=motion.output[part]
+    )
+
+
+def rest_command(motion: Motion) -> tuple[float, str]:
+    """The command at which the joint rests, and why."""
+    u = motion.command
+    if np.min(u) <= 0.0 <= np.max(u) and (np.min(u) < 0.0 or np.mean(u == 0.0) > 0.02):
+        return 0.0, "command 0 taken as rest"
+    values, counts = np.unique(np.round(u, 9), return_counts=True)
+    common = int(np.argmax(counts))
+    if counts[common] > 0.05 * len(u):
+        return float(
+            values[common]
+        ), f"command {values[common]:g} taken as rest: its most frequent value"
+    if np.min(u) > 0.0 and np.min(u) < 0.1 * np.max(u):
+        return 0.0, "command 0 taken as rest"
+    middle = 0.5 * float(np.min(u) + np.max(u))
+    return middle, f"command {middle:g} taken as rest: the middle of its range"
+
+
+def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> ActuationProblem:
+    """Put a joint's record on an even grid."""
+    time_s = motion.time_s - motion.time_s[0]
+    span_s = float(time_s[-1])
+    step_s = period_s / max(1, math.ceil(period_s / COARSEST_TICK_S))
+    step_s = max(step_s, FINEST_TICK_S, span_s / MAX_TICKS)
+    grid_s = np.arange(0.0, span_s, step_s)
+    held = np.clip(np.searchsorted(time_s, grid_s + 1e-9, side="right") - 1, 0, None)
+    command = motion.command[held] - zero
+    command = command / float(np.max(np.abs(command)))
+    output = np.interp(grid_s, time_s, motion.output)
+    use_window = kind == "speed" and not motion.is_speed
+    window = np.array([])
+    raw_noise = _sample_noise(motion.output)
+    noise = raw_noise
+    measured = output
+    if use_window:
+        window, noise = _speed_window(output, raw_noise, step_s, period_s)
+        measured = np.convolve(np.pad(output, len(window) // 2, "edge"), window, "valid")
+    edge = len(window) // 2 + 1
+    stride = max(1, round(max(period_s, len(grid_s) * step_s / MAX_SAMPLES) / step_s))
+    sample = np.arange(edge, len(grid_s) - edge, stride)
+    # Grid points inside a long hole of the record are not data.
+    after = np.clip(np.searchsorted(time_s, grid_s[sample]), 1, len(time_s) - 1)
+    hole = time_s[after] - time_s[after - 1]
+    sample = sample[hole < max(5.0 * period_s, 0.1)]
+    if sample.size < 30:
+        raise RefusedTableError(f"{sample.size} usable samples are left, at least 30 are needed")
+    top = float(np.quantile(np.abs(measured[sample]), 0.99))
+    blocks = max(span_s / BLOCKS_COUNT, 1.0)
+    run = np.zeros(len(sample), dtype=np.int64)
+    centre = float(np.median(measured[sample])) if kind == "position" else 0.0
+    slack = float(np.ptp(motion.output)) if kind == "position" else 0.1 * top
+    gain = _first_gain(command, measured - centre, sample, top)
+    return ActuationProblem(
+        command=command,
+        measured=measured[sample],
+        sample=sample,
+        window=window,
+        step_s=step_s,
+        kind=kind,
+        nuisance=(
+            FreeParameter("speed_per_command", motion.unit, -20.0 * top, 20.0 * top, (gain,)),
+            FreeParameter("offset", motion.unit, centre - slack, centre + slack, (centre,)),
+        ),
+        options=actuation_options(
+            period_s,
+            span_s,
+            top,
+            0.0 if motion.is_speed else float(np.ptp(motion.output)),
+            motion.unit,
+            not motion.is_speed,
+        ),
+        block=spread_blocks(grid_s[sample], blocks, run),
+        noise=noise,
+    )
+
+
+def _first_gain(command: Array, measured: Array, sample: IntArray, top: float) -> float:
+    """Least-squares gain with the best of a few delays, so that the sign is right from the start."""
+    best, best_gain = 0.0, top
+    for ticks in np.unique(np.geomspace(1, max(len(command) // 10, 2), 12).astype(int)):
+        u = np.concatenate([np.full(ticks, command[0]), command[:-ticks]])[sample]
+        product, power = float(np.dot(u, measured[sample])), float(np.dot(u, u))
+        if power > 0.0 and product**2 / power > best:
+            best, best_gain = product**2 / power, product / power
+    return best_gain
+
+
+def _sample_noise(values: Array) -> float:
+    """Noise of one sample: third differences cancel smooth motion; their sd is sqrt(20) times it."""
+    third = np.diff(values, n=3)
+    noise = 1.4826 * float(np.median(np.abs(third - np.median(third)))) / math.sqrt(20.0)
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0.0]
+    if moved.size == 0 or moved.size > 0.8 * steps.size:
+        return noise
+    # A coarse encoder stands still most of the time: its noise is that of rounding.
+    return max(noise, float(np.min(moved)) / math.sqrt(12.0))
+
+
+def _speed_window(
+    output: Array, noise: float, step_s: float, period_s: float
+) -> tuple[Array, float]:
+    """The shortest slope window that brings a speed's noise below 3 % of the top speed.
+
+    The slope of a straight line through n samples over w seconds has variance 12 s^2 / (n w^2).
+    """
+    coarse = max(3, round(0.3 / step_s) | 1)
+    rough = np.convolve(output, savgol_coeffs(coarse, 1, deriv=1, delta=step_s), "valid")
+    top = float(np.quantile(np.abs(rough), 0.98)) or 1e-9
+    seconds = max(3.0 * period_s, 0.04)
+    for seconds in np.geomspace(
+        max(3.0 * period_s, 0.04), max(LONGEST_WINDOW_S, 4.0 * period_s), 12
+    ):
+        left = noise * math.sqrt(12.0 * period_s / seconds) / seconds
+        if left < NOISE_RATIO * top:
+            break
+    size = max(3, round(seconds / step_s) | 1)
+    left = noise * math.sqrt(12.0 * period_s / seconds) / seconds
+    return savgol_coeffs(size, 1, deriv=1, delta=step_s), float(left)
+
+
+def _in_si(table: Table, name: str, values: Array, is_speed: bool) -> tuple[Array, str]:
+    """Degrees to radians, millimetres to metres, wrapped angles unwrapped; the unit that results."""
+    words = name_words(name)
+    unit = "unit"
+    if has_degrees(name):
+        values, unit = np.radians(values), "rad"
+        table.notes.append(f"{name!r} converted from degrees to rad")
+    elif has_degrees(name) is False:
+        unit = "rad"
+    elif "mm" in words:
+        values, unit = values * 1e-3, "m"
+        table.notes.append(f"{name!r} converted from mm to m")
+    elif "m" in words:
+        unit = "m"
+    if is_speed:
+        return values, unit
+    for period, label in ((2.0 * math.pi, "2 pi"), (360.0, "360")):
+        jumps = np.abs(np.diff(values)) > 0.8 * period
+        if np.any(jumps) and float(np.ptp(values)) <= 1.02 * period:
+            values = np.unwrap(values, period=period)
+            table.notes.append(f"{name!r}: {int(np.sum(jumps))} jumps of {label} unwrapped")
+            break
+    return values, unit
+
+
+def _plots(
+    problem: ActuationProblem, base: Mapping[str, float], best: Mapping[str, float], unit: str
+) -> dict[str, Any]:
+    """Measured, ideal and explained speed, at most 800 points."""
+    thin = problem.sample[:: max(1, len(problem.sample) // 800)]
+    keep = np.isin(problem.sample, thin)
+    return {
+        "response": {
+            "x": (thin * problem.step_s).tolist(),
+            "x_unit": "s",
+            "measured": problem.measured[keep].tolist(),
+            "ideal": problem.simulate(base)[thin].tolist(),
+            "explained": problem.simulate(best)[thin].tolist(),
+            "command_ratio": problem.command[thin].tolist(),
+            "unit": unit,
+        }
+    }
+
+
+_SEPARATING: Final[Mapping[frozenset[str], str]] = {
+    frozenset(("valve_dead_time", "valve_lag")): (
+        "steps of at least three sizes in both directions with 3 s rests, logged at 50 Hz or more: dead time "
+        "delays the onset, lag rounds it"
+    ),
+    frozenset(("valve_dead_band", "valve_dead_time")): (
+        "command ramps of three slopes in both directions: the onset's delay over 1/slope has the dead time "
+        "as intercept and the dead band as slope"
+    ),
+    frozenset(("valve_dead_band", "stiction")): (
+        "slow ramps up and down through zero in both directions: a dead band is the same up and down, "
+        "stiction is not"
+    ),
+    frozenset(("valve_dead_band", "valve_curve")): (
+        "a staircase of small steady commands (2 % apart, 3 s each) around the onset of motion"
+    ),
+    frozenset(("valve_hysteresis", "valve_dead_band")): (
+        "a triangle of commands that reverses at half speed, away from zero"
+    ),
+    frozenset(("backlash", "valve_dead_time")): (
+        "reversals at two speeds: backlash costs a travel, dead time a time"
+    ),
+    frozenset(("speed_limit", "valve_curve")): "a staircase of large steady commands up to full",
+    frozenset(("acceleration_limit", "valve_lag")): (
+        "steps of two sizes: a lag takes the same time for both, an acceleration limit takes longer for the "
+        "larger one"
+    ),
+}

@@ -1,0 +1,375 @@
+"""Chooses the structure of one stage from its data alone: which effects are there, how sure that is.
+
+Sets of effects grow by beam search from the ideal stage; each is scored on held-out pieces of the record,
+with as many independent samples as the residual's correlation leaves, and a penalty for every parameter.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from diagnosis.alone.fit import (
+    QUICK_ITERATIONS,
+    Fit,
+    Option,
+    Problem,
+    bounds,
+    correlation_length,
+    fit,
+    held_out_mean_square,
+    interval_factor,
+    standard_errors,
+)
+from diagnosis.verdict import Shrink
+from machine.conventions import Array, BoolArray, IntArray
+
+BEAM_COUNT: Final = 2
+MAX_EFFECTS_COUNT: Final = 6
+EFFECT_LOG_PRIOR: Final = math.log(0.25)
+"""Per effect: most effects are absent from most machines."""
+SHAPE_EFFECTS: Final = frozenset({"valve_curve", "acceleration_limit", "drag_crisis"})
+"""Refinements outside the twin's library: they shape an effect and are not taken for one of its own."""
+SHAPE_LOG_PRIOR: Final = math.log(0.1)
+ENDLESS_EFFECTS: Final = frozenset(
+    {"valve_curve", "acceleration_limit", "speed_limit", "drag_crisis"}
+)
+"""Effects that are absent at another value than zero."""
+IDLE_LOG_PRIOR: Final = math.log(1e-3)
+"""For a set with an effect whose interval holds "nothing"."""
+FLOOR_RATIO: Final = 0.005
+"""Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
+GAIN_RATIO: Final = 0.01
+"""Smallest drop of the mean square that makes the search go on."""
+UNKNOWN_RATIO: Final = 0.35
+"""Share of the response that even the best structure leaves: half odds for "unknown"."""
+UNKNOWN_WIDTH_RATIO: Final = 0.03
+BOOTSTRAP_COUNT: Final = 2000
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A structure with its score."""
+
+    fit: Fit
+    held_out: float
+    """Mean square on held-out blocks."""
+    score: float
+    """Log of its posterior up to a constant."""
+    probability: float = 0.0
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects, sorted."""
+        return tuple(sorted({option.effect for option in self.fit.options}))
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The posterior over structures."""
+
+    ranked: tuple[Scored, ...]
+    """Best first; probabilities sum to 1 without "unknown"."""
+    base: Scored
+    """The ideal stage: no effect."""
+    correlation_samples: float
+    signal: float
+    """Root mean square of the response."""
+    unknown_probability: float
+
+    @property
+    def best(self) -> Scored:
+        """The most probable structure."""
+        return self.ranked[0]
+
+    @property
+    def left_ratio(self) -> float:
+        """Share of the response that the best structure leaves on held-out data."""
+        return math.sqrt(self.best.held_out) / max(self.signal, 1e-12)
+
+    def inclusion(self) -> dict[str, float]:
+        """Probability that each effect is part of the truth."""
+        names = sorted({name for scored in self.ranked for name in scored.effects})
+        return {
+            name: float(sum(s.probability for s in self.ranked if name in s.effects))
+            for name in names
+        }
+
+
+def select(
+    problem: Problem,
+    signal: float,
+    noise: float,
+    progress: Progress | None = None,
+    unknown_ratio: float = UNKNOWN_RATIO,
+) -> Selection:
+    """Search the structures.
+
+    Args:
+        problem: data and simulated response.
+        signal: root mean square of the measured response, unit of the residual.
+        noise: standard deviation of its measurement noise, same unit.
+        progress: told what was found at each level.
+        unknown_ratio: share of the response left unexplained at which "unknown" has half odds.
+    """
+    base = fit(problem, (), {})
+    visited: dict[frozenset[str], Fit] = {frozenset(): base}
+    beam = [base]
+    for level in range(1, MAX_EFFECTS_COUNT + 1):
+        grown: dict[frozenset[str], Fit] = {}
+        for parent in beam:
+            taken = {option.effect for option in parent.options}
+            for option in problem.options:
+                options = (*parent.options, option)
+                key = frozenset(o.key for o in options)
+                if option.effect in taken or key in visited or key in grown:
+                    continue
+                grown[key] = fit(problem, options, parent.as_mapping(), QUICK_ITERATIONS)
+        if not grown:
+            break
+        leaders = sorted(grown, key=lambda key: grown[key].mean_square)
+        for key in leaders[: 2 * BEAM_COUNT]:
+            found = grown[key]
+            grown[key] = fit(problem, found.options, found.as_mapping())
+        leaders = sorted(grown, key=lambda key: grown[key].mean_square)[:BEAM_COUNT]
+        visited |= grown
+        best = grown[leaders[0]].mean_square
+        before = min(parent.mean_square for parent in beam)
+        beam = [grown[key] for key in leaders]
+        if progress is not None:
+            names = " + ".join(option.effect for option in beam[0].options)
+            progress(f"{level} effects: {names}, rms {math.sqrt(best):.4g}")
+        if best > before * (1.0 - GAIN_RATIO) or math.sqrt(best) < 0.3 * FLOOR_RATIO * signal:
+            break
+    _come_down(problem, visited)
+    _prune(problem, visited)
+    return _posterior(problem, list(visited.values()), signal, noise, unknown_ratio)
+
+
+def _come_down(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
+    """Backward elimination from the rich structure: effects that only show together are found there."""
+    options = tuple(option for option in problem.options if option.key in problem.rich)
+    if not options:
+        return
+    best = _visit(problem, visited, visited[frozenset()], options)
+    while len(best.options) > 1:
+        shorter = [
+            _visit(problem, visited, best, tuple(o for o in best.options if o.key != option.key))
+            for option in best.options
+        ]
+        best = min(shorter, key=lambda found: found.mean_square)
+
+
+def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
+    """Try what the search may have passed by: one effect less, and other variants of each effect."""
+    best = min(visited.values(), key=lambda found: found.mean_square)
+    for _ in range(2):
+        shorter: list[Fit] = []
+        for option in best.options:
+            rest = tuple(o for o in best.options if o.key != option.key)
+            shorter.append(_visit(problem, visited, best, rest))
+            for variant in problem.options:
+                if variant.effect == option.effect and variant.key != option.key:
+                    _visit(problem, visited, best, (*rest, variant))
+        if not shorter:
+            return
+        best = min(shorter, key=lambda found: found.mean_square)
+
+
+def _visit(
+    problem: Problem,
+    visited: dict[frozenset[str], Fit],
+    near: Fit,
+    options: tuple[Option, ...],
+) -> Fit:
+    """The fit of a structure, from the parameters that it shares with a fit near it."""
+    key = frozenset(option.key for option in options)
+    if key not in visited:
+        names = {p.name for p in problem.nuisance}
+        names |= {f"{o.key}.{p.name}" for o in options for p in o.parameters}
+        start = {name: value for name, value in near.as_mapping().items() if name in names}
+        visited[key] = fit(problem, options, start)
+    return visited[key]
+
+
+def _posterior(
+    problem: Problem, fits: list[Fit], signal: float, noise: float, unknown_ratio: float
+) -> Selection:
+    richest = min(fits, key=lambda found: found.mean_square)
+    length = correlation_length(richest.residual, problem.block)
+    count = len(problem.block)
+    independent = count / length
+    floor = (FLOOR_RATIO * signal) ** 2
+    # Held-out scores cost simulations; structures far behind in-sample are out of the race anyway.
+    limit = 12.0 + 0.5 * independent * math.log(richest.mean_square + floor)
+    scored: list[Scored] = []
+    base: Scored | None = None
+    for found in fits:
+        size = len(found.values) - len(problem.nuisance)
+        penalty = 0.5 * size * math.log(max(independent, 2.0))
+        prior = sum(
+            SHAPE_LOG_PRIOR if option.effect in SHAPE_EFFECTS else EFFECT_LOG_PRIOR
+            for option in found.options
+        )
+        optimistic = -0.5 * independent * math.log(found.mean_square + floor) - penalty + prior
+        if found.options and optimistic < -limit - 40.0:
+            continue
+        held_out = max(held_out_mean_square(problem, found), found.mean_square)
+        score = -0.5 * independent * math.log(held_out + floor) - penalty + prior
+        if _has_idle_effect(problem, found, length):
+            score += IDLE_LOG_PRIOR
+        item = Scored(found, held_out, score)
+        scored.append(item)
+        if not found.options:
+            base = item
+    if base is None:
+        raise ValueError("the ideal stage was not among the structures")
+    top = max(item.score for item in scored)
+    weights = np.exp(np.array([item.score for item in scored]) - top)
+    weights /= np.sum(weights)
+    ranked = sorted(
+        (
+            Scored(item.fit, item.held_out, item.score, float(weight))
+            for item, weight in zip(scored, weights, strict=True)
+        ),
+        key=lambda item: -item.probability,
+    )
+    ranked = _merge(ranked)
+    left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
+    unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
+    return Selection(tuple(ranked), base, length, signal, unknown)
+
+
+def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
+    """Whether an effect may be nothing: zero within its interval, or at an end where it fades out."""
+    half = standard_errors(problem, found, length) * interval_factor(problem)
+    far = dict(zip(found.names, np.abs(found.values) > half, strict=True))
+    values = found.as_mapping()
+    for option in found.options:
+        names = [f"{option.key}.{p.name}" for p in option.parameters]
+        first = option.parameters[0]
+        if option.effect not in ENDLESS_EFFECTS:
+            asked = names if first.low <= 0.0 else names[:1]
+            if not any(far[name] for name in asked) or 0.0 < values[names[0]] < 1.3 * first.low:
+                return True
+        for p, name in zip(option.parameters, names, strict=True):
+            if p.is_void_at_high and values[name] > 0.98 * p.high:
+                return True
+    return False
+
+
+def _merge(ranked: Sequence[Scored]) -> list[Scored]:
+    """One entry a set of effects: variants of an effect (orders of a lag) count together."""
+    merged: dict[tuple[str, ...], Scored] = {}
+    for item in ranked:
+        if item.effects not in merged:
+            merged[item.effects] = item
+        else:
+            first = merged[item.effects]
+            merged[item.effects] = Scored(
+                first.fit, first.held_out, first.score, first.probability + item.probability
+            )
+    return sorted(merged.values(), key=lambda item: -item.probability)
+
+
+def intervals(
+    problem: Problem, selection: Selection, found: Fit
+) -> Mapping[str, tuple[float, float]]:
+    """90 % interval of each parameter of a fit, by name, within its bounds."""
+    half = standard_errors(problem, found, selection.correlation_samples) * interval_factor(problem)
+    low, high = bounds(problem, found)
+    return {
+        name: (float(max(value - h, at_least)), float(min(value + h, at_most)))
+        for name, value, h, at_least, at_most in zip(
+            found.names, found.values, half, low, high, strict=True
+        )
+    }
+
+
+def held_out_shrink(problem: Problem, selection: Selection, noise: float) -> Shrink:
+    """Refit ideal and chosen stage without the held-out samples, and compare both on those.
+
+    `before_m` and `after_m` are root mean squares in the unit of the residual.
+    """
+    held = problem.held
+    use = np.where(held, 0.0, 1.0)
+    before2 = _squares(problem, selection.base.fit, use)
+    after2 = _squares(problem, selection.best.fit, use)
+    trained = ~held
+    predicted = _removable_share(
+        float(np.mean(before2[trained])), float(np.mean(after2[trained])), noise
+    )
+    before, after = float(np.mean(before2[held])), float(np.mean(after2[held]))
+    rng = np.random.default_rng(0)
+    pieces = [np.flatnonzero(held & (problem.block == b)) for b in np.unique(problem.block[held])]
+    draws: list[float] = []
+    for _ in range(BOOTSTRAP_COUNT if len(pieces) > 1 else 0):
+        chosen_pieces = rng.integers(0, len(pieces), len(pieces))
+        index = np.concatenate([pieces[k] for k in chosen_pieces])
+        draws.append(
+            _removable_share(float(np.mean(before2[index])), float(np.mean(after2[index])), noise)
+        )
+    realised = _removable_share(before, after, noise)
+    low, high = np.quantile(draws, [0.05, 0.95]) if draws else (math.nan, math.nan)
+    ci90 = (float(low), float(high)) if draws else (realised, realised)
+    removable = max(1.0 - noise**2 / before, 0.0) if before > 0.0 else 0.0
+    return Shrink(
+        predicted_ratio=predicted,
+        before_m=math.sqrt(before),
+        after_m=math.sqrt(after),
+        ratio=realised,
+        ci90=ci90,
+        held_out_throws=len(pieces),
+        removable_ratio=math.sqrt(removable),
+    )
+
+
+def _squares(problem: Problem, whole: Fit, use: Array) -> Array:
+    """Squared residuals with effects from the samples in use alone; local nuisance from all samples."""
+    trained = fit(problem, whole.options, whole.as_mapping(), use=use)
+    if not problem.local:
+        return trained.residual**2
+    values = trained.as_mapping()
+    shared = {name: value for name, value in values.items() if name not in problem.local}
+    return fit(problem, whole.options, values, frozen=shared).residual ** 2
+
+
+def every_third(block: IntArray) -> BoolArray:
+    """(samples,) every third block: held out."""
+    return np.isin(block, np.unique(block)[1::3])
+
+
+def _removable_share(before: float, after: float, noise: float) -> float:
+    """How much of the gap above the noise is gone, from mean squares; 1 = all of it."""
+    start = math.sqrt(before)
+    left = math.sqrt(max(after - noise**2, 0.0))
+    above = math.sqrt(max(before - noise**2, 0.0))
+    return 1.0 - left / above if above > 1e-9 * max(start, 1e-12) else 0.0
+
+
+def describe(selection: Selection) -> dict[str, Any]:
+    """What was compared, for `Diagnosis.evidence`."""
+    return {
+        "inclusion_probability": selection.inclusion(),
+        "left_ratio": selection.left_ratio,
+        "correlation_samples": selection.correlation_samples,
+        "compared": [
+            {
+                "effects": list(item.effects),
+                "probability": item.probability,
+                "held_out_rms": math.sqrt(item.held_out),
+            }
+            for item in selection.ranked[:12]
+        ],
+    }
+
+
+def spread_blocks(time_s: Array, seconds: float, run: IntArray) -> IntArray:
+    """Number the contiguous pieces of `seconds` within each run, (samples,)."""
+    piece = np.floor((time_s - time_s[0]) / seconds)
+    label = run * (np.max(piece) + 1.0) + piece
+    return np.asarray(np.unique(label, return_inverse=True)[1], dtype=np.int64)

@@ -1,0 +1,352 @@
+"""Diagnoses the free swing of a hanging body from its angle alone: which friction, length, stiffness.
+
+The ideal body swings without loss. With one angle sensor its latency shifts the whole record and cannot be
+told; with no reference length the frequency gives the length and is no effect.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.selection import every_third, select, spread_blocks
+from diagnosis.alone.tables import RefusedTableError
+from diagnosis.alone.verdict import StageNames, diagnosis_of
+from diagnosis.verdict import Diagnosis, Stage
+from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
+
+MIN_PERIODS: Final = 2.0
+MAX_SAMPLES_PER_RUN: Final = 1_000
+STEPS_PER_PERIOD: Final = 24
+UNKNOWN_RATIO: Final = 0.3
+NOISE_AMPLITUDES: Final = 3.0
+"""The swing is over when its amplitude is this many standard deviations of the sensor's noise."""
+
+
+class Swing(NamedTuple):
+    """One free swing; times from its first row."""
+
+    time_s: Array
+    angle_rad: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SwingProblem:
+    """Residuals of all swings; see `fit.Problem`."""
+
+    swings: tuple[Swing, ...]
+    nuisance: tuple[FreeParameter, ...]
+    options: tuple[Option, ...]
+    block: IntArray
+    step_s: float
+
+    @property
+    def rich(self) -> tuple[str, ...]:
+        """The search from nothing is enough."""
+        return ()
+
+    @property
+    def held(self) -> BoolArray:
+        """Every third piece."""
+        return every_third(self.block)
+
+    @property
+    def local(self) -> frozenset[str]:
+        """None: a swing's start is known from any piece of it."""
+        return frozenset()
+
+    def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
+        """(sets, samples) measured minus simulated, rad."""
+        measured = np.concatenate([swing.angle_rad for swing in self.swings])
+        return measured - np.concatenate(self.simulate(values), axis=1)
+
+    def simulate(self, values: Sequence[Mapping[str, float]]) -> list[Array]:
+        """Angles at each swing's own sample times, (sets, rows) a swing."""
+        count, sets = len(self.swings), len(values)
+        last = max(float(swing.time_s[-1]) for swing in self.swings)
+        grid_s = np.arange(0.0, last + 2.0 * self.step_s, self.step_s)
+        start = np.array([[one[f"angle.{k}"] for k in range(count)] for one in values]).ravel()
+        rate = np.array([[one[f"rate.{k}"] for k in range(count)] for one in values]).ravel()
+        shared = {name: np.repeat([one[name] for one in values], count) for name in values[0]}
+        angle, speed = _integrate(start, rate, grid_s, shared)
+        shape = (len(grid_s), sets, count)
+        angle, speed = angle.reshape(shape), speed.reshape(shape) * grid_s[1]
+        return [
+            _sampled(angle[:, :, k], speed[:, :, k], swing.time_s / grid_s[1])
+            for k, swing in enumerate(self.swings)
+        ]
+
+
+def _sampled(angle: Array, change: Array, place: Array) -> Array:
+    """Cubic Hermite interpolation at fractional steps (rows,); `change` is the slope a step; (sets, rows)."""
+    index = np.minimum(place.astype(np.int64), len(angle) - 2)
+    s = (place - index)[:, None]
+    a0, a1, d0, d1 = angle[index], angle[index + 1], change[index], change[index + 1]
+    rise = a1 - a0
+    return (a0 + s * d0 + s * s * (3.0 * rise - 2.0 * d0 - d1) + s**3 * (d0 + d1 - 2.0 * rise)).T
+
+
+def diagnose_swing(
+    swings: Sequence[Swing],
+    length_m: float = math.nan,
+    joint: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose free swings of one hanging body.
+
+    Args:
+        swings: each from a release on; what comes before the first turning point is left out.
+        length_m: of the ideal pendulum, pivot to centre of swing; nan if there is no reference.
+        joint: its name in the result.
+        progress: told what was found.
+
+    Raises:
+        RefusedTableError: nothing swings.
+    """
+    noise = _noise(swings)
+    usable = tuple(s for s in (_free_part(swing, noise) for swing in swings) if s is not None)
+    if not usable:
+        raise RefusedTableError(
+            f"fewer than {MIN_PERIODS:g} periods of free swing above the noise ({noise:.2g} rad): record "
+            "from the release until the swing has died down"
+        )
+    problem = make_problem(usable, length_m, noise)
+    signal = math.sqrt(float(np.mean(np.concatenate([s.angle_rad for s in usable]) ** 2)))
+    selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
+    best = selection.best.fit.as_mapping()
+    frequency = best["frequency_rad_per_s"]
+    evidence: dict[str, Any] = {
+        "swings": len(usable),
+        "samples": int(sum(len(s.time_s) for s in usable)),
+        "span_s": float(sum(s.time_s[-1] for s in usable)),
+        "rate_hz": float(np.median([1.0 / np.median(np.diff(s.time_s)) for s in usable])),
+        "noise": {"value": noise, "unit": "rad"},
+        "frequency_hz": frequency / (2.0 * math.pi),
+        "length_of_equal_pendulum_m": GRAVITY_M_PER_S2 / frequency**2,
+        "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in usable)),
+        "not_separable": [
+            "latency of the angle sensor or IMU: it shifts the whole record; it needs a second sensor",
+            "length and stiffness: both change the frequency alone",
+            "mass: a free pendulum's swing does not depend on it",
+        ],
+    }
+    return diagnosis_of(
+        problem,
+        selection,
+        noise,
+        StageNames(Stage.SWING, joint, "rad", _SEPARATING),
+        evidence,
+        _plots(problem, selection.base.fit.as_mapping(), best),
+    )
+
+
+def make_problem(swings: tuple[Swing, ...], length_m: float, noise: float) -> SwingProblem:
+    """Parameters and blocks of the free swings."""
+    period_s = float(np.median([_period(swing, noise) for swing in swings]))
+    frequency = 2.0 * math.pi / period_s
+    reference = math.sqrt(GRAVITY_M_PER_S2 / length_m) if math.isfinite(length_m) else math.nan
+    # A reference length says what the frequency would be; what differs from it is length or stiffness.
+    slack, first = (1e-5, reference) if math.isfinite(reference) else (0.3, frequency)
+    nuisance = [
+        FreeParameter(
+            "frequency_rad_per_s", "rad/s", first * (1 - slack), first * (1 + slack), (first,)
+        )
+    ]
+    for k, swing in enumerate(swings):
+        size = float(np.max(np.abs(swing.angle_rad)))
+        a0, r0 = float(swing.angle_rad[0]), 0.0
+        nuisance.append(FreeParameter(f"angle.{k}", "rad", -1.5 * size, 1.5 * size, (a0,)))
+        limit = 2.0 * frequency * size
+        nuisance.append(FreeParameter(f"rate.{k}", "rad/s", -limit, limit, (r0,)))
+    rest = 0.2 * max(float(np.max(np.abs(swing.angle_rad))) for swing in swings)
+    nuisance.append(FreeParameter("rest_rad", "rad", -rest, rest, (0.0,)))
+    run = np.concatenate([np.full(len(s.time_s), k) for k, s in enumerate(swings)])
+    time_s = np.concatenate([swing.time_s for swing in swings])
+    seconds = max(period_s, float(np.max(time_s)) / 12.0)
+    size = max(float(np.max(np.abs(swing.angle_rad))) for swing in swings)
+    return SwingProblem(
+        swings=swings,
+        nuisance=tuple(nuisance),
+        options=_options(frequency, reference, size),
+        block=spread_blocks(time_s, seconds, run.astype(np.int64)),
+        step_s=period_s / STEPS_PER_PERIOD,
+    )
+
+
+def _options(frequency: float, reference: float, size: float) -> tuple[Option, ...]:
+    """Viscous: c theta'; Coulomb: f sign(theta'); air: q |theta'| theta'; the library's first two names."""
+    decay = frequency / (2.0 * math.pi)
+    strong = frequency**2 * size
+    options = [
+        Option(
+            "passive_viscous_friction",
+            "passive_viscous_friction",
+            (
+                FreeParameter(
+                    "extra_viscous_per_s",
+                    "1/s",
+                    1e-4 * decay,
+                    5.0 * decay,
+                    (0.01 * decay, 0.2 * decay),
+                ),
+            ),
+        ),
+        Option(
+            "passive_coulomb_friction",
+            "passive_coulomb_friction",
+            (
+                FreeParameter(
+                    "extra_coulomb_rad_per_s2",
+                    "rad/s2",
+                    1e-5 * strong,
+                    0.3 * strong,
+                    (1e-3 * strong, 0.02 * strong),
+                ),
+            ),
+        ),
+        Option(
+            "air_drag",
+            "air_drag",
+            (FreeParameter("quadratic_per_rad", "1/rad", 1e-4, 3.0, (0.01, 0.1)),),
+        ),
+    ]
+    if math.isfinite(reference):
+        longer = FreeParameter(
+            "extra_length_ratio", "1", -0.7, 2.0, ((reference / frequency) ** 2 - 1.0, 0.05)
+        )
+        options.append(Option("gripper_length", "gripper_length", (longer,)))
+        stiff = FreeParameter(
+            "stiffness_per_s2",
+            "1/s2",
+            1e-3 * frequency**2,
+            3.0 * frequency**2,
+            (0.05 * frequency**2,),
+        )
+        options.append(Option("hose_stiffness", "hose_stiffness", (stiff,)))
+    return tuple(options)
+
+
+def _integrate(
+    start: Array, rate: Array, grid_s: Array, values: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """Angles and rates of particles, (steps, particles), by the classical Runge-Kutta method.
+
+    theta'' = -w^2 sin(theta - rest) - s (theta - rest) - c theta' - f tanh(theta' / e) - q |theta'| theta'
+    """
+    nothing = np.zeros_like(start)
+    square = values["frequency_rad_per_s"] ** 2 / (
+        1.0 + values.get("gripper_length.extra_length_ratio", nothing)
+    )
+    rest = values["rest_rad"]
+    stiff = values.get("hose_stiffness.stiffness_per_s2", nothing)
+    viscous = values.get("passive_viscous_friction.extra_viscous_per_s", nothing)
+    coulomb = values.get("passive_coulomb_friction.extra_coulomb_rad_per_s2", nothing)
+    air = values.get("air_drag.quadratic_per_rad", nothing)
+    step_s = float(grid_s[1])
+    # Sign made smooth over the change of rate that friction makes in two steps, so that it does not chatter.
+    smooth = 2.0 * coulomb * step_s + 1e-9
+    has_coulomb, has_air = bool(np.any(coulomb > 0.0)), bool(np.any(air > 0.0))
+
+    def acceleration(angle: Array, speed: Array) -> Array:
+        away = angle - rest
+        a = -square * np.sin(away) - stiff * away - viscous * speed
+        if has_coulomb:
+            a = a - coulomb * np.tanh(speed / smooth)
+        return a - air * np.abs(speed) * speed if has_air else a
+
+    angles, rates = np.empty((len(grid_s), len(start))), np.empty((len(grid_s), len(start)))
+    x, v, h = start, rate, step_s
+    for index in range(len(grid_s)):
+        angles[index], rates[index] = x, v
+        a1 = acceleration(x, v)
+        v2 = v + 0.5 * h * a1
+        a2 = acceleration(x + 0.5 * h * v, v2)
+        v3 = v + 0.5 * h * a2
+        a3 = acceleration(x + 0.5 * h * v2, v3)
+        v4 = v + h * a3
+        a4 = acceleration(x + h * v3, v4)
+        x = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+        v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return angles, rates
+
+
+def _free_part(swing: Swing, noise: float) -> Swing | None:
+    """From the first large turning point until the swing is lost in the noise, about its rest angle."""
+    tail = max(len(swing.angle_rad) // 4, 10)
+    rest = _middle(swing.angle_rad[-tail:])
+    angle = swing.angle_rad - rest
+    size = float(np.quantile(np.abs(angle), 0.995))
+    if size < 5.0 * noise or size <= 0.0:
+        return None
+    # Still held: nothing moves until the largest deflection is left for good.
+    beyond = np.flatnonzero(np.abs(angle) > 0.9 * size)
+    start = int(beyond[0])
+    side = np.sign(angle[start])
+    while start + 1 < len(angle) and side * angle[start + 1] > 0.9 * size:
+        start += 1
+    clear = np.flatnonzero(np.abs(angle) > NOISE_AMPLITUDES * noise)
+    end = int(clear[-1]) + 1
+    if len(_crossings(angle[start:end], noise)) < 2 * MIN_PERIODS:
+        return None
+    stride = max(1, (end - start) // MAX_SAMPLES_PER_RUN)
+    keep = slice(start, end, stride)
+    time_s = swing.time_s[keep]
+    return Swing(time_s - time_s[0], angle[keep])
+
+
+def _middle(angle: Array) -> float:
+    """Rest angle of a swing that goes on: the mean of its typical highest and lowest."""
+    low, high = np.quantile(angle, [0.05, 0.95])
+    return 0.5 * float(low + high)
+
+
+def _crossings(angle: Array, noise: float) -> IntArray:
+    """Rows at which the angle comes out on the other side of rest, clear of the noise."""
+    clear = np.flatnonzero(np.abs(angle) > NOISE_AMPLITUDES * noise)
+    return clear[1:][np.diff(np.sign(angle[clear])) != 0.0]
+
+
+def _period(swing: Swing, noise: float) -> float:
+    """From crossings of the rest angle, s."""
+    return 2.0 * float(np.median(np.diff(swing.time_s[_crossings(swing.angle_rad, noise)])))
+
+
+def _noise(swings: Sequence[Swing]) -> float:
+    """Noise of one sample, rad: third differences over sqrt(20), robust; at least a rounding error."""
+    thirds = np.concatenate([np.diff(swing.angle_rad, n=3) for swing in swings])
+    return 1.4826 * float(np.median(np.abs(thirds - np.median(thirds)))) / math.sqrt(20.0) + 1e-9
+
+
+def _plots(
+    problem: SwingProblem, base: Mapping[str, float], best: Mapping[str, float]
+) -> dict[str, Any]:
+    plots: dict[str, Any] = {}
+    pairs = zip(problem.swings, problem.simulate([base]), problem.simulate([best]), strict=True)
+    for k, (swing, (ideal,), (explained,)) in enumerate(pairs):
+        plots[f"swing_{k}"] = {
+            "x": swing.time_s.tolist(),
+            "x_unit": "s",
+            "measured": swing.angle_rad.tolist(),
+            "ideal": ideal.tolist(),
+            "explained": explained.tolist(),
+            "unit": "rad",
+        }
+    return plots
+
+
+_LONGER: Final = (
+    "a free swing from the largest safe angle until rest: viscous friction decays by a ratio a period, "
+    "Coulomb by a constant angle, air drag fast at first and slowly later"
+)
+_SEPARATING: Final[Mapping[frozenset[str], str]] = {
+    frozenset(("passive_viscous_friction", "passive_coulomb_friction")): _LONGER,
+    frozenset(("passive_viscous_friction", "air_drag")): _LONGER,
+    frozenset(("passive_coulomb_friction", "air_drag")): _LONGER,
+    frozenset(("gripper_length", "hose_stiffness")): (
+        "a swing with another load or another length: a spring's share of the stiffness does not scale with "
+        "gravity; on one body the two are the same"
+    ),
+}

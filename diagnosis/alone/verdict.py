@@ -1,0 +1,220 @@
+"""Puts a stage's selection into the result that every diagnosis has: verdict, causes, shrink, evidence."""
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from diagnosis.alone.fit import Problem
+from diagnosis.alone.selection import (
+    SHAPE_EFFECTS,
+    Scored,
+    Selection,
+    describe,
+    held_out_shrink,
+    intervals,
+)
+from diagnosis.verdict import (
+    Ambiguity,
+    Cause,
+    Diagnosis,
+    FittedEffect,
+    FittedParameter,
+    Gap,
+    Miss,
+    Shrink,
+    Stage,
+    StageGap,
+    VerdictKind,
+)
+
+MAX_CAUSES_COUNT: Final = 6
+AMBIGUOUS_RATIO: Final = 0.25
+"""A rival set with at least this share of the winner's probability, with other effects, is a draw."""
+
+RIVAL_RATIO: Final = 0.05
+
+
+class StageNames(NamedTuple):
+    """How a stage is called, and what tells its effects apart."""
+
+    stage: Stage
+    joint: str | None
+    unit: str
+    """Of the residual."""
+    separating: Mapping[frozenset[str], str]
+
+
+def diagnosis_of(
+    problem: Problem,
+    selection: Selection,
+    noise: float,
+    names: StageNames,
+    evidence: Mapping[str, Any],
+    plots: Mapping[str, Any],
+) -> Diagnosis:
+    """The result of one stage alone."""
+    shrink = held_out_shrink(problem, selection, noise)
+    ambiguity = _ambiguity(selection, names)
+    verdict = _verdict(selection, ambiguity)
+    causes = _causes(problem, selection, names)
+    ratio = shrink.before_m / max(noise, 1e-12)
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_sentence(verdict, causes, shrink, selection, names),
+        gap=Gap(trajectory_rms_ratio=ratio),
+        stages=(
+            StageGap(
+                stage=names.stage,
+                joint=names.joint,
+                miss_m=Miss(downrange=0.0, crossrange=0.0),
+                share_ratio=1.0,
+                ci90_m=(0.0, 0.0),
+            ),
+        ),
+        causes=causes,
+        ambiguity=ambiguity,
+        shrink=shrink if verdict is not VerdictKind.NONE else None,
+        evidence={
+            **evidence,
+            "selection": describe(selection),
+            "residual_unit": names.unit,
+            "shrink_unit": f"rms of the residual in {names.unit}; held_out_throws counts held-out pieces",
+        },
+        plots=plots,
+    )
+
+
+def fitted_effects(
+    problem: Problem, selection: Selection, scored: Scored, joint: str | None
+) -> tuple[FittedEffect, ...]:
+    """Effects of a structure with their intervals."""
+    ranges = dict(intervals(problem, selection, scored.fit))
+    for rival in selection.ranked:
+        # What a nearly as probable set says of the same effect belongs into the interval.
+        if rival is scored or rival.probability < RIVAL_RATIO:
+            continue
+        if "drag_crisis" in set(rival.effects) ^ set(scored.effects):
+            continue  # drag then means drag at low speed: another number
+        for name, (low, high) in intervals(problem, selection, rival.fit).items():
+            if name in ranges and set(rival.effects) >= set(scored.effects) - SHAPE_EFFECTS:
+                ranges[name] = (min(ranges[name][0], low), max(ranges[name][1], high))
+    values = scored.fit.as_mapping()
+    effects: list[FittedEffect] = []
+    for option in sorted(scored.fit.options, key=lambda option: option.key):
+        parameters = {
+            p.name: FittedParameter(
+                value=values[f"{option.key}.{p.name}"],
+                ci90=ranges[f"{option.key}.{p.name}"],
+                unit=p.unit,
+            )
+            for p in option.parameters
+        }
+        if option.key == "valve_dead_band_even":
+            both = parameters.pop("both_ratio")
+            parameters |= {"positive_ratio": both, "negative_ratio": both}
+        if option.effect == "valve_gain":
+            # The common gain is the unit of the data; the two directions differ from it by +r and -r.
+            one = parameters["positive_ratio"]
+            low, high = one.ci90
+            parameters["negative_ratio"] = FittedParameter(
+                value=-one.value, ci90=(-high, -low), unit=one.unit
+            )
+        effects.append(FittedEffect(effect=option.effect, joint=joint, parameters=parameters))
+    return tuple(effects)
+
+
+def _causes(problem: Problem, selection: Selection, names: StageNames) -> tuple[Cause, ...]:
+    known = 1.0 - selection.unknown_probability
+    causes: list[Cause] = []
+    none = 0.0
+    for scored in selection.ranked:
+        if not scored.effects:
+            none = scored.probability * known
+        elif len(causes) < MAX_CAUSES_COUNT:
+            causes.append(
+                Cause(
+                    effects=fitted_effects(problem, selection, scored, names.joint),
+                    probability=scored.probability * known,
+                    name=" + ".join(scored.effects),
+                )
+            )
+    causes.append(Cause(effects=(), probability=none, name="none"))
+    causes.append(Cause(effects=(), probability=selection.unknown_probability, name="unknown"))
+    return tuple(sorted(causes, key=lambda cause: -cause.probability))
+
+
+def _ambiguity(selection: Selection, names: StageNames) -> Ambiguity | None:
+    """Two sets of which neither holds the other, nearly as probable."""
+    best = selection.best
+    mine = set(best.effects) - SHAPE_EFFECTS
+    for rival in selection.ranked[1:]:
+        theirs = set(rival.effects) - SHAPE_EFFECTS
+        if rival.probability < AMBIGUOUS_RATIO * best.probability:
+            return None
+        if mine <= theirs or theirs <= mine:
+            continue
+        difference = frozenset(mine ^ theirs)
+        motion = next(
+            (text for pair, text in names.separating.items() if pair <= difference),
+            _general_motion(names.stage),
+        )
+        return Ambiguity(
+            members=(" + ".join(best.effects), " + ".join(rival.effects)),
+            separating_motion={"kind": names.stage.value, "joint": names.joint, "words": motion},
+            why=(
+                f"held-out residuals of both are alike (probabilities {best.probability:.2f} and "
+                f"{rival.probability:.2f}); they differ in {', '.join(sorted(difference))}"
+            ),
+        )
+    return None
+
+
+def _general_motion(stage: Stage) -> str:
+    return {
+        Stage.ACTUATION: "steps of three sizes and ramps of three slopes in both directions, with 3 s rests",
+        Stage.SWING: "a longer free swing from a larger angle, until it has died down",
+        Stage.FLIGHT: "throws or drops at two clearly different speeds, tracked from before the release",
+    }.get(stage, "a longer and more varied record")
+
+
+def _verdict(selection: Selection, ambiguity: Ambiguity | None) -> VerdictKind:
+    if selection.unknown_probability > 0.5:
+        return VerdictKind.UNKNOWN
+    if not selection.best.effects:
+        return VerdictKind.NONE
+    return VerdictKind.EXPLAINED if ambiguity is None else VerdictKind.AMBIGUOUS
+
+
+def _sentence(
+    verdict: VerdictKind,
+    causes: tuple[Cause, ...],
+    shrink: Shrink,
+    selection: Selection,
+    names: StageNames,
+) -> str:
+    where = f"{names.stage.value} of {names.joint}" if names.joint else names.stage.value
+    left = f"{selection.left_ratio:.0%} of the motion is left unexplained on held-out data"
+    named = next((cause for cause in causes if cause.effects), None)
+    words = "" if named is None else _in_words(named)
+    match verdict:
+        case VerdictKind.NONE:
+            return f"The ideal {where} explains the data; no effect is needed ({left})."
+        case VerdictKind.UNKNOWN:
+            best = f" The best known explanation is {words}." if words else ""
+            return f"Something acts on the {where} that no effect of the library explains: {left}.{best}"
+        case _:
+            low, high = shrink.ci90
+            return (
+                f"The {where} shows {words}; on held-out data this removes {shrink.ratio:.0%} of the gap "
+                f"({low:.0%} to {high:.0%}), predicted {shrink.predicted_ratio or 0.0:.0%}; {left}."
+            )
+
+
+def _in_words(cause: Cause) -> str:
+    parts: list[str] = []
+    for effect in cause.effects:
+        numbers = ", ".join(
+            f"{name} {p.value:.3g} ({p.ci90[0]:.3g} to {p.ci90[1]:.3g})"
+            for name, p in effect.parameters.items()
+        )
+        parts.append(f"{effect.effect} [{numbers}]")
+    return " + ".join(parts)

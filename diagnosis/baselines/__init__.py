@@ -1,0 +1,1 @@
+"""What a challenge compares with: tuning everything, lag and RMSE."""

@@ -1,0 +1,1 @@
+"""From residuals to probable effects with intervals."""

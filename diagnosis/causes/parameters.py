@@ -1,0 +1,218 @@
+"""The effect library as one vector of parameters, and which simulations each of them moves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+
+from diagnosis.causes.selection import Priors
+from machine.conventions import ACTIVE_JOINTS, Array
+from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+
+
+class View(StrEnum):
+    """What is taken as measured in a simulation, so that only one part of the chain is under test."""
+
+    ACTUATION = "actuation"
+    """Nothing: joints move as their valves are commanded."""
+    SWING = "swing"
+    """Driven joints."""
+    FLIGHT = "flight"
+    """Driven joints, swing and the moment of opening."""
+
+
+_BY_STAGE: Mapping[str, tuple[View, ...]] = {
+    "actuation": (View.ACTUATION,),
+    "swing": (View.SWING,),
+    "release": (View.FLIGHT,),
+    "flight": (View.FLIGHT,),
+    "aim": (View.SWING, View.FLIGHT),
+}
+_BY_EFFECT: Mapping[str, tuple[View, ...]] = {
+    "gripper_length": (View.SWING, View.FLIGHT),
+    "payload_mass": (View.SWING, View.FLIGHT),
+    "payload_offset": (View.SWING, View.FLIGHT),
+    "release_delay": (),
+    "release_jitter": (),
+    "joint_sensor_bias": (View.ACTUATION, View.SWING, View.FLIGHT),
+    "joint_sensor_latency": (View.ACTUATION, View.SWING, View.FLIGHT),
+    "base_yaw_drift": (View.FLIGHT,),
+    "base_height": (View.FLIGHT,),
+}
+"""Where it differs from the stage's. Release times are compared with the switch, without a simulation."""
+
+NOT_LINEAR = ("release_jitter",)
+"""Moves a spread, not a mean; weighed by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of one effect at one joint."""
+
+    effect: str
+    joint: str | None
+    name: str
+    stage: str
+    low: float
+    high: float
+    tolerance: float
+    prior_sd: float
+    step: float
+    views: tuple[View, ...]
+
+    @property
+    def key(self) -> str:
+        """As intervals of a profile are named."""
+        parts = (self.effect, self.joint, self.name)
+        return ".".join(part for part in parts if part is not None)
+
+    @property
+    def group(self) -> tuple[str, str | None]:
+        """Effect and joint: what is chosen or not as a whole."""
+        return self.effect, self.joint
+
+    def at(self, size: float) -> Effect:
+        """The effect with this parameter alone."""
+        return Effect(effect=self.effect, joint=self.joint, parameters={self.name: size})
+
+    def clip(self, size: float) -> float:
+        """A size within the bounds."""
+        return float(min(max(size, self.low), self.high))
+
+
+@cache
+def library() -> tuple[Parameter, ...]:
+    """All constant parameters with a mean effect, in the order of the chain."""
+    return tuple(
+        Parameter(
+            effect=spec.effect,
+            joint=joint,
+            name=p.name,
+            stage=spec.stage,
+            low=p.low,
+            high=p.high,
+            tolerance=p.tolerance,
+            prior_sd=p.prior_sd,
+            step=p.step,
+            views=_BY_EFFECT.get(spec.effect, _BY_STAGE[spec.stage]),
+        )
+        for spec in EFFECTS.values()
+        if spec.effect not in (DRIFT, *NOT_LINEAR)
+        for joint in (spec.joints or (None,))
+        for p in spec.parameters
+        if not (spec.effect == "load_dependent_speed" and joint == "slew")
+    )
+
+
+@cache
+def index_of() -> Mapping[str, int]:
+    """Place of a parameter in the vector, by key."""
+    return {p.key: i for i, p in enumerate(library())}
+
+
+Group = tuple[str, str | None]
+"""Effect and joint; ``warm_up_drift:<effect>.<parameter>`` for a drift."""
+
+
+def joint_index(joint: str | None) -> int:
+    """Place of a driven joint."""
+    return ACTIVE_JOINTS.index(str(joint))
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The vector that selection works on: constants, then drifts, then nuisances of the whole set."""
+
+    groups: tuple[Group, ...]
+    """Names of the groups of `priors`."""
+    priors: Priors
+    parameter_count: int
+    drift_count: int
+
+    @property
+    def size_count(self) -> int:
+        """Length of the vector."""
+        return int(self.priors.spike_sd.size)
+
+
+DRIFTING = (
+    "valve_dead_time",
+    "valve_lag",
+    "valve_dead_band",
+    "valve_gain",
+    "pump_flow_sharing",
+    "passive_viscous_friction",
+    "passive_coulomb_friction",
+    "release_delay",
+    "sticky_release",
+    "wind",
+    "joint_sensor_bias",
+    "base_tilt",
+    "base_yaw_drift",
+)
+"""What warms up, wears in, blows or creeps within an hour; lengths, masses and clocks do not."""
+GROUP_LOG_PRIOR = -6.0
+"""About one effect in two data sets, of some seventy that could be."""
+SPIKE_WIDENING_RATIO = 1.2
+"""The scatter was measured on few machines."""
+DRIFT_LOG_PRIOR = -10.0
+"""A slow change is rarer than a constant effect, and there are as many."""
+
+
+def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layout:
+    """Priors of the whole vector.
+
+    Args:
+        tolerance: spike by parameter key; the library's own where it is missing.
+        nuisance_sd: standard deviations of the set's nuisances (sensor offsets), never a cause.
+    """
+    constants = library()
+    groups: dict[Group, list[int]] = {}
+    for i, p in enumerate(constants):
+        groups.setdefault(p.group, []).append(i)
+    logs = [GROUP_LOG_PRIOR] * len(groups)
+    for i, p in enumerate(constants):
+        if p.effect not in DRIFTING:
+            continue
+        groups[(f"{DRIFT}:{p.effect}.{p.name}", p.joint)] = [len(constants) + i]
+        logs.append(DRIFT_LOG_PRIOR)
+    spike = np.array([SPIKE_WIDENING_RATIO * tolerance.get(p.key, p.tolerance) for p in constants])
+    slab = np.array([p.prior_sd for p in constants])
+    low, high = np.array([p.low for p in constants]), np.array([p.high for p in constants])
+    extra = np.asarray(nuisance_sd, dtype=np.float64)
+    free = np.full(extra.size, np.inf)
+    # A drift has the scatter and half the size of its effect, in either direction.
+    reach = high - low
+    return Layout(
+        groups=tuple(groups),
+        priors=Priors(
+            spike_sd=np.concatenate([spike, spike, extra]),
+            slab_sd=np.concatenate([slab, 0.5 * slab, extra]),
+            low=np.concatenate([low, -reach, -free]),
+            high=np.concatenate([high, reach, free]),
+            groups=tuple(np.asarray(g, dtype=np.int64) for g in groups.values()),
+            log_prior=np.asarray(logs),
+        ),
+        parameter_count=len(constants),
+        drift_count=len(constants),
+    )
+
+
+def effects_of(found: Layout, group: int, sizes: Array) -> Effect:
+    """A group of the layout as an effect of the library, clipped to its bounds."""
+    index = found.priors.groups[group]
+    constants = library()
+    first = int(index[0])
+    if first >= found.parameter_count:
+        p = constants[first - found.parameter_count]
+        reach = p.high - p.low
+        size = float(np.clip(sizes[0], -reach, reach))
+        return Effect(effect=DRIFT, joint=p.joint, parameters={f"{p.effect}.{p.name}": size})
+    chosen = [constants[int(i)] for i in index]
+    return Effect(
+        effect=chosen[0].effect,
+        joint=chosen[0].joint,
+        parameters={p.name: p.clip(float(s)) for p, s in zip(chosen, sizes, strict=True)},
+    )

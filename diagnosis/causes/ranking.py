@@ -1,0 +1,95 @@
+"""Probabilities of the refined hypotheses, of "unknown", and which of them these throws cannot tell apart."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from diagnosis.causes.hypotheses import Hypothesis, Problem, leftover_levels
+from diagnosis.causes.jitter import JitterFit
+from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
+from machine.conventions import Array
+
+UNKNOWN_LEVEL_SD = 6.0
+UNKNOWN_WIDTH_SD = 1.0
+"""Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not."""
+SURE_PROBABILITY = 0.8
+"""Above this a cause is claimed alone."""
+RIVAL_PROBABILITY = 0.1
+INDISTINCT_LOG_ODDS = 3.0
+"""Throws that on average would favour the truth by less than e^3 cannot tell two causes apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """Hypotheses with their probabilities, best first."""
+
+    hypotheses: list[Hypothesis]
+    probability: Array
+    """(hypotheses,) that each is true; the rest is "unknown"."""
+    unknown: float
+    levels: Mapping[str, float]
+    """By block: leftover power of the best hypothesis, in standard deviations of healthy sets."""
+    jitter: JitterFit
+    jitter_probability: float
+    rival: Hypothesis | None
+    """What these throws cannot tell from the best hypothesis."""
+    rival_log_odds: float
+    """For the best over the rival, as these throws would give on average."""
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable one."""
+        return self.hypotheses[0]
+
+
+def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) -> Ranked:
+    """Weigh the hypotheses against each other and against "unknown"."""
+    logs = np.stack([h.log_evidence for h in hypotheses], axis=1)
+    probability = bagged_probability(logs)
+    order = np.argsort(-probability, kind="stable")
+    ordered = [hypotheses[int(i)] for i in order]
+    levels = unknown_levels(problem, ordered[0])
+    unknown = float(
+        expit((max(levels.values(), default=0.0) - UNKNOWN_LEVEL_SD) / UNKNOWN_WIDTH_SD)
+    )
+    rival, expected = _rival(problem, ordered, probability[order])
+    return Ranked(
+        hypotheses=ordered,
+        probability=probability[order] * (1.0 - unknown),
+        unknown=unknown,
+        levels=levels,
+        jitter=jitter,
+        jitter_probability=float(expit(jitter.log_odds)),
+        rival=rival,
+        rival_log_odds=expected,
+    )
+
+
+def unknown_levels(problem: Problem, best: Hypothesis) -> dict[str, float]:
+    """Leftover power of every block against healthy sets."""
+    healthy = problem.model.unknown_level
+    return {
+        name: (level - healthy[name][0]) / healthy[name][1]
+        for name, level in leftover_levels(best).items()
+        if name in healthy
+    }
+
+
+def _rival(
+    problem: Problem, ordered: Sequence[Hypothesis], probability: Array
+) -> tuple[Hypothesis | None, float]:
+    best = ordered[0]
+    if not best.members or probability[0] >= SURE_PROBABILITY:
+        return None, np.inf
+    for other, share in zip(ordered[1:], probability[1:], strict=True):
+        nested = set(best.members) <= set(other.members) or set(other.members) <= set(best.members)
+        if share < RIVAL_PROBABILITY or nested:
+            continue
+        expected = expected_log_odds(
+            total(best.information), problem.layout.priors, best.evidence, other.members
+        )
+        if expected < INDISTINCT_LOG_ODDS:
+            return other, expected
+    return None, np.inf

@@ -1,0 +1,400 @@
+"""Measured minus twin, channel by channel, each stage driven by the measured motion above it; and its slopes.
+
+Three simulations of every throw (`View`): the joints from their valve commands; the swing from the measured
+joints; the flight from the measured joints, swing and opening. Slopes are finite differences of the very
+same simulations, all in one batch. Blocks (channels) of a throw:
+
+    actuation.<joint>   joint velocity, rad/s or m/s, given the valve commands
+    swing.gyro.<axis>, swing.accel.<axis>   IMU, given the measured joints
+    release.switch      time of the opening given the command, s
+    flight.ball, flight.impact    tracked and surveyed positions given the measured motion of the gripper, m
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.causes.healthy import HealthyModel, correction
+from diagnosis.causes.parameters import Parameter, View, index_of, joint_index, library
+from diagnosis.loading.prepared import AXES, Block, PreparedThrow
+from machine.ballistics import drag_per_m, landing
+from machine.calibration import ValveCalibration
+from machine.conventions import (
+    ACTIVE_COUNT,
+    CONTROL_PERIOD_S,
+    GRAVITY_M_PER_S2,
+    Array,
+    IntArray,
+)
+from machine.spec import load_spec
+from sim_twin.effects.effect import Effect, resolve
+from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.replay.types import FourFlags
+from sim_twin.twin.profile import TwinProfile
+
+ALL: FourFlags = (True, True, True, True)
+NONE: FourFlags = (False, False, False, False)
+START_STEP_RAD = 0.01
+START_RATE_STEP_RAD_PER_S = 0.02
+OPENING_STEP_S = 0.005
+LANDING_STEP = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A throw about a set of effects: residual and slopes, not whitened.
+
+    residual(theta) = residual - jacobian @ (theta - where it was linearised).
+    """
+
+    residual: Array
+    """(n,) measured minus twin; NaN rows are taken out by the whitening."""
+    jacobian: Array
+    """(n, p) of the twin's prediction, in the order of `library()`."""
+    start: Array
+    """(n, 4) slopes by the free joints' start angles and rates."""
+    opening: Array
+    """(n,) slope by the moment of opening."""
+    release_t_s: float
+    """Of the flight view."""
+    landing_slope: Array
+    """(2, 6) of the impact by position and velocity at the release."""
+    predicted_velocity: Array
+    """(T, 4) driven joints from their valve commands, without any correction."""
+
+
+class _Plan:
+    """Elements of one batch, and what each of them is for."""
+
+    def __init__(self) -> None:
+        self.elements: list[ReplayElement] = []
+
+    def add(self, throw: int, effects: tuple[Effect, ...], view: View) -> int:
+        """Index of the new element."""
+        flight = view is View.FLIGHT
+        self.elements.append(
+            ReplayElement(
+                throw=throw,
+                effects=effects,
+                measured_joints=NONE if view is View.ACTUATION else ALL,
+                measured_swing=flight,
+                measured_opening=flight,
+            )
+        )
+        return len(self.elements) - 1
+
+
+def linearise(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+) -> list[Linear]:
+    """Residuals and slopes of every throw without any effect, in one batched simulation.
+
+    Args:
+        prepared: the throws.
+        profile: of the machine.
+        calibration: of its valves.
+        healthy: what the twin misses on every machine.
+    """
+    inputs = [p.input for p in prepared]
+    plan = _Plan()
+    parts: list[_Part] = []
+    for i in range(len(prepared)):
+        bases = {view: plan.add(i, (), view) for view in View}
+        moves = _moved(plan, i, (), library(), tuple(View))
+        parts.append(_Part(bases, moves, _nuisance_elements(plan, inputs, i)))
+    output = replay(inputs, plan.elements, profile, calibration)
+    return [
+        _linear(p, output, part, (), profile, healthy, None)
+        for p, part in zip(prepared, parts, strict=True)
+    ]
+
+
+def relinearise(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+    first: Sequence[Linear],
+    requests: Sequence[tuple[tuple[Effect, ...], Sequence[Parameter]]],
+    views: Sequence[View] | None = None,
+) -> list[list[Linear]]:
+    """Every throw about several sets of effects, in one batched simulation.
+
+    Only the views that a set moves are simulated; everything else is as in `first`. Columns of other
+    parameters than those wanted are those of `first`, too.
+
+    Args:
+        prepared: the throws.
+        profile: of the machine.
+        calibration: of its valves.
+        healthy: what the twin misses on every machine.
+        first: linearised without any effect.
+        requests: effects about which to linearise, and the parameters whose slopes are wanted.
+        views: to simulate; those that the wanted parameters move if left out.
+    """
+    inputs = [p.input for p in prepared]
+    plan = _Plan()
+    parts: list[list[_Part]] = []
+    for effects, wanted in requests:
+        moved = tuple(view for view in View if any(view in p.views for p in wanted))
+        chosen = moved if views is None else tuple(views)
+        row: list[_Part] = []
+        for i in range(len(prepared)):
+            bases = {view: plan.add(i, effects, view) for view in chosen}
+            row.append(_Part(bases, _moved(plan, i, effects, wanted, chosen), None))
+        parts.append(row)
+    if not plan.elements:
+        return [list(first) for _ in requests]
+    output = replay(inputs, plan.elements, profile, calibration)
+    return [
+        [
+            _linear(p, output, part, effects, profile, healthy, before)
+            for p, part, before in zip(prepared, row, first, strict=True)
+        ]
+        for (effects, _), row in zip(requests, parts, strict=True)
+    ]
+
+
+_Moves = dict[tuple[int, View], tuple[int, float]]
+"""(parameter, view) -> (element, step)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Elements of one throw about one set of effects."""
+
+    bases: dict[View, int]
+    moves: _Moves
+    nuisance: tuple[list[int], int] | None
+    """Moved start swing (4) and moved opening."""
+
+
+def _moved(
+    plan: _Plan,
+    throw: int,
+    base: tuple[Effect, ...],
+    wanted: Sequence[Parameter],
+    views: tuple[View, ...],
+) -> _Moves:
+    """Elements that move one parameter each; in the actuation view one moves it at all joints."""
+    moves: _Moves = {}
+    together: dict[str, list[Parameter]] = {}
+    for p in wanted:
+        for view in (v for v in p.views if v in views):
+            if view is View.ACTUATION and p.joint is not None:
+                together.setdefault(f"{p.effect}.{p.name}", []).append(p)
+                continue
+            step = _step(p, base)
+            moves[index_of()[p.key], view] = (plan.add(throw, (*base, p.at(step)), view), step)
+    for parameters in together.values():
+        steps = [_step(p, base) for p in parameters]
+        effects = tuple(p.at(step) for p, step in zip(parameters, steps, strict=True))
+        element = plan.add(throw, (*base, *effects), View.ACTUATION)
+        for p, step in zip(parameters, steps, strict=True):
+            moves[index_of()[p.key], View.ACTUATION] = (element, step)
+    return moves
+
+
+def _step(p: Parameter, base: tuple[Effect, ...]) -> float:
+    """The library's step, backwards where the sum with `base` would leave the bounds."""
+    size = sum(
+        e.parameters.get(p.name, 0.0) for e in base if (e.effect, e.joint) == (p.effect, p.joint)
+    )
+    return p.step if size + p.step <= p.high else -p.step
+
+
+def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tuple[list[int], int]:
+    """Elements with moved start swing (4) and moved opening; adds the moved inputs."""
+    data = inputs[throw]
+    starts: list[int] = []
+    for axis in range(4):
+        angle, rate = data.swing_start_rad.copy(), data.swing_rate_start_rad_per_s.copy()
+        if axis < 2:
+            angle[axis] += START_STEP_RAD
+        else:
+            rate[axis - 2] += START_RATE_STEP_RAD_PER_S
+        inputs.append(data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate))
+        starts.append(plan.add(len(inputs) - 1, (), View.SWING))
+    inputs.append(data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S))
+    return starts, plan.add(len(inputs) - 1, (), View.FLIGHT)
+
+
+# --- from simulations to the residual vector -------------------------------------------------------
+
+
+def _linear(
+    prepared: PreparedThrow,
+    output: ReplayOutput,
+    part: _Part,
+    effects: tuple[Effect, ...],
+    profile: TwinProfile,
+    healthy: HealthyModel,
+    first: Linear | None,
+) -> Linear:
+    """A throw's residual and slopes from the batch; what was not simulated is as in `first`."""
+    n = prepared.measured.size
+    predicted = _predicted(prepared, output, part, healthy)
+    residual = np.full(n, np.nan) if first is None else first.residual.copy()
+    jacobian = np.zeros((n, len(library()))) if first is None else first.jacobian.copy()
+    velocity = np.zeros((0, ACTIVE_COUNT)) if first is None else first.predicted_velocity
+    for view, rows in predicted.items():
+        for block in prepared.blocks:
+            if _view(block) is view:
+                residual[block.rows] = (
+                    prepared.measured[block.rows] - rows[part.bases[view]][block.rows]
+                )
+    if View.ACTUATION in part.bases:
+        velocity = output.joint_velocity_rad_m_per_s[
+            part.bases[View.ACTUATION], : prepared.motion.t_s.size
+        ]
+    for parameter in {parameter for parameter, _ in part.moves}:
+        jacobian[:, parameter] = 0.0
+    for (parameter, view), (element, step) in part.moves.items():
+        slope = (predicted[view][element] - predicted[view][part.bases[view]]) / step
+        joint = library()[parameter].joint
+        for block in prepared.blocks:
+            # Behind its valve a joint moves alone; only the IMU and the load feel the others.
+            own = view is not View.ACTUATION or joint is None or block.name.endswith(joint)
+            if own and _view(block) is view:
+                jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows], nan=0.0)
+    _compare_switch(prepared, effects, profile, residual, jacobian)
+    start, opening = np.zeros((n, 4)), np.zeros(n)
+    if part.nuisance is not None:
+        steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
+        rows, base = predicted[View.SWING], predicted[View.SWING][part.bases[View.SWING]]
+        for axis, (element, step) in enumerate(zip(part.nuisance[0], steps, strict=True)):
+            start[:, axis] = np.nan_to_num((rows[element] - base) / step)
+        rows, base = predicted[View.FLIGHT], predicted[View.FLIGHT][part.bases[View.FLIGHT]]
+        opening = np.nan_to_num((rows[part.nuisance[1]] - base) / OPENING_STEP_S)
+    if first is not None:
+        return replace(first, residual=residual, jacobian=jacobian, predicted_velocity=velocity)
+    flight = part.bases[View.FLIGHT]
+    slope = _landing_slope(
+        output.release_position_m[flight],
+        output.release_velocity_m_per_s[flight],
+        prepared.input.surface_height_m,
+    )
+    return Linear(
+        residual, jacobian, start, opening, float(output.release_t_s[flight]), slope, velocity
+    )
+
+
+def _predicted(
+    prepared: PreparedThrow, output: ReplayOutput, part: _Part, healthy: HealthyModel
+) -> dict[View, dict[int, Array]]:
+    """What the twin says of the throw's vector (n,) in each simulated view, by element."""
+    elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
+    extra = [] if part.nuisance is None else [(e, View.SWING) for e in part.nuisance[0]]
+    extra += [] if part.nuisance is None else [(part.nuisance[1], View.FLIGHT)]
+    for element, view in [(e, v) for (_, v), (e, _) in part.moves.items()] + extra:
+        if element not in elements[view]:
+            elements[view].append(element)
+    return {
+        view: dict(
+            zip(chosen, _predict(prepared, output, np.asarray(chosen), view, healthy), strict=True)
+        )
+        for view, chosen in elements.items()
+    }
+
+
+def _view(block: Block) -> View | None:
+    """The simulation that a block is compared with; none for the switch."""
+    stage = block.name.partition(".")[0]
+    return View(stage) if stage in tuple(View) else None
+
+
+def _compare_switch(
+    prepared: PreparedThrow,
+    effects: tuple[Effect, ...],
+    profile: TwinProfile,
+    residual: Array,
+    jacobian: Array,
+) -> None:
+    """Fill in, in place, the opening's row: delays add up without a simulation."""
+    switch = prepared.block("release.switch")
+    if switch is None:
+        return
+    sizes = resolve((*profile.effects, *effects), prepared.input.progress_ratio)
+    delay = profile.release_delay_s + sizes.get(("release_delay", None, "extra_delay_s"), 0.0)
+    residual[switch.rows] = prepared.measured[switch.rows] - prepared.throw.open_command_t_s - delay
+    jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
+
+
+def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) -> Array:
+    """Impact (2,) by release position and velocity (6,), numerically, with the nominal drag."""
+    ball = load_spec().ball
+    state = np.concatenate([position_m, velocity_m_per_s])
+    states = state + LANDING_STEP * np.vstack([np.zeros(6), np.eye(6)])
+    end = landing(states[:, :3], states[:, 3:], height_m + ball.radius_m, drag_per_m(ball))
+    return np.nan_to_num((end.position_m[1:, :2] - end.position_m[0, :2]).T / LANDING_STEP)
+
+
+def _predict(
+    prepared: PreparedThrow,
+    output: ReplayOutput,
+    elements: IntArray,
+    view: View,
+    healthy: HealthyModel,
+) -> Array:
+    """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
+    out = np.zeros((elements.size, prepared.measured.size))
+    for block in prepared.blocks:
+        if _view(block) is not view:
+            continue
+        channel = block.name.partition(".")[2]
+        if view is View.ACTUATION:
+            joint, rows = joint_index(channel), prepared.motion.t_s.size
+            track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
+            # What every machine is off its twin follows the motion that the effects lead to.
+            track = track + correction(healthy, prepared.input, prepared.motion, joint, track)
+            out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
+        elif view is View.SWING:
+            kind, letter = channel.split(".")
+            source = output.gyro_rad_per_s if kind == "gyro" else output.accel_m_per_s2
+            track = source[elements, :, AXES.index(letter)]
+            out[:, block.rows] = _at(track, prepared.imu_at_s) @ prepared.imu_pair.T
+        elif channel == "ball":
+            out[:, block.rows] = _ball(output, elements, prepared.throw.ball_t_s)
+        else:
+            out[:, block.rows] = output.impact_m[elements, :2]
+    return out
+
+
+def _at(track: Array, t_s: Array) -> Array:
+    """Linear interpolation of ticks (m, T) at times (n,), held beyond the ends."""
+    last = track.shape[1] - 1
+    place = np.clip(t_s / CONTROL_PERIOD_S, 0.0, last)
+    whole = np.minimum(np.floor(place).astype(np.int64), last - 1)
+    share = place - whole
+    return (
+        np.nan_to_num(track[:, whole]) * (1.0 - share) + np.nan_to_num(track[:, whole + 1]) * share
+    )
+
+
+def _ball(output: ReplayOutput, elements: IntArray, t_s: Array) -> Array:
+    """Ball positions (m, 3 n) at times (n,): the simulated track, parabolas beyond its ends."""
+    out = np.full((elements.size, t_s.size, 3), np.nan)
+    for row, element in enumerate(elements):
+        track = output.ball_position_m[element]
+        known = np.flatnonzero(np.isfinite(track[:, 0]))
+        if known.size < 3:
+            continue
+        ticks, points = known * CONTROL_PERIOD_S, track[known]
+        inside = (t_s >= ticks[0]) & (t_s <= ticks[-1])
+        for axis in range(3):
+            out[row, inside, axis] = np.interp(t_s[inside], ticks, points[:, axis])
+        early, late = t_s < ticks[0], t_s > ticks[-1]
+        out[row, early] = _parabola(points[0], points[1], t_s[early] - ticks[0])
+        out[row, late] = _parabola(points[-1], points[-2], ticks[-1] - t_s[late])
+    return out.reshape(elements.size, -1)
+
+
+def _parabola(end: Array, inner: Array, after_s: Array) -> Array:
+    """Free flight beyond an end of a track: points (n, 3), `after_s` counted towards `inner`."""
+    gravity = np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
+    speed = (inner - end) / CONTROL_PERIOD_S - 0.5 * gravity * CONTROL_PERIOD_S
+    return end + speed * after_s[:, None] + 0.5 * gravity * after_s[:, None] ** 2

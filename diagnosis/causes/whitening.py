@@ -1,0 +1,258 @@
+"""From residuals and slopes of a throw to what they say about the parameters: whitening and nuisances.
+
+A nuisance is something that differs on a healthy machine, from throw to throw (oil temperature, bus phase,
+grasp, jitter of the opening, swing at the start) or from set to set (sensor offsets). Each is a column of
+slopes times its standard deviation; all of them are marginalised, none is ever a cause.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.causes.noise import NoiseModel, whiten, whitener
+from diagnosis.causes.parameters import index_of, library
+from diagnosis.causes.residuals import Linear
+from diagnosis.causes.selection import Information, inform
+from diagnosis.loading.prepared import PreparedThrow
+from machine.conventions import ACTIVE_JOINTS, Array
+from machine.kinematics import rotate_z
+
+SET_NUISANCES = (
+    "gyro_bias_x_rad_per_s",
+    "gyro_bias_y_rad_per_s",
+    "gyro_bias_z_rad_per_s",
+    "accel_bias_x_m_per_s2",
+    "accel_bias_y_m_per_s2",
+    "accel_bias_z_m_per_s2",
+    "switch_lag_s",
+    "grip_radial_m",
+    "grip_lateral_m",
+    "grip_vertical_m",
+)
+THROW_NUISANCES = (
+    "oil_flow_ratio",
+    *("start_swing_rad",) * 2,
+    *("start_swing_rate_rad_per_s",) * 2,
+    "release_delay_s",
+    "switch_lag_s",
+    *("grasp_m",) * 3,
+    *("slip_m_per_s",) * 3,
+)
+"""Names of the columns of `Whitened.nuisance`; behind them come all parameters of the library: each varies a
+little from throw to throw on any machine."""
+FORM_ERROR_RATIO = 0.03
+"""Discrepancy of a real effect from the library's, as a share of what it changes."""
+OIL_LAG_S = 0.05 * 0.06
+"""Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
+
+
+def throw_nuisances() -> tuple[str, ...]:
+    """Names of all columns of `Whitened.nuisance`."""
+    return (*THROW_NUISANCES, *(p.key for p in library()))
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """A throw in units of its own noise."""
+
+    residual: Array
+    """(n,)"""
+    slopes: Array
+    """(n, p + s) by the library's parameters, then by the set's nuisances."""
+    nuisance: Array
+    """(n, q) by what differs from throw to throw, each column times its standard deviation."""
+    progress_ratio: float
+    """Share of a drift that acts in this throw."""
+    rows: Mapping[str, slice]
+    """Rows of each block."""
+    log_volume: float
+    """Sum of the logs of the noise's Cholesky diagonals."""
+
+
+def set_nuisance_sd(model: NoiseModel) -> list[float]:
+    """Standard deviations in the order of `SET_NUISANCES`."""
+    return [model.set_nuisance_sd[name] for name in SET_NUISANCES]
+
+
+def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
+    """Cholesky factor of every block's covariance on a healthy machine."""
+    return [
+        whitener(model.channels[block.name], block.t_s, block.rate, block.push)
+        for block in prepared.blocks
+    ]
+
+
+def widened(
+    prepared: PreparedThrow, model: NoiseModel, healthy: Sequence[Array], change: Array
+) -> list[Array]:
+    """Factors under a hypothesis whose effects change the twin's prediction by `change` (n,).
+
+    A real effect is never quite the library's: a share of what it changes is added to the discrepancy.
+    """
+    found: list[Array] = []
+    for block, lower in zip(prepared.blocks, healthy, strict=True):
+        size = np.abs(np.nan_to_num(change[block.rows]))
+        if block.name == "release.switch" or not size.any():
+            found.append(lower)
+            continue
+        around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
+        channel = model.channels[block.name]
+        # What drowns in a healthy machine's noise must not excuse more of it.
+        clear = np.maximum(around - 2.0 * np.sqrt(np.sum(lower**2, axis=1)), 0.0)
+        found.append(whitener(channel, block.t_s, block.rate, block.push, FORM_ERROR_RATIO * clear))
+    return found
+
+
+def whiten_throw(
+    prepared: PreparedThrow,
+    linear: Linear,
+    model: NoiseModel,
+    factor: Sequence[Array],
+    healthy: Linear | None = None,
+) -> Whitened:
+    """Whiten a throw's blocks; rows that the twin could not predict count as no data.
+
+    Args:
+        prepared: the throw.
+        linear: its residual and slopes.
+        model: noise and scatter.
+        factor: of the blocks' covariances.
+        healthy: linearised without effects: the throw's nuisances follow its slopes, so that hypotheses
+            differ in what they predict, not in what they call scatter; `linear` if left out.
+    """
+    own = linear if healthy is None else healthy
+    of_set = _set_columns(prepared, linear)
+    middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
+    middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
+    sd = np.array([model.nuisance_sd[p.key] for p in library()])
+    columns = np.column_stack(
+        [
+            linear.residual - linear.jacobian @ middle - of_set @ middle_of_set,
+            linear.jacobian,
+            of_set,
+            _throw_columns(prepared, own, model),
+            own.jacobian * sd,
+        ]
+    )
+    # Only the ball and the impact can be missing, and their noise is white.
+    columns[~np.isfinite(linear.residual)] = 0.0
+    for block, lower in zip(prepared.blocks, factor, strict=True):
+        columns[block.rows] = whiten(lower, columns[block.rows])
+    count = linear.jacobian.shape[1]
+    slopes = columns[:, 1 : 1 + count + len(SET_NUISANCES)]
+    return Whitened(
+        columns[:, 0],
+        slopes,
+        columns[:, 1 + slopes.shape[1] :],
+        prepared.input.progress_ratio,
+        {block.name: block.rows for block in prepared.blocks},
+        float(sum(np.log(np.diag(lower)).sum() for lower in factor)),
+    )
+
+
+def information(whitened: Sequence[Whitened]) -> list[Information]:
+    """What each throw says, nuisances marginalised, in the order of the layout."""
+    return [_in_layout(w, len(library())) for w in whitened]
+
+
+def _in_layout(whitened: Whitened, count: int) -> Information:
+    """Drifts' slopes are the parameters' times the throw's place in the set."""
+    found = inform(whitened.residual, whitened.slopes, whitened.nuisance, whitened.log_volume)
+    order = np.r_[0:count, 0:count, count : whitened.slopes.shape[1]]
+    share = np.ones(order.size)
+    share[count : 2 * count] = whitened.progress_ratio
+    precision = found.precision[np.ix_(order, order)] * share[:, None] * share
+    return found._replace(precision=precision, gradient=found.gradient[order] * share)
+
+
+def explained(whitened: Whitened, mean: Array) -> Array:
+    """What parameters in the order of the layout (size,) make of a throw, (n,), whitened."""
+    count = len(library())
+    acting = mean[:count] + whitened.progress_ratio * mean[count : 2 * count]
+    return whitened.slopes @ np.concatenate([acting, mean[2 * count :]])
+
+
+def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
+    """Power of what is left in each block of a throw after the parameters `mean` (p,), and its rows.
+
+    The throw's nuisances are set to their best values first.
+    """
+    left = whitened.residual - explained(whitened, mean)
+    nuisance = whitened.nuisance
+    inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
+    left = left - nuisance @ np.linalg.solve(inner, nuisance.T @ left)
+    return {
+        name: (float(left[rows] @ left[rows]), rows.stop - rows.start)
+        for name, rows in whitened.rows.items()
+    }
+
+
+def _set_columns(prepared: PreparedThrow, linear: Linear) -> Array:
+    """Slopes (n, q) by the set's nuisances."""
+    out = np.zeros((linear.residual.size, len(SET_NUISANCES)))
+    for kind, first in (("gyro", 0), ("accel", 3)):
+        for axis, letter in enumerate("xyz"):
+            block = prepared.block(f"swing.{kind}.{letter}")
+            if block is not None:
+                out[block.rows, first + axis] = 1.0
+    _switch_and_flight(prepared, linear, out[:, 6])
+    angle = np.interp(
+        prepared.input.opening_t_s, prepared.motion.t_s, prepared.motion.position_rad_m[:, 0]
+    )
+    directions = rotate_z(np.eye(3), np.full(3, angle))
+    for axis in range(3):
+        _flight_shift(prepared, linear, out[:, 7 + axis], np.r_[directions[axis], np.zeros(3)])
+    return out
+
+
+def _switch_and_flight(prepared: PreparedThrow, linear: Linear, out: Array) -> None:
+    """Column of a switch that reports late: the opening was earlier than we think."""
+    switch = prepared.block("release.switch")
+    if switch is not None:
+        out[switch.rows] = 1.0
+    out -= linear.opening
+
+
+def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
+    """Column of a shift (6,) of position and velocity at the release."""
+    ball, impact = prepared.block("flight.ball"), prepared.block("flight.impact")
+    if ball is not None:
+        since = (prepared.throw.ball_t_s - linear.release_t_s)[:, None]
+        out[ball.rows] = (state[:3] + since * state[3:]).ravel()
+    if impact is not None:
+        out[impact.rows] = linear.landing_slope @ state
+
+
+def _throw_columns(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Array:
+    """Slopes (n, q) by the throw's own nuisances (`THROW_NUISANCES`), times their standard deviations."""
+    sd, index, slopes = model.nuisance_sd, index_of(), linear.jacobian
+    n = linear.residual.size
+    found: list[Array] = []
+    gains = [
+        slopes[:, index[f"valve_gain.{joint}.positive_ratio"]]
+        + slopes[:, index[f"valve_gain.{joint}.negative_ratio"]]
+        for joint in ACTIVE_JOINTS
+    ]
+    lags = [slopes[:, index[f"valve_lag.{joint}.extra_lag_s"]] for joint in ACTIVE_JOINTS]
+    oil = sd["oil_flow_ratio"] * np.sum(gains, axis=0) - sd["oil_flow_ratio"] / 0.01 * (
+        OIL_LAG_S * np.sum(lags, axis=0)
+    )
+    found.append(oil)
+    found += [sd["start_swing_rad"] * linear.start[:, axis] for axis in (0, 1)]
+    found += [sd["start_swing_rate_rad_per_s"] * linear.start[:, axis] for axis in (2, 3)]
+    jitter = np.zeros(n)
+    switch = prepared.block("release.switch")
+    if switch is not None:
+        jitter[switch.rows] = sd["release_delay_s"]
+    found.append(jitter)
+    late = np.zeros(n)
+    _switch_and_flight(prepared, linear, late)
+    found.append(sd["switch_lag_s"] * late)
+    for axis in range(6):
+        shift = np.zeros(n)
+        state = np.zeros(6)
+        state[axis] = 1.0
+        _flight_shift(prepared, linear, shift, state)
+        found.append(sd["grasp_m" if axis < 3 else "slip_m_per_s"] * shift)
+    return np.column_stack(found)

@@ -1,0 +1,1 @@
+"""Challenges: data sets with hidden effects, blind runs, scores."""

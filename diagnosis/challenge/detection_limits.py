@@ -1,0 +1,277 @@
+"""Detection limits: the size of an effect that moves the impact by 3 cm or a channel by 3 sd.
+
+Run ``python -m diagnosis.challenge.detection_limits``: healthy throws are recorded in closed loop, their
+commands are replayed open loop on machines with and without each effect, and the size is found by
+interpolation. A standard deviation is that of sensor noise and of healthy machines among themselves; joint
+channels alone count for actuation, whose effect on the impact the joint sensors show. No limit lies within
+the nuisance.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.challenge.effects import LIBRARY, LIMITS_PATH, STRENGTH, UNKNOWN, limit_key
+from diagnosis.challenge.machines import (
+    HealthyMachine,
+    healthy_machine,
+    nuisance_unit,
+    nuisance_width,
+)
+from diagnosis.challenge.make import open_policy, plan_throws
+from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_NS, Array, BoolArray
+from machine.spec import load_spec
+from runtime.control.control_loop import ControlOutputs, ControlParams
+from runtime.driver import SensorSample, SimulatedDriver, ValveCommand
+from sim_twin.faults.fault import PlantEffect
+from sim_twin.throws.campaign import ThrowResult, run_throws
+from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+
+IMPACT_M: Final = 0.03
+CHANNEL_SD: Final = 3.0
+SHIFT_PERCENTILE: Final = 95.0
+"""Of the ticks: an effect may show for a moment only."""
+THROWS: Final = 12
+SCATTER_COUNT: Final = 12
+WINDOW_S: Final = 0.1
+"""After the opening is commanded: what the arm does later does not matter to the throw."""
+SEED: Final = 41
+FIXED: Final = {
+    # Twice the variance that is there anyway shows in twelve throws; the mean impact does not move.
+    "release_jitter.extra_sd_s": 0.020,
+    # Three times the noise: an open-loop replay moves nothing but the sensor itself.
+    **{f"joint_sensor_bias.{joint}.bias_rad_m": 0.004 for joint in ACTIVE_JOINTS},
+}
+ROUNDS: Final = 4
+BISECTIONS: Final = 5
+CLOSE_RATIO: Final = 1.3
+"""A score within this factor of 1 is the limit."""
+SENSOR_SD: Final = np.repeat([1.2e-3, 8.0e-3, 6.2e-4], [4, 4, 3])
+"""Of joint positions, joint velocities, gyro."""
+JOINT_CHANNELS: Final = 8
+NUISANCE_SD_COUNT: Final = 3.0 / np.sqrt(3.0)
+"""Three standard deviations of a uniform draw, in half widths."""
+COUNTERPARTS: Final = {
+    "valve_dead_time": "dead_time_s",
+    "valve_lag": "spool_lag_s",
+    "valve_gain": "valve_gain_positive_ratio",
+    "pump_flow_sharing": "pump_flow_m3_per_s",
+    "gripper_length": "roll_to_grip_centre_m",
+    "gripper_inertia": "gripper_inertia_ratio",
+    "payload_mass": "ball_mass_kg",
+    "release_delay": "release_delay_s",
+    "air_drag": "drag_coefficient_ratio",
+    "joint_sensor_bias": "joint_bias_rad_m",
+    "imu_misalignment": "imu_misalignment_rad",
+    "base_tilt": "base_tilt_rad",
+    "base_height": "base_height_error_m",
+}
+"""Fields of the unit that the same effect changes; the nuisance changes them, too."""
+RELATIVE: Final = ("pump_flow_m3_per_s",)
+"""Fields whose effect counts as a share of them."""
+
+
+class Commands(NamedTuple):
+    """What was commanded in recorded throws."""
+
+    start_rad_m: Array
+    """(N, 6)"""
+    valve_ratio: Array
+    """(ticks, N, 4)"""
+    opens: BoolArray
+    """(ticks, N)"""
+
+
+class Observed(NamedTuple):
+    """What sensors and survey said of a replay."""
+
+    channels: Array
+    """(ticks, N, 11)"""
+    impact_m: Array
+    """(N, 3)"""
+
+
+class _CommandRecorder:
+    """Keeps commands of the only batch of a campaign."""
+
+    def __init__(self) -> None:
+        self.valve: list[Array] = []
+        self.opens: list[BoolArray] = []
+
+    def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
+        """A batch starts."""
+
+    def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
+        """Keep one tick."""
+        self.valve.append(outputs.command.valve_ratio.copy())
+        self.opens.append(outputs.command.gripper_open.copy())
+
+    def end(self, results: Sequence[ThrowResult]) -> None:
+        """The batch is over."""
+
+
+def record_commands(machine: HealthyMachine, policies: Path) -> Commands:
+    """Commands of healthy throws of both modes."""
+    spec = load_spec()
+    starts, valves, opens = [], [], []
+    for plan in plan_throws(spec, THROWS, np.random.default_rng(SEED)):
+        params = ControlParams(
+            spec=spec,
+            calibration=machine.calibration,
+            mode=plan.mode,
+            policy=open_policy(policies, plan.mode),
+        )
+        plant = VirtualMachine(
+            count=len(plan.numbers), unit_seed=0, condition=Condition(unit=machine.unit)
+        )
+        kept = _CommandRecorder()
+        run_throws(plant, params, plan.target_m, plan.start_rad_m, SEED, record=kept)
+        starts.append(plan.start_rad_m)
+        valves.append(np.stack(kept.valve))
+        opens.append(np.stack(kept.opens))
+    ticks = min(valve.shape[0] for valve in valves)
+    return Commands(
+        np.concatenate(starts),
+        np.concatenate([valve[:ticks] for valve in valves], axis=1),
+        np.concatenate([each[:ticks] for each in opens], axis=1),
+    )
+
+
+def replay(
+    commands: Commands, machine: HealthyMachine, effects: tuple[PlantEffect, ...], scatter: int = 0
+) -> Observed:
+    """Replay commands open loop; `scatter` > 0 takes other noise and other nuisance."""
+    unit = machine.unit
+    if scatter:
+        unit = nuisance_unit(unit, np.random.default_rng([SEED, scatter]))
+    count = commands.start_rad_m.shape[0]
+    place = np.linspace(0.0, 1.0, count)
+    condition = Condition(effects=effects, place_ratio=place, unit=unit)
+    plant = VirtualMachine(count=count, unit_seed=0, tracker=False, condition=condition)
+    plant.reset(commands.start_rad_m, SEED + scatter)
+    channels = []
+    for valve, opens in zip(commands.valve_ratio, commands.opens, strict=True):
+        plant.write(ValveCommand(valve, opens))
+        plant.advance(plant.now_ns() + CONTROL_PERIOD_NS)
+        sample = plant.read()
+        parts = (
+            sample.joint_position_rad_m,
+            sample.joint_velocity_rad_m_per_s,
+            sample.imu_gyro_rad_per_s,
+        )
+        channels.append(np.concatenate(parts, axis=1))
+    return Observed(np.stack(channels), plant.true_impact_m())
+
+
+class Meter:
+    """Scores effects by what they change in the replay of the same throws."""
+
+    def __init__(self, policies: Path) -> None:
+        self._machine = healthy_machine(load_spec(), 0)
+        self._commands = record_commands(self._machine, policies)
+        opens = self._commands.opens
+        late = round(WINDOW_S * 1e9 / CONTROL_PERIOD_NS)
+        first = np.where(opens.any(0), opens.argmax(0), opens.shape[0]) + late
+        self._window = np.arange(opens.shape[0])[:, None] < first
+        self._healthy = replay(self._commands, self._machine, ())
+        others = [
+            replay(self._commands, self._machine, (), scatter=k + 1).channels
+            - self._healthy.channels
+            for k in range(SCATTER_COUNT)
+        ]
+        moved = np.stack(others)[:, self._window]
+        self.channel_sd = np.maximum(np.sqrt(np.nanmean(moved**2, axis=(0, 1))), SENSOR_SD)
+
+    def score(self, effect: PlantEffect) -> float:
+        """How many times over the limit this effect is; 1 = at it."""
+        seen = replay(self._commands, self._machine, (effect,))
+        shift = np.abs(seen.channels - self._healthy.channels)[self._window]
+        channel = np.nanpercentile(shift, SHIFT_PERCENTILE, axis=0) / self.channel_sd / CHANNEL_SD
+        if _stage(effect.effect) == "actuation":
+            return float(channel[:JOINT_CHANNELS].max())
+        miss = np.linalg.norm((seen.impact_m - self._healthy.impact_m)[:, :2], axis=1)
+        known = np.isfinite(miss)
+        impact = float(np.sqrt(np.mean(miss[known] ** 2))) if known.any() else 1.0
+        return max(float(channel.max()), impact / IMPACT_M)
+
+    def limit(self, effect: str, joint: str | None, parameter: str) -> float:
+        """Size at the limit, in the parameter's unit; at most the bound."""
+        hidden = {**LIBRARY, **UNKNOWN}[effect]
+        others = {
+            name: 0.5 * (low + high)
+            for name, (low, high) in hidden.bounds.items()
+            if effect in STRENGTH and name != parameter
+        }
+        bound = max(hidden.bounds[parameter])
+
+        def score(size: float) -> float:
+            return self.score(PlantEffect(effect, joint, {parameter: size, **others}))
+
+        size = 0.2 * bound
+        for _ in range(ROUNDS):
+            found = score(size)
+            if abs(np.log(max(found, 1e-6))) < np.log(CLOSE_RATIO):
+                break
+            size = float(np.clip(size / max(found, 1e-3), 1e-3 * bound, bound))
+        else:
+            size = _bisected(score, 0.01 * bound, bound)
+        return min(max(size, self._nuisance(effect, joint)), bound)
+
+    def _nuisance(self, effect: str, joint: str | None) -> float:
+        """Three standard deviations of what a healthy machine's parameters are off."""
+        field = COUNTERPARTS.get(effect)
+        if field is None:
+            return 0.0
+        width = np.atleast_1d(nuisance_width(self._machine.unit, field))
+        if field in RELATIVE:
+            width = width / getattr(self._machine.unit, field)
+        place = 0 if joint is None else ACTIVE_JOINTS.index(joint)
+        return float(NUISANCE_SD_COUNT * width[place])
+
+
+def _bisected(score: Callable[[float], float], low: float, high: float) -> float:
+    """Size of score 1 of an effect that sets in at a threshold; `high` if it never gets there."""
+    if score(high) < 1.0:
+        return high
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if score(middle) < 1.0 else (low, middle)
+    return high
+
+
+def _stage(effect: str) -> str:
+    return {**LIBRARY, **UNKNOWN}[effect].stage
+
+
+def measure_limits(policies: Path) -> dict[str, float]:
+    """Limits of all effects, joints and parameters that a challenge may hide."""
+    meter = Meter(policies)
+    limits: dict[str, float] = {}
+    for effect, hidden in {**LIBRARY, **UNKNOWN}.items():
+        for joint in hidden.joints or (None,):
+            for parameter in hidden.bounds:
+                if effect in STRENGTH and parameter != STRENGTH[effect]:
+                    continue
+                key = limit_key(effect, joint, parameter)
+                limits[key] = FIXED.get(key) or meter.limit(effect, joint, parameter)
+                sys.stderr.write(f"{key} {limits[key]:.3g}\n")
+    return limits
+
+
+def main() -> None:
+    """Measure and write the file beside this module."""
+    limits = measure_limits(Path("policies"))
+    document = {
+        "made_by": "python -m diagnosis.challenge.detection_limits",
+        "meaning": f"impact {IMPACT_M} m or a channel {CHANNEL_SD} sd in 5 % of the ticks, unit 0",
+        "limits": {name: float(f"{size:.4g}") for name, size in limits.items()},
+    }
+    LIMITS_PATH.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Runs a diagnosis, or a baseline, on every data set of a challenge; resumable, and blind.
+
+It reads the data folder and nothing else: the sealed file is no argument of anything here.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
+from time import perf_counter
+from typing import Any, Final
+
+from diagnosis.challenge.make import MANIFEST, PROFILE_NAME, spread
+from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.verdict import Diagnosis
+from machine.errors import UsageError
+from sim_twin.twin.profile import TwinProfile, load_profile
+
+Method = Callable[[LoadedSet, TwinProfile], Diagnosis]
+METHODS: Final = {
+    "diagnose": "diagnosis.diagnose:diagnose_throws",
+    "largest_z": "diagnosis.baselines.tune_all:largest_z",
+    "evolution": "diagnosis.baselines.tune_all:evolution",
+    "lag_rmse": "diagnosis.baselines.lag:lag_rmse",
+}
+"""What can be run: the diagnosis and the baselines, all of one signature."""
+Progress = Callable[[int, int], None]
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The list of sets of a challenge.
+
+    Raises:
+        UsageError: the folder is no challenge.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest["sets"] = [str(name) for name in manifest["sets"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{folder} is no challenge ({error}); make one with `downrange challenge make`"
+        ) from error
+    return manifest
+
+
+def run_challenge(
+    folder: Path,
+    out: Path,
+    *,
+    method: str = "diagnose",
+    jobs: int = 1,
+    limit: int | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Diagnose every set that `out` has no answer for yet; returns how many were done now.
+
+    Args:
+        folder: of the challenge.
+        out: answers; written after every set, so that an interrupted run goes on where it stopped.
+        method: one of `METHODS`.
+        jobs: sets diagnosed side by side.
+        limit: only the first so many sets.
+        progress: told the sets answered and the sets in all.
+
+    Raises:
+        UsageError: not a challenge, no such method, or answers to something else.
+    """
+    if method not in METHODS:
+        raise UsageError(f"--method {method}: use one of {', '.join(METHODS)}")
+    manifest = read_manifest(folder)
+    sets: list[str] = manifest["sets"][:limit]
+    answers = _open_answers(out, method, str(manifest["sealed_sha256"]))
+    done: dict[str, Any] = answers["sets"]
+    waiting = [name for name in sets if name not in done]
+    if progress is not None:
+        progress(len(sets) - len(waiting), len(sets))
+    if not waiting:
+        return 0
+    for name, found in spread([(folder / name, method) for name in waiting], answer, jobs):
+        done[name] = found
+        _write(out, answers)
+        if progress is not None:
+            progress(sum(name in done for name in sets), len(sets))
+    return len(waiting)
+
+
+def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
+    """Diagnose one set, named by its folder; an error of the program is an answer, and a wrong one."""
+    started = perf_counter()
+    try:
+        loaded = load_throws([folder])
+        profile = load_profile(folder / PROFILE_NAME)
+        found = _method(method)(loaded, profile)
+        said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
+        said["evidence"] = _small(said["evidence"])
+    except Exception as error:  # the harness must outlive whatever it tests
+        said = {"error": f"{type(error).__name__}: {error}"}
+    # Of the whole process so far, in KiB on Linux.
+    memory_mib = getrusage(RUSAGE_SELF).ru_maxrss / 1024.0
+    return folder.name, {
+        "seconds": round(perf_counter() - started, 2),
+        "memory_mib": round(memory_mib),
+        "said": said,
+    }
+
+
+def _method(name: str) -> Method:
+    module, _, attribute = METHODS[name].partition(":")
+    found: Method = getattr(import_module(module), attribute)
+    return found
+
+
+def _small(evidence: dict[str, Any]) -> dict[str, Any]:
+    """Evidence without the audits of every clock, which would be most of the file."""
+    return {name: value for name, value in evidence.items() if name not in ("clocks", "rates_hz")}
+
+
+def _open_answers(path: Path, method: str, sealed_sha256: str) -> dict[str, Any]:
+    fresh: dict[str, Any] = {
+        "schema_version": 1,
+        "method": method,
+        "sealed_sha256": sealed_sha256,
+        "sets": {},
+    }
+    if not path.is_file():
+        return fresh
+    try:
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UsageError(f"{path} holds no answers ({error}); give another file") from error
+    if {name: kept.get(name) for name in fresh if name != "sets"} != {
+        name: value for name, value in fresh.items() if name != "sets"
+    }:
+        raise UsageError(
+            f"{path} answers another challenge or with another method; give a new file"
+        )
+    return kept
+
+
+def _write(path: Path, answers: dict[str, Any]) -> None:
+    part = path.with_suffix(path.suffix + ".part")
+    part.write_text(json.dumps(answers, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def answered(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Files of answers.
+
+    Raises:
+        UsageError: one is missing or broken.
+    """
+    found: list[dict[str, Any]] = []
+    for path in paths:
+        try:
+            document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            _ = document["sets"], document["method"], document["sealed_sha256"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(
+                f"{path} holds no answers ({error}); make them with `downrange challenge run`"
+            ) from error
+        found.append(document)
+    return found

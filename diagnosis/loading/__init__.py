@@ -1,0 +1,1 @@
+"""From throw logs to motion on one clock, audited."""

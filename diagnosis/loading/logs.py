@@ -1,0 +1,399 @@
+"""Loads throw logs for the diagnosis: audits their clocks, repairs small things and says which.
+
+What it cannot use it refuses with numbers, likely cause and remedy (log_checks.py); it guesses nothing.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.loading.clock_audit import MIN_RATE_HZ, ClockAudit, audit_clock
+from diagnosis.loading.log_checks import (
+    MAX_MISSING_RATIO,
+    RefusedLogError,
+    check_constant,
+    check_imu_units,
+    check_joint_units,
+    check_machine,
+    check_places,
+    check_stuck,
+    check_valve_and_supply,
+)
+from diagnosis.loading.log_grid import ControlGrid, grid_control
+from diagnosis.verdict import Diagnosis, VerdictKind
+from machine.calibration import ValveCalibration
+from machine.conventions import Array, BoolArray
+from machine.errors import LogError
+from machine.spec import MachineSpec, load_spec
+from runtime.records.log_reader import read_throw_log
+from runtime.records.throw_log import RESULT_RECORD, ThrowLog
+from sim_twin.twin.profile import TwinProfile
+
+MIN_THROWS_COUNT: Final = 3
+"""Fewer cannot tell the machine's scatter from an effect."""
+MIN_BALL_SAMPLES_COUNT: Final = 5
+IMU_GAP_S: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowData:
+    """One throw; T ticks of 10 ms, times from the throw's start, places in frame `machine`."""
+
+    throw_id: str
+    machine_id: str
+    mode: str
+    target_m: Array
+    """(3,)"""
+    t_s: Array
+    """(T,) grid of 10 ms; 0 is the first tick of `Motion.THROW`, up to 2 s of history are negative."""
+    valve_ratio: Array
+    """(T, 4) what the safety gate let through."""
+    gripper_open: BoolArray
+    """(T,) the gripper is told to open."""
+    sensor_t_s: Array
+    """(T,) when the joint sensors were sampled."""
+    sensor_position_rad_m: Array
+    """(T, 4)"""
+    sensor_velocity_rad_m_per_s: Array
+    """(T, 4)"""
+    joint_position_rad_m: Array
+    """(T, 6) estimate that the policy saw; pitch and roll come from the IMU."""
+    joint_velocity_rad_m_per_s: Array
+    """(T, 6)"""
+    imu_t_s: Array
+    """(K,) sample times."""
+    gyro_rad_per_s: Array
+    """(K, 3) gripper frame."""
+    accel_m_per_s2: Array
+    """(K, 3) specific force, gripper frame."""
+    open_command_t_s: float
+    switch_open_t_s: float
+    """The load left the gripper's switch; nan if it was never seen."""
+    ball_t_s: Array
+    """(B,)"""
+    ball_m: Array
+    """(B, 3) centre of the load in flight; B may be 0."""
+    impact_m: Array
+    """(3,) nan if it was not surveyed."""
+    impact_sd_m: float
+    impact_t_s: float
+    supply_pressure_pa: Array
+    """(T,)"""
+    calibration: ValveCalibration
+    spec_sha256: str
+    twin_profile: TwinProfile | None
+    """The profile that previewed the throw, if the log carries it."""
+    recorded_at_ns: int
+    """Machine clock at 0 s; throws of one boot are ordered by it."""
+    path: Path
+    notes: tuple[str, ...]
+    """What was repaired."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedSet:
+    """What could be used of a set of logs, and why the rest could not."""
+
+    throws: tuple[ThrowData, ...]
+    refused: tuple[tuple[Path, str], ...]
+    rates: Mapping[str, float]
+    """Median rate of each channel over the throws, Hz."""
+    clocks: Mapping[str, Mapping[str, Any]]
+    """By throw: audit of the control, IMU and ball clocks, sensor age, s."""
+
+    def evidence(self) -> dict[str, Any]:
+        """For `Diagnosis.evidence`."""
+        return {
+            "throws_used": [throw.throw_id for throw in self.throws],
+            "rates_hz": dict(self.rates),
+            "clocks": {name: dict(audit) for name, audit in self.clocks.items()},
+            "repairs": {t.throw_id: list(t.notes) for t in self.throws if t.notes},
+            "refused": [{"path": str(path), "reason": reason} for path, reason in self.refused],
+        }
+
+    def too_few(self) -> Diagnosis | None:
+        """The verdict when there is not enough to diagnose; None when there is."""
+        if len(self.throws) >= MIN_THROWS_COUNT:
+            return None
+        reasons = "; ".join(f"{path.name}: {reason}" for path, reason in self.refused[:3])
+        return Diagnosis(
+            verdict=VerdictKind.BAD_DATA,
+            sentence=(
+                f"{len(self.throws)} usable throws, at least {MIN_THROWS_COUNT} are needed; "
+                f"{len(self.refused)} logs were refused. {reasons}"
+            ).strip(),
+            evidence=self.evidence(),
+        )
+
+
+def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> LoadedSet:
+    """Load throw logs.
+
+    Args:
+        paths: MCAP files, or folders searched for ``*.mcap``.
+        spec: the machine type that the logs must come from; the twin's own if left out.
+    """
+    machine = load_spec() if spec is None else spec
+    refused: list[tuple[Path, str]] = []
+    found: list[tuple[ThrowData, Mapping[str, Any]]] = []
+    seen: dict[str, Path] = {}
+    for path in _files(paths, refused):
+        try:
+            throw, clocks = _load(path, machine)
+        except LogError as error:
+            refused.append((path, str(error)))
+            continue
+        if throw.throw_id in seen:
+            reason = f"throw {throw.throw_id} was already read from {seen[throw.throw_id]}"
+            refused.append((path, reason))
+            continue
+        seen[throw.throw_id] = path
+        found.append((throw, clocks))
+    found = _of_one_machine(found, refused)
+    return LoadedSet(
+        throws=tuple(throw for throw, _ in found),
+        refused=tuple(refused),
+        rates=_rates([clocks for _, clocks in found]),
+        clocks={throw.throw_id: clocks for throw, clocks in found},
+    )
+
+
+def _files(paths: Sequence[Path], refused: list[tuple[Path, str]]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.rglob("*.mcap"))
+            if not inside:
+                refused.append((path, "the folder holds no *.mcap file"))
+            files += inside
+        elif path.exists():
+            files.append(path)
+        else:
+            refused.append((path, "no such file; give throw logs (.mcap) or folders of them"))
+    return list(dict.fromkeys(files))
+
+
+def _of_one_machine(
+    found: list[tuple[ThrowData, Mapping[str, Any]]], refused: list[tuple[Path, str]]
+) -> list[tuple[ThrowData, Mapping[str, Any]]]:
+    """Keep the machine of most throws; without a majority keep none."""
+    counts = Counter(throw.machine_id for throw, _ in found)
+    if len(counts) <= 1:
+        return found
+    machine, most = counts.most_common(1)[0]
+    majority = machine if 2 * most > len(found) else None
+    listed = ", ".join(f"{name} ({count} throws)" for name, count in counts.most_common())
+    for throw, _ in found:
+        if throw.machine_id != majority:
+            refused.append(
+                (
+                    throw.path,
+                    f"throw of machine {throw.machine_id!r} in a set of several machines: {listed}. "
+                    "Effects belong to one machine; diagnose each on its own",
+                )
+            )
+    return [item for item in found if item[0].machine_id == majority]
+
+
+def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
+    log = read_throw_log(path)
+    check_machine(log.metadata, spec)
+    _check_outcome(log)
+    grid = grid_control(log.control)
+    notes = list(grid.notes)
+    opened = np.flatnonzero(grid.gripper_open & (grid.t_s >= 0.0))
+    if opened.size == 0:
+        raise RefusedLogError(
+            f"it ends {grid.t_s[-1]:.2f} s after the throw's start without an opening command: "
+            "truncated or aborted. Only throws that released can be diagnosed"
+        )
+    open_s = float(grid.t_s[opened[0]])
+    _check_grid(grid, spec)
+    imu_t_s, imu, imu_audit = _samples(
+        "imu", log.imu, ("gyro_rad_per_s", "accel_m_per_s2"), grid.start_ns, notes
+    )
+    gyro, accel = imu[:, :3], imu[:, 3:]
+    _check_imu(imu_t_s, gyro, accel, imu_audit, open_s)
+    ball_t_s, ball_m, ball_audit = _samples("ball", log.ball, ("position_m",), grid.start_ns, notes)
+    after = ball_t_s >= open_s
+    ball_t_s, ball_m = ball_t_s[after], ball_m[after]
+    check_constant("the tracked ball", ball_m)
+    impact_m, impact_sd_m, impact_s = _impact(log, grid.start_ns, notes)
+    target_m = _target(log.metadata)
+    check_places(target=target_m, ball=ball_m, impact=impact_m)
+    if not np.all(np.isfinite(impact_m)) and len(ball_m) < MIN_BALL_SAMPLES_COUNT:
+        raise RefusedLogError(
+            f"no impact and {len(ball_m)} ball samples: nobody measured where this load went. Truncated, "
+            "or neither survey nor tracker ran"
+        )
+    if not log.is_complete:
+        notes.append("not closed by its recorder; read up to the damage")
+    if dropped := int(log.metadata.get(RESULT_RECORD, {}).get("dropped_count") or 0):
+        notes.append(f"its recorder dropped {dropped} rows")
+    # The latch was seen closed before: a switch that never closed tells nothing.
+    held = np.maximum.accumulate(grid.payload_held)
+    left = np.flatnonzero(held & ~grid.payload_held & (grid.t_s >= open_s))
+    throw = ThrowData(
+        throw_id=str(log.metadata.get("throw_id") or path.stem),
+        machine_id=str(log.metadata.get("machine_id") or ""),
+        mode=str(log.metadata.get("mode") or ""),
+        target_m=target_m,
+        t_s=grid.t_s,
+        valve_ratio=grid.valve_ratio,
+        gripper_open=grid.gripper_open,
+        sensor_t_s=grid.sensor_t_s,
+        sensor_position_rad_m=grid.sensor_position_rad_m,
+        sensor_velocity_rad_m_per_s=grid.sensor_velocity_rad_m_per_s,
+        joint_position_rad_m=grid.joint_position_rad_m,
+        joint_velocity_rad_m_per_s=grid.joint_velocity_rad_m_per_s,
+        imu_t_s=imu_t_s,
+        gyro_rad_per_s=gyro,
+        accel_m_per_s2=accel,
+        open_command_t_s=open_s,
+        switch_open_t_s=float(grid.t_s[left[0]]) if left.size else math.nan,
+        ball_t_s=ball_t_s,
+        ball_m=ball_m,
+        impact_m=impact_m,
+        impact_sd_m=impact_sd_m,
+        impact_t_s=impact_s,
+        supply_pressure_pa=grid.supply_pressure_pa,
+        calibration=_calibration(log.metadata),
+        spec_sha256=str(log.metadata.get("model_sha256") or spec.sha256),
+        twin_profile=_profile(log.metadata),
+        recorded_at_ns=grid.start_ns,
+        path=path,
+        notes=tuple(notes),
+    )
+    clocks = {
+        "control": grid.audit.as_json(),
+        "imu": imu_audit.as_json(),
+        "ball": ball_audit.as_json(),
+        "sensor_age_s": float(np.median(grid.t_s - grid.sensor_t_s)),
+    }
+    return throw, clocks
+
+
+def _check_outcome(log: ThrowLog) -> None:
+    outcome = str(log.metadata.get(RESULT_RECORD, {}).get("outcome") or "")
+    if outcome in ("aborted", "stopped", "fault"):
+        detail = log.metadata[RESULT_RECORD].get("detail") or "no detail"
+        raise RefusedLogError(
+            f"the throw ended {outcome} ({detail}); only throws that landed can be used"
+        )
+
+
+def _check_grid(grid: ControlGrid, spec: MachineSpec) -> None:
+    position, velocity = grid.sensor_position_rad_m, grid.sensor_velocity_rad_m_per_s
+    check_valve_and_supply(grid.valve_ratio, grid.supply_pressure_pa)
+    check_stuck(position, velocity, grid.valve_ratio)
+    check_joint_units(spec, position, velocity, grid.joint_position_rad_m)
+
+
+def _samples(
+    name: str, rows: NDArray[np.void], fields: tuple[str, ...], start_ns: int, notes: list[str]
+) -> tuple[Array, Array, ClockAudit]:
+    """Times (K,) from the throw's start and values (K, axes) of a sampled channel; holes are dropped."""
+    time_s = (rows["t_mono_ns"] - start_ns).astype(np.float64) * 1e-9
+    values = np.concatenate([rows[field].astype(np.float64) for field in fields], axis=1)
+    audit = audit_clock(time_s)
+    if audit.backward_count:
+        raise RefusedLogError(
+            f"the clock of /{name} goes back {audit.backward_count} times: it was set during the throw, "
+            "or samples are out of order. Record with the machine's monotonic clock"
+        )
+    keep = np.concatenate([[True], np.diff(time_s) > 0.0])[: len(time_s)]
+    finite = np.all(np.isfinite(values), axis=1)
+    lost = int(np.sum(~finite))
+    if lost > max(3, MAX_MISSING_RATIO * len(values)):
+        raise RefusedLogError(
+            f"/{name} has {lost} of {len(values)} samples with NaN: the sensor dropped out. Repair it "
+            "and record this throw again"
+        )
+    if audit.duplicate_count:
+        notes.append(f"/{name}: {audit.duplicate_count} duplicate samples dropped")
+    if lost:
+        notes.append(f"/{name}: {lost} samples with NaN dropped")
+    keep &= finite
+    return time_s[keep], values[keep], audit
+
+
+def _check_imu(t_s: Array, gyro: Array, accel: Array, audit: ClockAudit, open_s: float) -> None:
+    during = (t_s >= 0.0) & (t_s <= open_s)
+    if int(np.sum(during)) < MIN_RATE_HZ * open_s:
+        rate = float(np.sum(during)) / max(open_s, 1e-3)
+        raise RefusedLogError(
+            f"the IMU has {rate:.3g} samples a second during the throw, at least {MIN_RATE_HZ:g} are "
+            "needed: it hung, has another clock, or was thinned out. Check its cable and clock"
+        )
+    gap_s = float(np.max(np.diff(t_s[during]), initial=0.0))
+    if gap_s > IMU_GAP_S:
+        raise RefusedLogError(
+            f"{gap_s:.2f} s without an IMU sample during the throw: it dropped out or its clock jumped "
+            f"(longest gap in the log {audit.longest_gap_s:.2f} s). Check its cable and clock"
+        )
+    check_constant("the gyro", gyro)
+    check_constant("the accelerometer", accel)
+    check_imu_units(gyro, accel)
+
+
+def _impact(log: ThrowLog, start_ns: int, notes: list[str]) -> tuple[Array, float, float]:
+    """Impact (3,) m, its standard deviation m and its time s; nan when it was not surveyed."""
+    if log.impact is None:
+        return np.full(3, math.nan), math.nan, math.nan
+    position = np.asarray(log.impact.position_m, dtype=np.float64)
+    if not np.all(np.isfinite(position)):
+        notes.append("the impact's survey is not a number and was left out")
+        return np.full(3, math.nan), math.nan, math.nan
+    time_s = (log.impact_t_mono_ns - start_ns) * 1e-9 if log.impact_t_mono_ns else math.nan
+    if not math.isnan(time_s) and not 0.0 < time_s < 60.0:
+        raise RefusedLogError(
+            f"the impact lies {time_s:.3g} s after the throw's start: the survey has another clock, or "
+            "the clock jumped. Record with the machine's monotonic clock"
+        )
+    return position, float(log.impact.sd_m), time_s
+
+
+def _target(metadata: Mapping[str, Any]) -> Array:
+    target = metadata.get("target") or {}
+    try:
+        values = [float(target[name]) for name in ("x_m", "y_m", "z_m")]
+    except (KeyError, TypeError, ValueError):
+        values = [math.nan]
+    if not all(math.isfinite(value) for value in values):
+        raise RefusedLogError(
+            f"its target is {target!r}; {{x_m, y_m, z_m}} in frame machine is needed"
+        )
+    return np.asarray(values)
+
+
+def _calibration(metadata: Mapping[str, Any]) -> ValveCalibration:
+    try:
+        return ValveCalibration.model_validate(metadata.get("calibration"))
+    except ValueError as error:
+        raise RefusedLogError(
+            "it carries no valve calibration, without which commands mean nothing; record with a "
+            "calibrated machine (`downrange calibrate`)"
+        ) from error
+
+
+def _profile(metadata: Mapping[str, Any]) -> TwinProfile | None:
+    profile = metadata.get("twin_profile")
+    if profile is None:
+        return None
+    try:
+        return TwinProfile.model_validate(profile)
+    except ValueError as error:
+        raise RefusedLogError(f"its twin profile cannot be read: {error}") from error
+
+
+def _rates(clocks: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    names = ("control", "imu", "ball")
+    if not clocks:
+        return {}
+    return {name: float(np.median([clock[name]["rate_hz"] for clock in clocks])) for name in names}

@@ -1,0 +1,176 @@
+"""Measured motion of a throw on the control grid: driven joints smoothed, free joints from the gyro.
+
+Nothing here knows the twin; it is what stands in for a simulated stage when that stage is "measured".
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from diagnosis.loading.logs import ThrowData
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
+from sim_twin.replay.replay import ReplayInput
+
+POSITION_SD_RAD_M = 1.3e-3
+VELOCITY_SD_RAD_M_PER_S = 7e-3
+JERK_SD_RAD_M_PER_S3 = 60.0
+"""White jerk of the smoother: a drive reaches 3 rad/s2 within some 50 ms."""
+REST_S = 0.06
+"""Before the valves' dead time is over the gripper hangs still: the gyro then reads its bias."""
+REST_RATE_RAD_PER_S = 0.04
+SWITCH_LAG_S = 0.0275
+"""Free load to the gripper switch's report: latch and debounce, 15 to 40 ms."""
+SETTLED_S = 1.0
+"""Recorded before the throw, after which the gripper hangs where gravity points; a throw that was put into
+its start pose has no such time."""
+SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
+"""A switch that is read once a tick is seen half a tick late on average."""
+
+
+AFTER_OPENING_S = 2.0
+AFTER_SWITCH_S = 0.6
+
+
+class MeasuredMotion(NamedTuple):
+    """Motion at the control ticks from the throw's start on; T rows of 10 ms."""
+
+    t_s: Array
+    """(T,)"""
+    position_rad_m: Array
+    """(T, 4)"""
+    velocity_rad_m_per_s: Array
+    """(T, 4)"""
+    acceleration_rad_m_per_s2: Array
+    """(T, 4)"""
+    swing_rad: Array
+    """(T, 2) pitch and roll joint angles."""
+    swing_rate_rad_per_s: Array
+    """(T, 2)"""
+
+
+def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
+    """Position, velocity, acceleration (T, 4) at `t_s` from both sensors of each driven joint.
+
+    Least squares with a penalty on the third difference; the sensors' time stamps are kept.
+    """
+    at = throw.sensor_t_s
+    keep = np.concatenate([[True], np.diff(at) > 1e-4])
+    grid = np.arange(at[keep][0], at[keep][-1] + 0.5 * CONTROL_PERIOD_S, CONTROL_PERIOD_S)
+    outputs = np.empty((3, t_s.size, ACTIVE_COUNT))
+    for joint in range(ACTIVE_COUNT):
+        position = np.interp(grid, at[keep], throw.sensor_position_rad_m[keep, joint])
+        velocity = np.interp(grid, at[keep], throw.sensor_velocity_rad_m_per_s[keep, joint])
+        smooth = _smooth(position, velocity)
+        speed = np.gradient(smooth, CONTROL_PERIOD_S)
+        push = np.gradient(speed, CONTROL_PERIOD_S)
+        for row, channel in enumerate((smooth, speed, push)):
+            outputs[row, :, joint] = np.interp(t_s, grid, channel)
+    return outputs[0], outputs[1], outputs[2]
+
+
+def _smooth(position: Array, velocity: Array) -> Array:
+    """Minimise |x - position|^2 / sp^2 + |D1 x - velocity|^2 / sv^2 + |D3 x|^2 / sj^2, (n,)."""
+    n, h = position.size, CONTROL_PERIOD_S
+    bands = np.zeros((4, n))
+    right = position / POSITION_SD_RAD_M**2
+    bands[0] = 1.0 / POSITION_SD_RAD_M**2
+    # Central differences for the velocity, third differences for the jerk.
+    _add(bands, np.array([-0.5, 0.0, 0.5]) / h / VELOCITY_SD_RAD_M_PER_S)
+    inner = velocity[1:-1] / VELOCITY_SD_RAD_M_PER_S**2 * 0.5 / h
+    right[2:] += inner
+    right[:-2] -= inner
+    _add(bands, np.array([-1.0, 3.0, -3.0, 1.0]) / h**3 / JERK_SD_RAD_M_PER_S3)
+    return np.asarray(solveh_banded(bands, right, lower=True))
+
+
+def _add(bands: Array, stencil: Array) -> None:
+    """Add the normal matrix of a difference stencil to lower bands (4, n)."""
+    n, width = bands.shape[1], stencil.size
+    for i in range(width):
+        for j in range(i, width):
+            bands[j - i, i : n - width + 1 + i] += stencil[i] * stencil[j]
+
+
+def rows_of_interest(throw: ThrowData) -> BoolArray:
+    """(T,) ticks from the throw's start to the landing; later the machine settles, which costs time only."""
+    last = throw.open_command_t_s + AFTER_OPENING_S
+    if np.isfinite(throw.impact_t_s):
+        opened = measured_opening_s(throw) if np.isfinite(throw.switch_open_t_s) else 0.0
+        last = max(throw.impact_t_s, opened + AFTER_SWITCH_S) + 0.05
+    return (throw.t_s >= -1e-9) & (throw.t_s <= last)
+
+
+def measured_motion(throw: ThrowData) -> MeasuredMotion:
+    """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
+
+    In the swing frame the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
+    """
+    t_s = throw.t_s[rows_of_interest(throw)]
+    position, velocity, acceleration = smooth_joints(throw, t_s)
+    start = int(np.flatnonzero(throw.t_s >= -1e-9)[0])
+    gyro = throw.gyro_rad_per_s
+    calm = (throw.imu_t_s <= REST_S) & (np.abs(gyro).max(axis=1) < REST_RATE_RAD_PER_S)
+    bias = gyro[calm].mean(axis=0) if np.count_nonzero(calm) >= 2 else np.zeros(3)
+    rate = np.stack([np.interp(t_s, throw.imu_t_s, gyro[:, axis]) for axis in range(3)], axis=1)
+    rate -= bias
+    estimate = throw.joint_position_rad_m[start]
+    swing = np.empty(t_s.size)
+    roll = np.empty(t_s.size)
+    rates = np.empty((t_s.size, 2))
+    swing[0], roll[0] = estimate[1] + estimate[2] + estimate[4], estimate[5]
+    for k in range(t_s.size):
+        rates[k, 0] = np.sin(roll[k]) * rate[k, 2] - np.cos(roll[k]) * rate[k, 1]
+        rates[k, 1] = rate[k, 0] - velocity[k, 0] * np.sin(swing[k])
+        if k + 1 < t_s.size:
+            # Trapezoid with the next sample's rate at the present angles.
+            ahead0 = np.sin(roll[k]) * rate[k + 1, 2] - np.cos(roll[k]) * rate[k + 1, 1]
+            ahead1 = rate[k + 1, 0] - velocity[k + 1, 0] * np.sin(swing[k])
+            swing[k + 1] = swing[k] + 0.5 * CONTROL_PERIOD_S * (rates[k, 0] + ahead0)
+            roll[k + 1] = roll[k] + 0.5 * CONTROL_PERIOD_S * (rates[k, 1] + ahead1)
+    pitch = swing - position[:, 1] - position[:, 2]
+    pitch_rate = rates[:, 0] - velocity[:, 1] - velocity[:, 2]
+    return MeasuredMotion(
+        t_s,
+        position,
+        velocity,
+        acceleration,
+        np.stack([pitch, roll], axis=1),
+        np.stack([pitch_rate, rates[:, 1]], axis=1),
+    )
+
+
+def measured_opening_s(throw: ThrowData) -> float:
+    """When the load left, from the gripper switch; NaN if the switch said nothing."""
+    return throw.switch_open_t_s - SWITCH_LAG_S - SWITCH_TICK_S
+
+
+def replay_input(
+    throw: ThrowData, motion: MeasuredMotion, progress_ratio: float, default_opening_s: float
+) -> ReplayInput:
+    """The throw as the twin's replay takes it.
+
+    Args:
+        throw: the log.
+        motion: its measured motion.
+        progress_ratio: place of the throw in its set.
+        default_opening_s: used where the switch said nothing.
+    """
+    rows = rows_of_interest(throw)
+    opening = measured_opening_s(throw)
+    height = float(throw.impact_m[2])
+    return ReplayInput(
+        valve_ratio=throw.valve_ratio[rows],
+        gripper_open=throw.gripper_open[rows],
+        position_rad_m=motion.position_rad_m,
+        velocity_rad_m_per_s=motion.velocity_rad_m_per_s,
+        swing_start_rad=motion.swing_rad[0],
+        swing_rate_start_rad_per_s=motion.swing_rate_rad_per_s[0],
+        release_t_s=throw.open_command_t_s,
+        surface_height_m=height if np.isfinite(height) else float(throw.target_m[2]),
+        progress_ratio=progress_ratio,
+        hung_at_rest=bool((throw.t_s < -SETTLED_S).any()),
+        opening_t_s=opening if np.isfinite(opening) else default_opening_s,
+        swing_rad=motion.swing_rad,
+        swing_rate_rad_per_s=motion.swing_rate_rad_per_s,
+    )

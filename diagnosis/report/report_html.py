@@ -1,0 +1,357 @@
+"""The result as one HTML page that needs nothing else: no script, no network, light and dark.
+
+Everything that comes from data (file names, notes, channel names) is escaped; the page's own policy forbids
+scripts and requests in case that was not enough.
+"""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, Final, cast
+
+from diagnosis.report.report_svg import figure, interval_bar
+from diagnosis.report.report_words import (
+    STAGE_WORDS,
+    VERDICT_WORDS,
+    cause_words,
+    crossrange,
+    downrange,
+    effect_words,
+    metres,
+    percent,
+    probability,
+    size_words,
+)
+from diagnosis.verdict import Cause, Diagnosis, Stage, StageGap, VerdictKind
+
+OPEN_FIGURES_COUNT: Final = 6
+MAX_ITEMS_COUNT: Final = 60
+MAX_DEPTH_COUNT: Final = 5
+LONG_COUNT: Final = 1200
+"""Characters of markup from which evidence is folded."""
+_STYLE: Final = Path(__file__).with_name("report.css")
+_POLICY: Final = (
+    "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+)
+_LOOK: Final = {VerdictKind.AMBIGUOUS, VerdictKind.UNKNOWN, VerdictKind.BAD_DATA}
+_TOLD: Final = {"ruled_out", "where", "parts", "unknown", "refused"}
+"""Evidence with a section of its own."""
+
+
+def report_html(found: Diagnosis, title: str = "Gap") -> str:
+    """The page.
+
+    Args:
+        found: the result, of throws or of one stage.
+        title: what was diagnosed.
+    """
+    body = "".join(
+        (
+            _verdict(found, title),
+            _chain(found),
+            _causes(found.causes),
+            _next(found),
+            _unknown(found.evidence.get("unknown")),
+            _shrink(found),
+            _plots(found.plots),
+            _ruled_out(found.evidence.get("ruled_out")),
+            _parts(found.evidence.get("parts")),
+            _refused(found.evidence.get("refused"), is_open=found.verdict is VerdictKind.BAD_DATA),
+            _evidence(found.evidence),
+        )
+    )
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        f"<title>{escape(title)}: {escape(VERDICT_WORDS[found.verdict])}</title>"
+        f"<style>{_STYLE.read_text(encoding='utf-8')}</style></head>"
+        f"<body><main>{body}</main></body></html>\n"
+    )
+
+
+# Sections -----------------------------------------------------------------------------------------
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{content}</section>"
+
+
+def _verdict(found: Diagnosis, title: str) -> str:
+    gap = found.gap
+    facts: list[tuple[str, str]] = []
+    if gap.impact_rms_m is not None:
+        facts.append(("Twin misses by (root mean square)", metres(gap.impact_rms_m)))
+    if gap.downrange_bias_m is not None:
+        facts.append(("Along, measured minus twin", downrange(gap.downrange_bias_m)))
+    if gap.crossrange_bias_m is not None:
+        facts.append(("Across", crossrange(gap.crossrange_bias_m)))
+    if gap.trajectory_rms_ratio is not None:
+        facts.append(("Residual over a healthy machine's", f"{gap.trajectory_rms_ratio:.2f}"))
+    used = found.evidence.get("throws_used")
+    if isinstance(used, Sequence) and not isinstance(used, str):
+        facts.append(("Throws used", str(len(cast("Sequence[object]", used)))))
+    listed = "".join(f"<div><dt>{escape(a)}</dt><dd>{escape(b)}</dd></div>" for a, b in facts)
+    look = "true" if found.verdict in _LOOK else "false"
+    return (
+        f"<h1>{escape(title)}</h1><section>"
+        f'<span class="kind" data-look="{look}">{escape(VERDICT_WORDS[found.verdict])}</span>'
+        f'<p class="sentence">{escape(found.sentence)}</p><dl class="facts">{listed}</dl></section>'
+    )
+
+
+def _chain(found: Diagnosis) -> str:
+    """All stages as a flow; a stage that was not looked at says so."""
+    if not found.stages:
+        return ""
+    where = found.evidence.get("where")
+    # Without a gap the place is only the largest term: nothing to point at.
+    is_pointed = isinstance(where, Mapping) and found.verdict is not VerdictKind.NONE
+    here = str(where.get("stage")) if isinstance(where, Mapping) and is_pointed else ""
+    is_metric = any(value != 0.0 for s in found.stages for value in (*s.ci90_m, s.miss_m.downrange))
+    limit = max(
+        (abs(v) for s in found.stages for v in (*s.ci90_m, s.miss_m.downrange) if v == v),
+        default=0.0,
+    )
+    cards: list[str] = []
+    for stage, (name, link) in STAGE_WORDS.items():
+        terms = [s for s in found.stages if s.stage is stage]
+        is_marked = stage == here or (not here and not is_metric and bool(terms))
+        content = (
+            _terms(terms, limit)
+            if is_metric and terms
+            else _without_metres(stage, terms, is_metric)
+        )
+        cards.append(
+            f'<li data-here="{str(is_marked).lower()}"><h3>{escape(name)}</h3>'
+            f'<p class="dim">{escape(link)}</p>{content}</li>'
+        )
+    note = (
+        "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % "
+        "interval along it, of the mean over the throws. The terms sum to measured minus twin."
+        if is_metric
+        else "One stage was recorded alone: its share is all of the gap, in the recorded channel."
+    )
+    return _section(
+        "Where", f'<p class="dim">{escape(note)}</p><ol class="chain">{"".join(cards)}</ol>'
+    )
+
+
+def _terms(terms: Sequence[StageGap], limit: float) -> str:
+    parts: list[str] = []
+    if len(terms) > 1:
+        along = sum(term.miss_m.downrange for term in terms)
+        across = sum(term.miss_m.crossrange for term in terms)
+        parts.append(
+            f'<p class="big">{escape(downrange(along))}<br>{escape(crossrange(across))}</p>'
+        )
+    for term in terms:
+        along, across = downrange(term.miss_m.downrange), crossrange(term.miss_m.crossrange)
+        ends = f"90 % interval {metres(term.ci90_m[0])} to {metres(term.ci90_m[1])}"
+        head = (
+            f'<p class="big">{escape(along)}<br>{escape(across)}</p>'
+            if len(terms) == 1
+            else f"<p><strong>{escape(term.joint or '')}</strong> {escape(along)}, {escape(across)}</p>"
+        )
+        parts.append(
+            f'<div class="term">{head}'
+            f"{interval_bar(term.miss_m.downrange, term.ci90_m, limit, f'{along}, {ends}')}"
+            f'<p class="dim">{escape(ends)} along; {percent(term.share_ratio)} of all terms</p></div>'
+        )
+    return "".join(parts)
+
+
+def _without_metres(stage: Stage, terms: Sequence[StageGap], is_metric: bool) -> str:
+    if not terms:
+        return f'<p class="dim">{"no term" if is_metric else "not recorded"}</p>'
+    joints = ", ".join(term.joint for term in terms if term.joint is not None)
+    return f'<p class="big">{"this stage" if not joints else escape(joints)}</p>'
+
+
+def _causes(causes: Sequence[Cause]) -> str:
+    if not causes:
+        return ""
+    rows = [
+        f'<tr><td class="odds"><span class="share"><i style="width:{100.0 * cause.probability:.1f}%">'
+        f"</i></span>{escape(probability(cause.probability))}</td><td>{escape(cause_words(cause))}</td>"
+        f"<td>{_sizes(cause)}</td></tr>"
+        for cause in causes
+    ]
+    return _section(
+        "Which",
+        '<div class="scroll"><table><tr><th>probability</th><th>cause</th><th>size, 90 % interval</th></tr>'
+        f"{''.join(rows)}</table></div>",
+    )
+
+
+def _sizes(cause: Cause) -> str:
+    lines = [
+        f"{escape(effect_words(effect.effect, effect.joint)) + ': ' if len(cause.effects) > 1 else ''}"
+        f'{escape(name)} <strong>{escape(value)}</strong> <span class="dim">({escape(ends)})</span>'
+        for effect in cause.effects
+        for name, value, ends in size_words(effect)
+    ]
+    return "<br>".join(lines)
+
+
+def _next(found: Diagnosis) -> str:
+    if found.ambiguity is None:
+        return ""
+    motion = found.ambiguity.separating_motion
+    words = str(motion.get("words", ""))
+    rest = {key: value for key, value in motion.items() if key != "words"}
+    members = " or ".join(found.ambiguity.members)
+    return _section(
+        "Next experiment",
+        f"<p>Undecided: {escape(members)}; {escape(found.ambiguity.why)}.</p>"
+        f"<p><strong>{escape(words)}</strong></p>{_tree(rest)}",
+    )
+
+
+def _unknown(signature: Any) -> str:
+    if not isinstance(signature, Mapping):
+        return ""
+    return _section("What is left unexplained", _tree(signature))
+
+
+def _shrink(found: Diagnosis) -> str:
+    shrink = found.shrink
+    if shrink is None:
+        return ""
+    unit = str(found.evidence.get("residual_unit", "m"))
+    largest = max(shrink.before_m, shrink.after_m, 1e-12)
+    rows = "".join(
+        f'<tr><td>{name}</td><td class="number">{value:.3g} {escape(unit)}</td><td style="width:60%">'
+        f'<span class="share" style="width:100%"><i style="width:{100.0 * value / largest:.1f}%">'
+        "</i></span></td></tr>"
+        for name, value in (("twin before", shrink.before_m), ("twin after", shrink.after_m))
+    )
+    what = "throws" if unit == "m" and found.gap.impact_rms_m is not None else "pieces"
+    is_by_channels = found.evidence.get("shrink_measure") == "channels"
+    gap = "gap in the channels that it moves" if is_by_channels else "removable gap"
+    words = (
+        f"Adding the cause removes {percent(shrink.ratio)} of the {gap} on "
+        f"{shrink.held_out_throws} held-out {what}, 90 % interval {percent(shrink.ci90[0])} to "
+        f"{percent(shrink.ci90[1])}."
+    )
+    if shrink.predicted_ratio is not None:
+        words += f" Predicted before it was added: {percent(shrink.predicted_ratio)}."
+    words += (
+        " The miss itself is no measure here; below, for comparison."
+        if is_by_channels
+        else f" {percent(shrink.removable_ratio)} of the gap is removable; the rest is noise and jitter."
+    )
+    return _section("How far it shrinks", f"<p>{escape(words)}</p><table>{rows}</table>")
+
+
+def _plots(plots: Mapping[str, Any]) -> str:
+    drawn = [text for name, plot in plots.items() if (text := figure(str(name), plot))]
+    if not drawn:
+        return ""
+    rest = drawn[OPEN_FIGURES_COUNT:]
+    folded = (
+        f"<details><summary>{len(rest)} more</summary>{''.join(rest)}</details>" if rest else ""
+    )
+    return _section("Measured against twin", "".join(drawn[:OPEN_FIGURES_COUNT]) + folded)
+
+
+def _ruled_out(entries: Any) -> str:
+    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
+        return ""
+    rows: list[str] = []
+    for entry in cast("Sequence[Any]", entries):
+        if not isinstance(entry, Mapping):
+            rows.append(f"<tr><td>{escape(str(entry))}</td><td></td></tr>")
+            continue
+        facts = cast("Mapping[str, Any]", entry)
+        name = effect_words(str(facts.get("effect", "")), _text(facts.get("joint")))
+        odds = facts.get("log_odds")
+        why = str(facts.get("why", ""))
+        if isinstance(odds, int | float):
+            why = f"log odds {odds:+.1f} against no effect. {why}".strip()
+        rows.append(f"<tr><td>{escape(name)}</td><td>{escape(why)}</td></tr>")
+    return _section(
+        "Ruled out",
+        f"<details><summary>{len(rows)} effects that these data speak against</summary>"
+        f"<table><tr><th>effect</th><th>why</th></tr>{''.join(rows)}</table></details>",
+    )
+
+
+def _parts(parts: Any) -> str:
+    """Results of several joints of one recording, each in short."""
+    if not isinstance(parts, Mapping):
+        return ""
+    content: list[str] = []
+    for name, part in cast("Mapping[Any, Any]", parts).items():
+        sentence = part.get("sentence", "") if isinstance(part, Mapping) else ""
+        content.append(
+            f"<h3>{escape(str(name))}</h3><p>{escape(str(sentence))}</p>"
+            f"<details><summary>All of it</summary>{_tree(part)}</details>"
+        )
+    return _section("Parts", "".join(content))
+
+
+def _refused(entries: Any, is_open: bool) -> str:
+    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(str(entry.get('path', '')))}</td>"
+        f"<td>{escape(str(entry.get('reason', '')))}</td></tr>"
+        for entry in cast("Sequence[Any]", entries)
+        if isinstance(entry, Mapping)
+    )
+    return _section(
+        "Refused data",
+        f"<details{' open' if is_open else ''}><summary>{len(entries)} logs were not used</summary>"
+        f"<table><tr><th>log</th><th>reason and remedy</th></tr>{rows}</table></details>",
+    )
+
+
+def _evidence(evidence: Mapping[str, Any]) -> str:
+    rest = {key: value for key, value in evidence.items() if key not in _TOLD and value is not None}
+    if not rest:
+        return ""
+    rows = "".join(
+        f"<tr><th>{escape(str(key).replace('_', ' '))}</th><td>{_folded(_tree(value))}</td></tr>"
+        for key, value in rest.items()
+    )
+    return _section("Evidence", f'<div class="scroll"><table>{rows}</table></div>')
+
+
+def _folded(content: str) -> str:
+    """Closed at first when it is long."""
+    if len(content) <= LONG_COUNT:
+        return content
+    return f"<details><summary>show</summary>{content}</details>"
+
+
+# Anything -----------------------------------------------------------------------------------------
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else str(value)
+
+
+def _tree(value: Any, depth: int = 0) -> str:
+    """Nested facts, escaped; long lists are cut and say so."""
+    if isinstance(value, Mapping) and depth < MAX_DEPTH_COUNT:
+        items = list(cast("Mapping[Any, Any]", value).items())
+        shown = "".join(
+            f"<dt>{escape(str(key).replace('_', ' '))}</dt><dd>{_tree(item, depth + 1)}</dd>"
+            for key, item in items[:MAX_ITEMS_COUNT]
+        )
+        return f'<dl class="tree">{shown}</dl>{_cut(len(items))}'
+    if isinstance(value, Sequence) and not isinstance(value, str) and depth < MAX_DEPTH_COUNT:
+        entries = list(cast("Sequence[Any]", value))
+        if any(isinstance(entry, Mapping) for entry in entries):
+            shown = "".join(f"<li>{_tree(e, depth + 1)}</li>" for e in entries[:MAX_ITEMS_COUNT])
+            return f"<ol>{shown}</ol>{_cut(len(entries))}"
+        listed = ", ".join(_tree(entry, depth + 1) for entry in entries[:MAX_ITEMS_COUNT])
+        return f"{listed}{_cut(len(entries))}"
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "–"}[value]
+    return escape(f"{value:.4g}" if isinstance(value, float) else str(value))
+
+
+def _cut(count: int) -> str:
+    return "" if count <= MAX_ITEMS_COUNT else f" … and {count - MAX_ITEMS_COUNT} more"

@@ -1,0 +1,398 @@
+"""One machine under control: driver, throw protocol and control step, tick by tick; no sockets, no sleep.
+
+The control process gives it messages and the beat; tests do the same in one process. It turns what happens
+into replies, events and log rows, and keeps none of them.
+"""
+
+import secrets
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.calibration import ValveCalibration
+from machine.conventions import ACTIVE_COUNT, Array, Mode
+from machine.errors import DownrangeError
+from machine.messages import (
+    CheckResult,
+    CommandReply,
+    EventKind,
+    FireRequest,
+    MachineState,
+    OperatorHeartbeat,
+    RejectReason,
+    ThrowState,
+)
+from machine.spec import MachineSpec
+from runtime.control import swing_control
+from runtime.control.control_loop import (
+    ControlInputs,
+    ControlOutputs,
+    ControlParams,
+    ControlState,
+    initial_state,
+    step,
+)
+from runtime.control.imu_estimator import ImuEstimate
+from runtime.control.policy import PolicyRunner
+from runtime.control.policy_step import initial_throw
+from runtime.driver import Driver, SensorSample, ValveCommand
+from runtime.throw.checks import CheckInputs, run_checks
+from runtime.throw.facts import with_control
+from runtime.throw.freshness import why_stale
+from runtime.throw.model import (
+    RUNNING,
+    WAITING,
+    Effects,
+    Event,
+    Facts,
+    ThrowMachine,
+    Tick,
+    find_reply,
+    keep_reply,
+)
+from runtime.throw.states import Message, update
+from runtime.throw.tracker import ThrowTracker
+
+CHECK_PERIOD_TICKS: Final = 10
+"""Arming checks at 10 Hz, like the state message that carries them."""
+STALL_LIMIT_COUNT: Final = 10
+"""Periods missed at once (0.1 s blind) that end a throw before its commit point."""
+_CLOSED: Final = ValveCommand(np.zeros((1, ACTIVE_COUNT)), np.zeros(1, dtype=np.bool_))
+
+
+class GroundedDriver(Protocol):
+    """A driver that simulates the ground too, and wants to know how high the target surface is."""
+
+    target_height_m: Array
+    """(N,)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """What the machine is; constant from boot to boot."""
+
+    machine_id: str
+    boot_id: str
+    spec: MachineSpec
+    calibration: ValveCalibration
+    policies: dict[Mode, PolicyRunner]
+    software: str
+
+
+@dataclass(slots=True)
+class Surroundings:
+    """What others say about the machine's computer; shown, and looked at by the arming checks."""
+
+    late_tick_ratio: float = 0.0
+    outbox_count: int = 0
+    recorder_dropped_count: int = 0
+
+
+@dataclass(slots=True)
+class TickReport:
+    """What one tick gave."""
+
+    replies: list[tuple[int, CommandReply]] = field(default_factory=list[tuple[int, CommandReply]])
+    """(request number, answer)"""
+    events: list[Event] = field(default_factory=list[Event])
+    """In order; to be stored before the replies are sent."""
+    log_begins: dict[str, Any] | None = None
+    """Context of a log that starts with this tick's rows."""
+    log_ends: dict[str, Any] | None = None
+    """Result of the log that ends with this tick's rows."""
+    rows: dict[str, NDArray[np.void]] = field(default_factory=dict[str, NDArray[np.void]])
+    """(1,) rows by log channel; ``control`` always."""
+
+
+class MachineControl:
+    """Runs one machine; every call from one thread."""
+
+    def __init__(self, driver: Driver, fixed: Fixed) -> None:
+        self.driver = driver
+        self.fixed = fixed
+        self.around = Surroundings()
+        self.throw = ThrowMachine(fixed.machine_id)
+        self._params = {
+            mode: ControlParams(fixed.spec, fixed.calibration, mode, fixed.policies.get(mode))
+            for mode in Mode
+        }
+        self._mode = Mode.PLANAR
+        self._now_ns = driver.now_ns()
+        self._sample: SensorSample = driver.read()
+        self._target_m: Array = np.full((1, 3), np.nan)
+        self._state: ControlState = initial_state(
+            self._params[self._mode], self._sample, np.zeros((1, 3)), self._now_ns
+        )
+        self._outputs: ControlOutputs | None = None
+        self._checks: tuple[CheckResult, ...] = ()
+        self._tick_count = 0
+        self._abort_reason = ""
+        self._fault_reason = ""
+        self._nonce = secrets.token_hex(16)
+        self._tracker = ThrowTracker(fixed.spec, self._sample)
+
+    def remember(self, epoch_count: int, throw_ids: tuple[str, ...]) -> None:
+        """Take over what earlier boots left: the epoch, and throws that must never run again."""
+        replies = self.throw.throw_replies
+        for throw_id in throw_ids:
+            reply = CommandReply(
+                command_id="",
+                machine_id=self.fixed.machine_id,
+                accepted=True,
+                state=ThrowState.DISARMED,
+                epoch_count=epoch_count,
+                detail="Accepted before this machine's last restart.",
+                throw_id=throw_id,
+            )
+            replies = keep_reply(replies, throw_id, reply)
+        epoch = max(epoch_count, self.throw.epoch_count)
+        self.throw = replace(self.throw, epoch_count=epoch, throw_replies=replies)
+
+    # One period -----------------------------------------------------------------------------------
+
+    def tick(
+        self, due_ns: int, messages: list[tuple[int, Message]], skipped_count: int = 0
+    ) -> TickReport:
+        """Sense, decide, step, write.
+
+        Args:
+            due_ns: driver time to bring a simulated machine to.
+            messages: (request number, message); those that nobody waits for have number 0.
+            skipped_count: periods missed just before.
+        """
+        report = TickReport()
+        self.driver.advance(due_ns)
+        self._now_ns = now_ns = self.driver.now_ns()
+        self._sample = self.driver.read()
+        if skipped_count >= STALL_LIMIT_COUNT:
+            self._abort_reason = f"the control loop stood still for {skipped_count * 10} ms"
+        facts = self._facts()
+        self._abort_reason = self._fault_reason = ""
+        for request, message in [*messages, (0, Tick())]:
+            self._take(request, message, facts, now_ns, report)
+            facts = replace(facts, fresh_nonce=self._nonce)
+        outputs = self._step(now_ns)
+        self._tick_count += 1
+        if outputs is not None:
+            self._outputs = outputs
+            self._watch(outputs, report)
+        report.log_ends = self._tracker.finished(now_ns)
+        return report
+
+    def close(self) -> None:
+        """Close the valves and let go of the driver."""
+        self.driver.write(_CLOSED)
+        self.driver.close()
+
+    def _take(
+        self, request: int, message: Message, facts: Facts, now_ns: int, report: TickReport
+    ) -> None:
+        if (
+            isinstance(message, FireRequest)
+            and find_reply(self.throw.throw_replies, message.throw_id) is None
+            and (detail := why_stale(message, now_ns))
+        ):
+            self._refuse_stale(request, message, detail, report)
+            return
+        if (
+            isinstance(message, OperatorHeartbeat)
+            and message.is_holding
+            and why_stale(message, now_ns)
+        ):
+            return
+        before = self.throw
+        self.throw, effects = update(before, message, facts, now_ns)
+        self._follow(before, effects, request, report)
+
+    def _follow(
+        self, before: ThrowMachine, effects: Effects, request: int, report: TickReport
+    ) -> None:
+        if self.throw.nonce != before.nonce:
+            self._nonce = secrets.token_hex(16)
+        if self.throw.plan is not before.plan:
+            self._take_plan()
+        if effects.load:
+            self.driver.load()
+        for event in effects.events:
+            report.events.append(self._tracker.enrich(event, self._tick_count, self._now_ns))
+            if event.kind is EventKind.THROW_ACCEPTED:
+                report.log_begins = self.log_context()
+        if effects.reply is not None:
+            report.replies.append((request, effects.reply))
+
+    def _refuse_stale(
+        self, request: int, fire: FireRequest, detail: str, report: TickReport
+    ) -> None:
+        reason = RejectReason.NONCE_EXPIRED
+        reply = CommandReply(
+            command_id=fire.command_id,
+            machine_id=self.fixed.machine_id,
+            accepted=False,
+            state=self.throw.state,
+            epoch_count=self.throw.epoch_count,
+            reason=reason,
+            detail=detail,
+            throw_id=fire.throw_id,
+        )
+        report.replies.append((request, reply))
+        data = {"command": fire.kind, "issuer": fire.issuer, "reason": reason, "detail": detail}
+        report.events.append(Event(EventKind.COMMAND_REFUSED, data=data))
+
+    def _take_plan(self) -> None:
+        plan = self.throw.plan
+        if plan is None:
+            return
+        target = plan.target
+        self._target_m = np.array([[target.x_m, target.y_m, target.z_m]])
+        if hasattr(self.driver, "target_height_m"):
+            cast("GroundedDriver", self.driver).target_height_m[:] = target.z_m
+        if plan.mode is not self._mode:
+            self._mode = plan.mode
+            self._state = replace(self._state, throw=initial_throw(plan.mode, 1))
+
+    def _step(self, now_ns: int) -> ControlOutputs | None:
+        inputs = ControlInputs(self._sample, np.array([int(self.throw.motion)]), self._target_m)
+        try:
+            self._state, outputs = step(self._params[self._mode], self._state, inputs, now_ns)
+        except DownrangeError as error:
+            # A policy that cannot run: the valves close now, the protocol latches it in the next tick.
+            self.driver.write(_CLOSED)
+            self._fault_reason = str(error)
+            return None
+        self.driver.write(outputs.command)
+        return outputs
+
+    def _watch(self, outputs: ControlOutputs, report: TickReport) -> None:
+        row = outputs.row
+        impact = self._tracker.watch(row[0], bool(outputs.load_gone[0]), self._sample)
+        if impact is not None:
+            report.events.append(impact)
+        report.rows = self._tracker.rows(row, self._sample)
+        if outputs.policy_row is not None and outputs.policy_row["t_mono_ns"][0] != 0:
+            report.rows["policy"] = outputs.policy_row
+
+    # What is true now -----------------------------------------------------------------------------
+
+    def _facts(self) -> Facts:
+        if self._tick_count % CHECK_PERIOD_TICKS == 0:
+            self._checks = self._run_checks()
+        sample, fixed = self._sample, self.fixed
+        facts = Facts(
+            model_sha256=fixed.spec.sha256,
+            cards={mode: runner.card for mode, runner in fixed.policies.items()},
+            checks=self._checks,
+            payload_held=bool(sample.payload_held[0]),
+            local_enable=bool(sample.local_enable[0]),
+            emergency_stop=bool(sample.emergency_stop[0]),
+            fresh_nonce=self._nonce,
+        )
+        if self._outputs is not None:
+            facts = with_control(facts, self._outputs, sample, fixed.spec.limits.swing_rad)
+        return replace(
+            facts,
+            abort_reason=facts.abort_reason or self._abort_reason,
+            fault_reason=facts.fault_reason or self._fault_reason,
+        )
+
+    def _run_checks(self) -> tuple[CheckResult, ...]:
+        fixed, sample, now_ns = self.fixed, self._sample, self._now_ns
+        position, velocity = self._estimate()
+        imu = ImuEstimate(
+            position[None, 1] + position[None, 2] + position[None, 4],
+            position[None, 5],
+            velocity[None, 1] + velocity[None, 2] + velocity[None, 4],
+            velocity[None, 5],
+            np.zeros(1),
+        )
+        imu_ns = int(sample.imu_t_mono_ns[0])
+        return run_checks(
+            CheckInputs(
+                spec=fixed.spec,
+                cards={mode: runner.card for mode, runner in fixed.policies.items()},
+                calibration_machine_id=fixed.calibration.machine_id,
+                machine_id=fixed.machine_id,
+                local_enable=bool(sample.local_enable[0]),
+                emergency_stop=bool(sample.emergency_stop[0]),
+                payload_held=bool(sample.payload_held[0]),
+                sensor_age_s=(now_ns - sample.t_mono_ns) * 1e-9,
+                imu_age_s=(now_ns - imu_ns) * 1e-9 if imu_ns else float("inf"),
+                joint_position_rad_m=position,
+                joint_speed_rad_m_per_s=self._state.speed_rad_m_per_s[0],
+                swing_amplitude_rad=float(swing_control.swing_amplitude_rad(fixed.spec, imu)[0]),
+                supply_pressure_pa=float(sample.supply_pressure_pa[0]),
+                late_tick_ratio=self.around.late_tick_ratio,
+                outbox_count=self.around.outbox_count,
+                recorder_dropped_count=self.around.recorder_dropped_count,
+            )
+        )
+
+    def _estimate(self) -> tuple[Array, Array]:
+        """Joint positions and velocities (6,); before the first step plumb and at rest."""
+        if self._outputs is not None:
+            row = self._outputs.row[0]
+            return row["joint_position_rad_m"], row["joint_velocity_rad_m_per_s"]
+        active = self._sample.joint_position_rad_m[0]
+        return np.array([*active, -(active[1] + active[2]), 0.0]), np.zeros(6)
+
+    @property
+    def is_waiting(self) -> bool:
+        """No throw is running and no log is open."""
+        return self.throw.state not in RUNNING and self._tracker.throw_id is None
+
+    @property
+    def log_throw_id(self) -> str | None:
+        """The throw whose log is open."""
+        return self._tracker.throw_id
+
+    def log_context(self) -> dict[str, Any]:
+        """What a log needs besides its rows, to be diagnosed alone."""
+        plan, fixed = self.throw.plan, self.fixed
+        context: dict[str, Any] = {
+            "throw_id": self.throw.throw_id,
+            "machine_id": fixed.machine_id,
+            "boot_id": fixed.boot_id,
+            "software": fixed.software,
+            "model_sha256": fixed.spec.sha256,
+            "calibration": fixed.calibration.model_dump(mode="json"),
+            "spec": fixed.spec.model_dump(mode="json"),
+        }
+        if plan is not None:
+            context |= {
+                "mode": plan.mode.value,
+                "target": plan.target.model_dump(mode="json"),
+                "plan": plan.model_dump(mode="json"),
+                "plan_hash": plan.plan_hash,
+                "policy_sha256": plan.policy_sha256,
+                "twin_profile_version": plan.twin_profile_version,
+            }
+        return context
+
+    def machine_state(self) -> MachineState:
+        """The state message, as far as this process knows it."""
+        throw, fixed = self.throw, self.fixed
+        position = tuple(float(value) for value in np.nan_to_num(self._estimate()[0]))
+        has_beat = throw.heartbeat_ns and throw.state not in WAITING
+        return MachineState(
+            machine_id=fixed.machine_id,
+            boot_id=fixed.boot_id,
+            t_mono_ns=self._now_ns,
+            state=throw.state,
+            mode=None if throw.plan is None else throw.plan.mode,
+            epoch_count=throw.epoch_count,
+            plan_id=None if throw.plan is None else throw.plan.plan_id,
+            throw_id=throw.throw_id,
+            joint_position_rad_m=cast("tuple[float, float, float, float, float, float]", position),
+            payload_held=bool(self._sample.payload_held[0]),
+            stop_latched=throw.state is ThrowState.STOPPED,
+            fault=throw.latched_reason if throw.state is ThrowState.FAULT else "",
+            checks=self._checks,
+            model_sha256=fixed.spec.sha256,
+            policy_sha256={
+                mode.value: runner.card.policy_sha256 for mode, runner in fixed.policies.items()
+            },
+            heartbeat_age_s=(self._now_ns - throw.heartbeat_ns) * 1e-9 if has_beat else None,
+            late_tick_ratio=self.around.late_tick_ratio,
+            software=fixed.software,
+        )

@@ -1,0 +1,172 @@
+"""Runs learned policies with onnxruntime, one thread, and refuses files that do not fit this machine.
+
+It never trains, downloads or repairs a policy; a file that is not exactly what its card says is an error.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+
+from machine.conventions import Array, Mode
+from machine.errors import PolicyError
+from machine.policy_card import POLICY_FILE, PolicyCard, load_card
+from machine.spec import MachineSpec
+from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+
+POLICY_ID = re.compile(r"[a-z0-9][a-z0-9._-]{2,63}")
+"""As in the card (machine.policy_card.PolicyCard)."""
+ACTIVE_FILE = "active.json"
+INPUT_NAME = "observation"
+OUTPUT_NAME = "action"
+
+
+def find_policy(policies_dir: Path, mode: Mode) -> Path:
+    """Folder of the active policy of a mode: `active.json` = {"2d": "<id>", "3d": "<id>"}.
+
+    Raises:
+        PolicyError: no readable active.json, no entry for the mode, or its folder is missing.
+    """
+    path = policies_dir / ACTIVE_FILE
+    try:
+        active = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise PolicyError(
+            f'{path} cannot be read ({error}); it names the active policies: {{"2d": "<id>", "3d": "<id>"}}'
+        ) from error
+    policy_id = active.get(mode.value) if isinstance(active, dict) else None
+    if not isinstance(policy_id, str):
+        raise PolicyError(
+            f"{path} names no policy for mode {mode.value}; add one of the folders beside it"
+        )
+    folder = policies_dir / policy_id
+    # An id is a name, never a path out of the folder.
+    if not POLICY_ID.fullmatch(policy_id) or not folder.is_dir():
+        raise PolicyError(
+            f"{path} names policy {policy_id!r} for mode {mode.value}, but {folder} is no policy folder"
+        )
+    return folder
+
+
+class PolicyRunner:
+    """One loaded policy. Thread-compatible, not shared between threads."""
+
+    def __init__(self, folder: Path, spec: MachineSpec) -> None:
+        """Load, check against card and machine, and warm up.
+
+        Raises:
+            PolicyError: with what differs, and what to do.
+        """
+        self.card: PolicyCard = load_card(folder)
+        _check_card(self.card, folder, spec)
+        self._session = _open_session(folder / POLICY_FILE)
+        self._observation_count = len(self.card.observation_names)
+        self._action_count = len(self.card.action_names)
+        _check_signature(
+            self._session, folder / POLICY_FILE, self._observation_count, self._action_count
+        )
+        self.action_scale_rad_m_per_s: Array = np.asarray(self.card.action_scale_rad_m_per_s)
+        # The first runs allocate; and a file that cannot run must fail here, not in a throw.
+        for count in (1, 2, 1):
+            self.act(np.zeros((count, self._observation_count)))
+
+    def infer(self, observation: Array) -> Array:
+        """Raw actions (N, A) for observations (N, D); may hold NaN, never raises for values."""
+        given = np.ascontiguousarray(observation, dtype=np.float32)
+        if given.ndim != 2 or given.shape[1] != self._observation_count:
+            raise PolicyError(
+                f"policy {self.card.policy_id} got observations of shape {given.shape}, "
+                f"needs (N, {self._observation_count})"
+            )
+        try:
+            result = self._session.run([OUTPUT_NAME], {INPUT_NAME: given})[0]
+        except Exception as error:  # onnxruntime raises bare exceptions of its own C++ types
+            raise PolicyError(f"policy {self.card.policy_id} failed to run ({error})") from error
+        return np.asarray(result, dtype=np.float64)
+
+    def act(self, observation: Array) -> Array:
+        """Actions (N, A) for observations (N, D), as the policy gives them (not clipped).
+
+        Raises:
+            PolicyError: wrong width, or an action that is not finite.
+        """
+        action = self.infer(observation)
+        finite = np.isfinite(action)
+        if not finite.all():
+            row, column = (int(i) for i in np.argwhere(~finite)[0])
+            raise PolicyError(
+                f"policy {self.card.policy_id} gave {self.card.action_names[column]} = "
+                f"{action[row, column]} for row {row} of {action.shape[0]}; use another policy version"
+            )
+        return action
+
+
+def _open_session(path: Path) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    # A spinning worker would take the core that the link process needs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    options.log_severity_level = 4
+    try:
+        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises bare exceptions of its own C++ types
+        raise PolicyError(f"{path} is not a usable ONNX file ({error}); copy it again") from error
+
+
+def _check_card(card: PolicyCard, folder: Path, spec: MachineSpec) -> None:
+    if card.model_sha256 != spec.sha256:
+        raise PolicyError(
+            f"{folder} was trained for model {card.model_sha256[:12]}..., this machine is "
+            f"{spec.sha256[:12]}... ({spec.model_name}); use a policy trained for it"
+        )
+    for what, given, expected in (
+        ("observations", card.observation_names, OBSERVATION_NAMES[card.mode]),
+        ("actions", card.action_names, ACTION_NAMES[card.mode]),
+    ):
+        if tuple(given) != expected:
+            raise PolicyError(
+                f"{folder}: the card names {len(given)} {what}, this runtime gives {len(expected)} "
+                f"in {card.mode.value} (first difference: {_first_difference(given, expected)}); "
+                "export the policy again"
+            )
+    scale = np.asarray(card.action_scale_rad_m_per_s)
+    expected_count = len(card.action_names) - 1
+    if scale.shape != (expected_count,) or not np.all(np.isfinite(scale) & (scale > 0.0)):
+        raise PolicyError(
+            f"{folder}: action_scale_rad_m_per_s must be {expected_count} positive numbers, "
+            f"is {list(card.action_scale_rad_m_per_s)}; export the policy again"
+        )
+
+
+def _first_difference(given: tuple[str, ...], expected: tuple[str, ...]) -> str:
+    for index, (one, other) in enumerate(zip(given, expected, strict=False)):
+        if one != other:
+            return f"number {index} is {one!r}, should be {other!r}"
+    return f"{len(given)} names, should be {len(expected)}"
+
+
+def _check_signature(
+    session: ort.InferenceSession, path: Path, observation_count: int, action_count: int
+) -> None:
+    for what, nodes, name, width in (
+        ("input", session.get_inputs(), INPUT_NAME, observation_count),
+        ("output", session.get_outputs(), OUTPUT_NAME, action_count),
+    ):
+        found = [(node.name, node.type, list(node.shape)) for node in nodes]
+        fits = (
+            len(found) == 1
+            and found[0][:2] == (name, "tensor(float)")
+            and len(found[0][2]) == 2
+            and found[0][2][1] == width
+            and not isinstance(found[0][2][0], int)
+        )
+        if not fits:
+            raise PolicyError(
+                f"{path}: {what} is {found}, expected one float tensor {name!r} of shape "
+                f"[batch, {width}] with a free batch; export the policy again"
+            )

@@ -1,0 +1,1 @@
+"""Both ends' Zenoh configuration, and the machine's end of the link."""

@@ -1,0 +1,1 @@
+"""The machine's processes: a supervisor, the control loop, the link."""

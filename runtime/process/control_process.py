@@ -1,0 +1,299 @@
+"""The control process: the 100 Hz loop around one machine, and its end of the socket to the link process.
+
+One thread, no allocation-heavy work, no waiting for anybody: what the link process does not take is kept
+(events, until they are on disk) or dropped and counted (rows). Run by machine_process.py.
+"""
+
+import json
+import logging
+import sys
+import uuid
+from collections import OrderedDict, deque
+from typing import Any, Final
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from machine import calibration
+from machine.conventions import CONTROL_PERIOD_NS, Mode
+from machine.errors import DownrangeError, PolicyError
+from machine.messages import Command, OperatorHeartbeat, ThrowState
+from machine.spec import load_spec
+from runtime.control.control_core import Fixed, MachineControl, TickReport
+from runtime.control.policy import PolicyRunner, find_policy
+from runtime.process.clock import Clock, RealTimeClock, Ticker
+from runtime.process.driver_loader import load_driver
+from runtime.process.guardian import Guardian
+from runtime.process.ipc import (
+    TICK_ROW,
+    TICK_TAGS,
+    Kind,
+    Packet,
+    PacketSocket,
+    PeerGoneError,
+    pack_rows,
+)
+from runtime.process.real_time import GarbageRest, become_real_time
+from runtime.process.settings import MachineSettings
+from runtime.records.outbox import utc_now
+from runtime.software import software_version
+from runtime.throw.model import Event, LinkLost
+from runtime.throw.states import Message
+
+logger = logging.getLogger(__name__)
+
+PACKETS_PER_TICK_COUNT: Final = 32
+"""Read at most so many packets a tick: a flood must not stretch the tick."""
+KEPT_EVENTS_COUNT: Final = 2000
+"""Events kept while the link process is away; far more than it takes to restart it."""
+IDLE_DECIMATION: Final = 4
+"""Without an open log only every fourth tick's rows are sent: the 25 Hz of the joint stream."""
+STATUS_DECIMATION: Final = 10
+CLOSING_LIMIT_TICKS: Final = 6000
+"""A throw that has not ended a minute after the supervisor left is not going to."""
+
+_COMMANDS: TypeAdapter[Command] = TypeAdapter(Command)
+_STATE_CODES: Final = {state: code for code, state in enumerate(ThrowState)}
+
+
+class ControlProcess:
+    """The loop; everything in one thread."""
+
+    def __init__(self, control: MachineControl, guardian: Guardian, clock: Clock) -> None:
+        self._control = control
+        self._guardian = guardian
+        self._clock = clock
+        self._port: PacketSocket | None = None
+        self._has_memory = False
+        self._is_connected = False
+        self._event_number = 0
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._waiting: deque[tuple[Kind, bytes]] = deque()
+        self._packet_count = 0
+        self._log_context: dict[str, Any] | None = None
+        self._log_result: dict[str, Any] | None = None
+
+    def run(self) -> None:
+        """Until the supervisor leaves and the machine rests; the valves are closed whatever ends it."""
+        try:
+            self._loop()
+        finally:
+            self._control.close()
+
+    def _loop(self) -> None:
+        rest = GarbageRest()
+        ticker = Ticker(self._clock, CONTROL_PERIOD_NS)
+        start_ns = self._control.driver.now_ns()
+        closing_ticks = 0
+        while closing_ticks < CLOSING_LIMIT_TICKS:
+            tick = ticker.next()
+            messages = self._messages()
+            if self._guardian.is_gone:
+                if closing_ticks == 0:
+                    messages.append((0, LinkLost()))
+                elif self._control.is_waiting:
+                    break
+                closing_ticks += 1
+            due_ns = start_ns + tick.period_count * CONTROL_PERIOD_NS
+            report = self._control.tick(due_ns, messages, tick.skipped_count)
+            self._send(report, tick.period_count)
+            if tick.period_count % STATUS_DECIMATION == 0:
+                self._control.around.late_tick_ratio = ticker.lateness.late_tick_ratio
+                if self._control.is_waiting:
+                    rest.collect()
+
+    # In -------------------------------------------------------------------------------------------
+
+    def _messages(self) -> list[tuple[int, Message]]:
+        new_port = self._guardian.poll()
+        messages: list[tuple[int, Message]] = []
+        if new_port is not None:
+            self._connect(PacketSocket(new_port))
+        port = self._port
+        if port is None:
+            return messages
+        try:
+            for _ in range(PACKETS_PER_TICK_COUNT):
+                packet = port.receive()
+                if packet is None:
+                    break
+                self._take(packet, messages)
+        except PeerGoneError:
+            self._disconnect()
+            messages.append((0, LinkLost()))
+        return messages
+
+    def _take(self, packet: Packet, messages: list[tuple[int, Message]]) -> None:
+        try:
+            if packet.kind is Kind.HEARTBEAT:
+                messages.append((0, OperatorHeartbeat.model_validate_json(packet.body)))
+            elif packet.kind is Kind.COMMAND:
+                body = packet.json
+                command = _COMMANDS.validate_python(body["command"])
+                # Until the journal has come, nobody knows which throws must not be repeated.
+                if self._has_memory:
+                    messages.append((int(body["request"]), command))
+            elif packet.kind is Kind.EVENT_ACK:
+                self._forget_events(int(packet.json["number"]))
+            elif packet.kind is Kind.LINK:
+                self._take_link(packet.json, messages)
+            elif packet.kind is Kind.JOURNAL:
+                self._take_journal(packet.json)
+        except (ValidationError, ValueError, KeyError) as error:
+            logger.error("a packet of the link process cannot be read: %s", error)
+
+    def _take_link(self, body: dict[str, Any], messages: list[tuple[int, Message]]) -> None:
+        around = self._control.around
+        around.outbox_count = int(body["outbox_count"])
+        around.recorder_dropped_count = int(body["recorder_dropped_count"])
+        if self._is_connected and not body["is_connected"]:
+            messages.append((0, LinkLost()))
+        self._is_connected = bool(body["is_connected"])
+
+    def _take_journal(self, body: dict[str, Any]) -> None:
+        if not self._has_memory:
+            self._control.remember(int(body["epoch_count"]), tuple(body["throw_ids"]))
+            self._has_memory = True
+
+    def _forget_events(self, number: int) -> None:
+        while self._kept and next(iter(self._kept)) <= number:
+            self._kept.popitem(last=False)
+
+    # Out ------------------------------------------------------------------------------------------
+
+    def _connect(self, port: PacketSocket) -> None:
+        self._disconnect()
+        self._port = port
+        hello = {
+            "state": self._control.machine_state().model_dump(mode="json"),
+            "log": self._log_context,
+            "is_log_open": self._control.log_throw_id is not None,
+        }
+        self._queue(Kind.HELLO, hello)
+        self._waiting.extend((Kind.EVENT, body) for body in self._kept.values())
+        if self._log_result is not None:
+            self._queue(Kind.LOG_END, self._log_result)
+
+    def _disconnect(self) -> None:
+        if self._port is not None:
+            self._port.close()
+        self._port = None
+        self._is_connected = False
+        self._waiting.clear()
+
+    def _send(self, report: TickReport, period_count: int) -> None:
+        if report.log_begins is not None:
+            self._log_context, self._log_result = report.log_begins, None
+            self._queue(Kind.LOG_BEGIN, report.log_begins)
+        for event in report.events:
+            self._keep(event)
+        for request, reply in report.replies:
+            body = {"request": request, "reply": reply.model_dump(mode="json")}
+            self._queue(Kind.REPLY, body)
+        if report.log_ends is not None:
+            self._log_result = report.log_ends
+        try:
+            self._flush()
+            self._send_rows(report, period_count)
+            if report.log_ends is not None:
+                self._queue(Kind.LOG_END, report.log_ends)
+                self._flush()
+            if period_count % STATUS_DECIMATION == 0 and self._port is not None:
+                state = self._control.machine_state().model_dump_json().encode()
+                self._port.send(Kind.STATUS, state)
+        except PeerGoneError:
+            # Noticed again, with its consequences, when the next tick reads.
+            return
+
+    def _keep(self, event: Event) -> None:
+        self._event_number += 1
+        body = json.dumps(
+            {
+                "number": self._event_number,
+                "kind": event.kind.value,
+                "t_mono_ns": self._control.driver.now_ns(),
+                "t_utc": utc_now(),
+                "throw_id": event.throw_id,
+                "plan_id": event.plan_id,
+                "data": event.data,
+            }
+        ).encode()
+        self._kept[self._event_number] = body
+        if len(self._kept) > KEPT_EVENTS_COUNT:
+            self._kept.popitem(last=False)
+        if self._port is not None:
+            self._waiting.append((Kind.EVENT, body))
+
+    def _queue(self, kind: Kind, body: dict[str, Any]) -> None:
+        if self._port is not None:
+            self._waiting.append((kind, json.dumps(body).encode()))
+
+    def _flush(self) -> None:
+        """Send what must arrive in order; what does not fit waits for the next tick."""
+        while self._waiting and self._port is not None:
+            kind, body = self._waiting[0]
+            if not self._port.send(kind, body):
+                return
+            self._waiting.popleft()
+
+    def _send_rows(self, report: TickReport, period_count: int) -> None:
+        is_logged = self._control.log_throw_id is not None or report.log_ends is not None
+        if self._port is None or not report.rows:
+            return
+        if not is_logged and period_count % IDLE_DECIMATION:
+            return
+        self._packet_count += 1
+        head = np.zeros(1, TICK_ROW)
+        head["t_mono_ns"] = report.rows["control"]["t_mono_ns"]
+        head["packet_count"] = self._packet_count
+        head["state_code_count"] = _STATE_CODES[self._control.throw.state]
+        head["is_logged"] = is_logged
+        parts = {TICK_TAGS[name]: rows for name, rows in report.rows.items()}
+        self._port.send(Kind.TICK, pack_rows({TICK_TAGS["tick"]: head, **parts}))
+
+
+def build_control(settings: MachineSettings) -> MachineControl:
+    """Driver, policies and calibration of a machine.
+
+    Raises:
+        DownrangeError: something named in the settings cannot be used.
+    """
+    spec = load_spec()
+    policies: dict[Mode, PolicyRunner] = {}
+    for mode in Mode:
+        try:
+            policies[mode] = PolicyRunner(find_policy(settings.policies_dir, mode), spec)
+        except PolicyError as error:
+            # The machine runs without it and says so in its arming checks.
+            logger.warning("no %s policy on board: %s", mode.value, error)
+    tables = (
+        calibration.nominal_calibration(spec)
+        if settings.calibration_file is None
+        else calibration.load_calibration(settings.calibration_file)
+    )
+    driver = load_driver(settings.driver, settings.driver_options, settings.unit_seed_count)
+    fixed = Fixed(settings.machine_id, uuid.uuid4().hex, spec, tables, policies, software_version())
+    return MachineControl(driver, fixed)
+
+
+def main(argument: str) -> int:
+    """Entry of the process; `argument` is the number of the supervisor's socket."""
+    logging.basicConfig(level=logging.INFO, format="control: %(levelname)s %(message)s")
+    guardian = Guardian.from_argument(argument)
+    try:
+        settings = MachineSettings.model_validate(guardian.settings())
+        if settings.is_real_time:
+            become_real_time()
+        control = build_control(settings)
+    except EOFError:
+        return 0
+    except DownrangeError as error:
+        guardian.tell(error=str(error))
+        return 1
+    guardian.tell(is_ready=True)
+    ControlProcess(control, guardian, RealTimeClock()).run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

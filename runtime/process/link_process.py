@@ -1,0 +1,369 @@
+"""The link process: everything of a machine that may be slow. Zenoh, disk, records, uploads.
+
+The control process never waits for it; when it dies it is started anew and loses nothing that it has
+acknowledged. Order of duties for what control sends: to the disk first, then onward.
+"""
+
+import logging
+import selectors
+import sys
+import time
+from contextlib import ExitStack
+from typing import Any, Final
+
+import zenoh
+from pydantic import ValidationError
+
+from machine.errors import DownrangeError
+from machine.messages import (
+    CommandReply,
+    EventKind,
+    ImpactSurvey,
+    JointStream,
+    MachineState,
+    StopRequest,
+    ThrowState,
+)
+from runtime.link.command_desk import COMMANDS, CommandDesk
+from runtime.link.server_link import ReplySlot, ServerLink
+from runtime.link.zenoh_config import ClientTls, client_config
+from runtime.process.guardian import Guardian
+from runtime.process.ipc import (
+    TICK_DTYPES,
+    TICK_TAGS,
+    Kind,
+    Packet,
+    PacketSocket,
+    PeerGoneError,
+    unpack_rows,
+)
+from runtime.process.settings import MachineSettings
+from runtime.records.event_pump import EventPump
+from runtime.records.journal import Journal
+from runtime.records.log_upload import LogUploader, UploadTarget
+from runtime.records.outbox import EventDraft, Outbox, OutboxError, utc_now
+from runtime.records.records import Records
+
+logger = logging.getLogger(__name__)
+
+BEAT_S: Final = 0.1
+"""Period of what the link does by itself: report to control, state while control is gone."""
+CONTROL_SILENCE_S: Final = 0.5
+"""Five missed state messages: the control process hangs."""
+LAST_EVENTS_S: Final = 2.0
+"""At the end, so long for the last events to reach the server."""
+JOINTS_PERIOD_NS: Final = 40_000_000
+_STATES: Final = list(ThrowState)
+
+
+class LinkProcess:
+    """Main thread: the socket to control. Others: Zenoh's, commands, events, recorder, uploads."""
+
+    def __init__(self, settings: MachineSettings, guardian: Guardian, stack: ExitStack) -> None:
+        self._settings = settings
+        self._guardian = guardian
+        self._outbox = Outbox(settings.database_file, settings.machine_id)
+        stack.callback(self._outbox.close)
+        self._journal = Journal(self._outbox)
+        self._port: PacketSocket | None = None
+        self._state: MachineState | None = None
+        self._heard_s = time.monotonic()
+        self._fault = "the control process has not started yet"
+        self._packet_count = 0
+        self._joints_ns = 0
+        self._beat_s = 0.0
+        self._uploader: LogUploader | None = None
+        if settings.server_url is not None:
+            target = UploadTarget(settings.server_url, settings.machine_id, settings.password())
+            self._uploader = LogUploader(target, self._journal, settings.throws_dir)
+        self._records = Records(settings.throws_dir, self._journal, self._log_stored)
+        stack.callback(self._records.close)
+        if self._uploader is not None:
+            stack.callback(self._uploader.close)
+            self._uploader.start()
+        self._desk = CommandDesk(settings.machine_id, self._journal, self._send)
+        stack.callback(self._desk.close)
+        self._link = ServerLink(settings.site, settings.machine_id, self._config, self)
+        self._pump = EventPump(self._outbox, self._link.ask_events)
+        if settings.connect:
+            stack.callback(self._link.close)
+            self._link.start()
+            stack.callback(self._pump.close)
+            self._pump.start()
+
+    def _config(self) -> zenoh.Config:
+        settings = self._settings
+        tls = None if settings.root_ca_file is None else ClientTls(settings.root_ca_file)
+        user = settings.username or (settings.machine_id if settings.password_file else None)
+        return client_config(
+            connect=settings.connect, user=user, password=settings.password(), tls=tls
+        )
+
+    # Main loop ------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Until the supervisor leaves and control has ended."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._guardian, selectors.EVENT_READ)
+            while not (self._guardian.is_gone and self._port is None):
+                events = selector.select(BEAT_S)
+                if self._guardian.is_gone:
+                    # A socket that has ended is readable for ever.
+                    if any(key.fileobj is self._guardian for key, _ in events):
+                        selector.unregister(self._guardian)
+                elif (new_port := self._guardian.poll()) is not None:
+                    self._connect(PacketSocket(new_port), selector)
+                self._read(selector)
+                if time.monotonic() - self._beat_s >= BEAT_S:
+                    self._beat()
+        self._hand_over_last_events()
+
+    def _connect(self, port: PacketSocket, selector: selectors.BaseSelector) -> None:
+        self._read(selector)
+        self._disconnect(selector)
+        self._port = port
+        selector.register(port, selectors.EVENT_READ)
+        memory = self._journal.memory()
+        body = {"epoch_count": memory.epoch_count, "throw_ids": memory.throw_ids}
+        self._send(Kind.JOURNAL, body)
+        self._heard_s = time.monotonic()
+
+    def _disconnect(self, selector: selectors.BaseSelector) -> None:
+        if self._port is not None:
+            selector.unregister(self._port)
+            self._port.close()
+        self._port = None
+        self._desk.give_up()
+
+    def _read(self, selector: selectors.BaseSelector) -> None:
+        port = self._port
+        if port is None:
+            return
+        try:
+            while (packet := port.receive()) is not None:
+                self._heard_s = time.monotonic()
+                self._take_guarded(packet)
+        except PeerGoneError:
+            self._disconnect(selector)
+            if not self._guardian.is_gone:
+                self._control_died()
+
+    def _send(self, kind: Kind, body: dict[str, Any]) -> bool:
+        port = self._port
+        if port is None:
+            return False
+        try:
+            return port.send_json(kind, body)
+        except (PeerGoneError, ValueError) as error:
+            logger.info("a %s packet was not sent: %r", kind.name, error)
+            return False
+
+    def _hand_over_last_events(self) -> None:
+        end_s = time.monotonic() + LAST_EVENTS_S
+        while self._link.is_connected and self._outbox.count() and time.monotonic() < end_s:
+            self._pump.wake()
+            time.sleep(0.02)
+
+    # From control ---------------------------------------------------------------------------------
+
+    def _take_guarded(self, packet: Packet) -> None:
+        try:
+            self._take(packet)
+        except OutboxError as error:
+            # Not acknowledged: control keeps the event and gives it again when the link is new.
+            self._fault = str(error)
+            logger.error("%s", error)
+        except (ValueError, KeyError, TypeError) as error:
+            logger.error("a %s packet of control cannot be read: %s", packet.kind.name, error)
+
+    def _take(self, packet: Packet) -> None:
+        if packet.kind is Kind.TICK:
+            self._take_tick(packet.body)
+        elif packet.kind is Kind.STATUS:
+            self._take_state(MachineState.model_validate_json(packet.body))
+        elif packet.kind is Kind.EVENT:
+            self._take_event(packet.json)
+        elif packet.kind is Kind.REPLY:
+            body = packet.json
+            reply = CommandReply.model_validate(body["reply"])
+            self._desk.take_reply(int(body["request"]), reply)
+        elif packet.kind is Kind.LOG_BEGIN:
+            context = packet.json
+            self._records.begin(context["throw_id"], context)
+        elif packet.kind is Kind.LOG_END:
+            self._records.end(packet.json)
+        elif packet.kind is Kind.HELLO:
+            self._take_hello(packet.json)
+
+    def _take_hello(self, body: dict[str, Any]) -> None:
+        state = MachineState.model_validate(body["state"])
+        self._state = state
+        self._fault = ""
+        self._packet_count = 0
+        data = {
+            "software": state.software,
+            "model_sha256": state.model_sha256,
+            "policy_sha256": state.policy_sha256,
+        }
+        draft = EventDraft(EventKind.BOOTED, state.t_mono_ns, None, None, data, utc_now())
+        interrupted = self._journal.begin_boot(state.boot_id, draft)
+        for throw_id in interrupted:
+            logger.warning("throw %s was interrupted by a restart", throw_id)
+        self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
+        self._pump.wake()
+
+    def _take_event(self, body: dict[str, Any]) -> None:
+        state = self._state
+        if state is None:
+            return
+        draft = EventDraft(
+            EventKind(body["kind"]),
+            int(body["t_mono_ns"]),
+            body["throw_id"],
+            body["plan_id"],
+            body["data"],
+            body["t_utc"],
+        )
+        event = self._journal.record(state.boot_id, int(body["number"]), draft)
+        self._send(Kind.EVENT_ACK, {"number": body["number"]})
+        if event is None:
+            return
+        self._pump.wake()
+        self._records.add_event(event)
+        if event.kind is EventKind.IMPACT:
+            t_ns = int(event.data["t_mono_ns"])
+            self._records.add_impact(ImpactSurvey.model_validate(event.data), t_ns)
+
+    def _take_tick(self, body: bytes) -> None:
+        parts = unpack_rows(body, TICK_DTYPES)
+        head = parts[TICK_TAGS["tick"]][0]
+        count = int(head["packet_count"])
+        lost = count - self._packet_count - 1 if self._packet_count else 0
+        self._packet_count = count
+        if head["is_logged"]:
+            self._records.count_lost(lost)
+            rows = {name: parts[tag] for name, tag in TICK_TAGS.items() if tag and tag in parts}
+            self._records.add_rows(rows, int(head["t_mono_ns"]))
+        if int(head["t_mono_ns"]) - self._joints_ns >= JOINTS_PERIOD_NS:
+            self._joints_ns = int(head["t_mono_ns"])
+            self._publish_joints(parts, _STATES[int(head["state_code_count"])])
+
+    def _control_died(self) -> None:
+        state = self._state
+        self._fault = "the control process has died; it is being started anew"
+        logger.error("%s", self._fault)
+        if state is None:
+            return
+        draft = EventDraft(
+            EventKind.FAULT,
+            state.t_mono_ns,
+            state.throw_id,
+            state.plan_id,
+            {"reason": self._fault},
+            utc_now(),
+        )
+        try:
+            self._outbox.add(state.boot_id, draft)
+        except OutboxError as error:
+            logger.error("%s", error)
+        self._pump.wake()
+
+    # To the server --------------------------------------------------------------------------------
+
+    def _take_state(self, state: MachineState) -> None:
+        self._state = state
+        self._publish_state(state)
+
+    def _publish_state(self, state: MachineState) -> None:
+        complete = state.model_copy(
+            update={
+                "outbox_count": self._outbox.count(),
+                "recorder_dropped_count": self._records.dropped_count,
+                "fault": state.fault or self._records.failure,
+            }
+        )
+        self._link.publish("state", complete.model_dump_json().encode())
+
+    def _publish_joints(self, parts: dict[int, Any], state: ThrowState) -> None:
+        row = parts[TICK_TAGS["control"]][0]
+        ball = parts.get(TICK_TAGS["ball"])
+        held = bool(row["payload_held"])
+        position = None if ball is None or held else tuple(ball["position_m"][0].tolist())
+        message = JointStream(
+            machine_id=self._settings.machine_id,
+            t_mono_ns=int(row["t_mono_ns"]),
+            joint_position_rad_m=tuple(row["joint_position_rad_m"].tolist()),
+            joint_velocity_rad_m_per_s=tuple(row["joint_velocity_rad_m_per_s"].tolist()),
+            state=state,
+            payload_held=held,
+            ball_position_m=position,
+        )
+        self._link.publish("joints", message.model_dump_json().encode())
+
+    def _beat(self) -> None:
+        self._beat_s = time.monotonic()
+        self._desk.give_up(age_s=5.0)
+        body = {
+            "is_connected": self._link.is_connected,
+            "outbox_count": self._outbox.count(),
+            "recorder_dropped_count": self._records.dropped_count,
+        }
+        self._send(Kind.LINK, body)
+        fault = self._fault
+        if not fault and self._beat_s - self._heard_s > CONTROL_SILENCE_S:
+            fault = "the control process is silent"
+        if fault and self._state is not None:
+            state = self._state.model_copy(update={"state": ThrowState.FAULT, "fault": fault})
+            self._publish_state(state)
+
+    def _log_stored(self) -> None:
+        self._pump.wake()
+        if self._uploader is not None:
+            self._uploader.wake()
+
+    # From the server, on Zenoh's threads ------------------------------------------------------------
+
+    def command(self, payload: bytes, slot: ReplySlot) -> None:
+        """A command."""
+        self._desk.take(payload, slot)
+
+    def stop(self, payload: bytes) -> None:
+        """A repeated STOP: nobody waits for an answer."""
+        try:
+            command = COMMANDS.validate_json(payload)
+        except ValidationError as error:
+            logger.warning("a STOP cannot be read: %s", error)
+            return
+        if isinstance(command, StopRequest):
+            self._send(Kind.COMMAND, {"request": 0, "command": command.model_dump(mode="json")})
+
+    def heartbeat(self, payload: bytes) -> None:
+        """An operator's heartbeat."""
+        port = self._port
+        if port is not None:
+            try:
+                port.send(Kind.HEARTBEAT, payload)
+            except (PeerGoneError, ValueError) as error:
+                logger.debug("a heartbeat was lost: %s", error)
+
+
+def main(argument: str) -> int:
+    """Entry of the process; `argument` is the number of the supervisor's socket."""
+    logging.basicConfig(level=logging.INFO, format="link: %(levelname)s %(message)s")
+    guardian = Guardian.from_argument(argument)
+    try:
+        settings = MachineSettings.model_validate(guardian.settings())
+        with ExitStack() as stack:
+            process = LinkProcess(settings, guardian, stack)
+            guardian.tell(is_ready=True)
+            process.run()
+    except EOFError:
+        return 0
+    except (DownrangeError, OSError) as error:
+        guardian.tell(error=str(error))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,1 @@
+"""What the machine keeps: throw logs, the outbox, the journal."""

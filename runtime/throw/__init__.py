@@ -1,0 +1,1 @@
+"""The throw protocol on the machine: states, commands, checks; pure."""

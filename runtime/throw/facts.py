@@ -1,0 +1,63 @@
+"""From arrays to the protocol's facts: what the last control step says about one machine.
+
+The only place where control outputs become words; it decides nothing.
+"""
+
+from dataclasses import replace
+
+from machine.conventions import Motion
+from runtime.control import safety
+from runtime.control.control_loop import IMU_AGE_MAX_S, ControlOutputs, Violation
+from runtime.driver import SensorSample
+from runtime.throw.model import Facts
+
+
+def with_control(
+    facts: Facts,
+    outputs: ControlOutputs,
+    sample: SensorSample,
+    swing_limit_rad: float,
+    index: int = 0,
+) -> Facts:
+    """The facts with everything that the control step and its sample say about machine `index`."""
+    row = outputs.row[index]
+    return replace(
+        facts,
+        payload_held=bool(sample.payload_held[index]),
+        local_enable=bool(sample.local_enable[index]),
+        emergency_stop=bool(sample.emergency_stop[index]),
+        motion=Motion(int(row["motion_code_count"])),
+        aligned=bool(outputs.aligned[index]),
+        release_commanded=bool(outputs.release_commanded[index]),
+        throw_done=bool(outputs.throw_done[index]),
+        load_gone=bool(outputs.load_gone[index]),
+        settled=bool(outputs.settled[index]),
+        abort_reason=abort_reason(int(outputs.violation_count[index]), swing_limit_rad),
+        fault_reason=fault_reason(int(row["safety_code_count"])),
+    )
+
+
+def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
+    """Why a throw may not go on, from `Violation` bits; empty = it may."""
+    found = Violation(violation_count)
+    if Violation.SWING in found:
+        return f"the gripper swung beyond {swing_limit_rad:.2f} rad"
+    if Violation.IMU in found:
+        return f"no gripper IMU sample for more than {IMU_AGE_MAX_S:.2f} s; check its radio and battery"
+    if Violation.POLICY in found:
+        return "the policy gave a number that is not finite; use another policy version"
+    return ""
+
+
+def fault_reason(safety_code_count: int) -> str:
+    """Why the machine may not move, from `safety.Intervention` bits; empty = it may."""
+    found = safety.Intervention(safety_code_count) & safety.FAULTS
+    if safety.Intervention.NOT_FINITE in found:
+        return "a joint sensor or a valve request was not a number; check the sensors' wiring"
+    if safety.Intervention.STALE_SENSORS in found:
+        age_ms = safety.SENSOR_AGE_MAX_NS * 1e-6
+        return f"the joint sensors were silent for more than {age_ms:.0f} ms; check the driver"
+    if safety.Intervention.OVER_SPEED in found:
+        ratio = safety.OVER_SPEED_RATIO
+        return f"a joint moved faster than {ratio:.1f} times its limit; check valves and hoses"
+    return ""

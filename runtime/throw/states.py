@@ -1,0 +1,201 @@
+"""The throw protocol on the machine: lease epoch, arm, fire, hold, commit, settle, STOP; pure and scalar.
+
+`update` takes one message (or the passing of time) and the facts of the moment, and returns the new state
+and what to answer and emit. Nothing else decides motion. It sends nothing, waits for nothing, and never
+acts on a stale epoch, a used nonce, or a throw id it has seen.
+
+Commit point: the release command. Before it, letting go of the button, silence, a lost server, an abort
+or a broken check bring the machine to hold; after it the machine completes the throw.
+"""
+
+from dataclasses import replace
+
+from machine.conventions import Motion
+from machine.messages import Command, EventKind, OperatorHeartbeat, ThrowState
+from runtime.throw.commands import handle_command
+from runtime.throw.model import (
+    ALIGN_TIMEOUT_S,
+    BEFORE_COMMIT,
+    COMMIT_TIMEOUT_S,
+    FIRST_HEARTBEAT_S,
+    HEARTBEAT_SILENCE_S,
+    HOLD_AFTER_ABORT_S,
+    NONCE_VALID_S,
+    RELEASE_TIMEOUT_S,
+    RUNNING,
+    SETTLE_TIMEOUT_S,
+    Effects,
+    Event,
+    Facts,
+    LinkLost,
+    ThrowMachine,
+    Tick,
+)
+from runtime.throw.moves import abort, disarm, end_throw, latch
+
+Message = Command | OperatorHeartbeat | Tick | LinkLost
+
+
+def update(
+    machine: ThrowMachine, message: Message, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, Effects]:
+    """One message; returns the machine after it, and its effects.
+
+    Args:
+        machine: state so far.
+        message: a command, a heartbeat, or that time passes or the server is gone.
+        facts: what is true now.
+        now_ns: machine's monotonic clock; never goes back.
+    """
+    # What the machine itself says comes first: no message can overtake it.
+    machine, events = _passing_time(machine, facts, now_ns)
+    reply, load = None, False
+    if isinstance(message, OperatorHeartbeat):
+        machine, more = _heartbeat(machine, message, now_ns)
+    elif isinstance(message, LinkLost):
+        machine, more = _let_go(machine, "the server is gone", now_ns)
+    elif isinstance(message, Tick):
+        more = ()
+    else:
+        machine, effects = handle_command(machine, message, facts, now_ns)
+        reply, more, load = effects.reply, effects.events, effects.load
+    return machine, Effects(reply, (*events, *more), load)
+
+
+def _heartbeat(
+    machine: ThrowMachine, beat: OperatorHeartbeat, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    """A heartbeat counts only for the running throw, the current epoch, and once."""
+    if (
+        machine.state not in BEFORE_COMMIT
+        or beat.machine_id != machine.machine_id
+        or beat.throw_id != machine.throw_id
+        or beat.epoch_count != machine.epoch_count
+        or beat.sequence_count <= machine.heartbeat_sequence_count
+    ):
+        return machine, ()
+    machine = replace(machine, heartbeat_sequence_count=beat.sequence_count)
+    if not beat.is_holding:
+        return _let_go(machine, "the operator let go", now_ns)
+    return replace(machine, heartbeat_ns=now_ns), ()
+
+
+def _let_go(
+    machine: ThrowMachine, reason: str, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    if machine.state is ThrowState.ARMED:
+        return disarm(machine, reason, now_ns)
+    if machine.state in BEFORE_COMMIT:
+        return abort(machine, reason, now_ns)
+    return machine, ()
+
+
+def _passing_time(
+    machine: ThrowMachine, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    if facts.emergency_stop and machine.state is not ThrowState.STOPPED:
+        return latch(machine, ThrowState.STOPPED, "the emergency stop is pressed", now_ns)
+    if machine.state in RUNNING:
+        if facts.fault_reason:
+            return latch(machine, ThrowState.FAULT, facts.fault_reason, now_ns)
+        return _running(machine, facts, now_ns)
+    if machine.state is ThrowState.ARMED:
+        return _armed(machine, facts, now_ns)
+    return machine, ()
+
+
+def _armed(
+    machine: ThrowMachine, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    """An armed machine only waits; whatever speaks against the throw disarms it."""
+    if _past(machine.since_ns, NONCE_VALID_S, now_ns):
+        machine = replace(machine, expired_nonce=machine.nonce)
+        return disarm(machine, f"not fired within {NONCE_VALID_S:.0f} s", now_ns)
+    for check in facts.checks:
+        if check.severity == "error" and not check.passed:
+            return disarm(machine, check.text, now_ns)
+    return machine, ()
+
+
+def _running(
+    machine: ThrowMachine, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    if machine.state is ThrowState.COMMITTED:
+        return _committed(machine, facts, now_ns)
+    if machine.state is ThrowState.SETTLING:
+        return _settling(machine, facts, now_ns)
+    # The gripper opens in the very tick that commands it: from here on the throw is completed.
+    if machine.state is ThrowState.THROWING and (
+        facts.motion is Motion.THROW and facts.release_commanded
+    ):
+        event = Event(EventKind.RELEASE_COMMANDED, machine.throw_id, _plan_id(machine))
+        return machine.enter(ThrowState.COMMITTED, now_ns, released_ns=now_ns), (event,)
+    reason = _why_abort(machine, facts, now_ns)
+    if reason:
+        return abort(machine, reason, now_ns)
+    if machine.state is ThrowState.ALIGNING and facts.motion is Motion.ALIGN and facts.aligned:
+        event = Event(EventKind.THROW_STARTED, machine.throw_id, _plan_id(machine))
+        return machine.enter(ThrowState.THROWING, now_ns, started_ns=now_ns), (event,)
+    return machine, ()
+
+
+def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> str:
+    """Why a throw before its commit point may not go on; empty = it may."""
+    aligning = machine.state is ThrowState.ALIGNING
+    if not facts.local_enable:
+        return "the enable switch at the machine is off"
+    if facts.abort_reason:
+        return facts.abort_reason
+    if not facts.payload_held:
+        return "the load left the gripper before the release"
+    if machine.heartbeat_ns == 0:
+        late = _past(machine.since_ns, FIRST_HEARTBEAT_S, now_ns)
+        return f"no heartbeat within {FIRST_HEARTBEAT_S:.1f} s of the fire" if late else ""
+    if _past(machine.heartbeat_ns, HEARTBEAT_SILENCE_S, now_ns):
+        silent_s = (now_ns - machine.heartbeat_ns) * 1e-9
+        return (
+            f"no heartbeat for {silent_s:.2f} s, {HEARTBEAT_SILENCE_S:.2f} s are allowed; "
+            "hold the button until the load is gone"
+        )
+    if aligning and _past(machine.since_ns, ALIGN_TIMEOUT_S, now_ns):
+        return f"not aligned and calm within {ALIGN_TIMEOUT_S:.0f} s"
+    if not aligning and _past(machine.since_ns, RELEASE_TIMEOUT_S, now_ns):
+        return f"the policy did not release within {RELEASE_TIMEOUT_S:.0f} s"
+    return ""
+
+
+def _committed(
+    machine: ThrowMachine, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    if facts.motion is Motion.THROW and facts.throw_done:
+        fault = (
+            ""
+            if facts.load_gone
+            else "the gripper was told to open, but its switch still sees a load"
+        )
+    elif _past(machine.since_ns, COMMIT_TIMEOUT_S, now_ns):
+        fault = f"the control step did not end the throw within {COMMIT_TIMEOUT_S:.0f} s"
+    else:
+        return machine, ()
+    return machine.enter(ThrowState.SETTLING, now_ns, end_fault=fault), ()
+
+
+def _settling(
+    machine: ThrowMachine, facts: Facts, now_ns: int
+) -> tuple[ThrowMachine, tuple[Event, ...]]:
+    if machine.end_reason:
+        done = _past(machine.since_ns, HOLD_AFTER_ABORT_S, now_ns)
+    else:
+        settled = facts.motion is Motion.SETTLE and facts.settled
+        late = _past(machine.since_ns, SETTLE_TIMEOUT_S, now_ns)
+        done = settled or not facts.local_enable or late
+    return end_throw(machine, now_ns) if done else (machine, ())
+
+
+def _past(since_ns: int, allowed_s: float, now_ns: int) -> bool:
+    """Whether more than the allowed time has passed; in whole nanoseconds, so that the edge is exact."""
+    return now_ns - since_ns > round(allowed_s * 1e9)
+
+
+def _plan_id(machine: ThrowMachine) -> str | None:
+    return None if machine.plan is None else machine.plan.plan_id

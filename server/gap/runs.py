@@ -1,0 +1,315 @@
+"""Diagnoses of machines against their twins: asked for, queued, run one at a time, cancelled.
+
+A thread takes one run after the other and gives it to a process of its own. What a restart cut off is
+marked as interrupted, never begun again by itself.
+"""
+
+import logging
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+
+from sqlalchemy import select
+
+from machine.errors import DownrangeError
+from server.accounts.audit import SERVER, Actor, AuditChain, Entry
+from server.accounts.auth import Session
+from server.clock import new_id, utc_now
+from server.errors import ApiError, ConflictError, TooManyRequestsError
+from server.events import EventHub
+from server.gap.store import GapStore, gap_row
+from server.gap.worker import GapAnswer, GapFailedError, GapJob, GapKilledError, GapProcess
+from server.machines.machines import Registry
+from server.machines.twins import TwinFiles, content_sha256
+from server.schemas.events import GapUpdatedEvent
+from server.schemas.gap import (
+    MIN_THROWS_COUNT,
+    GapRunPage,
+    GapRunRequest,
+    GapRunRow,
+    GapRunView,
+    GapState,
+)
+from server.schemas.history import Outcome
+from server.store.database import Database
+from server.store.models import GapRun, Throw
+from server.throws.throw_logs import LogStore
+from sim_twin.twin.profile import TwinProfile
+
+logger = logging.getLogger(__name__)
+
+QUEUE_COUNT = 8
+"""Runs that may wait."""
+DETAIL_LENGTH = 2000
+
+
+@dataclass(slots=True)
+class Open:
+    """A run that waits or is under way."""
+
+    gap_run_id: str
+    machine_id: str
+    throw_ids: tuple[str, ...]
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    progress_ratio: float = 0.0
+    step: str = "waiting"
+
+
+class GapDesk:
+    """All diagnoses."""
+
+    def __init__(
+        self,
+        database: Database,
+        audit: AuditChain,
+        registry: Registry,
+        logs: LogStore,
+        twins: TwinFiles,
+        hub: EventHub,
+        process: GapProcess | None = None,
+    ) -> None:
+        self.store = GapStore(database)
+        self._database = database
+        self._audit = audit
+        self._registry = registry
+        self._logs = logs
+        self._twins = twins
+        self._hub = hub
+        self._process = GapProcess() if process is None else process
+        self._change = threading.Condition()
+        self._queue: deque[str] = deque()
+        self._open: dict[str, Open] = {}
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._work, name="gap runs", daemon=True)
+
+    def start(self) -> None:
+        """Mark what a restart cut off, and begin to work."""
+        self.store.interrupt_all()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Kill what runs; it is marked as interrupted."""
+        with self._change:
+            self._is_closed = True
+            self._change.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(timeout=10.0)
+            self.store.interrupt_all()
+
+    # Asked ----------------------------------------------------------------------------------------------
+
+    def create(self, machine_id: str, request: GapRunRequest, session: Session) -> GapRunRow:
+        """Queue a diagnosis.
+
+        Raises:
+            ApiError: no such machine, throws that cannot be used, or too many waiting.
+        """
+        self._registry.get(machine_id)
+        throw_ids = self._throws(machine_id, request)
+        profile = self._twins.profile(machine_id)
+        with self._change:
+            if len(self._queue) >= QUEUE_COUNT:
+                raise TooManyRequestsError(
+                    "gap_queue_full", f"{QUEUE_COUNT} diagnoses are waiting. Cancel one or wait."
+                )
+            row = self._add(machine_id, throw_ids, profile, session)
+            self._open[row.gap_run_id] = Open(row.gap_run_id, machine_id, throw_ids)
+            self._queue.append(row.gap_run_id)
+            self._change.notify_all()
+        return self._publish(row)
+
+    def _add(
+        self, machine_id: str, throw_ids: tuple[str, ...], profile: TwinProfile, session: Session
+    ) -> GapRun:
+        row = GapRun(
+            gap_run_id=new_id(),
+            machine_id=machine_id,
+            created_by=session.username,
+            created_utc=utc_now(),
+            started_utc=None,
+            ended_utc=None,
+            state=GapState.QUEUED.value,
+            detail="",
+            throw_ids=list(throw_ids),
+            profile_version_count=profile.version_count,
+            profile_sha256=content_sha256(profile),
+            verdict=None,
+            sentence="",
+            effect_count=0,
+            result=None,
+            report=None,
+            applied_version_count=None,
+        )
+        with self._database.write() as database:
+            database.add(row)
+            database.flush()
+            self._audit.append(database, self._entry(session.actor, "gap.run", row))
+        return row
+
+    @staticmethod
+    def _entry(actor: Actor, action: str, row: GapRun) -> Entry:
+        return Entry(
+            actor,
+            action,
+            "fact",
+            machine_id=row.machine_id,
+            detail={"gap_run_id": row.gap_run_id, "throw_count": len(row.throw_ids)},
+        )
+
+    def _throws(self, machine_id: str, request: GapRunRequest) -> tuple[str, ...]:
+        """Ids of the throws, oldest first; all landed and with a log."""
+        usable = (
+            Throw.machine_id == machine_id,
+            Throw.has_log.is_(True),
+            Throw.outcome == Outcome.LANDED.value,
+        )
+        wanted = select(Throw.throw_id).where(*usable).order_by(Throw.throw_id.desc())
+        if request.throw_ids is not None:
+            wanted = wanted.where(Throw.throw_id.in_(request.throw_ids))
+        else:
+            if request.mode is not None:
+                wanted = wanted.where(Throw.mode == request.mode.value)
+            wanted = wanted.limit(request.newest_count)
+        with self._database.read() as database:
+            found = tuple(reversed(database.scalars(wanted).all()))
+        if request.throw_ids is not None and len(found) < len(request.throw_ids):
+            missing = sorted(set(request.throw_ids) - set(found))
+            raise ConflictError(
+                "throws_unusable",
+                f"{len(missing)} of {len(request.throw_ids)} throws are not landed throws of "
+                f"{machine_id} with a log: {', '.join(missing[:3])}. Leave them out.",
+                {"throw_ids": list(missing)},
+            )
+        if len(found) < MIN_THROWS_COUNT:
+            raise ConflictError(
+                "too_few_throws",
+                f"{machine_id} has {len(found)} landed throws with a log"
+                f"{'' if request.mode is None else f' in {request.mode.value}'}; at least "
+                f"{MIN_THROWS_COUNT} are needed, better 12. Throw more, at mixed targets.",
+            )
+        return found
+
+    def cancel(self, machine_id: str, gap_run_id: str, session: Session) -> GapRunRow:
+        """Stop a run that waits or is under way.
+
+        Raises:
+            ApiError: there is none, or it has ended.
+        """
+        row = self.store.row(gap_run_id, machine_id)
+        with self._change:
+            run = self._open.get(gap_run_id)
+            if run is None or run.cancelled.is_set():
+                raise ConflictError("gap_run_ended", f"This diagnosis has ended: {row.state}.")
+            run.cancelled.set()
+            is_waiting = gap_run_id in self._queue
+            if is_waiting:
+                self._queue.remove(gap_run_id)
+                del self._open[gap_run_id]
+        self._audit.record(self._entry(session.actor, "gap.cancel", row))
+        if is_waiting:
+            row = self.store.change(gap_run_id, state=GapState.CANCELLED.value, ended_utc=utc_now())
+        return self._publish(row)
+
+    def page(self, machine_id: str, cursor: str | None, limit: int) -> GapRunPage:
+        """Runs of a machine, newest first, with the progress of the open ones."""
+        self._registry.get(machine_id)
+        page = self.store.page(machine_id, cursor, limit)
+        return page.model_copy(update={"rows": tuple(self._with_progress(r) for r in page.rows)})
+
+    def view(self, machine_id: str, gap_run_id: str) -> GapRunView:
+        """One run."""
+        view = self.store.view(gap_run_id, machine_id)
+        return view.model_copy(update={"row": self._with_progress(view.row)})
+
+    def publish(self, gap_run_id: str) -> GapRunRow:
+        """Send a run's present row to the browsers."""
+        return self._publish(self.store.row(gap_run_id))
+
+    def _with_progress(self, row: GapRunRow) -> GapRunRow:
+        with self._change:
+            run = self._open.get(row.gap_run_id)
+            if run is None:
+                return row
+            return row.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
+
+    def _publish(self, row: GapRun) -> GapRunRow:
+        view = self._with_progress(gap_row(row))
+        self._hub.publish(GapUpdatedEvent(run=view))
+        return view
+
+    # Work -----------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._is_closed or self._queue)
+                if self._is_closed:
+                    return
+                run = self._open[self._queue.popleft()]
+            try:
+                self._run(run)
+            except Exception:
+                logger.exception("diagnosis %s could not be kept", run.gap_run_id)
+            finally:
+                with self._change:
+                    self._open.pop(run.gap_run_id, None)
+            if not self._is_closed:
+                self.publish(run.gap_run_id)
+
+    def _run(self, run: Open) -> None:
+        profile = self._twins.profile(run.machine_id)
+        row = self.store.change(
+            run.gap_run_id,
+            state=GapState.RUNNING.value,
+            started_utc=utc_now(),
+            profile_version_count=profile.version_count,
+            profile_sha256=content_sha256(profile),
+        )
+        run.step = "starting"
+        self._publish(row)
+
+        def tell(share: float, text: str) -> None:
+            run.progress_ratio, run.step = min(max(share, 0.0), 1.0), text[:120]
+            self._publish(row)
+
+        try:
+            paths = tuple(self._logs.path(throw_id) for throw_id in run.throw_ids)
+            title = f"{run.machine_id}, {len(paths)} throws, twin profile {profile.version_count}"
+            answer = self._process.run(
+                GapJob(title, paths, profile),
+                tell,
+                lambda: run.cancelled.is_set() or self._is_closed,
+            )
+        except GapKilledError:
+            if run.cancelled.is_set():
+                self._end(run, GapState.CANCELLED, "")
+        except (GapFailedError, ApiError, DownrangeError, OSError) as error:
+            self._end(run, GapState.FAILED, str(error)[:DETAIL_LENGTH])
+        else:
+            self._keep(run, answer)
+
+    def _keep(self, run: Open, answer: GapAnswer) -> None:
+        self._end(
+            run,
+            GapState.DONE,
+            "",
+            verdict=answer.verdict,
+            sentence=answer.sentence,
+            effect_count=answer.effect_count,
+            result=dict(answer.result),
+            report=answer.report,
+        )
+        self._audit.record(
+            Entry(
+                SERVER,
+                "gap.done",
+                "fact",
+                machine_id=run.machine_id,
+                detail={"gap_run_id": run.gap_run_id, "verdict": answer.verdict},
+            )
+        )
+
+    def _end(self, run: Open, state: GapState, detail: str, **values: object) -> None:
+        self.store.change(
+            run.gap_run_id, state=state.value, detail=detail, ended_utc=utc_now(), **values
+        )

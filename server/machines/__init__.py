@@ -1,0 +1,1 @@
+"""Machines: link, state, leases, commands, STOP, twin profiles."""

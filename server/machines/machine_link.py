@@ -1,0 +1,278 @@
+"""The Zenoh link to the machines: commands out, states, joints and events in.
+
+A command is sent once and waits half a second for exactly one answer; nothing is repeated or kept for
+later. What comes in is only noted in Zenoh's callbacks; threads of ours parse it, states newest first, so
+that a slow server sees fewer states, not older ones.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from pydantic import BaseModel, ValidationError
+
+from machine.channels import KEY_ROOT, KEYS, machine_key
+from machine.messages import (
+    Command,
+    CommandReply,
+    EventAck,
+    EventBatch,
+    JointStream,
+    MachineState,
+    OperatorHeartbeat,
+    StopRequest,
+)
+from server.machines.machines import Registry
+from server.metrics import Metrics
+
+logger = logging.getLogger(__name__)
+
+COMMAND_TIMEOUT_S = 0.5
+EVENT_QUEUE_LENGTH = 256
+"""Batches waiting for the database; a machine repeats what was not acknowledged."""
+
+
+class MachineLostError(Exception):
+    """The machine is not there: nothing was sent."""
+
+
+class NoAnswerError(Exception):
+    """Sent, but not exactly one usable answer came back: what the machine did is not known."""
+
+
+class MachineLink:
+    """One Zenoh session for all machines of the site."""
+
+    def __init__(
+        self,
+        site: str,
+        registry: Registry,
+        take_events: Callable[[EventBatch], EventAck],
+        metrics: Metrics,
+    ) -> None:
+        self._site = site
+        self._registry = registry
+        self._take_events = take_events
+        self._metrics = metrics
+        self._session: zenoh.Session | None = None
+        self._declared: list[Any] = []
+        self._threads: list[threading.Thread] = []
+        self._is_closing = threading.Event()
+        self._news = threading.Condition()
+        self._latest: dict[tuple[str, str], bytes] = {}
+        self._tokens: dict[str, bool] = {}
+        self._batches: queue.Queue[zenoh.Query | None] = queue.Queue(EVENT_QUEUE_LENGTH)
+
+    # Life -----------------------------------------------------------------------------------------
+
+    def open(self, config: zenoh.Config) -> None:
+        """Open the session and start listening."""
+        self._session = zenoh.open(config)
+        for target, name in ((self._run_news, "link-news"), (self._run_events, "link-events")):
+            thread = threading.Thread(target=target, name=name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        session = self._session
+        for known in self._registry.all():
+            self._listen_to(session, known.machine_id)
+        every_token = f"{KEY_ROOT}/{self._site}/m/*/{KEYS['alive'].suffix}"
+        self._declared.append(
+            session.liveliness().declare_subscriber(every_token, self._note_token, history=True)
+        )
+
+    def _listen_to(self, session: zenoh.Session, machine_id: str) -> None:
+        """One declaration a machine and channel.
+
+        A machine's access rule covers its own keys only: a wildcard over all machines would not be told to
+        it, and its publishers send nothing while they know of no subscriber.
+        """
+        for name in ("state", "joints"):
+            key = machine_key(self._site, machine_id, name)
+            self._declared.append(session.declare_subscriber(key, self._note(machine_id, name)))
+        key = machine_key(self._site, machine_id, "events")
+        self._declared.append(session.declare_queryable(key, self._note_batch))
+
+    def close(self) -> None:
+        """Stop listening and close the session; never hangs on a machine that is gone."""
+        self._is_closing.set()
+        for declared in self._declared:
+            declared.undeclare()
+        self._declared = []
+        with self._news:
+            self._news.notify_all()
+        self._batches.put(None)
+        for thread in self._threads:
+            thread.join(timeout=5.0)
+        if self._session is not None:
+            session, self._session = self._session, None
+            # Closing may wait for peers that no longer answer; the process must not.
+            closer = threading.Thread(target=session.close, daemon=True)
+            closer.start()
+            closer.join(timeout=3.0)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether machines can call in."""
+        return self._session is not None and not self._session.is_closed()
+
+    @staticmethod
+    def _machine_of(key: str) -> str:
+        return key.split("/")[-2]
+
+    # Out ------------------------------------------------------------------------------------------
+
+    def send(self, command: Command) -> CommandReply:
+        """Send one command and wait for its answer; from any thread but Zenoh's.
+
+        Raises:
+            MachineLostError: the machine is not connected; nothing was sent.
+            NoAnswerError: no, more than one, or an unreadable answer.
+        """
+        session = self._session
+        if session is None or not self._registry.is_connected(command.machine_id):
+            raise MachineLostError
+        began_s = time.monotonic()
+        replies = list(
+            session.get(
+                machine_key(self._site, command.machine_id, "command"),
+                payload=command.model_dump_json(),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=COMMAND_TIMEOUT_S,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        )
+        seconds = time.monotonic() - began_s
+        reply = self._only_reply(command, replies)
+        self._registry.note_round_trip(command.machine_id, seconds)
+        self._metrics.command_round_trip_s.labels(kind=command.kind).observe(seconds)
+        return reply
+
+    def _only_reply(self, command: Command, replies: list[zenoh.Reply]) -> CommandReply:
+        answers = [reply.ok for reply in replies if reply.ok is not None]
+        if len(answers) != 1:
+            raise NoAnswerError(
+                f"{len(answers)} answers within {COMMAND_TIMEOUT_S} s"
+                + ("; two machines use one name" if len(answers) > 1 else "")
+            )
+        try:
+            reply = CommandReply.model_validate_json(answers[0].payload.to_bytes())
+        except ValidationError as error:
+            raise NoAnswerError(
+                f"the answer cannot be read ({error.error_count()} faults)"
+            ) from error
+        if (reply.command_id, reply.machine_id) != (command.command_id, command.machine_id):
+            raise NoAnswerError(f"the answer belongs to command {reply.command_id}")
+        return reply
+
+    def put_stop(self, request: StopRequest) -> None:
+        """Send STOP once, without waiting; the caller repeats it."""
+        self._put("stop", request.machine_id, request, zenoh.CongestionControl.BLOCK)
+
+    def put_heartbeat(self, heartbeat: OperatorHeartbeat) -> None:
+        """Pass on that the operator holds, or not; dropped rather than delayed."""
+        self._put("heartbeat", heartbeat.machine_id, heartbeat, zenoh.CongestionControl.DROP)
+
+    def _put(
+        self, name: str, machine_id: str, message: BaseModel, congestion: zenoh.CongestionControl
+    ) -> None:
+        session = self._session
+        if session is None:
+            return
+        session.put(
+            machine_key(self._site, machine_id, name),
+            message.model_dump_json(),
+            congestion_control=congestion,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+
+    # In: callbacks only take notes ------------------------------------------------------------------
+
+    def _note(self, machine_id: str, name: str) -> Callable[[zenoh.Sample], None]:
+        def note(sample: zenoh.Sample) -> None:
+            with self._news:
+                self._latest[machine_id, name] = sample.payload.to_bytes()
+                self._news.notify()
+
+        return note
+
+    def _note_token(self, sample: zenoh.Sample) -> None:
+        machine_id = self._machine_of(str(sample.key_expr))
+        with self._news:
+            self._tokens[machine_id] = sample.kind == zenoh.SampleKind.PUT
+            self._news.notify()
+
+    def _note_batch(self, query: zenoh.Query) -> None:
+        try:
+            self._batches.put_nowait(query)
+        except queue.Full:
+            self._metrics.event_batches_refused_count.inc()
+
+    # In: threads work --------------------------------------------------------------------------------
+
+    def _run_news(self) -> None:
+        while not self._is_closing.is_set():
+            with self._news:
+                self._news.wait_for(
+                    lambda: bool(self._latest or self._tokens) or self._is_closing.is_set(), 0.25
+                )
+                latest, self._latest = self._latest, {}
+                tokens, self._tokens = self._tokens, {}
+            for machine_id, is_alive in tokens.items():
+                _guarded(lambda m=machine_id, a=is_alive: self._registry.set_token(m, a))
+            for (machine_id, name), payload in latest.items():
+                _guarded(lambda m=machine_id, n=name, p=payload: self._take(m, n, p))
+            _guarded(self._registry.sweep)
+
+    def _take(self, machine_id: str, name: str, payload: bytes) -> None:
+        try:
+            if name == "state":
+                state = MachineState.model_validate_json(payload)
+                if state.machine_id == machine_id:
+                    self._registry.take_state(state)
+            else:
+                joints = JointStream.model_validate_json(payload)
+                if joints.machine_id == machine_id:
+                    self._registry.take_joints(joints)
+        except ValidationError as error:
+            self._metrics.unreadable_count.inc()
+            logger.warning("%s of %s cannot be read: %s", name, machine_id, error)
+
+    def _run_events(self) -> None:
+        while (query := self._batches.get()) is not None:
+            _guarded(lambda q=query: self._answer_batch(q))
+            # A query is answered finally only when it is dropped.
+            del query
+
+    def _answer_batch(self, query: zenoh.Query) -> None:
+        with query:
+            machine_id = self._machine_of(str(query.key_expr))
+            payload = b"" if query.payload is None else query.payload.to_bytes()
+            try:
+                batch = EventBatch.model_validate_json(payload)
+            except ValidationError as error:
+                self._metrics.unreadable_count.inc()
+                logger.warning("events of %s cannot be read: %s", machine_id, error)
+                query.reply_err(f"the batch cannot be read: {error.error_count()} faults")
+                return
+            foreign = {event.machine_id for event in batch.events} | {batch.machine_id}
+            if foreign != {machine_id}:
+                query.reply_err(f"the batch speaks for {sorted(foreign)}, the key for {machine_id}")
+                return
+            ack = self._take_events(batch)
+            query.reply(query.key_expr, ack.model_dump_json())
+
+
+def _guarded(job: Callable[[], None]) -> None:
+    # A fault of one message or listener must not end the thread that serves all machines.
+    try:
+        job()
+    except Exception:
+        logger.exception("a message from a machine could not be worked on")

@@ -1,0 +1,1 @@
+"""Targets, plans and their previews; policies."""

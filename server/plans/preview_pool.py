@@ -1,0 +1,125 @@
+"""Previews in warm processes beside the server: first numbers at once, the ellipse as it grows.
+
+Processes are spawned, never forked: the server holds Zenoh's threads. A process that dies costs the previews
+it was working on; the next preview gets new processes.
+"""
+
+import itertools
+import logging
+import multiprocessing
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from server.plans.preview_worker import PreviewJob, run_job, start_worker
+from sim_twin.throws.preview import ThrowPreview
+
+logger = logging.getLogger(__name__)
+
+SLOT_COUNT = 256
+Update = Callable[[ThrowPreview], None]
+
+
+class PreviewPool:
+    """Worker processes and the thread that listens to them."""
+
+    def __init__(self, worker_count: int, warm_up: tuple[Path, ...]) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._worker_count = worker_count
+        self._warm_up = warm_up
+        self._updates: Any = self._context.SimpleQueue()
+        self._cancelled: Any = self._context.Array("b", SLOT_COUNT, lock=False)
+        self._slots = itertools.count(1)
+        self._lock = threading.Lock()
+        self._listeners: dict[str, Update] = {}
+        self._jobs: dict[str, PreviewJob] = {}
+        self._pool: ProcessPoolExecutor | None = None
+        self._thread = threading.Thread(target=self._listen, name="previews", daemon=True)
+
+    def start(self) -> None:
+        """Start the processes; they warm up on their own."""
+        self._pool = self._new_pool()
+        # An executor starts processes only as jobs come in: ask for all of them now.
+        for _ in range(self._worker_count):
+            self._pool.submit(int)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the processes, whatever they are working on."""
+        with self._lock:
+            pool, self._pool = self._pool, None
+            for slot in range(SLOT_COUNT):
+                self._cancelled[slot] = 1
+        if pool is not None:
+            processes = list((getattr(pool, "_processes", None) or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.join(timeout=2.0)
+                if process.is_alive():
+                    process.terminate()
+                    process.join(timeout=2.0)
+        if self._thread.is_alive():
+            self._updates.put(None)
+            self._thread.join(timeout=2.0)
+        self._updates.close()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether previews can be asked for."""
+        return self._pool is not None
+
+    def submit(self, job: PreviewJob, on_update: Update) -> "Future[ThrowPreview]":
+        """Start a preview; `on_update` is called from a thread of ours with what is known so far."""
+        with self._lock:
+            slot = next(self._slots) % (SLOT_COUNT - 1) + 1
+            self._cancelled[slot] = 0
+            placed = replace(job, slot=slot)
+            self._jobs[job.job_id] = placed
+            self._listeners[job.job_id] = on_update
+            if self._pool is None:
+                raise RuntimeError("previews are closed")
+            try:
+                future = self._pool.submit(run_job, placed)
+            except BrokenProcessPool:
+                logger.exception("a preview process died; new ones are started")
+                self._pool.shutdown(wait=False)
+                self._pool = self._new_pool()
+                future = self._pool.submit(run_job, placed)
+        future.add_done_callback(lambda _: self._forget(job.job_id))
+        return future
+
+    def cancel(self, job_id: str) -> None:
+        """End a preview that nobody waits for any more, at its next step."""
+        with self._lock:
+            job = self._jobs.get(job_id)
+            if job is not None:
+                self._cancelled[job.slot] = 1
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(
+            self._worker_count,
+            mp_context=self._context,
+            initializer=start_worker,
+            initargs=(self._updates, self._cancelled, self._warm_up),
+        )
+
+    def _forget(self, job_id: str) -> None:
+        with self._lock:
+            self._jobs.pop(job_id, None)
+            self._listeners.pop(job_id, None)
+
+    def _listen(self) -> None:
+        while (update := self._updates.get()) is not None:
+            job_id, so_far = update
+            with self._lock:
+                listener = self._listeners.get(job_id)
+            if listener is None:
+                continue
+            try:
+                listener(so_far)
+            except Exception:
+                logger.exception("an update of preview %s could not be passed on", job_id)

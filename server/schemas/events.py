@@ -1,0 +1,107 @@
+"""Payloads of the server-sent events."""
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, RootModel
+
+from server.schemas.console import LeaseView, MachineView, TargetView, View
+from server.schemas.gap import GapRunRow
+from server.schemas.history import ThrowRow
+from server.schemas.plans import PlanView
+
+
+class MachineStateEvent(View):
+    """A machine's state, at most 10 Hz; superseded ones may be left out."""
+
+    kind: Literal["machine.state"] = "machine.state"
+    machine: MachineView
+
+
+class MachineLostEvent(View):
+    """The link to a machine is gone."""
+
+    kind: Literal["machine.lost"] = "machine.lost"
+    machine_id: str
+    last_seen_utc: datetime | None
+    detail: str
+
+
+class LeaseChangedEvent(View):
+    """A lease was acquired, taken, released or has run out."""
+
+    kind: Literal["lease.changed"] = "lease.changed"
+    lease: LeaseView
+    cause: Literal["acquired", "released", "taken", "expired", "idle", "session_ended"]
+    by: str
+    reason: str
+
+
+class TargetProposedEvent(View):
+    """This session's target, from a click in the 3D view or from the fields; null when removed."""
+
+    kind: Literal["target.proposed"] = "target.proposed"
+    machine_id: str
+    session_id: str
+    target: TargetView | None
+    source: Literal["pick", "fields"]
+    refusal: str
+    """Why the point cannot be a target; empty if it can."""
+
+
+class PlanUpdatedEvent(View):
+    """A plan has news: first numbers, a better ellipse, the end."""
+
+    kind: Literal["plan.updated"] = "plan.updated"
+    plan: PlanView
+
+
+class ThrowUpdatedEvent(View):
+    """A throw has news."""
+
+    kind: Literal["throw.updated"] = "throw.updated"
+    throw: ThrowRow
+
+
+class GapUpdatedEvent(View):
+    """A diagnosis has news: its place in the queue, progress, the end."""
+
+    kind: Literal["gap.updated"] = "gap.updated"
+    run: GapRunRow
+
+
+class TwinUpdatedEvent(View):
+    """A machine's twin has another profile from now on."""
+
+    kind: Literal["twin.updated"] = "twin.updated"
+    machine_id: str
+    version_count: int
+
+
+class AlertEvent(View):
+    """Something a person should look at."""
+
+    kind: Literal["alert"] = "alert"
+    severity: Literal["info", "warning", "error"]
+    code: str
+    text: str
+    machine_id: str | None
+
+
+class ServerEvent(
+    RootModel[
+        Annotated[
+            MachineStateEvent
+            | MachineLostEvent
+            | LeaseChangedEvent
+            | TargetProposedEvent
+            | PlanUpdatedEvent
+            | ThrowUpdatedEvent
+            | GapUpdatedEvent
+            | TwinUpdatedEvent
+            | AlertEvent,
+            Field(discriminator="kind"),
+        ]
+    ]
+):
+    """Payload of every server-sent event; `kind` is also the event's name."""

@@ -1,0 +1,132 @@
+"""Bodies of the HTTP interface for diagnoses of machines against their twins, and for twin profiles."""
+
+from datetime import datetime
+from enum import StrEnum
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from diagnosis.verdict import Diagnosis, VerdictKind
+from machine.conventions import Mode
+from server.schemas.console import Request, TargetView, View
+from server.schemas.plans import PredictionView, RefusalView
+from sim_twin.effects.effect import Effect
+
+MIN_THROWS_COUNT = 6
+MAX_THROWS_COUNT = 60
+
+
+class GapState(StrEnum):
+    """Life of a diagnosis."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+    INTERRUPTED = "interrupted"
+    """The server ended while it ran or waited."""
+
+
+class GapRunRequest(Request):
+    """Diagnose a machine: throws by name, or its newest ones that landed and have a log."""
+
+    throw_ids: tuple[Annotated[str, Field(max_length=64)], ...] | None = Field(
+        default=None, min_length=MIN_THROWS_COUNT, max_length=MAX_THROWS_COUNT
+    )
+    newest_count: int | None = Field(default=None, ge=MIN_THROWS_COUNT, le=MAX_THROWS_COUNT)
+    mode: Mode | None = None
+    """With `newest_count`: only throws of this mode."""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if (self.throw_ids is None) == (self.newest_count is None):
+            raise ValueError("give either throw_ids or newest_count")
+        if self.throw_ids is not None and self.mode is not None:
+            raise ValueError("mode goes with newest_count; throw_ids name the throws already")
+        if self.throw_ids is not None and len(set(self.throw_ids)) < len(self.throw_ids):
+            raise ValueError("a throw is named twice")
+        return self
+
+
+class GapRunRow(View):
+    """One line of the history of diagnoses."""
+
+    gap_run_id: str
+    machine_id: str
+    created_by: str
+    created_utc: datetime
+    started_utc: datetime | None
+    ended_utc: datetime | None
+    state: GapState
+    progress_ratio: float
+    step: str
+    """What is being done."""
+    detail: str
+    """Why it has no result."""
+    throw_count: int
+    profile_version_count: int
+    verdict: VerdictKind | None
+    sentence: str
+    effect_count: int
+    """Effects that can be applied to the twin."""
+    applied_version_count: int | None
+
+
+class GapRunPage(View):
+    """Diagnoses of a machine, newest first; pass `next_cursor` to go on."""
+
+    rows: tuple[GapRunRow, ...]
+    next_cursor: str | None
+
+
+class GapRunView(View):
+    """One diagnosis."""
+
+    row: GapRunRow
+    throw_ids: tuple[str, ...]
+    result: Diagnosis | None
+
+
+class GapSideView(View):
+    """What one version of the twin says a throw would do."""
+
+    version_count: int
+    prediction: PredictionView | None
+    refusals: tuple[RefusalView, ...]
+
+
+class GapPreviewView(View):
+    """A throw previewed without and with what a diagnosis found, all else equal."""
+
+    machine_id: str
+    mode: Mode
+    target: TargetView
+    is_machine_pose: bool
+    """From the pose in which the machine stands; else from the pose for throwing."""
+    before: GapSideView
+    after: GapSideView
+
+
+class TwinVersionView(View):
+    """Where a version of a twin profile came from."""
+
+    version_count: int
+    before_version_count: int | None
+    cause: Literal["applied", "undone"]
+    gap_run_id: str | None
+    created_by: str
+    created_utc: datetime
+
+
+class TwinProfileView(View):
+    """The twin profile that previews of a machine use now."""
+
+    machine_id: str
+    version_count: int
+    note: str
+    effects: tuple[Effect, ...]
+    undo_version_count: int | None
+    """Version whose content undo brings back; null when there is nothing to undo."""
+    versions: tuple[TwinVersionView, ...]
+    """Newest first."""

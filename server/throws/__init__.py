@@ -1,0 +1,1 @@
+"""Throws: in the making, in the database, in statistics and replays."""

@@ -1,0 +1,106 @@
+"""What one operator's session shows in its 3D view; kept on the server, so that a reload shows it again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.conventions import Array, Mode
+from machine.messages import LandingEllipse
+from server.viewer.replay import Playback, ThrowMotion
+from server.viewer.theme import CameraPreset, ThemeName
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Distances from the slew axis on the ground, m; None where a mode has no usable policy."""
+
+    static_m: float
+    planar_m: float | None = None
+    spatial_m: float | None = None
+    min_m: float = 0.0
+    mode: Mode | None = None
+    """Ground out of this mode's reach is dimmed; None dims what no mode reaches."""
+
+    @property
+    def dimmed_beyond_m(self) -> float:
+        """Where the dimmed ground begins."""
+        by_mode = {Mode.PLANAR: self.planar_m, Mode.SPATIAL: self.spatial_m}
+        known = [r for r in by_mode.values() if r is not None] or [self.static_m]
+        chosen = None if self.mode is None else by_mode[self.mode]
+        return max(known) if chosen is None else chosen
+
+
+@dataclass(frozen=True)
+class PlanView:
+    """A previewed throw."""
+
+    target_m: Point
+    motion: ThrowMotion
+    impact_m: Point | None
+    ellipse: LandingEllipse | None
+
+
+@dataclass(frozen=True)
+class ImpactMarks:
+    """Impacts drawn as crosses; the last one may be the throw just made."""
+
+    points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Shape (N, 3), frame `machine`."""
+    latest: Point | None = None
+    latest_text: str = ""
+    """For people, with signs: ``+0.12 m long, 0.05 m left``."""
+
+
+class LiveSample(NamedTuple):
+    """The newest pose of a machine."""
+
+    number: int
+    """Grows with every sample."""
+    joints_rad_m: Array
+    ball_m: Point | None
+    is_load_held: bool
+
+
+@dataclass(frozen=True)
+class ReplayState:
+    """Where a replay stands."""
+
+    at_s: float
+    duration_s: float
+    is_playing: bool
+
+
+@dataclass
+class SessionView:
+    """Everything drawn for one session."""
+
+    machine_id: str | None = None
+    target_m: Point | None = None
+    pick_height_m: float = 0.0
+    is_picking: bool = True
+    reach: Reach | None = None
+    plan: PlanView | None = None
+    preview: Playback | None = None
+    impacts: ImpactMarks = field(default_factory=ImpactMarks)
+    replay: Playback | None = None
+    replay_ghost: Playback | None = None
+    theme: ThemeName = "light"
+    camera: CameraPreset = "3d"
+    camera_count: int = 0
+    """Grows with every asked camera change."""
+
+
+def as_joints(values: Sequence[float] | Array) -> Array:
+    """Joint positions as an array (6,).
+
+    Raises:
+        ValueError: not six finite numbers.
+    """
+    joints = np.asarray(values, dtype=np.float64)
+    if joints.shape != (6,) or not np.isfinite(joints).all():
+        raise ValueError(f"Six finite joint positions needed, got {values!r}.")
+    return joints

@@ -1,0 +1,1 @@
+"""Effects that the twin can be given: the library, and the physics of each."""

@@ -1,0 +1,214 @@
+"""Effects between valve command and joint motion, for N machines at once.
+
+Extends sim_twin.twin.response at four places: the command, the steady speed, its limits, and the motion
+behind the lag. Every line leaves a machine without the effect exactly as it was.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.calibration import actuator_ratio
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
+from machine.kinematics import cylinder_length_m
+from machine.spec import MachineSpec
+from sim_twin.effects.arrays import EffectArrays
+from sim_twin.twin.arm_load import gravity_load_ratio
+
+MIN_LAG_S = 0.01
+"""A mean lag cannot be taken away beyond this: one control tick."""
+STOP_SHARE_RATIO = 0.1
+"""A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
+
+
+BULK_MODULUS_PA = 1.6e9
+"""Of mineral oil with little air (textbook 1.4-1.7 GPa; long hoses halve it)."""
+SLEW_TRAPPED_M3 = 1.5e-3
+"""Oil on each side of the slew motor (assumed)."""
+SLIP_S = 0.02
+"""Time constant with which compressed oil sends a joint off that breaks loose."""
+
+
+class Flows(NamedTuple):
+    """Oil a drive takes, m3 per m or rad of its actuator."""
+
+    positive_m2: Array
+    """(4,) in the joint's positive direction; the slew's in m3/rad."""
+    negative_m2: Array
+
+
+def drive_flows(spec: MachineSpec) -> Flows:
+    """Piston areas; the dipper's cylinder retracts as the joint opens."""
+    h = spec.hydraulics
+
+    def areas(bore_m: float, rod_m: float) -> tuple[float, float]:
+        return 0.25 * np.pi * bore_m**2, 0.25 * np.pi * (bore_m**2 - rod_m**2)
+
+    boom_out, boom_in = areas(h.boom_cylinder.bore_m, h.boom_cylinder.rod_m)
+    dipper_out, dipper_in = areas(h.dipper_cylinder.bore_m, h.dipper_cylinder.rod_m)
+    tube_out, tube_in = areas(h.telescope_bore_m, h.telescope_rod_m)
+    slew = h.slew_displacement_m3_per_rad
+    return Flows(
+        np.array([slew, boom_out, dipper_in, tube_out]),
+        np.array([slew, boom_in, dipper_out, tube_in]),
+    )
+
+
+def slip_jumps(spec: MachineSpec) -> Array:
+    """Way (4,) that a stuck joint jumps when the full supply pressure has compressed the oil behind it.
+
+    Force p A over the stiffness b A^2 (1/V1 + 1/V2) of two chambers of half the stroke each: p s / (4 b).
+    """
+    low, high = spec.position_range_rad_m
+    middle = np.array([[0.0, *(0.5 * (low[1:] + high[1:]))]])
+    h = spec.hydraulics
+    strokes = [
+        abs(float(np.diff(cylinder_length_m(cylinder, np.array([low[joint], high[joint]])))[0]))
+        for joint, cylinder in ((1, h.boom_cylinder), (2, h.dipper_cylinder))
+    ]
+    stroke = np.array([0.0, *strokes, high[3] - low[3]])
+    jump = 0.25 * h.supply_pressure_pa * stroke / BULK_MODULUS_PA
+    slew = h.supply_pressure_pa * SLEW_TRAPPED_M3 / (2.0 * BULK_MODULUS_PA)
+    jump[0] = slew / h.slew_displacement_m3_per_rad
+    return jump / np.abs(actuator_ratio(spec, middle))[0]
+
+
+class ValveEffects:
+    """Effects of the stage `actuation`; arrays (N, 4)."""
+
+    def __init__(self, spec: MachineSpec, arrays: EffectArrays) -> None:
+        """Look up what any of the machines has."""
+        self._spec = spec
+        get = arrays.get
+        shape = (arrays.count, ACTIVE_COUNT)
+        self.dead_time_s = get("valve_dead_time", "extra_dead_time_s")
+        self._lag_s = get("valve_lag", "extra_lag_s")
+        self._half_width = get("valve_hysteresis", "half_width_ratio")
+        self._band = _directions(arrays, "valve_dead_band")
+        self._gain = _directions(arrays, "valve_gain")
+        self._reduction = get("speed_limit", "reduction_ratio")
+        self._loss = get("load_dependent_speed", "loss_ratio")
+        self._shortage = get("pump_flow_sharing", "shortage_ratio")
+        self._breakaway = get("stiction", "breakaway_rad_m_per_s")
+        self._gap = get("backlash", "gap_rad_m")
+        self._flows = drive_flows(spec)
+        self._rated = (
+            np.asarray(spec.limits.speed_positive_rad_m_per_s),
+            np.asarray(spec.limits.speed_negative_rad_m_per_s),
+        )
+        self._spool, self._lost = np.zeros(shape), np.zeros(shape)
+        self._at_rest = np.ones(shape, dtype=np.bool_)
+        self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
+        self._is_fresh = True
+
+    def reset(self) -> None:
+        """Spools centred, joints at rest, drives against the side of their gaps that carries the load."""
+        self._spool[:] = 0.0
+        self._is_fresh = True
+        self._at_rest[:] = True
+        self._wound[:] = 0.0
+
+    def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
+        """Natural frequencies whose mean lag 2 z / w is longer by the extra lag."""
+        if self._lag_s is None:
+            return natural_frequency_rad_per_s
+        lag = 2.0 * damping_ratio / natural_frequency_rad_per_s
+        slower = 2.0 * damping_ratio / np.maximum(lag + self._lag_s, np.minimum(lag, MIN_LAG_S))
+        return np.where(self._lag_s == 0.0, natural_frequency_rad_per_s, slower)
+
+    def on_command(self, valve_ratio: Array) -> Array:
+        """What the spools make of valve commands."""
+        if self._half_width is not None:
+            w = self._half_width
+            self._spool = np.clip(self._spool, valve_ratio - w, valve_ratio + w)
+            valve_ratio = self._spool
+        if self._band is not None:
+            band = np.where(valve_ratio >= 0.0, *self._band)
+            valve_ratio = np.sign(valve_ratio) * np.maximum(np.abs(valve_ratio) - band, 0.0)
+        return valve_ratio
+
+    def on_speed(self, actuator_speed_rad_m_per_s: Array) -> Array:
+        """Steady actuator speeds with the valves' gains."""
+        if self._gain is None:
+            return actuator_speed_rad_m_per_s
+        gain = np.where(actuator_speed_rad_m_per_s >= 0.0, *self._gain)
+        return actuator_speed_rad_m_per_s * (1.0 + gain)
+
+    def on_target(self, target: Array, active_position_rad_m: Array, ratio: Array) -> Array:
+        """Steady joint speeds as load, pump and limits leave them.
+
+        Args:
+            target: joint speeds asked for.
+            active_position_rad_m: joints.
+            ratio: actuator speed a joint speed.
+        """
+        if self._loss is not None:
+            load = gravity_load_ratio(self._spec, active_position_rad_m)
+            target = target * np.maximum(1.0 - self._loss * load * np.sign(target), 0.0)
+        if self._shortage is not None:
+            target = target * self._share(target * ratio, self._shortage)[:, None]
+        if self._reduction is not None:
+            speed = np.abs(target)
+            rated = np.where(target >= 0.0, *self._rated)
+            cap = (1.0 - self._reduction) * np.maximum(rated, speed)
+            target = np.sign(target) * np.minimum(speed, cap)
+        return target
+
+    def _share(self, actuator_speed: Array, shortage: Array) -> Array:
+        """Share (N,) of the flow asked for that is left, over what a healthy pump would give."""
+        areas = np.where(actuator_speed >= 0.0, *self._flows)
+        demand = np.maximum((np.abs(actuator_speed) * areas).sum(axis=1), 1e-12)
+        healthy = np.minimum(self._spec.hydraulics.pump_flow_m3_per_s / demand, 1.0)
+        flow = (1.0 - shortage) * self._spec.hydraulics.pump_flow_m3_per_s
+        return np.minimum(flow / demand, 1.0) / healthy
+
+    def on_motion(
+        self, target: Array, before: Array, velocity: Array, slope: Array
+    ) -> tuple[Array, Array]:
+        """Drive velocity and its slope with joints that stick.
+
+        Args:
+            target: steady speed asked for.
+            before: velocity a tick ago.
+            velocity: what the lag makes of both.
+            slope: the lag's second state.
+        """
+        if self._breakaway is None:
+            return velocity, slope
+        small = (self._breakaway > 0.0) & (np.abs(target) <= self._breakaway)
+        turned = before * velocity <= 0.0
+        slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
+        self._at_rest = small & (self._at_rest | turned | slow)
+        # The valve fills a stuck drive until the pressure is full.
+        wound = np.clip(self._wound + target * CONTROL_PERIOD_S, -self._jump, self._jump)
+        self._wound = np.where(self._at_rest, wound, self._wound)
+        return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
+
+    def on_joint(self, drive_velocity: Array, active_position_rad_m: Array) -> Array:
+        """Joint velocities as drives break loose and behind their play.
+
+        Nothing loads the slew, which starts in the middle of its play.
+        """
+        if self._breakaway is not None:
+            left = np.where(self._at_rest, 1.0, math.exp(-CONTROL_PERIOD_S / SLIP_S))
+            drive_velocity = drive_velocity + (1.0 - left) * self._wound / CONTROL_PERIOD_S
+            self._wound = left * self._wound
+        if self._gap is None:
+            return drive_velocity
+        half = 0.5 * self._gap
+        if self._is_fresh:
+            load = gravity_load_ratio(self._spec, active_position_rad_m)
+            self._lost, self._is_fresh = np.sign(load) * half, False
+        lost = self._lost + drive_velocity * CONTROL_PERIOD_S
+        self._lost = np.clip(lost, -half, half)
+        return np.where(self._gap > 0.0, (lost - self._lost) / CONTROL_PERIOD_S, drive_velocity)
+
+
+def _directions(arrays: EffectArrays, effect: str) -> tuple[Array, Array] | None:
+    """Sizes in the positive and in the negative direction."""
+    up, down = arrays.get(effect, "positive_ratio"), arrays.get(effect, "negative_ratio")
+    if up is None and down is None:
+        return None
+    none = np.zeros((arrays.count, ACTIVE_COUNT))
+    return none if up is None else up, none if down is None else down

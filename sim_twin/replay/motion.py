@@ -1,0 +1,107 @@
+"""Measured motion as true motion, under each element's hypothesis about the sensors that measured it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, JOINT_COUNT, Array, BoolArray
+from sim_twin.replay.types import ReplayElement, ReplayInput
+from sim_twin.twin.twin import Twin
+from sim_twin.twin.twin_effects import PrescribedMotion
+
+
+def padded(values: Array, ticks: int, *, hold: bool) -> Array:
+    """Values (T, C) with rows appended up to `ticks`: the last one held, or zeros."""
+    missing = ticks - values.shape[0]
+    return np.pad(values, [(0, missing), (0, 0)], mode="edge" if hold else "constant")
+
+
+class MeasuredMotion:
+    """Starts and prescribed joints of M elements; a late sensor saw the true motion earlier."""
+
+    def __init__(
+        self,
+        twin: Twin,
+        throws: Sequence[ReplayInput],
+        elements: Sequence[ReplayElement],
+        ticks: int,
+    ) -> None:
+        """Turn reported into true motion.
+
+        Args:
+            twin: has the elements' effects.
+            throws: input of each element.
+            elements: M.
+            ticks: of the longest throw.
+        """
+        self._ticks = ticks
+        count = len(elements)
+        self.reported_start = np.zeros((count, JOINT_COUNT))
+        """(M, 6) where the machines say they start."""
+        rates = np.zeros((count, JOINT_COUNT))
+        self._mask = np.zeros((count, JOINT_COUNT), dtype=np.bool_)
+        for row, (throw, element) in enumerate(zip(throws, elements, strict=True)):
+            self.reported_start[row, :ACTIVE_COUNT] = throw.position_rad_m[0]
+            self.reported_start[row, ACTIVE_COUNT:] = throw.swing_start_rad
+            rates[row, ACTIVE_COUNT:] = throw.swing_rate_start_rad_per_s
+            self._mask[row, :ACTIVE_COUNT] = element.measured_joints
+            self._mask[row, ACTIVE_COUNT:] = element.measured_swing
+        hung = np.array([t.hung_at_rest for t in throws])
+        true = twin.true_pose(self.reported_start, hung)
+        self._is_given = bool(self._mask.any())
+        if self._is_given:
+            self._position, self._velocity = _reported(throws, ticks)
+            self._advance(twin.sensor_latency_s())
+            self._correct(twin, hung)
+            true = np.where(self._mask, self._position[0], true)
+            rates = np.where(self._mask, self._velocity[0], rates)
+        self.start = (true, rates)
+        """True positions and velocities (M, 6) at row 0."""
+
+    def after(self, tick: int) -> PrescribedMotion | None:
+        """The true motion at the end of a tick."""
+        if not self._is_given:
+            return None
+        row = min(tick + 1, self._ticks - 1)
+        return PrescribedMotion(self._mask, self._position[row], self._velocity[row])
+
+    def _advance(self, latency_s: Array | None) -> None:
+        """Move joints (ticks, M, 6) earlier by their sensors' latencies (M, 6)."""
+        if latency_s is None:
+            return
+        tick = np.arange(self._ticks)[:, None, None] + latency_s / CONTROL_PERIOD_S
+        last = self._ticks - 1
+        whole = np.minimum(np.floor(tick + 1e-9).astype(np.int64), last)
+        part = np.clip(tick - whole, 0.0, 1.0)
+        rows = np.arange(self._mask.shape[0])[:, None], np.arange(JOINT_COUNT)
+        here, after = (whole, *rows), (np.minimum(whole + 1, last), *rows)
+        # Beyond the record a joint keeps its last speed.
+        late = np.maximum(tick - last, 0.0) * CONTROL_PERIOD_S * self._velocity[last]
+        for values in (self._position, self._velocity):
+            values[:] = values[here] + part * (values[after] - values[here])
+        self._position += late
+
+    def _correct(self, twin: Twin, hung: BoolArray) -> None:
+        for tick in range(self._ticks):
+            self._position[tick] = twin.true_pose(self._position[tick], hung)
+
+
+def _reported(throws: Sequence[ReplayInput], ticks: int) -> tuple[Array, Array]:
+    """Reported positions and velocities (ticks, M, 6); zeros for a swing that was not measured."""
+    cache: dict[int, tuple[Array, Array]] = {}
+    count = len(throws)
+    position = np.zeros((ticks, count, JOINT_COUNT))
+    velocity = np.zeros((ticks, count, JOINT_COUNT))
+    for row, throw in enumerate(throws):
+        if id(throw) not in cache:
+            cache[id(throw)] = (
+                _six(throw.position_rad_m, throw.swing_rad, ticks),
+                _six(throw.velocity_rad_m_per_s, throw.swing_rate_rad_per_s, ticks),
+            )
+        position[:, row], velocity[:, row] = cache[id(throw)]
+    return position, velocity
+
+
+def _six(driven: Array, free: Array | None, ticks: int) -> Array:
+    swing = np.zeros((driven.shape[0], 2)) if free is None else free
+    return padded(np.concatenate([driven, swing], axis=1), ticks, hold=True)

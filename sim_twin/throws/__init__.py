@@ -1,0 +1,1 @@
+"""Simulated throws: rollouts, previews, campaigns, their logs and their accuracy."""

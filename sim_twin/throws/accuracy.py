@@ -1,0 +1,100 @@
+"""What a campaign says about accuracy: one row a target, as JSON and as a table for people."""
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+import numpy as np
+
+from machine.conventions import Array
+from sim_twin.throws.campaign import Outcome, ThrowResult
+
+
+class TargetAccuracy(TypedDict):
+    """Landings at one target. None where too few throws landed for the number."""
+
+    range_m: float
+    throws: int
+    landed: int
+    success_ratio: float
+    mean_downrange_error_m: float | None
+    sd_downrange_m: float | None
+    mean_crossrange_error_m: float | None
+    sd_crossrange_m: float | None
+
+
+class AccuracyReport(TypedDict):
+    """Result of ``downrange evaluate``."""
+
+    mode: str
+    plant: str
+    policy: str
+    seed: int
+    seconds: float
+    """Wall time of the throws, calibration not counted."""
+    real_time_factor: float
+    """Simulated time of all throws, each to its own end, over wall time."""
+    targets: list[TargetAccuracy]
+
+
+def landing_errors(results: Sequence[ThrowResult]) -> tuple[Array, Array]:
+    """Downrange and crossrange errors of the throws that landed."""
+    landed = [r for r in results if r.outcome is Outcome.LANDED]
+    return (
+        np.array([r.downrange_error_m for r in landed]),
+        np.array([r.crossrange_error_m for r in landed]),
+    )
+
+
+def target_accuracy(range_m: float, results: Sequence[ThrowResult]) -> TargetAccuracy:
+    """One target's row; standard deviations of the sample (n - 1)."""
+    down, cross = landing_errors(results)
+    has_mean, has_spread = down.size >= 1, down.size >= 2
+    return TargetAccuracy(
+        range_m=range_m,
+        throws=len(results),
+        landed=int(down.size),
+        success_ratio=down.size / len(results),
+        mean_downrange_error_m=float(down.mean()) if has_mean else None,
+        sd_downrange_m=float(down.std(ddof=1)) if has_spread else None,
+        mean_crossrange_error_m=float(cross.mean()) if has_mean else None,
+        sd_crossrange_m=float(cross.std(ddof=1)) if has_spread else None,
+    )
+
+
+def outcome_counts(results: Sequence[ThrowResult]) -> dict[str, int]:
+    """How many throws ended how, only what occurred."""
+    counts = {kind.value: sum(r.outcome is kind for r in results) for kind in Outcome}
+    return {kind: count for kind, count in counts.items() if count}
+
+
+def bad_throws_text(results: Sequence[ThrowResult]) -> str:
+    """What became of the throws that did not land, for people; empty if all landed."""
+    bad = [r for r in results if r.outcome is not Outcome.LANDED]
+    if not bad:
+        return ""
+    kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(bad).items())
+    after = sum(np.isfinite(r.throw_duration_s) for r in bad)
+    return f"{len(bad)} of {len(results)} throws ended badly: {kinds} ({after} after the release)"
+
+
+def accuracy_table(report: AccuracyReport) -> str:
+    """The report as a table."""
+    lines = [
+        f"{report['mode']} on {report['plant']}, policy {report['policy']}, seed {report['seed']}",
+        "range/m  throws  landed  mean down/m  sd down/m  mean cross/m  sd cross/m",
+    ]
+    for row in report["targets"]:
+        down, cross = _cell(row["mean_downrange_error_m"]), _cell(row["mean_crossrange_error_m"])
+        sd_down, sd_cross = _cell(row["sd_downrange_m"], ""), _cell(row["sd_crossrange_m"], "")
+        lines.append(
+            f"{row['range_m']:7.2f}  {row['throws']:6d}  {row['landed']:6d}  {down:>11}  "
+            f"{sd_down:>9}  {cross:>12}  {sd_cross:>10}"
+        )
+    lines.append(
+        f"{report['seconds']:.1f} s, {report['real_time_factor']:.0f} times faster than real time"
+    )
+    return "\n".join(lines)
+
+
+def _cell(value: float | None, sign: str = "+") -> str:
+    return "-" if value is None else f"{value:{sign}.3f}"

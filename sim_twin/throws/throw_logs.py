@@ -1,0 +1,197 @@
+"""Takes down campaigns as throw logs: the same rows that a machine's recorder writes, and nothing else.
+
+What only a simulator knows (true positions, drawn parameters) stays out, so that a log of the virtual
+machine tells no more than a log of a real one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.conventions import CONTROL_PERIOD_NS, Array, IntArray
+from machine.messages import EventKind, ImpactSurvey, MachineEvent, ThrowEnd
+from machine.telemetry import BALL_ROW, IMU_ROW
+from runtime.control.control_loop import ControlOutputs, ControlParams
+from runtime.driver import SensorSample, SimulatedDriver
+from runtime.records.recorder import StoredLog, log_path, write_throw_log
+from runtime.records.throw_log import RESULT_RECORD, ThrowLog
+from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.twin.profile import TwinProfile
+
+
+@dataclass(frozen=True, slots=True)
+class LogContext:
+    """What every log of a campaign says about itself."""
+
+    machine_id: str
+    throw_prefix: str
+    """Throw ids are this, a dash, and a number."""
+    twin_profile_version_count: int
+    out_dir: Path
+    twin_profile: TwinProfile | None = None
+    """The machine's own, put into every log so that it can be diagnosed alone."""
+    throw_numbers: tuple[int, ...] = ()
+    """Numbers of the throws in the set that they belong to; counted from 0 if empty."""
+
+
+class CampaignRecorder:
+    """Keeps the rows of the batch that runs, and writes one log a throw at its end."""
+
+    def __init__(self, params: ControlParams, context: LogContext) -> None:
+        """Start with nothing recorded; `params` is what the campaign throws with."""
+        self._params, self._context = params, context
+        self.stored: list[StoredLog] = []
+        self._first, self._count, self._start_ns = 0, 0, 0
+        self._control: list[NDArray[np.void]] = []
+        self._policy: list[NDArray[np.void]] = []
+        self._samples: list[SensorSample] = []
+
+    def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
+        """A batch starts: its first `throw_count` machines carry out throws from `first_throw_count` on."""
+        self._first, self._count = first_throw_count, throw_count
+        self._start_ns = plant.now_ns()
+        self._samples = [plant.read()]
+        self._control, self._policy = [], []
+
+    def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
+        """Keep one tick of the whole batch."""
+        self._control.append(outputs.row)
+        if outputs.policy_row is not None:
+            self._policy.append(outputs.policy_row)
+        self._samples.append(sample)
+
+    def end(self, results: Sequence[ThrowResult]) -> None:
+        """Write the batch's logs.
+
+        Raises:
+            LogError: a file cannot be written.
+        """
+        control, policy = np.stack(self._control), np.stack(self._policy)
+        imu = _stacked(self._samples, "imu_t_mono_ns", "imu_gyro_rad_per_s", "imu_accel_m_per_s2")
+        ball = _stacked(self._samples, "ball_t_mono_ns", "ball_position_m")
+        for index in range(self._count):
+            result = results[index]
+            ticks = min(round(result.simulated_s * 1e9 / CONTROL_PERIOD_NS), control.shape[0])
+            last = self._samples[ticks]
+            numbers = self._context.throw_numbers
+            number = numbers[self._first + index] if numbers else self._first + index
+            throw_id = f"{self._context.throw_prefix}-{number:04d}"
+            rows = policy[:, index]
+            rows = rows[(rows["t_mono_ns"] > 0) & (rows["t_mono_ns"] <= last.t_mono_ns)]
+            log = ThrowLog(
+                metadata=self._metadata(throw_id, result),
+                control=control[:ticks, index],
+                policy=rows,
+                imu=_rows(IMU_ROW, [part[: ticks + 1, index] for part in imu]),
+                ball=_rows(BALL_ROW, [part[: ticks + 1, index] for part in ball]),
+                events=self._events(throw_id, result, control[:ticks, index], last, index),
+                impact=_survey(result, last, index),
+                impact_t_mono_ns=int(last.impact_t_mono_ns[index]),
+            )
+            self.store(throw_id, log)
+        self._control, self._policy, self._samples = [], [], []
+
+    def store(self, throw_id: str, log: ThrowLog) -> None:
+        """Write one log."""
+        self.stored.append(write_throw_log(log_path(self._context.out_dir, throw_id), log))
+
+    def _metadata(self, throw_id: str, result: ThrowResult) -> dict[str, Any]:
+        params, context = self._params, self._context
+        x, y, z = result.target_m
+        own = context.twin_profile
+        return {
+            **({} if own is None else {"twin_profile": own.model_dump(mode="json")}),
+            "throw_id": throw_id,
+            "machine_id": context.machine_id,
+            "mode": params.mode.value,
+            "target": {"x_m": x, "y_m": y, "z_m": z},
+            "plan_hash": "",
+            "policy_id": "" if params.policy is None else params.policy.card.policy_id,
+            "policy_sha256": "" if params.policy is None else params.policy.card.policy_sha256,
+            "model_sha256": params.spec.sha256,
+            "twin_profile_version": context.twin_profile_version_count,
+            "software": _software(),
+            "calibration": params.calibration.model_dump(mode="json"),
+            "spec": params.spec.model_dump(mode="json"),
+            RESULT_RECORD: _ended(result).model_dump(mode="json"),
+        }
+
+    def _events(
+        self,
+        throw_id: str,
+        result: ThrowResult,
+        control: NDArray[np.void],
+        last: SensorSample,
+        index: int,
+    ) -> tuple[MachineEvent, ...]:
+        """The events that a machine would have sent, in order."""
+        found = [(EventKind.THROW_STARTED, self._start_ns, {})]
+        opened = np.flatnonzero(control["gripper_open_commanded"])
+        if opened.size:
+            at_ns = int(control["t_mono_ns"][opened[0]])
+            found.append((EventKind.RELEASE_COMMANDED, at_ns, {}))
+        impact = _survey(result, last, index)
+        if impact is not None:
+            at_ns = int(last.impact_t_mono_ns[index])
+            found.append((EventKind.IMPACT, at_ns, impact.model_dump(mode="json")))
+        ended = _ended(result).model_dump(mode="json")
+        found.append((EventKind.THROW_ENDED, int(last.t_mono_ns), ended))
+        return tuple(
+            MachineEvent(
+                machine_id=self._context.machine_id,
+                boot_id="campaign",
+                sequence_count=number,
+                t_mono_ns=at_ns,
+                t_utc="",
+                kind=kind,
+                throw_id=throw_id,
+                data=data,
+            )
+            for number, (kind, at_ns, data) in enumerate(found)
+        )
+
+
+def _software() -> str:
+    try:
+        return f"downrange {version('downrange')}"
+    except PackageNotFoundError:
+        return "downrange"
+
+
+def _ended(result: ThrowResult) -> ThrowEnd:
+    landed = result.outcome is Outcome.LANDED
+    released = np.isfinite(result.throw_duration_s)
+    return ThrowEnd(
+        outcome="landed" if landed else "aborted",
+        detail="" if landed else result.outcome.value,
+        release_speed_m_per_s=result.release_speed_m_per_s if released else None,
+        throw_duration_s=result.throw_duration_s if released else None,
+    )
+
+
+def _survey(result: ThrowResult, last: SensorSample, index: int) -> ImpactSurvey | None:
+    if result.outcome is not Outcome.LANDED:
+        return None
+    x, y, z = (float(v) for v in last.impact_position_m[index])
+    return ImpactSurvey(position_m=(x, y, z), sd_m=float(last.impact_sd_m[index]), source="survey")
+
+
+def _stacked(samples: Sequence[SensorSample], *names: str) -> list[Array | IntArray]:
+    """Columns of the samples, each (ticks, N, ...), sample time first."""
+    return [np.stack([getattr(sample, name) for sample in samples]) for name in names]
+
+
+def _rows(dtype: np.dtype[np.void], columns: Sequence[Array | IntArray]) -> NDArray[np.void]:
+    """Rows of the samples that are new: a sample time that is set and that the tick before did not have."""
+    time_ns = columns[0]
+    new = time_ns > 0
+    new[1:] &= time_ns[1:] != time_ns[:-1]
+    rows = np.zeros(int(np.count_nonzero(new)), dtype=dtype)
+    for name, column in zip(dtype.names or (), columns, strict=True):
+        rows[name] = column[new]
+    return rows

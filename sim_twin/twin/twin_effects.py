@@ -1,0 +1,156 @@
+"""The effects of a twin's machines by where in a tick they act, and motion that is prescribed to them.
+
+The twin asks here only when some machine has an effect; nothing here steps the physics.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from machine.conventions import ACTIVE_COUNT, Array, BoolArray, IntArray
+from machine.kinematics import ToolState
+from machine.spec import MachineSpec
+from sim_twin.effects.arrays import EffectArrays
+from sim_twin.effects.body import BodyEffects
+from sim_twin.effects.sensor import SensorEffects
+from sim_twin.twin.base_pose import BasePose
+from sim_twin.twin.grip_point import grip_point
+from sim_twin.twin.model import twin_model
+
+_BASE = ("base_tilt", "base_yaw_drift", "base_height", "chassis_compliance")
+_SENSORS = ("joint_sensor_bias", "joint_sensor_latency", "imu_latency", "imu_misalignment")
+
+
+class PrescribedMotion(NamedTuple):
+    """Joint states (N, 6) at the end of the next tick, for joints that move as they were measured."""
+
+    mask: BoolArray
+    """(N, 6) joints that it holds for."""
+    position_rad_m: Array
+    velocity_rad_m_per_s: Array
+
+
+class Readings(NamedTuple):
+    """What sensors report, before their noise."""
+
+    position_rad_m: Array
+    velocity_rad_m_per_s: Array
+    gyro_rad_per_s: Array
+    accel_m_per_s2: Array
+
+
+class TwinEffects:
+    """Body, base and sensors of N machines; a part in which no machine has an effect is None."""
+
+    def __init__(self, spec: MachineSpec, arrays: EffectArrays, batch: Any) -> None:
+        """Sort the effects by where they act, and change the models of a `mujoco.batch.Batch`."""
+        self._spec = spec
+        self.body = BodyEffects(arrays) if arrays.acts_on("swing") else None
+        self._base = BasePose(spec, arrays) if arrays.has(*_BASE) else None
+        self._sensors = SensorEffects(arrays) if arrays.has(*_SENSORS) else None
+        if self.body is not None:
+            self.body.change_models(batch)
+        if self._base is not None and self._base.sway is not None:
+            boom = twin_model()[0].body("boom").id
+            self._base.arm_kg = np.array(batch.expand("body_subtreemass")[:, boom])
+        leans = self._base is not None and self._base.leans
+        self._gravity: Array | None = batch.expand("opt.gravity") if leans else None
+        self._turning: Array | None = None
+        self._rest = np.zeros((arrays.count, 2))
+
+    def true_pose(self, reported_rad_m: Array, hangs: BoolArray | bool = True) -> Array:
+        """True joint positions (N, 6) of machines whose sensors report these at rest.
+
+        The free joints are reported from plumb: by the IMU against gravity, through the joint sensors.
+
+        Args:
+            reported_rad_m: (N, 6).
+            hangs: (N,) whether plumb is where gravity points, or the machine's own vertical.
+        """
+        pose = reported_rad_m.copy()
+        if self._sensors is not None and self._sensors.bias_rad_m is not None:
+            bias = self._sensors.bias_rad_m
+            pose[:, :ACTIVE_COUNT] -= bias
+            pose[:, ACTIVE_COUNT] += bias[:, 1] + bias[:, 2]
+        if self._base is not None and self._base.leans:
+            shift = self._base.plumb_shift(pose)
+            pose[:, ACTIVE_COUNT:] += np.where(np.reshape(hangs, (-1, 1)), shift, 0.0)
+        return pose
+
+    def latency_s(self) -> Array | None:
+        """How late (N, 6) joint sensors and IMU report joint motion; None where all are in time."""
+        return None if self._sensors is None else self._sensors.latency_s
+
+    def begin(self, position: Array, velocity: Array) -> None:
+        """Machines are put into these true states (N, 6); before the physics looks at them."""
+        self._rest = position[:, ACTIVE_COUNT:].copy()
+        if self._base is not None:
+            self._base.start(position)
+            self._lean(self._base, position, velocity)
+
+    def fill_sensors(self, imu: Array, position: Array, velocity: Array) -> None:
+        """The sensors have always seen this state and these IMU values (N, 6)."""
+        if self._sensors is not None:
+            self._sensors.start(np.concatenate([position, velocity], axis=1), self._felt(imu))
+
+    def before_step(self, position: Array, velocity: Array, sensed: Array) -> Array | None:
+        """Let gravity follow the base; what base and hoses do to the free joints (N, 2), rad/s2.
+
+        Args:
+            position: (N, 6) true joint positions.
+            velocity: (N, 6)
+            sensed: MuJoCo's sensors as of the step before.
+        """
+        pull = None
+        if self._base is not None and (self._base.sway is not None):
+            self._base.move(sensed)
+            self._lean(self._base, position, velocity)
+            pull = self._base.free_joint_pull(position)
+        if self.body is not None:
+            hose = self.body.hose_acceleration(position[:, ACTIVE_COUNT:], self._rest)
+            if hose is not None:
+                pull = hose if pull is None else hose + pull
+        return pull
+
+    def _lean(self, base: BasePose, position: Array, velocity: Array) -> None:
+        if self._gravity is not None:
+            self._gravity[:] = base.gravity(position, velocity)
+        if base.sway is not None:
+            self._turning = base.imu_turning(position)
+
+    def after_step(self, imu: Array, position: Array, velocity: Array) -> None:
+        """Show the sensors the states (N, 6) after a step, and the IMU values (N, 6) before it."""
+        if self._sensors is not None:
+            joints = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT])
+            self._sensors.push(np.concatenate(joints, axis=1), self._felt(imu))
+
+    def _felt(self, imu: Array) -> Array:
+        """True IMU values (N, 6), with the turning of a moving base."""
+        if self._turning is None:
+            return imu
+        return np.concatenate([imu[:, :3] + self._turning, imu[:, 3:]], axis=1)
+
+    def readings(self, imu: Array, position: Array, velocity: Array) -> Readings:
+        """What the sensors report of true joint states (N, 6) and IMU values (N, 6)."""
+        true, felt = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT]), self._felt(imu)
+        if self._sensors is None:
+            return Readings(*true, felt[:, :3], felt[:, 3:])
+        return Readings(
+            *self._sensors.joints(np.concatenate(true, axis=1)), *self._sensors.imu(felt)
+        )
+
+    def load_state(
+        self, rows: IntArray, position: Array, velocity: Array, ahead_s: float
+    ) -> ToolState:
+        """Where the held loads of machines `rows` (K,) are and how fast, survey frame.
+
+        Args:
+            rows: indices.
+            position: (K, 6) their true joint positions.
+            velocity: (K, 6)
+            ahead_s: how much later than the base's state these are.
+        """
+        offset = None if self.body is None else self.body.offset_m
+        beside = None if offset is None else offset[rows]
+        point = grip_point(self._spec, position, velocity, beside)
+        return point if self._base is None else self._base.to_survey(rows, point, ahead_s)

@@ -1,0 +1,88 @@
+"""Free swings: the friction that a plant of its own planted comes back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.alone.diagnose import swing_from_csv
+from diagnosis.verdict import VerdictKind
+
+STEP_S = 0.001
+
+
+def swing(
+    viscous: float = 0.0,
+    coulomb: float = 0.0,
+    air: float = 0.0,
+    start: float = 0.6,
+    frequency: float = 3.0,
+    span_s: float = 20.0,
+) -> np.ndarray:
+    """Angles every millisecond, semi-implicit Euler with true dry friction."""
+    angle, rate, rows = start, 0.0, []
+    for _ in range(round(span_s / STEP_S)):
+        rows.append(angle)
+        pull = -(frequency**2) * np.sin(angle) - viscous * rate - air * abs(rate) * rate
+        if abs(rate) < 2.0 * coulomb * STEP_S and abs(pull) < coulomb:
+            rate = 0.0
+        else:
+            rate += STEP_S * (pull - coulomb * np.sign(rate))
+        angle += STEP_S * rate
+    return np.array(rows)
+
+
+def write(
+    path: Path, angle: np.ndarray, rate_hz: float = 50.0, held_s: float = 0.0, offset: float = 0.0
+) -> Path:
+    rng = np.random.default_rng(2)
+    angle = np.concatenate([np.full(round(held_s / STEP_S), angle[0]), angle])
+    seen = angle[:: round(1.0 / rate_hz / STEP_S)] + offset
+    seen = seen + rng.normal(0.0, 0.002, len(seen))
+    rows = np.stack([np.arange(len(seen)) / rate_hz, np.degrees(seen)], axis=1)
+    np.savetxt(path, rows, delimiter=";", header="time_s;theta_deg", comments="", fmt="%.6f")
+    return path
+
+
+def test_a_swing_without_loss_needs_no_effect(tmp_path: Path) -> None:
+    found = swing_from_csv(write(tmp_path / "a.csv", swing()))
+    assert found.verdict is VerdictKind.NONE
+    assert found.evidence["frequency_hz"] == pytest.approx(3.0 / (2.0 * np.pi), rel=0.002)
+    assert found.evidence["length_of_equal_pendulum_m"] == pytest.approx(9.81 / 9.0, rel=0.004)
+
+
+@pytest.mark.parametrize(
+    ("friction", "effect", "parameter"),
+    [
+        ("viscous", "passive_viscous_friction", "extra_viscous_per_s"),
+        ("coulomb", "passive_coulomb_friction", "extra_coulomb_rad_per_s2"),
+        ("air", "air_drag", "quadratic_per_rad"),
+    ],
+)
+def test_each_friction_is_told_from_the_others(
+    tmp_path: Path, friction: str, effect: str, parameter: str
+) -> None:
+    path = write(tmp_path / "a.csv", swing(**{friction: 0.08}), held_s=1.0, offset=0.3)
+    found = swing_from_csv(path, "time_s", "theta_deg")
+    assert found.verdict is VerdictKind.EXPLAINED
+    assert [e.effect for e in found.causes[0].effects] == [effect]
+    fitted = found.causes[0].effects[0].parameters[parameter]
+    assert fitted.value == pytest.approx(0.08, rel=0.05)
+    assert fitted.ci90[0] <= fitted.value <= fitted.ci90[1]
+    assert found.shrink is not None
+    assert found.shrink.ratio > 0.9
+
+
+def test_a_wrong_length_shows_against_a_reference(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", swing(viscous=0.06))
+    found = swing_from_csv(path, length_m=0.9)
+    named = {e.effect: e for e in found.causes[0].effects}
+    assert "gripper_length" in named
+    ratio = named["gripper_length"].parameters["extra_length_ratio"].value
+    assert 0.9 * (1.0 + ratio) == pytest.approx(9.81 / 9.0, rel=0.01)
+
+
+def test_a_record_without_a_swing_is_refused(tmp_path: Path) -> None:
+    found = swing_from_csv(write(tmp_path / "a.csv", np.full(5000, 0.1)))
+    assert found.verdict is VerdictKind.BAD_DATA
+    assert "periods of free swing" in found.sentence

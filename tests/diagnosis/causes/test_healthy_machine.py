@@ -1,0 +1,82 @@
+"""What is learned of healthy machines: the filter, the noise, the jitter of the opening."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.causes.healthy import HealthyModel, correction, inputs, learn, nothing
+from diagnosis.causes.jitter import fit_jitter
+from diagnosis.causes.noise import ChannelNoise, load_noise, whiten, whitener
+from diagnosis.causes.parameters import layout, library
+from diagnosis.causes.separating import separating_motion
+from diagnosis.causes.whitening import set_nuisance_sd
+from diagnosis.loading.prepared import prepare
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
+
+
+def test_filter_learns_what_is_linear_in_its_inputs() -> None:
+    p = prepare(throws((), 2).throws, profile())[0]
+    rng = np.random.default_rng(0)
+    predicted = np.cumsum(0.01 * rng.standard_normal(p.motion.t_s.size))
+    values = inputs(p.input, p.motion, 1, predicted)
+    truth = 0.1 * predicted + 0.02 * p.motion.acceleration_rad_m_per_s2[:, 2]
+    learned = learn([values], [truth])
+    model = HealthyModel(note="", joints=(learned,) * 4)
+    found = correction(model, p.input, p.motion, 1, predicted)
+    assert np.std(found - truth) < 0.2 * np.std(truth)
+    both = correction(model, p.input, p.motion, 1, np.stack([predicted, predicted]))
+    np.testing.assert_allclose(both, [found, found])
+
+
+def test_nothing_corrects_nothing() -> None:
+    p = prepare(throws((), 2).throws, profile())[0]
+    track = np.ones(p.motion.t_s.size)
+    assert not correction(nothing(), p.input, p.motion, 0, track).any()
+
+
+def test_whitened_discrepancy_has_unit_power() -> None:
+    channel = ChannelNoise(noise_sd=0.1, floor_sd=0.3, rate_ratio=0.5, push_ratio=0.0, memory_s=0.1)
+    t = np.arange(60, dtype=np.float64) * 0.02
+    rate = np.abs(np.sin(t))
+    factor = whitener(channel, t, rate, np.zeros(60))
+    np.testing.assert_allclose(np.diag(factor @ factor.T), 0.01 + (0.3 + 0.5 * rate) ** 2)
+    draws = factor @ np.random.default_rng(1).standard_normal((60, 4000))
+    assert np.cov(whiten(factor, draws)) == pytest.approx(np.eye(60), abs=0.12)
+
+
+def test_calibrated_files_fit_the_library() -> None:
+    noise = load_noise()
+    keys = {p.key for p in library()}
+    assert keys <= set(noise.tolerance)
+    assert keys <= set(noise.nuisance_sd)
+    plan = layout(noise.tolerance, set_nuisance_sd(noise))
+    assert len(plan.groups) == len(plan.priors.groups) == plan.priors.log_prior.size
+    assert (plan.priors.spike_sd > 0.0).all()
+
+
+@pytest.mark.parametrize(("extra_s", "is_found"), [(0.0, False), (0.08, True)])
+def test_jitter_is_a_spread_and_not_a_mean(extra_s: float, is_found: bool) -> None:
+    rng = np.random.default_rng(3)
+    loaded = throws((), 12)
+    late = [
+        replace(t, switch_open_t_s=t.switch_open_t_s + 0.1 + extra_s * rng.standard_normal())
+        for t in loaded.throws
+    ]
+    found = fit_jitter(prepare(late, profile()), profile(), health().noise)
+    assert (found.log_odds > 0.0) is is_found
+    if is_found:
+        assert found.ci90_s[0] < extra_s < found.ci90_s[1] + 0.02
+
+
+def test_every_pair_of_effects_has_a_separating_motion() -> None:
+    singles = {p.effect: p.at(p.step) for p in library()}
+    for first in singles.values():
+        for second in singles.values():
+            motion = separating_motion(first, second)
+            assert motion["kind"]
+            assert motion["words"]
+    lag = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.1})
+    dead = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
+    assert separating_motion(lag, dead)["joint"] == "boom"

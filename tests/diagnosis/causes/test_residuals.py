@@ -1,0 +1,107 @@
+"""Residuals: nothing is left on the twin's own throws, and every slope is what a second simulation says."""
+
+import numpy as np
+import pytest
+
+from diagnosis.causes.parameters import View, index_of, library
+from diagnosis.causes.residuals import Linear, linearise, relinearise
+from diagnosis.loading.prepared import PreparedThrow, prepare
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
+
+
+def linear(
+    effects: tuple[Effect, ...] = (), count: int = 2
+) -> tuple[list[PreparedThrow], list[Linear]]:
+    loaded = throws(effects, count)
+    prepared = prepare(loaded.throws, profile())
+    calibration = loaded.throws[0].calibration
+    return prepared, linearise(prepared, profile(), calibration, health().filters)
+
+
+@pytest.fixture(scope="module")
+def own() -> tuple[list[PreparedThrow], list[Linear]]:
+    return linear()
+
+
+def test_twins_own_throws_leave_noise(own: tuple[list[PreparedThrow], list[Linear]]) -> None:
+    prepared, found = own
+    for p, one in zip(prepared, found, strict=True):
+        for joint in ("slew", "boom", "dipper", "telescope"):
+            block = p.block(f"actuation.{joint}")
+            assert block is not None
+            assert np.std(one.residual[block.rows]) < 0.006
+        ball, gyro = p.block("flight.ball"), p.block("swing.gyro.y")
+        assert ball is not None
+        assert gyro is not None
+        assert np.nanstd(one.residual[ball.rows]) < 0.05
+        assert np.std(one.residual[gyro.rows]) < 0.03
+
+
+def test_a_joint_effect_moves_its_own_joint_only(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    prepared, found = own
+    column = index_of()["valve_lag.boom.extra_lag_s"]
+    moved = {
+        block.name
+        for block in prepared[0].blocks
+        if np.abs(found[0].jacobian[block.rows, column]).max() > 0.0
+    }
+    assert moved == {"actuation.boom"}
+
+
+def test_every_parameter_moves_something_in_its_views_alone(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    prepared, found = own
+    for i, parameter in enumerate(library()):
+        stages = {
+            block.name.split(".")[0]
+            for block in prepared[0].blocks
+            if np.abs(found[0].jacobian[block.rows, i]).max() > 1e-9
+        }
+        views = {str(v) for v in parameter.views} or {"release"}
+        assert stages <= views, parameter.key
+
+
+def test_slope_predicts_the_residual_of_a_small_effect(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    size = 0.02
+    prepared, found = own
+    _, moved = linear((Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": size}),))
+    block = prepared[0].block("actuation.boom")
+    assert block is not None
+    slope = found[0].jacobian[block.rows, index_of()["valve_lag.boom.extra_lag_s"]]
+    change = moved[0].residual[block.rows] - found[0].residual[block.rows]
+    estimate = float(slope @ change / (slope @ slope))
+    assert estimate == pytest.approx(size, rel=0.25)
+
+
+def test_relinearised_at_the_truth_leaves_noise() -> None:
+    effect = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.2})
+    loaded = throws((effect,), 2)
+    prepared = prepare(loaded.throws, profile())
+    calibration = loaded.throws[0].calibration
+    filters = health().filters
+    first = linearise(prepared, profile(), calibration, filters)
+    wanted = [p for p in library() if p.group == ("valve_lag", "boom")]
+    again = relinearise(prepared, profile(), calibration, filters, first, [((effect,), wanted)])[0]
+    block = prepared[0].block("actuation.boom")
+    other = prepared[0].block("swing.gyro.y")
+    assert block is not None
+    assert other is not None
+    assert np.std(first[0].residual[block.rows]) > 0.02
+    assert np.std(again[0].residual[block.rows]) < 0.006
+    # What an effect of a valve cannot move was not simulated again.
+    np.testing.assert_array_equal(again[0].residual[other.rows], first[0].residual[other.rows])
+
+
+def test_delay_of_the_opening_shows_at_the_switch() -> None:
+    effect = Effect(effect="release_delay", parameters={"extra_delay_s": 0.05})
+    prepared, late = linear((effect,))
+    block = prepared[0].block("release.switch")
+    assert block is not None
+    assert late[0].residual[block.rows][0] == pytest.approx(0.05, abs=1e-6)
+    assert View.FLIGHT not in library()[index_of()["release_delay.extra_delay_s"]].views

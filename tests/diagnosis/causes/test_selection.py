@@ -1,0 +1,139 @@
+"""Selection on linear problems whose answer is known in closed form."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from diagnosis.causes.selection import (
+    MIN_SLAB_OVER_SPIKE_RATIO,
+    Information,
+    Priors,
+    SetEvidence,
+    bagged_probability,
+    bootstrap_weights,
+    expected_log_odds,
+    inform,
+    screen,
+    search,
+    total,
+    weigh,
+)
+from machine.conventions import Array
+
+FREE = 1e9
+
+
+def priors(count: int, slab: float = 1.0, spike: float = 0.01) -> Priors:
+    return Priors(
+        spike_sd=np.full(count, spike),
+        slab_sd=np.full(count, slab),
+        low=np.full(count, -FREE),
+        high=np.full(count, FREE),
+        groups=tuple(np.array([i]) for i in range(count)),
+        log_prior=np.full(count, -4.0),
+    )
+
+
+@dataclass
+class Problem:
+    """Throws of a linear machine."""
+
+    information: list[Information]
+
+
+def throws(truth: Array, rng: np.random.Generator, count: int = 12, rows: int = 40) -> Problem:
+    found: list[Information] = []
+    for _ in range(count):
+        jacobian = rng.standard_normal((rows, truth.size))
+        nuisance = rng.standard_normal((rows, 2))
+        residual = jacobian @ truth + nuisance @ rng.standard_normal(2)
+        residual += rng.standard_normal(rows)
+        found.append(inform(residual, jacobian, nuisance))
+    return Problem(found)
+
+
+def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(0)
+    residual, jacobian, nuisance = (
+        rng.standard_normal(9),
+        rng.standard_normal((9, 3)),
+        rng.standard_normal((9, 2)),
+    )
+    inverse = np.linalg.inv(np.eye(9) + nuisance @ nuisance.T)
+    found = inform(residual, jacobian, nuisance)
+    np.testing.assert_allclose(found.precision, jacobian.T @ inverse @ jacobian, atol=1e-10)
+    np.testing.assert_allclose(found.gradient, jacobian.T @ inverse @ residual, atol=1e-10)
+    assert found.square == pytest.approx(float(residual @ inverse @ residual))
+
+
+def test_evidence_equals_the_dense_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diagnosis.causes.selection.TAIL_SHARE_RATIO", 1e-12)
+    rng = np.random.default_rng(1)
+    jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
+    found = weigh(screen(inform(residual, jacobian, np.zeros((30, 1))), prior), prior, (0, 2))
+
+    def log_density(sd: Array) -> float:
+        covariance = np.eye(30) + jacobian @ np.diag(sd**2) @ jacobian.T
+        density: Any = multivariate_normal(cov=covariance)
+        return float(density.logpdf(residual))
+
+    sd = prior.spike_sd.copy()
+    none = log_density(sd)
+    # The mixture's smaller scales are lifted to the same least width here.
+    sd[[0, 2]] = MIN_SLAB_OVER_SPIKE_RATIO * 0.5
+    assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0)
+
+
+def test_true_pair_is_found_and_nothing_else() -> None:
+    rng = np.random.default_rng(2)
+    truth = np.zeros(20)
+    truth[[3, 11]] = 0.5, -0.3
+    prior = priors(20)
+    base = screen(total(throws(truth, rng).information), prior)
+    best = search(base, prior)[0]
+    assert best.members == (3, 11)
+    np.testing.assert_allclose(best.mean, [0.5, -0.3], atol=0.12)
+
+
+def test_scatter_within_the_spike_is_no_effect() -> None:
+    rng = np.random.default_rng(3)
+    prior = priors(20, spike=0.1)
+    truth = 0.1 * rng.standard_normal(20)
+    base = screen(total(throws(truth, rng).information), prior)
+    assert search(base, prior)[0].members == ()
+
+
+def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:
+    rng = np.random.default_rng(4)
+    truth = np.zeros(5)
+    truth[1] = -0.5
+    prior = priors(5)._replace(low=np.array([-FREE, 0.0, -FREE, -FREE, -FREE]))
+    base = screen(total(throws(truth, rng).information), prior)
+    assert weigh(base, prior, (1,)).log_odds < 0.0
+
+
+def test_equal_sensitivities_cannot_be_told_apart() -> None:
+    rng = np.random.default_rng(5)
+    jacobian = rng.standard_normal((400, 3))
+    jacobian[:, 1] = jacobian[:, 0] + 0.01 * rng.standard_normal(400)
+    residual = 0.5 * jacobian[:, 0] + rng.standard_normal(400)
+    information, prior = inform(residual, jacobian, np.zeros((400, 1))), priors(3)
+    truth: SetEvidence = weigh(screen(information, prior), prior, (0,))
+    assert abs(expected_log_odds(information, prior, truth, (1,))) < 1.0
+    assert expected_log_odds(information, prior, truth, (2,)) > 5.0
+
+
+def test_bagging_shares_probability_when_throws_disagree() -> None:
+    weights = bootstrap_weights(4, 50)
+    assert (weights.sum(axis=1) == 4).all()
+    assert (weights[0] == 1).all()
+    # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
+    speaks = np.array([30.0, 30.0, -30.0, -29.0])
+    log_odds = np.column_stack([weights @ speaks, np.zeros(50)])
+    probability = bagged_probability(log_odds)
+    assert 0.2 < probability[0] < 0.8
+    assert probability.sum() == pytest.approx(1.0)

@@ -1,0 +1,50 @@
+"""Series for the report: the twin with what was found lies on what was measured, the one without does not."""
+
+import numpy as np
+import pytest
+
+from diagnosis.causes.hypotheses import pose
+from diagnosis.causes.parameters import layout
+from diagnosis.causes.whitening import set_nuisance_sd
+from diagnosis.loading.prepared import prepare
+from diagnosis.report.overlay import overlay
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
+
+LATE = Effect(effect="valve_dead_time", joint="dipper", parameters={"extra_dead_time_s": 0.1})
+
+
+@pytest.fixture(scope="module")
+def problem():
+    loaded = throws((LATE,), 4)
+    known = health()
+    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    prepared = prepare(loaded.throws, profile())
+    calibration = loaded.throws[0].calibration
+    return pose(prepared, profile(), calibration, known.filters, known.noise, plan)
+
+
+def rms(plot, name):
+    left = np.array(plot["measured"], float) - np.array(plot[name], float)
+    return float(np.sqrt(np.nanmean(left**2)))
+
+
+def test_after_fits_and_before_does_not(problem):
+    plots = overlay(problem, (LATE,), "dipper")
+    names = list(plots)
+    assert names[0] == "dipper velocity, throw 1"
+    assert "dipper velocity, throw 4" in names
+    for name, plot in plots.items():
+        lengths = {len(plot[key]) for key in ("x", "measured", "twin_before", "twin_after")}
+        assert len(lengths) == 1, name
+    dipper = plots["dipper velocity, throw 1"]
+    assert dipper["unit"] == "rad/s"
+    assert rms(dipper, "twin_after") < 0.02
+    assert rms(dipper, "twin_before") > 3.0 * rms(dipper, "twin_after")
+    load = plots["load's height in flight, throw 1"]
+    assert rms(load, "twin_after") < 0.05
+
+
+def test_without_effects_there_is_no_after(problem):
+    plots = overlay(problem, ())
+    assert "twin_after" not in plots["slew velocity, throw 1"]

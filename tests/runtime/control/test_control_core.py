@@ -1,0 +1,168 @@
+"""One machine under control, without processes: what ticks give, and what faults around them do."""
+
+import numpy as np
+import pytest
+
+from machine.conventions import Mode
+from machine.errors import PolicyError
+from machine.messages import FireRequest, LeaseNotice, StopRequest, ThrowState
+from runtime.throw.model import LinkLost
+from tests.runtime.fake_driver import IMPACT_M
+from tests.runtime.machine_bench import Bench, make
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_throw_gives_events_rows_and_its_release(bench, mode):
+    nonce = bench.arm(mode)
+    assert bench.ask(bench.fire_command(nonce, mode=mode)).accepted
+    bench.hold_until("throw_ended")
+    assert bench.kinds[-5:] == [
+        "throw_accepted",
+        "throw_started",
+        "release_commanded",
+        "impact",
+        "throw_ended",
+    ]
+    impact, end = bench.events[-2:]
+    assert tuple(impact.data["position_m"]) == IMPACT_M
+    assert end.data["outcome"] == "landed"
+    # The quick policy opens the dipper slowly: the load leaves at about half a metre a second.
+    assert 0.2 < end.data["release_speed_m_per_s"] < 1.5
+    assert np.isfinite(end.data["release_position_m"]).all()
+    logged = bench.reports[[r.log_begins is not None for r in bench.reports].index(True) :]
+    context = logged[0].log_begins
+    assert (context["throw_id"], context["mode"]) == ("t1", mode.value)
+    assert context["plan_hash"] == bench.plan(mode).plan_hash
+    assert logged[-1].log_ends["outcome"] == "landed"
+    ticks = [int(report.rows["control"]["tick_count"][0]) for report in logged]
+    assert ticks == list(range(len(logged)))
+    assert sum("policy" in report.rows for report in logged) > 5
+    assert sum("ball" in report.rows for report in logged) == pytest.approx(60, abs=3)
+
+
+def test_target_height_reaches_a_driver_that_simulates_the_ground(bench):
+    bench.driver.target_height_m = np.zeros(1)
+    bench.arm()
+    assert bench.driver.target_height_m[0] == 0.5
+
+
+def test_stale_fire_is_refused_reported_and_leaves_the_machine_armed(bench):
+    fire = bench.fire_command(bench.arm())
+    bench.ticks(101)
+    reply = bench.ask(fire)
+    assert (reply.accepted, reply.reason) == (False, "nonce_expired")
+    assert "on its way" in reply.detail
+    assert bench.control.throw.state is ThrowState.ARMED
+    assert bench.events[-1].data["reason"] == "nonce_expired"
+    fresh = fire.model_copy(update={"seen_t_mono_ns": bench.driver.now_ns()})
+    assert bench.ask(fresh).accepted
+
+
+def test_stale_repeat_of_an_executed_fire_is_answered_as_a_repeat(bench):
+    fire = bench.fire_command(bench.arm())
+    assert bench.ask(fire).accepted
+    bench.ticks(300)
+    again = bench.ask(fire)
+    assert (again.accepted, again.is_repeat) == (True, True)
+
+
+def test_stale_heartbeats_do_not_count_but_letting_go_does(bench):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    old_ns = bench.driver.now_ns() - 600_000_000
+    for _ in range(10):
+        bench.tick(bench.beat(seen_t_mono_ns=old_ns))
+    assert bench.control.throw.heartbeat_ns == 0
+    bench.tick(bench.beat(is_holding=False, seen_t_mono_ns=old_ns))
+    assert bench.events[-1].data["reason"] == "the operator let go"
+
+
+def test_blind_loop_ends_a_throw_before_its_commit_point(bench):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    bench.hold_until("throw_started")
+    bench.tick(bench.beat(), skipped=9)
+    assert bench.control.throw.state is ThrowState.THROWING
+    bench.tick(bench.beat(), skipped=10)
+    assert "stood still for 100 ms" in bench.events[-1].data["reason"]
+
+
+def test_policy_that_cannot_run_closes_the_valves_and_latches_a_fault(bench, monkeypatch):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    bench.hold_until("throw_started")
+
+    def fail(*_):
+        raise PolicyError("the policy cannot run")
+
+    monkeypatch.setattr("runtime.control.control_core.step", fail)
+    bench.tick(bench.beat())
+    assert not bench.driver.commands[-1].valve_ratio.any()
+    bench.tick(bench.beat())
+    assert bench.control.throw.state is ThrowState.FAULT
+    assert bench.control.machine_state().fault == "the policy cannot run"
+    assert bench.kinds[-2:] == ["fault", "throw_ended"]
+
+
+@pytest.mark.parametrize(
+    ("moment", "outcome"), [("throw_started", "aborted"), ("release_commanded", "landed")]
+)
+def test_lost_link_lets_go_before_and_completes_after_the_commit_point(bench, moment, outcome):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    bench.hold_until(moment)
+    bench.tick(LinkLost())
+    for _ in range(3000):
+        if "throw_ended" in bench.kinds:
+            break
+        bench.tick()
+    assert bench.events[-1].data["outcome"] == outcome
+
+
+def test_log_waits_for_the_impact_of_a_load_still_in_the_air(bench):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    bench.hold_until("release_commanded")
+    bench.ticks(30)
+    assert bench.ask(make(StopRequest)).accepted
+    assert bench.control.throw.state is ThrowState.STOPPED
+    bench.ticks(100)
+    assert bench.kinds[-3:] == ["stop_latched", "throw_ended", "impact"]
+    ended = [r for r in bench.reports if r.log_ends is not None]
+    assert [r.log_ends["outcome"] for r in ended] == ["stopped"]
+    assert bench.control.is_waiting
+
+
+def test_memory_of_earlier_boots_keeps_epoch_and_throws(bench):
+    bench.control.remember(7, ("old-1", "old-2"))
+    bench.tick()
+    assert bench.ask(make(LeaseNotice, epoch_count=6)).reason == "stale_epoch"
+    fire = make(
+        FireRequest, epoch_count=7, throw_id="old-1", nonce="n", plan_hash="h",
+        seen_t_mono_ns=bench.driver.now_ns(),
+    )  # fmt: skip
+    reply = bench.ask(fire)
+    assert (reply.accepted, reply.is_repeat, reply.throw_id) == (True, True, "old-1")
+    assert bench.control.throw.state is ThrowState.DISARMED
+
+
+def test_state_message_says_what_is_on_board(bench):
+    bench.ticks(11)
+    state = bench.control.machine_state()
+    assert state.boot_id == "boot"
+    assert set(state.policy_sha256) == {"2d", "3d"}
+    assert {check.check_id for check in state.checks} >= {"payload", "local_enable", "gripper_imu"}
+    assert state.heartbeat_age_s is None
+    bench.arm()
+    assert bench.control.machine_state().mode is Mode.PLANAR
+
+
+def test_emergency_stop_and_silent_imu_are_seen(bench):
+    bench.driver.imu_is_silent = True
+    bench.ticks(30)
+    failed = [c.check_id for c in bench.control.machine_state().checks if not c.passed]
+    assert "gripper_imu" in failed
+    bench.driver.emergency_stop = True
+    bench.tick()
+    assert bench.control.throw.state is ThrowState.STOPPED
+
+
+def test_close_shuts_the_valves(bench: Bench):
+    bench.control.close()
+    assert bench.driver.is_closed
+    assert not bench.driver.commands[-1].valve_ratio.any()

@@ -1,0 +1,187 @@
+import hashlib
+
+import httpx
+import numpy as np
+import pytest
+
+from machine.conventions import Mode, Motion
+from machine.messages import Target, ThrowPlan
+from machine.spec import load_spec
+from machine.starts import safe_pose
+from machine.telemetry import BALL_ROW, CONTROL_ROW
+from runtime.records.recorder import write_throw_log
+from runtime.records.throw_log import ThrowLog
+from server.accounts.auth import Session
+from server.clock import new_id, utc_now
+from server.schemas.console import Role
+from server.throws.throw_series import motion_of, series_of
+from tests.server.server_bench import wait_for
+
+TICKS = 300
+RELEASE_TICK = 200
+
+
+def make_log(throw_id="t"):
+    control = np.zeros(TICKS, CONTROL_ROW)
+    control["t_mono_ns"] = 5_000_000_000 + np.arange(TICKS) * 10_000_000
+    control["joint_position_rad_m"] = safe_pose()
+    control["joint_position_rad_m"][:, 0] = np.linspace(0.0, 0.3, TICKS)
+    control["motion_code_count"] = Motion.THROW
+    control["motion_code_count"][RELEASE_TICK + 30 :] = Motion.SETTLE
+    control["gripper_open_commanded"][RELEASE_TICK:] = True
+    control["payload_held"][: RELEASE_TICK + 26] = True
+    control["supply_pressure_pa"] = np.nan
+    ball = np.zeros(40, BALL_ROW)
+    ball["t_mono_ns"] = control["t_mono_ns"][RELEASE_TICK + 26] + np.arange(40) * 20_000_000
+    ball["position_m"] = np.linspace((6.0, 0.0, 3.0), (9.0, 0.5, 0.12), 40)
+    return ThrowLog(
+        {"throw_id": throw_id, "machine_id": "m001", "mode": "2d"},
+        control,
+        ball=ball,
+        impact_t_mono_ns=int(ball["t_mono_ns"][-1]),
+    )
+
+
+@pytest.fixture
+def content(tmp_path):
+    write_throw_log(tmp_path / "log.mcap", make_log())
+    return (tmp_path / "log.mcap").read_bytes()
+
+
+@pytest.fixture
+def throw_id(running):
+    services = running.services
+    plan = ThrowPlan(
+        plan_id="none",
+        machine_id="m001",
+        mode=Mode.PLANAR,
+        target=Target(x_m=9.0, y_m=0.0),
+        policy_sha256="a" * 64,
+        model_sha256=load_spec().sha256,
+        twin_profile_version=0,
+        predicted_impact_m=(9.0, 0.0, 0.0),
+    )
+    session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
+    throw_id = new_id()
+    with services.database.write() as database:
+        database.add(services.throws.new_row(throw_id, plan, session, 1))
+    return throw_id
+
+
+def put(running, throw_id, content, *, machine_id="m001", token=None, sha256=None, chunked=False):
+    token = token or running.services.registry.secret_path("m001").read_text().strip()
+    return httpx.put(
+        f"{running.url}/api/v1/machines/{machine_id}/throw-logs/{throw_id}",
+        content=iter([content[:1000], content[1000:]]) if chunked else content,
+        headers={
+            "Authorization": f"Bearer {token}",
+            "X-Content-SHA256": sha256 or hashlib.sha256(content).hexdigest(),
+        },
+    )
+
+
+def stored_files(running):
+    return sorted(p.name for p in (running.settings.data_dir / "throws").rglob("*") if p.is_file())
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+def test_an_upload_is_kept_once_and_can_be_read(running, ada, content, throw_id, chunked):
+    for _ in range(2):
+        assert put(running, throw_id, content, chunked=chunked).status_code == 204
+    detail = ada.get(f"/throws/{throw_id}").json()
+    assert detail["row"]["has_log"]
+    assert detail["log"]["log_sha256"] == hashlib.sha256(content).hexdigest()
+    assert detail["log"]["size_bytes"] == len(content)
+    assert ada.get(f"/throws/{throw_id}/log").content == content
+    assert not [name for name in stored_files(running) if name.endswith(".part")]
+
+
+def test_wrong_tokens_are_refused(running, content, throw_id):
+    other = running.services.registry.secret_path("m002").read_text().strip()
+    for token in ("x", other, ""):
+        reply = put(running, throw_id, content, token=token or "Bearer")
+        assert (reply.status_code, reply.json()["error"]["code"]) == (401, "wrong_token")
+
+
+def test_another_machines_throw_is_refused(running, content, throw_id):
+    token = running.services.registry.secret_path("m002").read_text().strip()
+    reply = put(running, throw_id, content, machine_id="m002", token=token)
+    assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
+
+
+def test_damaged_uploads_leave_nothing_and_may_be_repeated(running, content, throw_id):
+    before = stored_files(running)
+    reply = put(running, throw_id, content, sha256="0" * 64)
+    assert (reply.status_code, reply.json()["error"]["code"]) == (503, "hash_mismatch")
+    assert put(running, throw_id, b"", sha256=hashlib.sha256(b"").hexdigest()).status_code == 503
+    assert put(running, throw_id, content, sha256="zz").status_code == 400
+    assert put(running, "..%2f..%2fetc", content).status_code in (400, 404)
+    assert stored_files(running) == before
+
+
+def test_too_large_uploads_are_refused(running, throw_id):
+    big = b"x" * (running.settings.log_max_bytes + 1)
+    reply = put(running, throw_id, big)
+    assert (reply.status_code, reply.json()["error"]["code"]) == (413, "log_too_large")
+
+
+def test_an_unreadable_log_is_kept_but_says_so(running, ada, throw_id):
+    assert put(running, throw_id, b"not a log").status_code == 204
+    reply = ada.get(f"/throws/{throw_id}/series")
+    assert (reply.status_code, reply.json()["error"]["code"]) == (409, "log_unreadable")
+
+
+def test_series_and_replay_over_http(running, ada, content, throw_id):
+    put(running, throw_id, content)
+    series = ada.get(f"/throws/{throw_id}/series").json()
+    assert len(series["t_s"]) == TICKS
+    assert series["release_s"] == pytest.approx(2.26)
+    assert series["columns"]["supply_pressure_pa"][0] is None
+    started = ada.post(f"/throws/{throw_id}/replay", json={"playing": True}).json()
+    assert started["is_playing"]
+    assert started["duration_s"] > 2.9
+    paused = ada.post(f"/throws/{throw_id}/replay", json={"at_s": 1.5, "playing": False}).json()
+    assert (paused["at_s"], paused["is_playing"]) == (1.5, False)
+    session_id = ada.get("/auth/me").json()["session_id"]
+    wait_for(lambda: running.services.scene.replay_state(session_id))
+    assert ada.post(f"/throws/{throw_id}/replay", json={"close": True}).status_code == 200
+    wait_for(lambda: running.services.scene.replay_state(session_id) is None)
+
+
+def test_marks_are_added_never_overwritten(running, ada, throw_id):
+    first = {"downrange_error_m": 0.3, "crossrange_error_m": -0.2, "note": "by eye"}
+    assert ada.post(f"/throws/{throw_id}/impacts", json=first).json()["x_m"] == pytest.approx(9.3)
+    second = ada.post(f"/throws/{throw_id}/impacts", json={"x_m": 9.5, "y_m": 0.1}).json()
+    assert second["downrange_error_m"] == pytest.approx(0.5)
+    detail = ada.get(f"/throws/{throw_id}").json()
+    assert [i["is_current"] for i in detail["impacts"]] == [False, True]
+    assert [i["recorded_by"] for i in detail["impacts"]] == ["ada", "ada"]
+    assert detail["row"]["measured_crossrange_error_m"] == pytest.approx(0.1)
+    for bad in ({}, {"x_m": 1}, {**first, "x_m": 1.0, "y_m": 1.0}, {"x_m": 1e9, "y_m": 0}):
+        assert ada.post(f"/throws/{throw_id}/impacts", json=bad).status_code == 422
+
+
+def test_series_of_a_log():
+    series = series_of("t", make_log())
+    assert series.t_s[0] == 0.0
+    assert [band.name for band in series.phases] == ["swing", "settle", "flight"]
+    assert series.impact_s == pytest.approx(2.26 + 39 * 0.02)
+    assert len(series.ball_t_s) == 40
+    assert set(map(len, series.columns.values())) == {TICKS}
+
+
+def test_series_of_an_empty_log():
+    series = series_of("t", ThrowLog({"throw_id": "t"}))
+    assert (series.t_s, series.phases, series.release_s) == ((), (), None)
+    with pytest.raises(ValueError, match="no motion"):
+        motion_of(ThrowLog({"throw_id": "t"}))
+
+
+def test_motion_of_a_log_flies_evenly_from_release_to_impact():
+    motion = motion_of(make_log())
+    assert motion.frames_rad_m.shape == (TICKS, 6)
+    assert motion.frame_period_s == pytest.approx(0.01)
+    assert motion.release_s == pytest.approx(2.26)
+    assert motion.flight_s == pytest.approx(39 * 0.02)
+    assert motion.ball_path_m[0] == pytest.approx([6.0, 0.0, 3.0])
+    assert motion.ball_path_m[-1] == pytest.approx([9.0, 0.5, 0.12])

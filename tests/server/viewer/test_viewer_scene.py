@@ -1,0 +1,372 @@
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine.conventions import Mode
+from machine.messages import LandingEllipse
+from machine.starts import safe_pose
+from server.viewer.replay import ThrowMotion
+from server.viewer.scene import ViewerScene
+from server.viewer.stage import lost_text
+from server.viewer.state import Reach
+from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, wait_for
+
+POSE = safe_pose(0.3)
+ELLIPSE = LandingEllipse(
+    mean_downrange_error_m=0.05,
+    mean_crossrange_error_m=0.0,
+    sd_downrange_m=0.2,
+    sd_crossrange_m=0.1,
+    correlation_ratio=0.0,
+    rollout_count=200,
+    landed_count=200,
+)
+UPPER = "/live/chassis/upper"
+
+
+def motion(duration_s: float = 0.3) -> ThrowMotion:
+    frames = POSE + np.linspace(0.0, 1.0, 16)[:, None] * np.array([1.0, 0.2, 0.1, 0.3, 0.2, 0.0])
+    path = np.linspace([5.0, 0.0, 3.0], [9.0, 1.0, 0.12], 8)
+    return ThrowMotion(frames, duration_s / 15.0, path, duration_s / 2.0, duration_s / 2.0)
+
+
+@pytest.fixture(scope="module")
+def app() -> Iterator[ViewerApp]:
+    opened = ViewerApp()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def session(request: pytest.FixtureRequest) -> str:
+    return request.node.name
+
+
+@pytest.fixture
+def client(app: ViewerApp, session: str) -> Iterator[ViewClient]:
+    """A drawn view of machine m001, one a test."""
+    app.scene.update_machine("m001", POSE)
+    app.scene.show_machine(session, "m001")
+    found = ViewClient(app, session)
+    found.send(CAMERA)
+    found.until(lambda: f"{UPPER}/skin" in found.nodes, "the machine")
+    yield found
+    found.close()
+    app.scene.end_session(session)
+
+
+def test_the_machine_is_drawn_where_it_is(client: ViewClient) -> None:
+    client.until(lambda: client.nodes[UPPER].get("wxyz"), "its pose")
+    assert client.nodes[UPPER]["wxyz"] == pytest.approx([np.cos(0.15), 0.0, 0.0, np.sin(0.15)])
+    assert {"/ground", "/grid", "/sun", "/sky"} <= set(client.nodes)
+    assert f"{UPPER}/boom/boom_rod/skin" in client.nodes
+
+
+def test_only_what_moved_is_sent(app: ViewerApp, client: ViewClient) -> None:
+    client.until(lambda: client.nodes[UPPER].get("wxyz"), "its pose")
+    time.sleep(0.1)
+    before = len(client.messages)
+    turned = POSE.copy()
+    turned[0] = 1.0
+    app.scene.update_machine("m001", POSE)
+    app.scene.update_machine("m001", turned)
+    client.until(lambda: client.nodes[UPPER]["wxyz"][3] == pytest.approx(np.sin(0.5)), "the turn")
+    moved = {m["name"] for m in client.messages[before:] if m["type"].startswith("Set")}
+    assert moved == {UPPER}
+
+
+def test_a_load_in_flight_leaves_the_gripper(app: ViewerApp, client: ViewClient) -> None:
+    payload = next(name for name in client.nodes if name.endswith("/gripper/payload"))
+    app.scene.update_machine("m001", POSE, (8.0, 1.0, 2.0))
+    client.until(lambda: client.nodes.get("/ball_live", {}).get("position"), "the ball")
+    assert client.nodes["/ball_live"]["position"] == pytest.approx([8.0, 1.0, 2.0])
+    client.until(lambda: client.nodes[payload]["visible"] is False, "the empty gripper")
+    app.scene.update_machine("m001", POSE)
+    client.until(lambda: client.nodes["/ball_live"]["visible"] is False, "the ball to go")
+    client.until(lambda: client.nodes[payload]["visible"] is True, "the load")
+
+
+def test_no_other_session_sees_a_sessions_marks(app: ViewerApp, client: ViewClient) -> None:
+    app.scene.update_machine("m002", POSE)
+    app.scene.show_machine("other", "m002")
+    other = ViewClient(app, "other")
+    other.send(CAMERA)
+    other.until(lambda: f"{UPPER}/skin" in other.nodes, "the other machine")
+    app.scene.set_target("other", (9.0, 0.0, 0.0))
+    other.until(lambda: "/target" in other.nodes, "the other's target")
+    app.scene.set_reach(client_session(app, client), Reach(7.5))
+    client.until(lambda: "/reach/static" in client.nodes, "our rings")
+    assert "/target" not in client.nodes
+    assert "/reach/static" not in other.nodes
+    other.close()
+    app.scene.end_session("other")
+
+
+def client_session(app: ViewerApp, client: ViewClient) -> str:
+    """The session that this client's cookie names."""
+    cookie = client.socket.request.headers["Cookie"] if client.socket.request else ""
+    return cookie.removeprefix("sid=")
+
+
+def test_rings_labels_and_dimmed_ground(app: ViewerApp, session: str, client: ViewClient) -> None:
+    app.scene.set_reach(session, Reach(7.5, 10.9, 11.4, 5.0, Mode.PLANAR))
+    client.until(lambda: "/reach/spatial_label" in client.nodes, "the labels")
+    texts = {client.nodes[f"/reach/{n}_label"]["text"] for n in ("static", "planar", "spatial")}
+    assert texts == {"7.5 m static reach", "10.9 m 2D", "11.4 m 3D"}
+    assert {"/dim/beyond", "/dim/near"} <= set(client.nodes)
+    app.scene.set_reach(session, None)
+    client.until(lambda: "/reach/static" not in client.nodes, "the rings to go")
+    client.until(lambda: "/dim/beyond" not in client.nodes, "the dimming to go")
+
+
+@pytest.mark.parametrize(
+    ("reach", "beyond_m"),
+    [
+        (Reach(7.5), 7.5),
+        (Reach(7.5, 10.9, 11.4), 11.4),
+        (Reach(7.5, 10.9, 11.4, mode=Mode.PLANAR), 10.9),
+        (Reach(7.5, None, 11.4, mode=Mode.PLANAR), 11.4),
+    ],
+)
+def test_where_the_ground_is_dimmed(reach: Reach, beyond_m: float) -> None:
+    assert reach.dimmed_beyond_m == beyond_m
+
+
+def test_the_target_moves_without_being_made_anew(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_target(session, (9.0, 0.0, 0.0))
+    client.until(lambda: "/target/label" in client.nodes, "the mark")
+    assert client.nodes["/target/label"]["text"] == "9.00 m, ahead"
+    made = sum(m["type"] == "FrameMessage" for m in client.messages)
+    app.scene.set_target(session, (0.0, 8.0, 0.5))
+    client.until(lambda: client.nodes["/target/label"]["text"].startswith("8.00 m"), "the words")
+    assert client.nodes["/target/label"]["text"] == "8.00 m, 90.0° left, +0.50 m high"
+    assert client.nodes["/target"]["position"][:2] == pytest.approx([0.0, 8.0])
+    assert sum(m["type"] == "FrameMessage" for m in client.messages) == made
+    app.scene.set_target(session, None)
+    client.until(lambda: "/target" not in client.nodes, "the mark to go")
+
+
+def test_a_click_marks_the_target_and_tells(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_pick_height(session, 1.0)
+    state = app.scene._stage.session(session)
+    wait_for(lambda: state is not None and state.pick_height_m == 1.0, "the raised plane")
+    client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
+    client.until(lambda: "/target" in client.nodes, "the mark")
+    assert client.nodes["/target"]["position"] == pytest.approx([9.0, 3.0, 1.03])
+    wait_for(lambda: app.picks and app.picks[-1][0] == session, "the pick")
+    assert app.picks[-1][1] == pytest.approx((9.0, 3.0, 1.0))
+
+
+def test_clicks_that_give_no_target_are_told_and_draw_nothing(
+    app: ViewerApp, session: str, client: ViewClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picks, refusals = len(app.picks), len(app.refusals)
+    handled: list[object] = []
+    original = app.scene._stage._clicked
+
+    def noting(session_id: str, event: Any) -> None:
+        original(session_id, event)
+        handled.append(event)
+
+    monkeypatch.setattr(app.scene._stage, "_clicked", noting)
+    client.send(click((0.0, 0.0, 7.0), (1.0, 0.0, -0.01)))
+    wait_for(lambda: len(app.refusals) > refusals, "the refusal")
+    app.scene.set_picking(session, False)
+    state = app.scene._stage.session(session)
+    wait_for(lambda: state is not None and not state.is_picking, "picking to be off")
+    client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
+    wait_for(lambda: len(handled) == 2, "the second click to be handled")
+    app.scene.set_reach(session, Reach(7.5))
+    client.until(lambda: "/reach/static" in client.nodes, "what was asked later")
+    assert "/target" not in client.nodes
+    assert len(app.picks) == picks
+
+
+def test_a_plan_is_drawn_and_its_ghost_plays_once(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.show_plan(session, (9.0, 1.0, 0.0), motion(), impact_m=(9.05, 1.0, 0.12))
+    client.until(lambda: "/ghost/chassis/upper/skin" in client.nodes, "the ghost")
+    assert client.nodes["/ghost/chassis/upper/skin"]["opacity"] < 0.5
+    assert "/ghost/chassis/skin" not in client.nodes
+    assert {"/plan/path", "/plan/impact", "/target"} <= set(client.nodes)
+    assert "/plan/sigma1" not in client.nodes
+    app.scene.update_ellipse(session, ELLIPSE)
+    client.until(lambda: "/plan/sigma2_fill" in client.nodes, "the ellipse")
+    client.until(lambda: "/ball_ghost" in client.nodes, "the ghost's load in flight")
+    client.until(lambda: "/ghost" not in client.nodes, "the ghost to end")
+    assert "/plan/path" in client.nodes
+    app.scene.play_preview(session)
+    client.until(lambda: "/ghost" in client.nodes, "the ghost once more")
+    app.scene.clear_plan(session)
+    client.until(
+        lambda: not any(n.startswith(("/plan/", "/ghost")) for n in client.nodes), "no plan"
+    )
+    assert "/target" in client.nodes
+
+
+def test_a_ghost_draws_only_what_leaves_the_live_machine(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    frames = np.tile(POSE, (4, 1))
+    frames[:, 0] += 2.0 * np.pi
+    still = ThrowMotion(frames, 5.0, np.zeros((0, 3)))
+    app.scene.show_plan(session, (9.0, 1.0, 0.0), still)
+    client.until(lambda: "/ghost/chassis/upper/boom/skin" in client.nodes, "the ghost")
+    client.until(lambda: "/ghost/chassis/upper/boom/dipper/skin" in client.nodes, "its arm")
+    assert "/ghost/chassis/upper/skin" not in client.nodes
+    assert "/ghost/chassis/skin" not in client.nodes
+
+
+def test_a_replay_hides_the_live_machine(app: ViewerApp, session: str, client: ViewClient) -> None:
+    app.scene.replay(session, motion(30.0), predicted=motion(30.0), is_playing=False)
+    client.until(lambda: "/replay/chassis/upper" in client.nodes, "the replay")
+    client.until(lambda: client.nodes["/live"]["visible"] is False, "the live machine to hide")
+    client.until(lambda: "/ghost" in client.nodes, "the prediction beside it")
+    app.scene.replay_control(session, at_s=30.0)
+    upper = "/replay/chassis/upper"
+    turned = [np.cos(0.65), 0.0, 0.0, np.sin(0.65)]
+    client.until(lambda: client.nodes[upper].get("wxyz") == pytest.approx(turned), "the last frame")
+    state = app.scene.replay_state(session)
+    assert state is not None
+    assert (state.at_s, state.duration_s, state.is_playing) == (30.0, pytest.approx(30.0), False)
+    app.scene.replay_control(session, is_playing=True)
+    wait_for(lambda: 0.0 < (app.scene.replay_state(session) or state).at_s < 30.0, "it to play on")
+    app.scene.stop_replay(session)
+    client.until(lambda: "/replay" not in client.nodes, "the replay to go")
+    client.until(lambda: client.nodes["/live"]["visible"] is True, "the live machine")
+    assert app.scene.replay_state(session) is None
+
+
+def test_a_lost_machine_says_since_when_and_turns_grey(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.update_machine("m404", POSE)
+    app.scene.show_machine(session, "m404")
+    app.scene.mark_lost("m404", 14.2)
+    client.until(lambda: "/lost" in client.nodes, "the words")
+    assert client.nodes["/lost"]["text"] == "Lost: last seen 14 s ago"
+    client.until(lambda: client.nodes["/live/chassis/skin"].get("opacity"), "the grey machine")
+    client.until(lambda: client.nodes["/lost"]["text"].endswith("15 s ago"), "the next second")
+    app.scene.update_machine("m404", POSE)
+    client.until(lambda: "/lost" not in client.nodes, "the words to go")
+    client.until(lambda: client.nodes["/live/chassis/skin"]["type"] == "GlbMessage", "its colours")
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "text"),
+    [
+        (-0.5, "Lost: last seen 0 s ago"),
+        (119.0, "Lost: last seen 119 s ago"),
+        (120.0, "Lost: last seen 2 min ago"),
+        (7200.0, "Lost: last seen 2 h ago"),
+    ],
+)
+def test_how_long_ago_in_words(ago_s: float, text: str) -> None:
+    assert lost_text(ago_s) == text
+
+
+def test_impacts_are_marked_and_cleared(app: ViewerApp, session: str, client: ViewClient) -> None:
+    app.scene.show_impacts(
+        session,
+        [(9.0, 0.1, 0.0), (8.9, 0.0, 0.0)],
+        latest=(9.1, 0.0, 0.0),
+        latest_text="+0.10 m long",
+    )
+    client.until(lambda: "/impacts/latest_label" in client.nodes, "the marks")
+    assert {"/impacts/past", "/impacts/latest"} <= set(client.nodes)
+    assert client.nodes["/impacts/latest_label"]["text"] == "+0.10 m long"
+    app.scene.show_impacts(session, [])
+    client.until(lambda: "/impacts/past" not in client.nodes, "the crosses to go")
+
+
+def test_a_browser_that_comes_back_sees_the_same(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_target(session, (9.0, 0.0, 0.0))
+    app.scene.show_plan(session, (9.0, 0.0, 0.0), motion(0.01), ellipse=ELLIPSE)
+    app.scene.set_theme(session, "dark")
+    client.close()
+    again = ViewClient(app, session)
+    again.send(CAMERA)
+    again.until(lambda: f"{UPPER}/skin" in again.nodes, "the machine")
+    again.until(lambda: "/target/label" in again.nodes, "the target")
+    assert "/plan/sigma1" in again.nodes
+    themes = [m for m in again.messages if m["type"] == "ThemeConfigurationMessage"]
+    assert themes[-1]["dark_mode"] is True
+    assert themes[-1]["show_share_button"] is False
+    again.close()
+
+
+def test_another_machine_starts_with_a_clean_yard(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_target(session, (9.0, 0.0, 0.0))
+    app.scene.set_reach(session, Reach(7.5))
+    client.until(lambda: "/reach/static" in client.nodes, "the rings")
+    app.scene.show_machine(session, "m003")
+    client.until(lambda: "/target" not in client.nodes, "the target to go")
+    client.until(lambda: "/live" not in client.nodes, "the old machine to go")
+    assert "/reach/static" not in client.nodes
+
+
+def test_camera_presets(app: ViewerApp, session: str, client: ViewClient) -> None:
+    app.scene.set_camera(session, "top")
+
+    def asked(kind: str) -> list[dict[str, Any]]:
+        return [m for m in client.messages if m["type"] == kind and not m["initial"]]
+
+    client.until(lambda: asked("SetCameraLookAtMessage"), "the camera")
+    assert asked("SetCameraPositionMessage")[-1]["position"][2] > 40.0
+    with pytest.raises(ValueError, match="3d, top, side"):
+        app.scene.set_camera(session, "below")
+    with pytest.raises(ValueError, match="light, dark"):
+        app.scene.set_theme(session, "pink")
+
+
+@pytest.mark.parametrize("joints", [[0.0] * 5, [0.0] * 7, [float("nan")] * 6])
+def test_a_sample_that_is_none_is_refused(app: ViewerApp, joints: list[float]) -> None:
+    with pytest.raises(ValueError, match="Six finite"):
+        app.scene.update_machine("m001", joints)
+
+
+def test_one_failing_job_does_not_end_the_view(
+    app: ViewerApp, session: str, client: ViewClient, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("planted")
+
+    app.scene._stage.apply(session, fail, None)
+    app.scene.set_target(session, (9.0, 0.0, 0.0))
+    client.until(lambda: "/target" in client.nodes, "the target after the failure")
+    assert "planted" in caplog.text
+
+
+def test_the_oldest_session_that_nobody_watches_is_forgotten(
+    app: ViewerApp, session: str, client: ViewClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.viewer.stage.MAX_SESSIONS", 3)
+    names = [f"{session}{i}" for i in range(6)]
+    for name in names:
+        app.scene.set_pick_height(name, 1.0)
+    wait_for(lambda: app.scene._stage.session(names[-1]), "the newest")
+    assert app.scene._stage.session(session) is not None
+    assert app.scene._stage.session(names[0]) is None
+    for name in names:
+        app.scene.end_session(name)
+
+
+def test_what_is_not_started_says_so() -> None:
+    from machine.spec import load_spec
+
+    scene = ViewerScene(load_spec(), lambda *_: None)
+    with pytest.raises(RuntimeError, match="start"):
+        _ = scene.port
+    scene.close()

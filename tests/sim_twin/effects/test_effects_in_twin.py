@@ -1,0 +1,204 @@
+"""Every effect of the library in the twin: it acts at its stage and after, never before, and 0 is nothing."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from machine.conventions import CONTROL_PERIOD_NS, Array
+from machine.starts import safe_pose
+from runtime.driver import ValveCommand
+from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+from sim_twin.replay.replay import ReplayElement, ReplayOutput, replay
+from sim_twin.twin.twin import Twin
+from tests.sim_twin.twin_throw import CALIBRATION, PROFILE, SPEC, Recorded, record
+
+CHANNELS = ("actuation", "swing", "imu", "release", "velocity", "impact")
+UPSTREAM = {"actuation": 0, "swing": 1, "release": 3, "flight": 5}
+"""Number of channels, in order, that an effect of a stage leaves alone."""
+
+
+class Case(NamedTuple):
+    effect: Effect
+
+    @property
+    def name(self) -> str:
+        return f"{self.effect.effect}-{self.effect.joint}-{'-'.join(self.effect.parameters)}"
+
+
+def large(low: float, high: float, step: float) -> float:
+    """A size at which the effect shows beyond doubt."""
+    return min(high, max(6.0 * step, 0.3 * high)) if high >= -low else low / 2
+
+
+CASES = [
+    Case(Effect(effect=name, joint=joint, parameters={p.name: large(p.low, p.high, p.step)}))
+    for name, spec in EFFECTS.items()
+    if name not in (DRIFT, "release_jitter")
+    for joint in (spec.joints or (None,))
+    for p in spec.parameters
+]
+WITHOUT_MOTION = [
+    c for c in CASES if c.effect.effect == "load_dependent_speed" and c.effect.joint == "slew"
+]
+"""Gravity does not load the slew."""
+
+
+@pytest.fixture(scope="module")
+def plain() -> Recorded:
+    return record()
+
+
+@pytest.fixture(scope="module")
+def outputs(plain: Recorded) -> ReplayOutput:
+    """All cases, then no effect."""
+    elements = [ReplayElement(0, (c.effect,)) for c in CASES] + [ReplayElement(0)]
+    return replay([plain.replay_input], elements, PROFILE, CALIBRATION)
+
+
+def changes(outputs: ReplayOutput, row: int) -> list[float]:
+    """Largest change of each channel against no effect."""
+    parts = (
+        (outputs.joint_position_rad_m, outputs.joint_velocity_rad_m_per_s),
+        (outputs.passive_position_rad, outputs.passive_velocity_rad_per_s),
+        (outputs.gyro_rad_per_s, outputs.accel_m_per_s2),
+        (outputs.release_t_s,),
+        (outputs.release_velocity_m_per_s, outputs.release_position_m),
+        (outputs.impact_m,),
+    )
+    return [
+        max(float(np.nanmax(np.abs(array[row] - array[-1]))) for array in part) for part in parts
+    ]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_an_effect_acts_from_its_stage_on(outputs: ReplayOutput, case: Case) -> None:
+    change = dict(zip(CHANNELS, changes(outputs, CASES.index(case)), strict=True))
+    stage = EFFECTS[case.effect.effect].stage
+    if case in WITHOUT_MOTION:
+        assert set(change.values()) == {0.0}
+        return
+    if stage != "aim":
+        before = [change[name] for name in CHANNELS[: UPSTREAM[stage]]]
+        # A gripper that swings otherwise pulls otherwise at drives of finite inertia.
+        assert max(before, default=0.0) <= (1e-6 if stage == "swing" else 0.0)
+    if case.effect.effect.startswith(("joint_sensor_latency", "imu")):
+        assert change["impact"] == 0.0, "a sensor alone moves nothing in an open loop"
+        seen = "imu" if case.effect.effect.startswith("imu") else "actuation"
+        assert change[seen] > 0.01
+        return
+    assert change["impact"] > 2e-3
+    own = {"actuation": "actuation", "swing": "swing", "flight": "impact"}.get(stage)
+    if own is not None and case.effect.effect != "payload_offset":
+        assert change[own] > 1e-3
+
+
+def test_joint_effects_move_their_own_joint_only(outputs: ReplayOutput) -> None:
+    for row, case in enumerate(CASES):
+        effect = case.effect
+        if EFFECTS[effect.effect].stage != "actuation" or effect.joint is None:
+            continue
+        moved = np.nanmax(
+            np.abs(outputs.joint_position_rad_m[row] - outputs.joint_position_rad_m[-1]), axis=0
+        )
+        others = np.delete(moved, ("slew", "boom", "dipper", "telescope").index(effect.joint))
+        # Through the drives' finite inertia another joint feels a billionth.
+        assert others.max() < 1e-7, case.name
+
+
+def test_a_size_of_zero_is_no_effect_to_the_last_bit(plain: Recorded) -> None:
+    """Beside machines that do have the effect, so that its code runs."""
+    real = [ReplayElement(0, (c.effect,)) for c in CASES]
+    nothing = [
+        ReplayElement(
+            0,
+            (c.effect.model_copy(update={"parameters": dict.fromkeys(c.effect.parameters, 0.0)}),),
+        )
+        for c in CASES[::7]
+    ]
+    mixed = replay([plain.replay_input], [*real, *nothing], PROFILE, CALIBRATION)
+    alone = replay([plain.replay_input], [ReplayElement(0)], PROFILE, CALIBRATION)
+    for name in ReplayOutput._fields:
+        values, expected = getattr(mixed, name)[len(real) :], getattr(alone, name)
+        np.testing.assert_array_equal(values, np.repeat(expected, len(nothing), axis=0), name)
+
+
+def test_one_machine_equals_the_same_in_a_large_batch(
+    plain: Recorded, outputs: ReplayOutput
+) -> None:
+    for row in range(0, len(CASES), 5):
+        alone = replay(
+            [plain.replay_input], [ReplayElement(0, (CASES[row].effect,))], PROFILE, CALIBRATION
+        )
+        for name in ReplayOutput._fields:
+            np.testing.assert_array_equal(
+                getattr(alone, name)[0], getattr(outputs, name)[row], CASES[row].name + name
+            )
+
+
+def closed_loop(effect: Effect, *, in_profile: bool) -> tuple[Array, Array]:
+    """Readings and impact of a twin that is driven as campaigns and previews drive it."""
+    profile = PROFILE.model_copy(update={"effects": (effect,)}) if in_profile else PROFILE
+    twin = Twin(
+        count=1,
+        profile=profile,
+        calibration=CALIBRATION,
+        effects=None if in_profile else [(effect,)],
+    )
+    twin.reset(safe_pose()[None], 3)
+    seen: list[Array] = []
+    for tick in range(200):
+        valve = np.array([[0.3 * np.sin(0.05 * tick), 0.2, -0.3, 0.2]]) * (tick < 90)
+        twin.write(ValveCommand(valve, np.array([tick > 60])))
+        twin.advance(twin.now_ns() + CONTROL_PERIOD_NS)
+        sample = twin.read()
+        seen.append(
+            np.concatenate(
+                [
+                    sample.joint_position_rad_m[0],
+                    sample.joint_velocity_rad_m_per_s[0],
+                    sample.imu_gyro_rad_per_s[0],
+                    sample.imu_accel_m_per_s2[0],
+                ]
+            )
+        )
+    return np.stack(seen), twin.true_impact_m()
+
+
+@pytest.mark.parametrize("case", CASES[::9], ids=lambda c: c.name)
+def test_an_effect_of_the_profile_acts_as_one_of_the_machine(case: Case) -> None:
+    in_profile, of_machine = (
+        closed_loop(case.effect, in_profile=True),
+        closed_loop(case.effect, in_profile=False),
+    )
+    np.testing.assert_array_equal(in_profile[0], of_machine[0])
+    np.testing.assert_array_equal(in_profile[1], of_machine[1])
+    assert np.isfinite(in_profile[1]).all()
+
+
+def test_any_mixture_within_the_bounds_stays_finite(plain: Recorded) -> None:
+    rng = np.random.default_rng(4)
+    elements: list[ReplayElement] = []
+    for number in range(60):
+        mixture = [
+            Effect(
+                effect=name,
+                joint=joint,
+                parameters={p.name: float(rng.uniform(p.low, p.high)) for p in spec.parameters},
+            )
+            for name, spec in EFFECTS.items()
+            if name != DRIFT
+            for joint in (spec.joints or (None,))
+            if rng.uniform() < 0.3
+        ]
+        measured = (number % 2 == 0,) * 4
+        elements.append(ReplayElement(0, tuple(mixture), measured))
+    out = replay([plain.replay_input], elements, PROFILE, CALIBRATION)
+    for values in (out.joint_position_rad_m, out.passive_position_rad, out.gyro_rad_per_s):
+        assert np.isfinite(values).all()
+    low, high = SPEC.position_range_rad_m
+    simulated = out.joint_position_rad_m[1::2]
+    # As reported: a biased sensor may read beyond the stops.
+    assert (simulated >= low - 0.081).all()
+    assert (simulated <= high + 0.081).all()
+    assert np.abs(out.gyro_rad_per_s).max() < 60.0

@@ -1,0 +1,74 @@
+"""The measured tables predict what the machine then does, and a dead valve is noticed."""
+
+import numpy as np
+import pytest
+
+from machine.calibration import actuator_ratio
+from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_NS
+from machine.errors import PlantError
+from machine.spec import load_spec
+from machine.starts import safe_pose
+from runtime.driver import ValveCommand
+from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.virtual.virtual_machine import VirtualMachine
+
+SPEC = load_spec()
+UNIT_SEED = 3
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    plant = VirtualMachine(count=CALIBRATION_STEP_COUNT, unit_seed=UNIT_SEED)
+    try:
+        return calibrate(plant, SPEC, "m003")
+    finally:
+        plant.close()
+
+
+def test_tables_have_a_dead_band_and_reach_the_speeds_of_the_machine(calibration):
+    ratio = np.abs(actuator_ratio(SPEC, safe_pose()[None, :4]))[0]
+    for joint, table in enumerate(calibration.tables):
+        valve, speed = np.array(table.valve_ratio), np.array(table.actuator_speed_rad_m_per_s)
+        still = np.abs(speed) < 1e-5
+        assert np.all(np.abs(valve[still]) < 0.10)
+        top = np.array([speed[-1], -speed[0]]) / ratio[joint]
+        limits = [
+            SPEC.limits.speed_positive_rad_m_per_s[joint],
+            SPEC.limits.speed_negative_rad_m_per_s[joint],
+        ]
+        assert np.all(np.abs(top / limits - 1.0) < 0.35)
+
+
+@pytest.mark.parametrize(("joint", "share"), [(0, 0.5), (1, 0.4), (2, -0.4), (3, 0.4)])
+def test_the_inverse_table_gives_the_wanted_speed(calibration, joint, share):
+    table = calibration.tables[joint]
+    speeds = np.array(table.actuator_speed_rad_m_per_s)
+    wanted = share * (speeds[-1] if share > 0 else -speeds[0])
+    plant = VirtualMachine(count=1, unit_seed=UNIT_SEED)
+    try:
+        plant.reset(safe_pose()[None], seed=11)
+        valve = np.zeros((1, ACTIVE_COUNT))
+        valve[0, joint] = np.interp(wanted, speeds, table.valve_ratio)
+        seen = []
+        for _ in range(350 if joint == 0 else 130):
+            plant.write(ValveCommand(valve, np.zeros(1, dtype=np.bool_)))
+            plant.advance(plant.now_ns() + CONTROL_PERIOD_NS)
+            sample = plant.read()
+            ratio = np.abs(actuator_ratio(SPEC, sample.joint_position_rad_m))
+            seen.append((sample.joint_velocity_rad_m_per_s * ratio)[0, joint])
+        assert np.mean(seen[-40:]) == pytest.approx(wanted, rel=0.2)
+    finally:
+        plant.close()
+
+
+def test_a_machine_that_does_not_move_is_refused():
+    class Dead(VirtualMachine):
+        def write(self, command: ValveCommand) -> None:
+            super().write(ValveCommand(np.zeros_like(command.valve_ratio), command.gripper_open))
+
+    plant = Dead(count=CALIBRATION_STEP_COUNT, unit_seed=0)
+    try:
+        with pytest.raises(PlantError, match="does not move in both directions"):
+            calibrate(plant, SPEC, "dead")
+    finally:
+        plant.close()

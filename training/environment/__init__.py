@@ -1,0 +1,1 @@
+"""The batched training environment."""

@@ -1,0 +1,439 @@
+"""Batched training environment in JAX: thousands of machines that throw, 12.5 Hz control, 100 Hz physics.
+
+The reference shaping and the observation are the runtime's own functions; the driven joints follow a
+drawn velocity response, the free joints their exact dynamics, the load a ballistic flight with drag. It
+knows nothing of valves and pressures: those are the virtual machine's.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from machine.ballistics import drag_per_m
+from machine.conventions import (
+    ACTIVE_COUNT,
+    CONTROL_PERIOD_S,
+    JOINT_COUNT,
+    POLICY_DECIMATION,
+    POLICY_PERIOD_S,
+    RELEASE_THRESHOLD_RATIO,
+    Array,
+    Mode,
+)
+from machine.kinematics import grip_centre
+from machine.spec import MachineSpec
+from machine.starts import sample_starts
+from runtime.control.observation import (
+    ACTION_NAMES,
+    OBSERVATION_NAMES,
+    build,
+    policy_frame,
+    push_history,
+    start_history,
+)
+from runtime.control.velocity_controller import shape_reference
+from training.environment.clearance import clearance, clearance_shapes
+from training.environment.dynamics import (
+    ResponseState,
+    drawn_machine,
+    passive_acceleration,
+    passive_body,
+    respond,
+)
+from training.environment.episode import (
+    EpisodeDraw,
+    Failure,
+    StepInfo,
+    draw_episode,
+    privileged_values,
+)
+from training.environment.flight import flight_step, landing
+from training.environment.reward import RewardInputs, step_reward
+from training.environment.settling import settle_request
+from training.environment.task import TaskConfig
+
+Field = Any
+DELAY_TICKS = 40
+"""Length of the delay line: the longest dead time is 0.39 s."""
+
+
+def _untyped(values: jax.Array) -> Any:
+    """The machine's own functions are annotated for numpy and run on JAX arrays as well."""
+    return values
+
+
+class StartTable(NamedTuple):
+    """Start poses with their targets, frame `throw`."""
+
+    start_rad_m: Field
+    """(M, 6)."""
+    target_m: Field
+    """(M, 3), on the x axis."""
+
+
+def start_table(
+    spec: MachineSpec, mode: Mode, range_m: Array, height_m: Array, rng: np.random.Generator
+) -> StartTable:
+    """Draw a valid start for every target at distances `range_m` (M,) and heights `height_m` (M,)."""
+    target = np.stack([range_m, np.zeros_like(range_m), height_m], axis=-1)
+    start = sample_starts(spec, mode, target, rng)
+    return StartTable(jnp.asarray(start, jnp.float32), jnp.asarray(target, jnp.float32))
+
+
+def random_table(spec: MachineSpec, task: TaskConfig, seed: int) -> StartTable:
+    """The table a training run draws its episodes from."""
+    rng, count = np.random.default_rng(seed), task.episode.start_count
+    range_m = rng.uniform(*task.episode.target_range_m, count)
+    height_m = rng.uniform(*task.episode.target_height_m, count)
+    return start_table(spec, task.mode, range_m, height_m, rng)
+
+
+class EnvironmentState(NamedTuple):
+    """Everything that changes, leading axis N = environments."""
+
+    position: Field
+    """(N, 6) rad, m."""
+    velocity: Field
+    """(N, 6)."""
+    response: ResponseState
+    """(N, 4) each: the driven joints' lags."""
+    reference: Field
+    """(N, 4) last shaped velocity reference."""
+    delay_line: Field
+    """(N, DELAY_TICKS, 4) references, newest first."""
+    disturbance: Field
+    """(N, 4)."""
+    q_history: Field
+    """(N, 4, 6) what the policy saw, newest first."""
+    v_history: Field
+    """(N, 4, 6)."""
+    previous_action: Field
+    """(N, A)."""
+    opened: Field
+    """(N,) 1.0 once the release was commanded."""
+    leave_in_s: Field
+    """(N,) time until the load leaves, counts down after the command."""
+    time_s: Field
+    """(N,) since the start."""
+    impact_distance_m: Field
+    """(N,) distance of the hypothetical impact to the target."""
+    best_error_m: Field
+    """(N, 2) smallest horizontal and 3D distance of the load to the target so far (paper)."""
+    ball: Field
+    """(N, 6) flying load: position, velocity; only where it has left."""
+    gone_s: Field
+    """(N,) time since the load has left; -1 while it is held."""
+    flight_s: Field
+    """(N,) time of flight of the present (or hypothetical) throw."""
+    landing_m: Field
+    """(N, 2) where it will land."""
+    draw: EpisodeDraw
+    """What was drawn for this episode."""
+
+
+class ThrowEnvironment:
+    """The environment's constants and pure functions; jit and scan them freely."""
+
+    def __init__(self, spec: MachineSpec, task: TaskConfig, unroll_count: int = 1) -> None:
+        self.spec = spec
+        self.unroll = unroll_count
+        self.task = task
+        self._shapes = clearance_shapes(spec)
+        self._drag = drag_per_m(spec.ball)
+        self.observation_count = len(OBSERVATION_NAMES[task.mode])
+        self.action_count = len(ACTION_NAMES[task.mode])
+        limits = spec.limits
+        scale = np.maximum(limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s)
+        self._first_joint = 1 if task.mode is Mode.PLANAR else 0
+        self.action_scale = scale[self._first_joint :]
+        low, high = spec.position_range_rad_m
+        margin = task.episode.joint_limit_margin_rad_m
+        self._low, self._high = jnp.asarray(low + margin), jnp.asarray(high - margin)
+
+    def reset(self, key: Field, table: StartTable, rows: Field) -> EnvironmentState:
+        """Start episodes at rest from these rows (N,) of the table."""
+        keys = jax.random.split(key, 3)
+        count = rows.shape[0]
+        start, target = table.start_rad_m[rows], table.target_m[rows]
+        draw = draw_episode(keys[0], self.spec, self.task, target, self._drag)
+        swing = jax.random.normal(keys[1], (2, count, 2))
+        passive = self.task.passive
+        position = start.at[:, 4:].add(swing[0] * jnp.asarray(passive.start_swing_sd_rad))
+        velocity: Field = jnp.zeros((count, JOINT_COUNT))
+        velocity = velocity.at[:, 4:].set(
+            swing[1] * jnp.asarray(passive.start_swing_rate_sd_rad_per_s)
+        )
+        zeros4, zeros = jnp.zeros((count, ACTIVE_COUNT)), jnp.zeros(count)
+        seen_q, seen_v = self._sense(keys[2], position, velocity, draw)
+        grip = grip_centre(self._built(draw), _untyped(position), _untyped(velocity))
+        offset = grip.position_m - target
+        horizontal = jnp.hypot(offset[:, 0], offset[:, 1])
+        return EnvironmentState(
+            position=position,
+            velocity=velocity,
+            response=ResponseState(zeros4, zeros4),
+            reference=zeros4,
+            delay_line=jnp.zeros((count, DELAY_TICKS, ACTIVE_COUNT)),
+            disturbance=zeros4,
+            q_history=start_history(seen_q),
+            v_history=start_history(seen_v),
+            previous_action=jnp.zeros((count, self.action_count)),
+            opened=zeros,
+            leave_in_s=zeros + draw.release_delay_s,
+            time_s=zeros,
+            # At rest the load would fall straight down.
+            impact_distance_m=horizontal,
+            best_error_m=jnp.stack([horizontal, jnp.linalg.norm(offset, axis=-1)], axis=-1),
+            ball=jnp.zeros((count, 6)),
+            gone_s=zeros - 1.0,
+            flight_s=zeros,
+            landing_m=grip.position_m[:, :2],
+            draw=draw,
+        )
+
+    def observe(self, state: EnvironmentState) -> tuple[Field, Field]:
+        """What the policy sees (N, 65 | 56), and what only the critic sees (N, P)."""
+        frame = policy_frame(
+            self.spec,
+            self.task.mode,
+            state.q_history[:, 0],
+            state.v_history[:, 0],
+            state.draw.target_m,
+            _untyped(jnp.zeros_like(state.time_s)),
+        )
+        observation = build(
+            self.task.mode,
+            frame,
+            state.q_history,
+            state.v_history,
+            state.previous_action,
+            state.opened > 0.0,
+        )
+        hidden = privileged_values(state)
+        return observation.astype(jnp.float32), hidden
+
+    def drives(self, state: EnvironmentState) -> Field:
+        """(N,) bool: whether the policy's next action moves anything."""
+        if self.task.episode.after_release == "policy":
+            return jnp.ones_like(state.gone_s, dtype=jnp.bool_)
+        return state.gone_s < 0.0
+
+    def step(
+        self, key: Field, state: EnvironmentState, action: Field
+    ) -> tuple[EnvironmentState, Field, StepInfo]:
+        """One control step (80 ms); returns state, reward (N,) and what ended. Does not reset."""
+        keys = jax.random.split(key, 3)
+        count = state.time_s.shape[0]
+        clipped = jnp.clip(action, -1.0, 1.0)
+        opened = self._release(keys[0], state, clipped)
+        request = jnp.zeros((count, ACTIVE_COUNT))
+        request = request.at[:, self._first_joint :].set(clipped[:, :-1] * self.action_scale)
+        response = self.task.response
+        keep = np.exp(-POLICY_PERIOD_S / np.asarray(response.disturbance_correlation_s))
+        shock = jax.random.normal(keys[1], (count, ACTIVE_COUNT))
+        spread = jnp.asarray(response.disturbance_sd_rad_m_per_s) * np.sqrt(1.0 - keep**2)
+        state = state._replace(opened=opened, disturbance=keep * state.disturbance + spread * shock)
+        after, leaving, touched = self._ticks(state, request)
+        after = self._fly(state, after, leaving)
+        after = after._replace(time_s=state.time_s + POLICY_PERIOD_S)
+        after = self._remember(keys[2], after, clipped)
+        return self._judge(state, after, clipped, touched)
+
+    def _release(self, key: Field, state: EnvironmentState, action: Field) -> Field:
+        """Latch the release command; near the target at low speed it is sometimes forced (paper)."""
+        episode = self.task.episode
+        grip = grip_centre(self.spec, state.position, state.velocity)
+        slow = jnp.linalg.norm(grip.velocity_m_per_s, axis=-1) < episode.override_speed_m_per_s
+        near = state.impact_distance_m < episode.override_distance_m
+        lucky = jax.random.uniform(key, slow.shape) < episode.override_probability_ratio
+        commanded = (action[:, -1] > RELEASE_THRESHOLD_RATIO) | (slow & near & lucky)
+        return jnp.where(commanded, 1.0, state.opened)
+
+    def _built(self, draw: EpisodeDraw) -> MachineSpec:
+        """The machine of this episode: the drawn lengths in the place of the drawing's."""
+        return drawn_machine(
+            self.spec,
+            telescope_to_pin_error_m=draw.telescope_to_pin_error_m,
+            pitch_to_roll_error_m=draw.pitch_to_roll_error_m,
+            roll_to_grip_error_m=draw.roll_to_grip_error_m,
+        )
+
+    def _ticks(
+        self, state: EnvironmentState, request: Field
+    ) -> tuple[EnvironmentState, tuple[Field, Field, Field], Field]:
+        """Eight physics ticks; also the joints when the load left (q, v, whether), and clearance."""
+        draw, built, dt = state.draw, self._built(state.draw), CONTROL_PERIOD_S
+        ticks = jnp.arange(DELAY_TICKS)[:, None]
+        # Linear interpolation between the two references around the dead time.
+        dead_ticks = draw.response.dead_time_s[:, None] / dt
+        weights = jnp.maximum(1.0 - jnp.abs(dead_ticks - ticks), 0.0)
+        body = passive_body(
+            self.spec,
+            draw.payload_mass_kg,
+            friction_scale=draw.friction_scale_ratio,
+            com_error_m=draw.com_error_m,
+            inertia_scale=draw.inertia_scale_ratio,
+            mass_scale=draw.mass_scale_ratio,
+        )
+        settles = self.task.episode.after_release == "settle"
+
+        def tick(carry: Any, _: Field) -> tuple[Any, None]:
+            q, v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest = carry
+            wanted = request
+            if settles:
+                since = gone - draw.settle_delay_s
+                settle = settle_request(self.spec, since, q, v)
+                wanted = jnp.where((since > 0.0)[:, None], settle, request)
+            reference = shape_reference(
+                self.spec, _untyped(wanted), reference, q[:, :ACTIVE_COUNT], dt
+            )
+            line = jnp.concatenate([reference[:, None], line[:, :-1]], axis=1)
+            delayed = jnp.sum(line * weights, axis=1)
+            active = v[:, :ACTIVE_COUNT]
+            new_active, lags = respond(draw.response, lags, active, delayed, state.disturbance, dt)
+            middle = jnp.concatenate([0.5 * (active + new_active), v[:, ACTIVE_COUNT:]], axis=-1)
+            free = passive_acceleration(
+                built, body, q + 0.5 * dt * middle, middle, (new_active - active) / dt
+            )
+            new_v = jnp.concatenate([new_active, v[:, ACTIVE_COUNT:] + dt * free], axis=-1)
+            new_q = q + 0.5 * dt * (v + new_v)
+            leaves = (state.opened > 0.0) & (leave_in <= dt) & (gone < 0.0)
+            share = jnp.clip(leave_in / dt, 0.0, 1.0)[:, None]
+            leave_q = jnp.where(leaves[:, None], q + share * (new_q - q), leave_q)
+            leave_v = jnp.where(leaves[:, None], v + share * (new_v - v), leave_v)
+            gone = jnp.where(gone < 0.0, jnp.where(leaves, 0.0, gone), gone + dt)
+            leave_in = leave_in - dt * state.opened
+            closest = jnp.minimum(closest, clearance(built, self._shapes, new_q))
+            new = (new_q, new_v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest)
+            return new, None
+
+        first = (
+            state.position, state.velocity, state.response, state.reference, state.delay_line,
+            state.leave_in_s, state.gone_s, state.position, state.velocity,
+            jnp.full_like(state.time_s, jnp.inf),
+        )  # fmt: skip
+        last, _ = jax.lax.scan(tick, first, jnp.arange(POLICY_DECIMATION), unroll=self.unroll)
+        q, v, lags, reference, line, leave_in, gone, leave_q, leave_v, closest = last
+        after = state._replace(
+            position=q,
+            velocity=v,
+            response=lags,
+            reference=reference,
+            delay_line=line,
+            leave_in_s=leave_in,
+            gone_s=gone,
+        )
+        return after, (leave_q, leave_v, (gone >= 0.0) & (state.gone_s < 0.0)), closest
+
+    def _fly(
+        self, before: EnvironmentState, after: EnvironmentState, leaving: tuple[Field, Field, Field]
+    ) -> EnvironmentState:
+        """Hypothetical impact of a held load, true landing of one that left in this step."""
+        leave_q, leave_v, leaves = leaving
+        draw = before.draw
+        q = jnp.where(leaves[:, None], leave_q, after.position)
+        v = jnp.where(leaves[:, None], leave_v, after.velocity)
+        grip = grip_centre(self._built(draw), _untyped(q), _untyped(v))
+        position, velocity = grip.position_m + draw.grasp_m, grip.velocity_m_per_s
+        # The claws' push is not foreseen: it belongs to the throw, not to the hypothesis.
+        velocity = velocity + jnp.where(leaves[:, None], draw.slip_m_per_s, 0.0)
+        x, y, flight = landing(position, velocity, draw.plane_m, draw.drag_per_m)
+        gone = before.gone_s >= 0.0
+        point = jnp.where(gone[:, None], before.landing_m, jnp.stack([x, y], axis=-1))
+        miss = point - draw.target_m[:, :2]
+        fresh = jnp.concatenate([position, velocity], axis=-1)
+        ball = before.ball
+        if self.task.episode.after_release == "policy":
+            x, y, z, vx, vy, vz = (ball[:, i] for i in range(6))
+            old = flight_step(x, y, z, vx, vy, vz, draw.drag_per_m, POLICY_PERIOD_S)
+            ball = jnp.stack(old, axis=-1)
+        return after._replace(
+            landing_m=point,
+            impact_distance_m=jnp.hypot(miss[:, 0], miss[:, 1]),
+            ball=jnp.where(gone[:, None], ball, fresh),
+            flight_s=jnp.where(gone, before.flight_s, flight),
+        )
+
+    def _remember(self, key: Field, after: EnvironmentState, action: Field) -> EnvironmentState:
+        """Sense, and push what was sensed and commanded into the histories."""
+        seen_q, seen_v = self._sense(key, after.position, after.velocity, after.draw)
+        return after._replace(
+            q_history=push_history(after.q_history, seen_q),
+            v_history=push_history(after.v_history, seen_v),
+            previous_action=action,
+        )
+
+    def _sense(
+        self, key: Field, position: Field, velocity: Field, draw: EpisodeDraw
+    ) -> tuple[Field, Field]:
+        """Joint state as the control step would know it, in the policy's frame."""
+        sensor = self.task.sensor
+        q_sd = jnp.asarray([*sensor.position_noise_sd_rad_m, *[sensor.swing_noise_sd_rad] * 2])
+        rate_sd = sensor.swing_rate_noise_sd_rad_per_s
+        v_sd = jnp.asarray([*sensor.velocity_noise_sd_rad_m_per_s, rate_sd, rate_sd])
+        noise = jax.random.normal(key, (2, *position.shape))
+        bias = jnp.pad(draw.swing_bias_rad, ((0, 0), (ACTIVE_COUNT, 0)))
+        q = position - velocity * draw.latency_s[:, None] + bias + noise[0] * q_sd
+        return q, velocity + noise[1] * v_sd
+
+    def _judge(
+        self, before: EnvironmentState, after: EnvironmentState, action: Field, closest: Field
+    ) -> tuple[EnvironmentState, Field, StepInfo]:
+        """End what has ended, and pay."""
+        episode = self.task.episode
+        q = after.position
+        swing = q[:, 1] + q[:, 2] + q[:, 4]
+        active = q[:, :ACTIVE_COUNT]
+        gone = after.gone_s >= 0.0
+        lasts = episode.settle_s if episode.after_release == "settle" else after.flight_s
+        landed = gone & (after.gone_s >= lasts)
+        swing_limit = jnp.where(gone, episode.settle_swing_limit_rad, episode.swing_limit_rad)
+        bounded = (jnp.abs(q) < 50.0).all(-1) & (jnp.abs(after.velocity) < 20.0).all(-1)
+        sane = bounded & jnp.isfinite(after.impact_distance_m)
+        tests = (
+            (Failure.NUMERIC, ~sane),
+            (Failure.COLLISION, closest < episode.clearance_m),
+            (Failure.LIMIT, ~gone & ((active < self._low) | (active > self._high)).any(-1)),
+            (
+                Failure.SWING,
+                (jnp.abs(swing) > swing_limit) | (jnp.abs(q[:, 5]) > episode.roll_limit_rad),
+            ),
+            (Failure.TIMEOUT, (after.time_s > episode.time_limit_s) & (after.opened == 0.0)),
+        )
+        failure = jnp.zeros(q.shape[0], jnp.int32)
+        for code, is_so in reversed(tests):
+            failure = jnp.where(is_so, int(code), failure)
+        done = landed | (failure > 0)
+        landed = landed & (failure == 0)
+        target = before.draw.target_m
+        ball = after.ball[:, :3] - target
+        error = jnp.stack(
+            [jnp.hypot(ball[:, 0], ball[:, 1]), jnp.linalg.norm(ball, axis=-1)], axis=-1
+        )
+        reward = step_reward(
+            self.task.reward,
+            RewardInputs(
+                action=action,
+                previous_action=before.previous_action,
+                opened=after.opened,
+                progress_m=before.impact_distance_m - after.impact_distance_m,
+                error_m=error,
+                best_error_m=before.best_error_m,
+                landed=landed,
+                landing_error_m=after.impact_distance_m,
+                failed=failure > 0,
+            ),
+        )
+        reward = jnp.where(sane, reward, -self.task.reward.failure_ratio)
+        after = after._replace(best_error_m=jnp.minimum(after.best_error_m, error))
+        info = StepInfo(
+            done=done,
+            landed=landed,
+            failure=failure,
+            miss_m=after.landing_m - target[:, :2],
+            duration_s=after.time_s,
+            closest_m=closest,
+        )
+        return after, reward, info

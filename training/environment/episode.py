@@ -1,0 +1,185 @@
+"""What is drawn at the start of an episode, how an episode ends, and what only the critic may know."""
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from machine.spec import MachineSpec
+from training.environment.dynamics import Response
+from training.environment.task import ResponseConfig, TaskConfig
+
+if TYPE_CHECKING:
+    from training.environment.environment import EnvironmentState
+
+Field = Any
+
+
+class Failure(IntEnum):
+    """Why an episode ended badly; 0 = it did not."""
+
+    NONE = 0
+    NUMERIC = 1
+    """A state that is not finite or beyond reason: the episode is thrown away with a loss."""
+    COLLISION = 2
+    LIMIT = 3
+    SWING = 4
+    TIMEOUT = 5
+
+
+class StepInfo(NamedTuple):
+    """How a step ended; leading axis N."""
+
+    done: Field
+    """Bool: the episode is over."""
+    landed: Field
+    """Bool: it ended with a landing."""
+    failure: Field
+    """Failure code."""
+    miss_m: Field
+    """(N, 2) landing less target, frame `throw`: downrange, crossrange left. Hypothetical before the end."""
+    duration_s: Field
+    """Since the start."""
+    closest_m: Field
+    """Smallest clearance in this step."""
+
+
+class EpisodeDraw(NamedTuple):
+    """Randomised parameters of one episode; leading axis N."""
+
+    target_m: Field
+    """(N, 3) frame `throw`."""
+    plane_m: Field
+    """(N,) height of the load's centre at the impact."""
+    response: Response
+    """Each (N, 4)."""
+    friction_scale_ratio: Field
+    com_error_m: Field
+    inertia_scale_ratio: Field
+    mass_scale_ratio: Field
+    telescope_to_pin_error_m: Field
+    pitch_to_roll_error_m: Field
+    roll_to_grip_error_m: Field
+    payload_mass_kg: Field
+    drag_per_m: Field
+    release_delay_s: Field
+    """(N,) of this opening."""
+    release_mean_s: Field
+    """(N,) of this machine."""
+    settle_delay_s: Field
+    """(N,) from the load leaving to the settle motion."""
+    swing_bias_rad: Field
+    """(N, 2) error of the estimated passive angles."""
+    latency_s: Field
+    """(N,) age of what the policy sees."""
+    grasp_m: Field
+    """(N, 3) load less grip centre, frame `machine`."""
+    slip_m_per_s: Field
+    """(N, 3) velocity the claws give."""
+
+
+def draw_episode(
+    key: Field, spec: MachineSpec, task: TaskConfig, target_m: Field, drag_per_m: float
+) -> EpisodeDraw:
+    """Draw the parameters of one episode a target (N, 3)."""
+    count = target_m.shape[0]
+    keys = jax.random.split(key, 4)
+    scalars = jax.random.uniform(keys[1], (12, count))
+    normals = jax.random.normal(keys[2], (3, count))
+    toss = jax.random.normal(keys[3], (2, count, 3))
+    passive, sensor = task.passive, task.sensor
+
+    def scalar(index: int, limits: tuple[float, float]) -> Field:
+        return limits[0] + (limits[1] - limits[0]) * scalars[index]
+
+    mass = scalar(3, passive.payload_mass_kg)
+    delay_mean = scalar(5, passive.release_delay_mean_s)
+    delay = delay_mean + passive.release_delay_sd_s * jnp.clip(normals[0], -3.0, 3.0)
+    direction = toss[0] / jnp.linalg.norm(toss[0], axis=-1, keepdims=True)
+    grasp = passive.grasp_error_m * (0.5 + 0.5 * scalars[11])
+    return EpisodeDraw(
+        target_m=target_m,
+        plane_m=target_m[:, 2] + spec.ball.radius_m,
+        response=_draw_response(keys[0], task.response, count),
+        friction_scale_ratio=scalar(0, passive.friction_scale_ratio),
+        com_error_m=scalar(1, passive.gripper_com_error_m),
+        inertia_scale_ratio=scalar(2, passive.gripper_inertia_scale_ratio),
+        mass_scale_ratio=scalar(7, passive.gripper_mass_scale_ratio),
+        telescope_to_pin_error_m=scalar(8, passive.telescope_to_pin_error_m),
+        pitch_to_roll_error_m=scalar(9, passive.pitch_to_roll_error_m),
+        roll_to_grip_error_m=scalar(10, passive.roll_to_grip_error_m),
+        payload_mass_kg=mass,
+        drag_per_m=drag_per_m * scalar(4, passive.drag_scale_ratio) * spec.ball.mass_kg / mass,
+        release_delay_s=delay,
+        release_mean_s=delay_mean,
+        # One draw for the delay and the age: both are the machine's slowness, and neither is seen.
+        settle_delay_s=scalar(6, task.episode.settle_delay_s),
+        swing_bias_rad=sensor.swing_bias_sd_rad * normals[1:3].T,
+        latency_s=scalar(6, sensor.latency_s),
+        grasp_m=grasp[:, None] * direction,
+        slip_m_per_s=passive.slip_sd_m_per_s * toss[1],
+    )
+
+
+def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
+    """Uniform between the configuration's two values, every joint and parameter by itself."""
+    share = jax.random.uniform(key, (6, count, 4))
+
+    def joints(index: int, low: tuple[float, ...], high: tuple[float, ...]) -> Field:
+        lower, upper = jnp.asarray(low), jnp.asarray(high)
+        return lower + (upper - lower) * share[index]
+
+    c = config
+    return Response(
+        dead_time_s=joints(0, c.dead_time_min_s, c.dead_time_max_s),
+        lag_s=joints(1, c.lag_min_s, c.lag_max_s),
+        natural_frequency_rad_per_s=joints(
+            2, c.natural_frequency_min_rad_per_s, c.natural_frequency_max_rad_per_s
+        ),
+        damping_ratio=joints(3, c.damping_min_ratio, c.damping_max_ratio),
+        gain_positive_ratio=joints(4, c.gain_positive_min_ratio, c.gain_positive_max_ratio),
+        gain_negative_ratio=joints(5, c.gain_negative_min_ratio, c.gain_negative_max_ratio),
+    )
+
+
+def privileged_values(state: "EnvironmentState") -> Field:
+    """True state and drawn parameters (N, P), scaled to order one: for the critic alone."""
+    draw = state.draw
+    response = draw.response
+    slots = [
+        10.0 * response.dead_time_s,
+        0.1 * response.natural_frequency_rad_per_s,
+        response.damping_ratio,
+        10.0 * (response.gain_positive_ratio - 1.0),
+        10.0 * (response.gain_negative_ratio - 1.0),
+        response.lag_s,
+        state.response.acceleration,
+        state.response.lagged,
+        10.0 * state.disturbance,
+        state.reference,
+        state.position,
+        state.velocity,
+        state.landing_m - draw.target_m[:, :2],
+        10.0 * draw.swing_bias_rad,
+        10.0 * draw.grasp_m,
+        10.0 * draw.slip_m_per_s,
+    ]
+    columns = [
+        draw.friction_scale_ratio,
+        10.0 * draw.com_error_m,
+        10.0 * (draw.inertia_scale_ratio - 1.0),
+        10.0 * (draw.mass_scale_ratio - 1.0),
+        10.0 * draw.telescope_to_pin_error_m,
+        10.0 * draw.pitch_to_roll_error_m,
+        10.0 * draw.roll_to_grip_error_m,
+        draw.payload_mass_kg,
+        30.0 * draw.drag_per_m,
+        10.0 * (draw.release_mean_s - 0.258),
+        10.0 * state.leave_in_s * state.opened,
+        state.opened,
+        state.time_s,
+        state.gone_s,
+        jnp.minimum(state.impact_distance_m, 15.0),
+    ]
+    return jnp.concatenate([*slots, jnp.stack(columns, axis=-1)], axis=-1).astype(jnp.float32)

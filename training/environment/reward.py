@@ -1,0 +1,81 @@
+"""Rewards of one control step: ours and the paper's (section III-D). Pure, batched."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from training.environment.task import RewardConfig
+
+Field = Any
+
+
+class RewardInputs(NamedTuple):
+    """What a step is paid for; leading axis N."""
+
+    action: Field
+    """(N, A) clipped to [-1, 1]."""
+    previous_action: Field
+    """(N, A)."""
+    opened: Field
+    """(N,) 1.0 once the release was commanded."""
+    progress_m: Field
+    """(N,) by how much the hypothetical impact came nearer to the target."""
+    error_m: Field
+    """(N, 2) horizontal and 3D distance of the load to the target."""
+    best_error_m: Field
+    """(N, 2) the smallest of them before this step."""
+    landed: Field
+    """(N,) bool: the throw ended well in this step."""
+    landing_error_m: Field
+    """(N,) distance of the landing to the target."""
+    failed: Field
+    """(N,) bool: the throw ended badly in this step."""
+
+
+def step_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
+    """Reward (N,) of one step under either configuration."""
+    if config.kind == "paper":
+        return paper_reward(config, inputs)
+    return impact_reward(config, inputs)
+
+
+def impact_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
+    """Progress of the hypothetical impact, less action costs; bells of three widths at the landing."""
+    error = inputs.landing_error_m
+    bells = sum(
+        height * jnp.exp(-jnp.square(error / width))
+        for height, width in zip(config.landing_height_ratio, config.landing_width_m, strict=True)
+    )
+    far = jnp.minimum(error, config.landing_linear_limit_m)
+    landing = bells - config.landing_linear_ratio * far
+    return (
+        config.progress_ratio * jnp.clip(inputs.progress_m, -5.0, 5.0)
+        - config.action_difference_ratio * _squared(inputs.action - inputs.previous_action)
+        - config.action_ratio * _squared(inputs.action[:, :-1])
+        + jnp.where(inputs.landed, landing, 0.0)
+        - jnp.where(inputs.failed, config.failure_ratio, 0.0)
+    )
+
+
+def paper_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
+    """Paper: r = c1 r_delta_err + c2 r_err_3D - c3 r_act_diff - c4 r_act, and the ends of the rollout."""
+    # r_delta_err = max(0, err*_2D - err_2D) + max(0, err*_3D - err_3D)
+    approach = jnp.maximum(inputs.best_error_m - inputs.error_m, 0.0).sum(-1)
+    # r_err_3D = exp(-b1 |r* - r_ball|^2)
+    closeness = jnp.exp(-config.closeness_per_m2_ratio * jnp.square(inputs.error_m[:, 1]))
+    # r_act counts once the gripper was opened
+    idle = _squared(inputs.action) * inputs.opened
+    # exp(-b2 err_3D^2) when the ball reaches the ground
+    landing = jnp.exp(-config.landing_per_m2_ratio * jnp.square(inputs.landing_error_m))
+    return (
+        config.approach_ratio * approach
+        + config.closeness_ratio * closeness
+        - config.action_difference_ratio * _squared(inputs.action - inputs.previous_action)
+        - config.action_ratio * idle
+        + jnp.where(inputs.landed, config.landing_paper_ratio * landing, 0.0)
+        - jnp.where(inputs.failed, config.failure_ratio, 0.0)
+    )
+
+
+def _squared(values: Field) -> Field:
+    return jnp.square(values).sum(-1)
