@@ -17,19 +17,19 @@ from machine.messages import Target
 from machine.reach import check_target
 from machine.spec import MachineSpec, load_spec
 from machine.starts import sample_starts
-from runtime.control_loop import ControlParams
-from runtime.policy import PolicyRunner, find_policy
-from sim_twin.accuracy import (
+from runtime.control.control_loop import ControlParams
+from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.throws.accuracy import (
     AccuracyReport,
     accuracy_table,
     bad_throws_text,
     landing_errors,
     target_accuracy,
 )
-from sim_twin.campaign import ThrowResult, run_throws
-from sim_twin.plants import PlantMaker, plant_calibration, plant_maker
-from sim_twin.plots import TargetScatter, check_plot_path, plot_accuracy
-from sim_twin.profile import load_profile
+from sim_twin.throws.campaign import ThrowResult, run_throws
+from sim_twin.throws.plants import PlantMaker, plant_calibration, plant_maker
+from sim_twin.throws.plots import TargetScatter, check_plot_path, plot_accuracy
+from sim_twin.twin.profile import load_profile
 
 MAX_TARGET_COUNT = 200
 MAX_BATCH_COUNT = 400
