@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from machine.calibration import load_calibration
 from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.messages import Target
+from machine.policy_card import add_evaluation, load_card
 from machine.reach import check_target
 from machine.spec import MachineSpec, load_spec
 from machine.starts import sample_starts
@@ -44,6 +45,7 @@ class Campaign(NamedTuple):
     make: PlantMaker
     ranges_m: tuple[float, ...]
     policy_id: str
+    policy_folder: Path
 
 
 def run(
@@ -60,6 +62,7 @@ def run(
     policy: Path | None = None,
     calibration: Path | None = None,
     profile: Path | None = None,
+    card: bool = False,
 ) -> int:
     """Throw many times at targets on the x axis and print how accurately the loads land.
 
@@ -83,6 +86,7 @@ def run(
         policy: folder of one policy version (policy.onnx and card.json), instead of the active one.
         calibration: valve calibration of the machine; measured on the plant if left out.
         profile: twin profile, for --plant twin; nominal if left out.
+        card: also write the result onto the policy's card, in place of the last one on this plant.
     """
     if plot is not None:
         check_plot_path(plot)
@@ -118,9 +122,18 @@ def run(
         print(bad)
     if json is not None:
         json.write_text(json_text.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if card:
+        add_evaluation(campaign.policy_folder, _card_entry(campaign, report, unit_seed))
     if plot is not None:
         _plot(plot, campaign, results, f"plant {plant}, unit {unit_seed}, seed {seed}")
     return 0
+
+
+def _card_entry(campaign: Campaign, report: AccuracyReport, unit_seed: int) -> dict[str, Any]:
+    """The report, and what a reader of the card must know beside it."""
+    of_policy = load_card(campaign.policy_folder).policy_sha256
+    registered = [r.policy_sha256 for r in campaign.params.calibration.registrations]
+    return {**report, "unit_seed": unit_seed, "is_registered": of_policy in registered}
 
 
 def _plot(
@@ -172,8 +185,12 @@ def open_campaign(
         spec=spec,
     )
     valves = plant_calibration(plant, make, unit_seed=unit_seed, spec=spec, path=calibration)
+    if plant == "twin":
+        # A registration answers for the machine's misses; the twin has its own.
+        valves = valves.without_registrations()
     params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
-    return Campaign(spec, params, make, ranges, runner.card.policy_id)
+    folder = policy if policy is not None else find_policy(policies, mode)
+    return Campaign(spec, params, make, ranges, runner.card.policy_id, folder)
 
 
 def open_policy(mode: Mode, policies: Path, policy: Path | None, spec: MachineSpec) -> PolicyRunner:

@@ -57,6 +57,23 @@ class PolicyCard(BaseModel):
     """Results of ``downrange evaluate``, appended after training."""
 
 
+def add_evaluation(folder: Path, evaluation: dict[str, Any]) -> None:
+    """Write a result of ``downrange evaluate`` onto the card of a policy folder.
+
+    It takes the place of an earlier result on the same plant and unit.
+
+    Raises:
+        PolicyError: the folder holds no policy whose file and card agree.
+    """
+    card = load_card(folder)
+    same = ("plant", "unit_seed")
+    kept = [e for e in card.evaluation if any(e.get(k) != evaluation[k] for k in same)]
+    changed = card.model_copy(update={"evaluation": [*kept, evaluation]})
+    part = folder / f"{CARD_FILE}.part"
+    part.write_text(changed.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    part.replace(folder / CARD_FILE)
+
+
 def file_sha256(path: Path) -> str:
     """sha256 of a file's bytes, hex."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

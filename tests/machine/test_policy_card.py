@@ -7,7 +7,14 @@ import pytest
 from machine.conventions import Mode
 from machine.errors import PolicyError, RefusedError
 from machine.messages import RejectReason, Target
-from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, file_sha256, load_card
+from machine.policy_card import (
+    CARD_FILE,
+    POLICY_FILE,
+    PolicyCard,
+    add_evaluation,
+    file_sha256,
+    load_card,
+)
 from machine.reach import check_target
 
 
@@ -87,3 +94,18 @@ def test_targets_the_policy_was_not_made_for_are_refused(target, reason):
 @pytest.mark.parametrize(("x_m", "y_m"), [(-9.0, 0.0), (6.0, 0.0), (10.87, 0.0), (0.0, -8.0)])
 def test_targets_within_reach_pass_in_any_direction(x_m, y_m):
     check_target(make_card("a"), Target(x_m=x_m, y_m=y_m))
+
+
+def test_an_evaluation_takes_the_place_of_the_last_one_on_the_same_plant(folder) -> None:
+    sha = file_sha256(folder / POLICY_FILE)
+    made = make_card(sha, evaluation=[{"plant": "training"}])
+    (folder / CARD_FILE).write_text(made.model_dump_json())
+    add_evaluation(folder, {"plant": "virtual", "unit_seed": 0, "seed": 1})
+    add_evaluation(folder, {"plant": "virtual", "unit_seed": 5, "seed": 1})
+    add_evaluation(folder, {"plant": "virtual", "unit_seed": 0, "seed": 2})
+    assert load_card(folder).evaluation == [
+        {"plant": "training"},
+        {"plant": "virtual", "unit_seed": 5, "seed": 1},
+        {"plant": "virtual", "unit_seed": 0, "seed": 2},
+    ]
+    assert load_card(folder).policy_sha256 == sha

@@ -7,8 +7,8 @@ export function EvaluationTable({ evaluations }: { evaluations: readonly unknown
   const read = readEvaluations(evaluations);
   if (read.length === 0) return <p className={classes.none}>No evaluation on the card.</p>;
   return read.map((evaluation) => (
-    <table key={evaluation.plant} className={classes.table}>
-      <caption>Evaluated on: {evaluation.plant}</caption>
+    <table key={evaluation.where} className={classes.table}>
+      <caption>Evaluated on: {evaluation.where}</caption>
       <thead>
         <tr>
           <th scope="col">Range, m</th>

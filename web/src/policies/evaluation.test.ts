@@ -6,12 +6,17 @@ const row = { range_m: 9, throws: 200, landed: 199, success_ratio: 0.995, sd_dow
 describe("evaluations on a card", () => {
   it("are read from campaigns and from training", () => {
     const read = readEvaluations([
-      { plant: "virtual", targets: [row] },
-      { plant: "training", throws: [{ range_m: 8, throw_count: 50 }] },
+      { plant: "virtual", unit_seed: 3, is_registered: true, targets: [row] },
+      { plant: "training", throws: [{ range_m: 8, throw_count: 50, landed_count: 49 }] },
+      { plant: "their.plant:Plant", unit_seed: 0, is_registered: false, targets: [row] },
     ]);
-    expect(read.map((evaluation) => evaluation.plant)).toEqual(["virtual", "training"]);
+    expect(read.map((evaluation) => evaluation.where)).toEqual([
+      "virtual machine, unit 3, registered",
+      "training simulator",
+      "their.plant:Plant, unit 0",
+    ]);
     expect(read[0]?.rows[0]).toMatchObject({ throw_count: 200, mean_downrange_error_m: null });
-    expect(read[1]?.rows[0]?.throw_count).toBe(50);
+    expect(read[1]?.rows[0]).toMatchObject({ throw_count: 50, success_ratio: 0.98 });
   });
 
   it("survive cards that say something else", () => {

@@ -10,7 +10,7 @@ export type EvaluationRow = {
   sd_crossrange_m: number | null;
 };
 
-export type Evaluation = { plant: string; rows: EvaluationRow[] };
+export type Evaluation = { where: string; rows: EvaluationRow[] };
 
 type Loose = Record<string, unknown>;
 
@@ -20,6 +20,12 @@ function number(row: Loose, ...names: string[]): number | null {
     if (typeof value === "number" && Number.isFinite(value)) return value;
   }
   return null;
+}
+
+function landedShare(row: Loose): number | null {
+  const landed = number(row, "landed_count", "landed");
+  const thrown = number(row, "throws", "throw_count");
+  return landed !== null && thrown !== null && thrown > 0 ? landed / thrown : null;
 }
 
 function isRecord(value: unknown): value is Loose {
@@ -32,7 +38,7 @@ function readRow(row: Loose): EvaluationRow | null {
   return {
     range_m,
     throw_count: number(row, "throws", "throw_count"),
-    success_ratio: number(row, "success_ratio"),
+    success_ratio: number(row, "success_ratio") ?? landedShare(row),
     mean_downrange_error_m: number(row, "mean_downrange_error_m", "downrange_mean_m"),
     sd_downrange_m: number(row, "sd_downrange_m", "downrange_sd_m"),
     mean_crossrange_error_m: number(row, "mean_crossrange_error_m", "crossrange_mean_m"),
@@ -40,12 +46,27 @@ function readRow(row: Loose): EvaluationRow | null {
   };
 }
 
+const PLANTS: Record<string, string> = {
+  training: "training simulator",
+  twin: "twin",
+  virtual: "virtual machine",
+};
+
+/** Which simulator, which of its machines, and whether that one aimed by its registration. */
+function whereOf(evaluation: Loose): string {
+  const plant = typeof evaluation.plant === "string" ? evaluation.plant : "unnamed plant";
+  const words = [PLANTS[plant] ?? plant];
+  const unit = number(evaluation, "unit_seed");
+  if (unit !== null && plant !== "twin") words.push(`unit ${unit}`);
+  if (evaluation.is_registered === true) words.push("registered");
+  return words.join(", ");
+}
+
 export function readEvaluations(evaluations: readonly unknown[]): Evaluation[] {
   return evaluations.filter(isRecord).flatMap((evaluation) => {
     const list = evaluation.targets ?? evaluation.throws;
     if (!Array.isArray(list)) return [];
     const rows = list.filter(isRecord).flatMap((row) => readRow(row) ?? []);
-    const plant = typeof evaluation.plant === "string" ? evaluation.plant : "unnamed plant";
-    return rows.length > 0 ? [{ plant, rows }] : [];
+    return rows.length > 0 ? [{ where: whereOf(evaluation), rows }] : [];
   });
 }
