@@ -7,6 +7,7 @@ DATA ?= data
 BIN := .venv/bin
 STAMP := build/stamps
 export UV_PYTHON_DOWNLOADS = never
+export NPM_CONFIG_UPDATE_NOTIFIER = false
 export UV_PYTHON = $(PYTHON)
 
 .PHONY: help setup runtime web demo test e2e check lint types spec bench clean

@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 
 from machine.errors import DownrangeError
 from machine.spec import load_spec
-from runtime.link.zenoh_config import router_config
+from runtime.link.zenoh_config import RouterTls, router_config
 from server.accounts.audit import AuditChain
 from server.accounts.auth import Accounts, Session
 from server.events import EventHub
@@ -124,12 +124,22 @@ def prepare_database(settings: Settings) -> Database:
 def link_config(settings: Settings, registry: Registry) -> zenoh.Config:
     """The router's configuration for all machine accounts of the site."""
     passwords = registry.passwords()
+    tls = None
+    if settings.link_certificate is not None and settings.link_private_key is not None:
+        tls = RouterTls(settings.link_certificate, settings.link_private_key)
+    if settings.is_link_in_the_clear:
+        logger.warning(
+            "machines call in at %s without encryption: whoever is on that network can read and change "
+            "commands; use tls/... with a certificate (docs/operations.md)",
+            settings.link_listen,
+        )
     return router_config(
         listen=(settings.link_listen,),
         users=passwords,
         machines=sorted(passwords),
         site=settings.site,
         dictionary_file=settings.data_dir / "link" / "users.txt",
+        tls=tls,
     )
 
 

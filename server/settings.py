@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from machine.errors import UsageError
@@ -41,7 +41,11 @@ class Settings(BaseSettings):
     """Send the session cookie over HTTPS only; set it wherever a TLS proxy stands in front."""
     site: str = Field(default="yard", pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")
     link_listen: str = "tcp/127.0.0.1:7447"
-    """Zenoh endpoint at which machines call in."""
+    """Zenoh endpoint at which machines call in: `tcp/...` on this computer, `tls/...` over a network."""
+    link_certificate: Path | None = None
+    """Certificate of a `tls/...` endpoint, PEM; machines get its authority as `--root-ca-file`."""
+    link_private_key: Path | None = None
+    """Its private key, PEM."""
     machine_slot_count: int = Field(default=16, ge=1, le=1000)
     """Machine accounts m001.. made at first start; the link's access rules cannot grow while it runs."""
     policies_dir: Path = CHECKOUT / "policies"
@@ -60,6 +64,22 @@ class Settings(BaseSettings):
         if isinstance(value, str):
             return tuple(part.strip().rstrip("/") for part in value.split(",") if part.strip())
         return value
+
+    @model_validator(mode="after")
+    def _has_certificate(self) -> "Settings":
+        given = self.link_certificate is not None and self.link_private_key is not None
+        if given != self.link_listen.startswith("tls/"):
+            raise ValueError(
+                f"link_listen is {self.link_listen}: a tls/... endpoint needs link_certificate and "
+                "link_private_key, and no other endpoint uses them"
+            )
+        return self
+
+    @property
+    def is_link_in_the_clear(self) -> bool:
+        """Whether the link leaves this computer without encryption."""
+        local = ("tcp/127.", "tcp/localhost:", "tcp/[::1]:")
+        return not self.link_listen.startswith(("tls/", *local))
 
     @property
     def resolved_database_url(self) -> str:

@@ -44,20 +44,10 @@ _MESSAGES = (
 
 @dataclass(frozen=True, slots=True)
 class RouterTls:
-    """Files of a router that listens on ``tls/...``; with `client_ca` machines must show certificates too."""
+    """Files of a router that listens on ``tls/...``, PEM. Machines prove themselves by their passwords."""
 
     certificate: Path
     private_key: Path
-    client_ca: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ClientTls:
-    """Files of a machine that connects to ``tls/...``."""
-
-    root_ca: Path
-    certificate: Path | None = None
-    private_key: Path | None = None
 
 
 def check_name(what: str, name: str) -> str:
@@ -116,8 +106,6 @@ def router_config(
         config["transport"]["link"]["tls"] = {
             "listen_certificate": str(tls.certificate),
             "listen_private_key": str(tls.private_key),
-            "enable_mtls": tls.client_ca is not None,
-            "root_ca_certificate": None if tls.client_ca is None else str(tls.client_ca),
             "close_link_on_expiration": True,
         }
     return _built(config)
@@ -128,11 +116,12 @@ def client_config(
     connect: Sequence[str],
     user: str | None = None,
     password: str | None = None,
-    tls: ClientTls | None = None,
+    root_ca_file: Path | None = None,
     lease_ms: int = LEASE_MS,
 ) -> zenoh.Config:
     """Configuration of a machine's (or an outside server's) session.
 
+    With `root_ca_file` (PEM) ``tls/...`` endpoints must show a certificate of that authority.
     `zenoh.open` raises within about a second when no endpoint can be reached or the router refuses the
     password (it does not say which); the caller tries again. Once open, Zenoh reconnects by itself.
     """
@@ -150,12 +139,8 @@ def client_config(
     }
     if user is not None:
         config["transport"]["auth"] = {"usrpwd": {"user": user, "password": password or ""}}
-    if tls is not None:
-        config["transport"]["link"]["tls"] = {
-            "root_ca_certificate": str(tls.root_ca),
-            "connect_certificate": None if tls.certificate is None else str(tls.certificate),
-            "connect_private_key": None if tls.private_key is None else str(tls.private_key),
-        }
+    if root_ca_file is not None:
+        config["transport"]["link"]["tls"] = {"root_ca_certificate": str(root_ca_file)}
     return _built(config)
 
 

@@ -26,7 +26,7 @@ from machine.messages import (
 )
 from runtime.link.command_desk import COMMANDS, CommandDesk
 from runtime.link.server_link import ReplySlot, ServerLink
-from runtime.link.zenoh_config import ClientTls, client_config
+from runtime.link.zenoh_config import client_config
 from runtime.process.guardian import Guardian
 from runtime.process.ipc import (
     TICK_DTYPES,
@@ -93,10 +93,12 @@ class LinkProcess:
 
     def _config(self) -> zenoh.Config:
         settings = self._settings
-        tls = None if settings.root_ca_file is None else ClientTls(settings.root_ca_file)
         user = settings.username or (settings.machine_id if settings.password_file else None)
         return client_config(
-            connect=settings.connect, user=user, password=settings.password(), tls=tls
+            connect=settings.connect,
+            user=user,
+            password=settings.password(),
+            root_ca_file=settings.root_ca_file,
         )
 
     # Main loop ------------------------------------------------------------------------------------

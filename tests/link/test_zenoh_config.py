@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import trustme
 import zenoh
 
 from machine.channels import machine_key
 from machine.errors import UsageError
-from runtime.link.zenoh_config import client_config, router_config
+from runtime.link.zenoh_config import RouterTls, client_config, router_config
 
 SITE = "yard"
 USERS = {"m001": "one", "m002": "two", "server": "three"}
@@ -57,6 +58,57 @@ def key(machine_id: str, name: str) -> str:
 def test_wrong_credentials_are_refused(router, endpoint, user, password) -> None:
     with pytest.raises(zenoh.ZError):
         zenoh.open(client_config(connect=[endpoint], user=user, password=password))
+
+
+class Site:
+    """A router that listens on TLS with a certificate of the site's own authority."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        authority = trustme.CA()
+        self.authority = folder / "ca.pem"
+        authority.cert_pem.write_to_path(self.authority)
+        issued = authority.issue_cert("127.0.0.1")
+        certificate, private_key = folder / "router.pem", folder / "router.key"
+        certificate.write_bytes(b"".join(part.bytes() for part in issued.cert_chain_pems))
+        issued.private_key_pem.write_to_path(private_key)
+        self.tls = RouterTls(certificate, private_key)
+
+    def router(self, endpoint: str) -> zenoh.Session:
+        return zenoh.open(
+            router_config(
+                listen=[endpoint],
+                users=USERS,
+                machines=["m001", "m002"],
+                site=SITE,
+                dictionary_file=self.folder / "users.txt",
+                tls=self.tls,
+            )
+        )
+
+
+def test_an_encrypted_link_takes_its_own_machines_and_nobody_else(tmp_path, endpoint) -> None:
+    site = Site(tmp_path)
+    encrypted = endpoint.replace("tcp/", "tls/")
+    foreign = tmp_path / "foreign.pem"
+    trustme.CA().cert_pem.write_to_path(foreign)
+    with site.router(encrypted) as router:
+        states: list[str] = []
+        router.declare_subscriber(key("m001", "state"), lambda s: states.append(str(s.key_expr)))
+        config = client_config(
+            connect=[encrypted], user="m001", password="one", root_ca_file=site.authority
+        )
+        with zenoh.open(config) as machine:
+            publisher = machine.declare_publisher(key("m001", "state"))
+            assert wait_for(lambda: publisher.put(b"{}") or states, 20.0)
+        for refused in (
+            {"connect": [encrypted], "password": "wrong", "root_ca_file": site.authority},
+            {"connect": [encrypted], "password": "one", "root_ca_file": foreign},
+            {"connect": [encrypted], "password": "one"},
+            {"connect": [endpoint], "password": "one"},
+        ):
+            with pytest.raises(zenoh.ZError):
+                zenoh.open(client_config(user="m001", **refused))
 
 
 def test_password_file_is_private(router, tmp_path) -> None:

@@ -46,6 +46,35 @@ def test_values_out_of_range_are_refused(monkeypatch, name, value):
         load_settings()
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"link_listen": "tls/0.0.0.0:7447"},
+        {"link_listen": "tls/0.0.0.0:7447", "link_certificate": "c.pem"},
+        {"link_certificate": "c.pem", "link_private_key": "k.pem"},
+    ],
+)
+def test_a_certificate_goes_with_a_tls_endpoint(changes):
+    with pytest.raises(UsageError, match="link_certificate and link_private_key"):
+        load_settings(**changes)
+
+
+@pytest.mark.parametrize(
+    ("listen", "in_the_clear"),
+    [
+        ("tcp/127.0.0.1:7447", False),
+        ("tcp/localhost:7447", False),
+        ("tcp/[::1]:7447", False),
+        ("tcp/0.0.0.0:7447", True),
+        ("tcp/[::]:7447", True),
+        ("tcp/10.0.0.5:7447", True),
+        ("udp/10.0.0.5:7447", True),
+    ],
+)
+def test_a_link_beyond_this_computer_without_encryption_is_noticed(listen, in_the_clear):
+    assert load_settings(link_listen=listen).is_link_in_the_clear is in_the_clear
+
+
 def test_secrets_are_hidden_when_printed():
     settings = load_settings(database_url="postgresql://me:hunter2@db/downrange")
     assert "hunter2" not in "\n".join(settings.lines())
