@@ -66,6 +66,7 @@ def actuation(
     command: str | None = None,
     position: str | None = None,
     velocity: str | None = None,
+    group: str | None = None,
     kind: Literal["auto", "speed", "position"] = "auto",
     json: Path | None = None,
     html: Path | None = None,
@@ -88,11 +89,12 @@ def actuation(
         command: column of commands, any scale, or several with commas.
         position: column of positions; deg, mm and angles that wrap are converted.
         velocity: column of velocities, if there is no position.
+        group: column that tells runs apart; a restart of time does it as well.
         kind: whether a constant command means a constant speed or a position; auto tries both.
         json: file for the whole result.
         html: file for the report.
     """
-    found = actuation_from_csv(file, time, command, position, velocity, kind, _teller())
+    found = actuation_from_csv(file, time, command, position, velocity, group, kind, _teller())
     return _finish(found, json, html, f"Actuation, {file.name}")
 
 

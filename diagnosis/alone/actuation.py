@@ -8,24 +8,16 @@ latency: with one sensor it is the same as dead time.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 from scipy.signal import savgol_coeffs
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.reading.layout import RefusedTableError
+from diagnosis.alone.reading.motion import Motion
 from diagnosis.alone.response import actuation_options, play, simulate_position, simulate_speed
 from diagnosis.alone.selection import every_third, select, spread_blocks
-from diagnosis.alone.tables import (
-    RefusedTableError,
-    Table,
-    audit_times,
-    clean_series,
-    has_degrees,
-    name_words,
-    split_runs,
-    time_seconds,
-)
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.loading.clock_audit import ClockAudit
 from diagnosis.verdict import Diagnosis, Stage
@@ -45,18 +37,6 @@ NOISE_RATIO: Final = 0.03
 """Of the top speed: what the window that turns positions into speeds leaves of the sensor's noise."""
 LONGEST_WINDOW_S: Final = 0.4
 BLOCKS_COUNT: Final = 15
-
-
-class Motion(NamedTuple):
-    """One joint's record, cleaned; times from its first row."""
-
-    time_s: Array
-    command: Array
-    """(rows,) as given."""
-    output: Array
-    """(rows,) position or speed; rad, rad/s, m, m/s, or the unit of the file."""
-    is_speed: bool
-    unit: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,41 +93,6 @@ class ActuationProblem:
         if gap > 0.0:
             position = play(position, 0.5 * gap)
         return np.convolve(np.pad(position, len(self.window) // 2, "edge"), self.window, "valid")
-
-
-def read_motion(
-    table: Table, time: str, command: str, output: str, is_speed: bool
-) -> tuple[Motion, ClockAudit]:
-    """One joint of a table.
-
-    Raises:
-        RefusedTableError: unusable columns.
-    """
-    raw_s = time_seconds(table, time)
-    if np.any(np.diff(raw_s[np.isfinite(raw_s)]) < 0.0):
-        split_runs(raw_s[np.isfinite(raw_s)])
-        raise RefusedTableError(
-            f"the times in column {time!r} go back: unsorted rows, several runs in one file, or a clock that "
-            "was set. Sort the rows, or give one file a run"
-        )
-    audit = audit_times(table, raw_s, f"{table.path.name}")
-    values, commands = table.numbers(output), table.numbers(command)
-    time_s, position = clean_series(raw_s, values, f"column {output!r}", table.notes)
-    known = np.isfinite(commands) & np.isfinite(raw_s)
-    held = np.clip(np.searchsorted(raw_s[known], time_s, side="right") - 1, 0, None)
-    u = commands[known][held]
-    if np.ptp(u) == 0.0:
-        raise RefusedTableError(
-            f"the command {command!r} is {u[0]:.6g} throughout: constant channel. Without a command that "
-            "changes nothing can be said; record steps in both directions with rests between"
-        )
-    if np.ptp(position) == 0.0:
-        raise RefusedTableError(
-            f"{output!r} is {position[0]:.6g} throughout while the command changes: constant channel. "
-            "Check the sensor, or choose another column"
-        )
-    position, unit = _in_si(table, output, position, is_speed)
-    return Motion(time_s, u, position, is_speed, unit), audit
 
 
 def diagnose_joint(
@@ -230,7 +175,10 @@ def busiest_part(motion: Motion, zero: float) -> Motion:
     start = int(np.argmax(np.where(whole, total[end] - total, -1.0)))
     part = slice(start, int(end[start]) + 1)
     return motion._replace(
-        time_s=motion.time_s[part], command=motion.command[part], output=motion.output[part]
+        time_s=motion.time_s[part],
+        command=motion.command[part],
+        output=motion.output[part],
+        run=motion.run[part],
     )
 
 
@@ -259,7 +207,9 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
     step_s = max(step_s, FINEST_TICK_S, span_s / MAX_TICKS)
     grid_s = np.arange(0.0, span_s, step_s)
     held = np.clip(np.searchsorted(time_s, grid_s + 1e-9, side="right") - 1, 0, None)
-    command = motion.command[held] - zero
+    ahead = np.clip(held + 1, 0, len(time_s) - 1)
+    # Between two runs the joint rests: what it did then is not known, and not compared.
+    command = np.where(motion.run[held] == motion.run[ahead], motion.command[held] - zero, 0.0)
     command = command / float(np.max(np.abs(command)))
     output = np.interp(grid_s, time_s, motion.output)
     use_window = kind == "speed" and not motion.is_speed
@@ -273,10 +223,7 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
     edge = len(window) // 2 + 1
     stride = max(1, round(max(period_s, len(grid_s) * step_s / MAX_SAMPLES) / step_s))
     sample = np.arange(edge, len(grid_s) - edge, stride)
-    # Grid points inside a long hole of the record are not data.
-    after = np.clip(np.searchsorted(time_s, grid_s[sample]), 1, len(time_s) - 1)
-    hole = time_s[after] - time_s[after - 1]
-    sample = sample[hole < max(5.0 * period_s, 0.1)]
+    sample = sample[_is_seen(time_s, grid_s, max(5.0 * period_s, 0.1), len(window) // 2)[sample]]
     if sample.size < 30:
         raise RefusedTableError(f"{sample.size} usable samples are left, at least 30 are needed")
     top = float(np.quantile(np.abs(measured[sample]), 0.99))
@@ -307,6 +254,13 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
         block=spread_blocks(grid_s[sample], blocks, run),
         noise=noise,
     )
+
+
+def _is_seen(time_s: Array, grid_s: Array, longest_s: float, margin: int) -> BoolArray:
+    """(ticks,) whether a grid point, and `margin` ticks to either side, lie in no hole of the record."""
+    after = np.clip(np.searchsorted(time_s, grid_s), 1, len(time_s) - 1)
+    hole = (time_s[after] - time_s[after - 1] >= longest_s).astype(np.int64)
+    return np.convolve(hole, np.ones(2 * margin + 1, dtype=np.int64), "same") == 0
 
 
 def _first_gain(command: Array, measured: Array, sample: IntArray, top: float) -> float:
@@ -352,31 +306,6 @@ def _speed_window(
     size = max(3, round(seconds / step_s) | 1)
     left = noise * math.sqrt(12.0 * period_s / seconds) / seconds
     return savgol_coeffs(size, 1, deriv=1, delta=step_s), float(left)
-
-
-def _in_si(table: Table, name: str, values: Array, is_speed: bool) -> tuple[Array, str]:
-    """Degrees to radians, millimetres to metres, wrapped angles unwrapped; the unit that results."""
-    words = name_words(name)
-    unit = "unit"
-    if has_degrees(name):
-        values, unit = np.radians(values), "rad"
-        table.notes.append(f"{name!r} converted from degrees to rad")
-    elif has_degrees(name) is False:
-        unit = "rad"
-    elif "mm" in words:
-        values, unit = values * 1e-3, "m"
-        table.notes.append(f"{name!r} converted from mm to m")
-    elif "m" in words:
-        unit = "m"
-    if is_speed:
-        return values, unit
-    for period, label in ((2.0 * math.pi, "2 pi"), (360.0, "360")):
-        jumps = np.abs(np.diff(values)) > 0.8 * period
-        if np.any(jumps) and float(np.ptp(values)) <= 1.02 * period:
-            values = np.unwrap(values, period=period)
-            table.notes.append(f"{name!r}: {int(np.sum(jumps))} jumps of {label} unwrapped")
-            break
-    return values, unit
 
 
 def _plots(

@@ -4,27 +4,37 @@ What a file cannot give is refused with the reason as verdict ``bad_data``; noth
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
-from diagnosis.alone.actuation import diagnose_joint, read_motion
+from diagnosis.alone.actuation import diagnose_joint
 from diagnosis.alone.flight import Ball, Flight, diagnose_ball
+from diagnosis.alone.reading.columns import (
+    COMMAND_WORDS,
+    TIME_WORDS,
+    AngleUnit,
+    angle_of,
+    axes_of,
+    found_groups,
+    group_labels,
+    in_radians,
+    integrated,
+    is_turn_rate,
+    is_velocity,
+    listed,
+    metres,
+    outputs_of,
+    pairs_of,
+)
+from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
+from diagnosis.alone.reading.motion import read_motion
+from diagnosis.alone.reading.runs import check_rate, clean_series, split_runs, time_seconds
+from diagnosis.alone.reading.tables import Table, read_table
 from diagnosis.alone.several import combined, refused
 from diagnosis.alone.swing import Swing, diagnose_swing
-from diagnosis.alone.tables import (
-    MIN_ROWS,
-    RefusedTableError,
-    Table,
-    check_rate,
-    clean_series,
-    has_degrees,
-    read_table,
-    split_runs,
-    time_seconds,
-)
 from diagnosis.loading.clock_audit import audit_clock
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, BoolArray, IntArray
@@ -32,20 +42,8 @@ from machine.errors import UsageError
 
 Tell = Callable[[str], None]
 Kind = Literal["auto", "speed", "position"]
-AngleUnit = Literal["auto", "rad", "deg"]
-LENGTHS_M: Final[Mapping[str, float]] = {
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "ft": 0.3048,
-    "in": 0.0254,
-}
-TIME_WORDS: Final = ("time", "t", "timestamp", "stamp", "seconds", "sec")
-COMMAND_WORDS: Final = ("command", "cmd", "joystick", "joy", "valve", "input", "u", "control")
-POSITION_WORDS: Final = ("position", "pos", "angle", "q", "theta", "extension", "encoder")
-VELOCITY_WORDS: Final = ("velocity", "vel", "speed", "omega", "qd", "rate")
-ANGLE_WORDS: Final = ("angle", "theta", "swing", "pitch", "phi", "position", "pos", "encoder", "q")
-HEIGHT_WORDS: Final = ("z", "height", "altitude", "alt", "h")
+MAX_BODIES_COUNT: Final = 40
+"""More different labels are no bodies but another quantity."""
 
 
 def actuation_from_csv(
@@ -54,6 +52,7 @@ def actuation_from_csv(
     command: str | None = None,
     position: str | None = None,
     velocity: str | None = None,
+    group: str | None = None,
     kind: Kind = "auto",
     tell: Tell | None = None,
 ) -> Diagnosis:
@@ -69,11 +68,17 @@ def actuation_from_csv(
     try:
         table = read_table(path)
         time = time or table.guess("time", "--time", TIME_WORDS)
-        commands = _listed(command) or [table.guess("command", "--command", COMMAND_WORDS)]
         is_speed = velocity is not None
-        outputs = _listed(velocity if is_speed else position)
+        commands, outputs = listed(command), listed(velocity if is_speed else position)
+        if not commands and not outputs:
+            commands, outputs = pairs_of(table)
+        commands = commands or [table.guess("command", "--command", COMMAND_WORDS)]
         if not outputs:
-            outputs, is_speed = _guessed_output(table)
+            outputs, is_speed = outputs_of(table)
+        if group is None:
+            owner, run = found_groups(table, [time, *commands, *outputs])
+            group = ",".join(name for name in (owner, run) if name is not None) or None
+        labels = group_labels(table, group)
     except RefusedTableError as error:
         return refused(str(error))
     if len(commands) != len(outputs):
@@ -86,7 +91,7 @@ def actuation_from_csv(
         name = output if len(outputs) > 1 else None
         table.notes = table.notes[:] if not parts else []
         try:
-            motion, audit = read_motion(table, time, one, output, is_speed)
+            motion, audit = read_motion(table, time, one, output, is_speed, labels)
             found = diagnose_joint(motion, audit, name, kind, tell)
         except RefusedTableError as error:
             parts[output] = refused(str(error), {"notes": table.notes})
@@ -108,12 +113,17 @@ def swing_from_csv(
     try:
         table = read_table(path)
         time = time or table.guess("time", "--time", TIME_WORDS)
-        angle = angle or table.guess("angle", "--angle", ANGLE_WORDS)
-        values = _in_radians(table, angle, table.numbers(angle), angle_unit)
-        swings = [
-            Swing(t, np.unwrap(a))
-            for t, (a,) in _runs(table, time, _group_labels(table, group), [values], angle)
-        ]
+        angle = angle or angle_of(table)
+        values = in_radians(table, angle, table.numbers(angle), angle_unit)
+        if group is None:
+            owner, run = found_groups(table, [time, angle])
+            group = ",".join(name for name in (owner, run) if name is not None) or None
+        runs = _runs(table, time, group_labels(table, group), [values], angle)
+        if is_turn_rate(table, angle):
+            table.notes.append(f"{angle!r} is a rate: integrated to an angle, its bias taken off")
+            swings = [Swing(t, _angle(t, rate)) for t, (rate,) in runs]
+        else:
+            swings = [Swing(t, np.unwrap(a)) for t, (a,) in runs]
         reference = math.nan if length_m is None else length_m
         found = diagnose_swing(swings, reference, None, tell)
     except RefusedTableError as error:
@@ -144,20 +154,32 @@ def flight_from_csv(
     try:
         table = read_table(path)
         time = time or table.guess("time", "--time", TIME_WORDS)
-        names = list(axes) or _guessed_axes(table)
-        columns = [table.numbers(name) * _metres(table, name, length_unit) for name in names]
-        owners = _listed(group)[:1]
-        parts: dict[str, Diagnosis] = {}
-        labels = _group_labels(table, group)
-        balls = table.labels(owners[0]) if owners else ["ball"] * table.row_count
+        names = list(axes) or axes_of(table)
+        columns = [table.numbers(name) * metres(table, name, length_unit) for name in names]
+        owner, run = found_groups(table, [time, *names]) if group is None else (None, None)
+        owner = next(iter(listed(group)), owner)
+        group = group or ",".join(name for name in (owner, run) if name is not None) or None
+        labels = group_labels(table, group)
+        balls = table.labels(owner) if owner else ["ball"] * table.row_count
+        if len(set(balls)) > MAX_BODIES_COUNT:
+            raise RefusedTableError(
+                f"column {owner!r} has {len(set(balls))} different values, at most {MAX_BODIES_COUNT} balls "
+                "are diagnosed at once: choose the column that tells balls apart"
+            )
     except RefusedTableError as error:
         return refused(str(error))
+    parts: dict[str, Diagnosis] = {}
+    speeds = [is_velocity(table, name) for name in names]
+    if any(speeds):
+        table.notes.append(f"{', '.join(names)} are speeds: integrated to positions")
     for name in dict.fromkeys(balls):
         mine = np.array([label == name for label in balls])
         try:
             runs = _runs(table, time, labels, columns, " and ".join(names), mine)
-            flights = [Flight(t, np.stack(p, axis=1)) for t, p in runs]
-            found = diagnose_ball(flights, ball or Ball(), name if owners else None, tell)
+            flights = [Flight(t, _placed(t, p, speeds)) for t, p in runs]
+            found = diagnose_ball(
+                flights, ball or Ball(), name if owner else None, tell, is_mixed_refused=not owner
+            )
         except RefusedTableError as error:
             parts[name] = refused(str(error))
             continue
@@ -165,6 +187,26 @@ def flight_from_csv(
         if tell is not None:
             tell(f"{name}: {found.verdict.value}")
     return combined(parts)
+
+
+def _placed(time_s: Array, columns: Sequence[Array], are_speeds: Sequence[bool]) -> Array:
+    """(rows, axes) positions; speeds are integrated from 0."""
+    return np.stack(
+        [
+            integrated(time_s, column) if is_speed else column
+            for column, is_speed in zip(columns, are_speeds, strict=True)
+        ],
+        axis=1,
+    )
+
+
+def _angle(time_s: Array, rate: Array) -> Array:
+    """Angle of a swing from its rate: integrated, and the line through it taken off.
+
+    A gyro's bias grows the angle along a line; a swing about rest does not.
+    """
+    angle = integrated(time_s, rate)
+    return angle - np.polyval(np.polyfit(time_s, angle, 1), time_s)
 
 
 def _runs(
@@ -207,63 +249,6 @@ def _runs(
 def _split(time_s: Array) -> list[IntArray]:
     runs = split_runs(time_s)
     return [np.flatnonzero(runs == number) for number in np.unique(runs)]
-
-
-def _listed(names: str | None) -> list[str]:
-    return [] if names is None else [name.strip() for name in names.split(",") if name.strip()]
-
-
-def _group_labels(table: Table, group: str | None) -> list[str]:
-    """One label a row from all group columns."""
-    columns = [table.labels(name) for name in _listed(group)]
-    if not columns:
-        return [""] * table.row_count
-    return [" ".join(cells) for cells in zip(*columns, strict=True)]
-
-
-def _guessed_output(table: Table) -> tuple[list[str], bool]:
-    """A position column if exactly one fits, else a velocity column."""
-    try:
-        return [table.guess("position", "--position", POSITION_WORDS)], False
-    except RefusedTableError:
-        return [
-            table.guess("position or velocity", "--position or --velocity", VELOCITY_WORDS)
-        ], True
-
-
-def _guessed_axes(table: Table) -> list[str]:
-    """x, y, z by name, or x and y of a film (y is up), or a height."""
-    by_name: dict[str, str] = {}
-    for name in table.columns:
-        first = name.strip().lower().replace("[", "_").replace("(", "_").split("_")[0].strip()
-        by_name.setdefault(first, name)
-    for wanted in (("x", "y", "z"), ("x", "z"), ("x", "y")):
-        if all(letter in by_name for letter in wanted):
-            names = [by_name[letter] for letter in wanted]
-            table.notes.append(f"columns {', '.join(names)} taken as position, {names[-1]!r} as up")
-            return names
-    return [table.guess("height", "--z", HEIGHT_WORDS)]
-
-
-def _metres(table: Table, name: str, unit: str) -> float:
-    """Metres in a column's unit."""
-    if unit != "auto":
-        return LENGTHS_M[unit]
-    words = "".join(c.lower() if c.isalnum() else " " for c in name).split()
-    named = [word for word in words[1:] if word in LENGTHS_M]
-    if named and named[-1] != "m":
-        table.notes.append(f"{name!r} converted from {named[-1]} to m")
-    return LENGTHS_M[named[-1]] if named else 1.0
-
-
-def _in_radians(table: Table, name: str, values: Array, unit: AngleUnit) -> Array:
-    """An angle column in rad; without a unit in its name, more than one turn means degrees."""
-    degrees = has_degrees(name) if unit == "auto" else unit == "deg"
-    if degrees is None:
-        degrees = bool(np.nanmax(np.abs(values)) > 2.0 * math.pi + 0.1)
-        seen = "degrees: it exceeds 2 pi" if degrees else "rad"
-        table.notes.append(f"{name!r} taken as {seen}; --angle-unit says otherwise")
-    return np.radians(values) if degrees else values
 
 
 def _noted(found: Diagnosis, notes: Sequence[str]) -> Diagnosis:

@@ -3,6 +3,7 @@
 A structure is a set of options; each option adds the parameters of one effect to a simulated response.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
@@ -28,6 +29,8 @@ class FreeParameter(NamedTuple):
     starts: tuple[float, ...]
     is_void_at_high: bool = False
     """Whether the effect is not really there when the fit ends at `high`."""
+    prior_sd: float = math.inf
+    """What is known of it beforehand, as a standard deviation; counts in the intervals of the others."""
 
 
 class Option(NamedTuple):
@@ -224,9 +227,11 @@ def standard_errors(problem: Problem, found: Fit, correlation_samples: float) ->
     J, r = found.jacobian, found.residual
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     Js = J / scale
-    inverse = np.linalg.pinv(Js.T @ Js, rcond=1e-10)
     freedom = max(len(r) / correlation_samples - len(scale), 1.0)
     noise = float(np.sum(r**2)) / freedom
+    known = {p.name: p.prior_sd for p in problem.nuisance}
+    prior = np.array([known.get(name, math.inf) for name in found.names]) ** -2.0
+    inverse = np.linalg.pinv(Js.T @ Js + np.diag(noise * prior / scale**2), rcond=1e-10)
     white = np.sqrt(np.maximum(np.diag(inverse), 0.0) * noise)
     blocks = np.unique(problem.block)
     gradients = np.stack([Js[problem.block == b].T @ r[problem.block == b] for b in blocks])

@@ -1,19 +1,20 @@
 """Diagnoses the flight of a tracked ball from its positions alone: drag, wind, spin, late release, or none.
 
-Every flight's start and speed are fitted with it. Gravity may differ by 2 % (a camera's scale is no better),
-so that a wrong scale is not taken for drag. Axis z is up.
+Every flight's start and speed are fitted with it. Lengths may be wrong by 2 % and the vertical may lean by
+1.1 degrees, so that a camera's scale is not taken for drag, nor its roll for wind. Axis z is up.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from diagnosis.alone.agreement import Disagreement, disagreement
 from diagnosis.alone.fit import FreeParameter, Option
-from diagnosis.alone.selection import every_third, select
-from diagnosis.alone.tables import RefusedTableError
+from diagnosis.alone.reading.layout import RefusedTableError
+from diagnosis.alone.selection import Selection, every_third, select
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
@@ -21,6 +22,13 @@ from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 AIR_DENSITY_KG_PER_M3: Final = 1.204
 """20 C at sea level."""
 GRAVITY_SLACK_RATIO: Final = 0.02
+"""Of the length scale, by eye: a metre stick that is read to a centimetre, a ball nearer than its scale."""
+LEAN_RAD: Final = 0.02
+"""Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
+MAX_FLIGHTS_COUNT: Final = 16
+"""Each flight has its own start and speed to be fitted; more of them add time and little else."""
+MAX_FLIGHT_ROWS: Final = 150
+"""Rows that a flight is averaged down to: the noise goes, and the motion within a mean of rows is a line."""
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 MIN_FLIGHT_ROWS: Final = 10
@@ -131,24 +139,38 @@ def diagnose_ball(
     ball: Ball,
     name: str | None = None,
     progress: Callable[[str], None] | None = None,
+    is_mixed_refused: bool = False,
 ) -> Diagnosis:
-    """Diagnose the flights of one ball.
+    """Diagnose the flights of one ball; `is_mixed_refused` when nothing says that they are of one.
 
     Raises:
-        RefusedTableError: nothing falls in them, or the lengths are in another unit.
+        RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
     """
-    usable = tuple(_trimmed(flight) for flight in flights)
+    flights, notes = _upright(flights)
+    usable = tuple(_trimmed(_thinned(flight)) for flight in flights)
     usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
     if not usable:
         raise RefusedTableError(
             f"no flight of {name or 'the ball'} has {MIN_FLIGHT_ROWS} samples in the air; track it longer"
         )
+    if len(usable) > MAX_FLIGHTS_COUNT:
+        notes.append(f"{MAX_FLIGHTS_COUNT} of {len(usable)} flights used, evenly chosen")
+        chosen = np.linspace(0, len(usable) - 1, MAX_FLIGHTS_COUNT).astype(int)
+        usable = tuple(usable[k] for k in chosen)
     _check_fall(usable)
     problem = make_problem(usable, ball)
     noise = _track_noise(usable)
     signal = _curvature_signal(usable)
     selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
     best = selection.best.fit.as_mapping()
+    split = _disagreement(usable, ball, problem, selection)
+    if split is not None and split.is_mixed and is_mixed_refused:
+        raise RefusedTableError(
+            f"the {len(usable)} flights of this file disagree ({split.in_words()}): several balls, or other "
+            "conditions. Give --group COLUMN that tells balls apart, or one file a ball"
+        )
+    if split is not None:
+        notes.append(f"the {len(usable)} flights disagree beyond their noise: {split.in_words()}")
     known = not math.isnan(ball.drag_per_m)
     evidence: dict[str, Any] = {
         "flights": len(usable),
@@ -158,8 +180,10 @@ def diagnose_ball(
         "noise": {"value": noise, "unit": "m"},
         "top_speed_m_per_s": _top_speed(problem, best),
         "drag_unit": "drag coefficient (mass and diameter given)" if known else "1/m: a = -k |v| v",
+        "notes": notes,
         "not_separable": [
             "a wrong length scale and gravity (2 % are allowed for)",
+            "a leaning vertical and horizontal acceleration (1.1 degrees are allowed for)",
             "spin and vertical wind"
             if usable[0].position_m.shape[1] > 1
             else "wind, spin: one axis only",
@@ -197,7 +221,14 @@ def make_problem(flights: tuple[Flight, ...], ball: Ball) -> FlightProblem:
             GRAVITY_M_PER_S2 - slack,
             GRAVITY_M_PER_S2 + slack,
             (GRAVITY_M_PER_S2,),
+            prior_sd=slack / math.sqrt(3.0),
         )
+    ]
+    nuisance += [
+        FreeParameter(
+            f"lean{axis}", "rad", -LEAN_RAD, LEAN_RAD, (0.0,), prior_sd=LEAN_RAD / math.sqrt(3.0)
+        )
+        for axis in range(axes - 1)
     ]
     top = 0.0
     for k, flight in enumerate(flights):
@@ -271,20 +302,26 @@ def _integrate(
     k = values.get(
         "air_drag.extra_drag_coefficient_ratio", values.get("air_drag.drag_per_m", nothing)
     )
-    k = k * drag_per_m
+    # A wrong length scale s shows as gravity s g; the true motion is 1 / s of the one seen.
+    scale = values["gravity"] / GRAVITY_M_PER_S2
+    k = k * drag_per_m / scale
     wind = np.zeros((count, axes))
     if axes >= 2:
-        wind[:, :1] = values.get("wind.x_m_per_s", nothing)
+        wind[:, :1] = scale * values.get("wind.x_m_per_s", nothing)
     if axes == 3:
-        wind[:, 1:2] = values.get("wind.y_m_per_s", nothing)
+        wind[:, 1:2] = scale * values.get("wind.y_m_per_s", nothing)
     critical = values.get("drag_crisis.critical_speed_m_per_s")
     above = values.get("drag_crisis.above_ratio", nothing)
     back = values.get("release_spin.backspin_lift_per_m")
     gravity = np.zeros((count, axes))
     gravity[:, -1:] = -values["gravity"]
+    for axis in range(axes - 1):
+        gravity[:, axis : axis + 1] = values["gravity"] * values[f"lean{axis}"]
     spin = None
     if back is not None:
-        spin = _spin_axes(speed, back, values.get("release_spin.sidespin_lift_per_m", nothing))
+        spin = _spin_axes(
+            speed, back / scale, values.get("release_spin.sidespin_lift_per_m", nothing) / scale
+        )
 
     def acceleration(v: Array) -> Array:
         relative = v - wind
@@ -332,6 +369,42 @@ def _lift(axis: Array, speed: Array) -> Array:
         full[:, 1] = speed[:, 1]
     lifted = np.cross(axis, full)
     return lifted if axes == 3 else lifted[:, [0, 2]]
+
+
+def _disagreement(
+    flights: Sequence[Flight], ball: Ball, problem: FlightProblem, selection: Selection
+) -> Disagreement | None:
+    parts = [replace(make_problem((flight,), ball), options=problem.options) for flight in flights]
+    drag = [option for option in problem.options if option.key == "air_drag"]
+    return disagreement(parts, selection, drag)
+
+
+def _upright(flights: Sequence[Flight]) -> tuple[Sequence[Flight], list[str]]:
+    """Turn a last axis that points down, as in films, where rows are counted from the top."""
+    falls = [_initial_fall(flight) for flight in flights if len(flight.time_s) >= MIN_FLIGHT_ROWS]
+    fall = float(np.median(falls)) if falls else GRAVITY_M_PER_S2
+    if not 0.6 < -fall / GRAVITY_M_PER_S2 < 1.4:
+        return flights, []
+    turned = [f._replace(position_m=f.position_m * _last_turned(f.position_m)) for f in flights]
+    return turned, ["the last axis points down (things fall along it): turned"]
+
+
+def _last_turned(position: Array) -> Array:
+    signs = np.ones(position.shape[1])
+    signs[-1] = -1.0
+    return signs
+
+
+def _thinned(flight: Flight) -> Flight:
+    """Means of so many rows that at most `MAX_FLIGHT_ROWS` are left."""
+    size = math.ceil(len(flight.time_s) / MAX_FLIGHT_ROWS)
+    if size == 1:
+        return flight
+    rows = len(flight.time_s) // size * size
+    return Flight(
+        flight.time_s[:rows].reshape(-1, size).mean(axis=1),
+        flight.position_m[:rows].reshape(rows // size, size, -1).mean(axis=1),
+    )
 
 
 def _trimmed(flight: Flight) -> Flight:

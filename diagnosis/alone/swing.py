@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.selection import every_third, select, spread_blocks
-from diagnosis.alone.tables import RefusedTableError
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from diagnosis.alone.fit import Problem
+from diagnosis.alone.limits import Limit, hidden_limits
 from diagnosis.alone.selection import (
     SHAPE_EFFECTS,
     Scored,
@@ -56,10 +57,11 @@ def diagnosis_of(
     ambiguity = _ambiguity(selection, names)
     verdict = _verdict(selection, ambiguity)
     causes = _causes(problem, selection, names)
+    limits = hidden_limits(problem, selection) if verdict is VerdictKind.NONE else ()
     ratio = shrink.before_m / max(noise, 1e-12)
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, causes, shrink, selection, names),
+        sentence=_sentence(verdict, causes, shrink, selection, names, limits),
         gap=Gap(trajectory_rms_ratio=ratio),
         stages=(
             StageGap(
@@ -76,6 +78,7 @@ def diagnosis_of(
         evidence={
             **evidence,
             "selection": describe(selection),
+            "limits": [limit._asdict() for limit in limits],
             "residual_unit": names.unit,
             "shrink_unit": f"rms of the residual in {names.unit}; held_out_throws counts held-out pieces",
         },
@@ -190,6 +193,7 @@ def _sentence(
     shrink: Shrink,
     selection: Selection,
     names: StageNames,
+    limits: tuple[Limit, ...],
 ) -> str:
     where = f"{names.stage.value} of {names.joint}" if names.joint else names.stage.value
     left = f"{selection.left_ratio:.0%} of the motion is left unexplained on held-out data"
@@ -197,7 +201,8 @@ def _sentence(
     words = "" if named is None else _in_words(named)
     match verdict:
         case VerdictKind.NONE:
-            return f"The ideal {where} explains the data; no effect is needed ({left})."
+            could = f" These data would not show {', '.join(n.in_words() for n in limits)}."
+            return f"The ideal {where} explains the data; no effect is needed ({left}).{could}"
         case VerdictKind.UNKNOWN:
             best = f" The best known explanation is {words}." if words else ""
             return f"Something acts on the {where} that no effect of the library explains: {left}.{best}"

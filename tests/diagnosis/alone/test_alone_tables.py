@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from diagnosis.alone.tables import RefusedTableError, read_table, split_runs, time_seconds
+from diagnosis.alone.reading.layout import RefusedTableError
+from diagnosis.alone.reading.runs import split_runs, time_seconds
+from diagnosis.alone.reading.tables import read_table
 from diagnosis.verdict import Diagnosis
 
 

@@ -1,0 +1,1 @@
+"""Anybody's CSV: layout, columns, units and runs."""

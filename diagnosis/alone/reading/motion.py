@@ -1,0 +1,147 @@
+"""One joint's record out of a table: command and output, cleaned, in SI, runs one after the other.
+
+Between two runs the command rests and nothing is compared; a clock that was set back is refused.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
+from diagnosis.alone.reading.runs import audit_times, clean_series, split_runs, time_seconds
+from diagnosis.alone.reading.tables import Table, has_degrees
+from diagnosis.loading.clock_audit import ClockAudit
+from machine.conventions import Array, IntArray
+
+REST_BETWEEN_RUNS_S: Final = 3.0
+RESTART_RATIO: Final = 0.1
+"""A new run starts within this part of the span from the first time of all; else the clock was set back."""
+
+
+class Motion(NamedTuple):
+    """One joint's record, cleaned; times from its first row."""
+
+    time_s: Array
+    command: Array
+    """(rows,) as given."""
+    output: Array
+    """(rows,) position or speed; rad, rad/s, m, m/s, or the unit of the file."""
+    run: IntArray
+    """(rows,) number of the run."""
+    is_speed: bool
+    unit: str
+
+
+def read_motion(
+    table: Table, time: str, command: str, output: str, is_speed: bool, labels: Sequence[str]
+) -> tuple[Motion, ClockAudit]:
+    """One joint of a table; `labels` (rows,) tell runs apart, a restart of time does it as well.
+
+    Raises:
+        RefusedTableError: unusable columns.
+    """
+    raw_s = time_seconds(table, time)
+    values, commands = table.numbers(output), table.numbers(command)
+    runs = _runs_of(raw_s, labels, time)
+    parts: list[tuple[Array, Array, Array]] = []
+    start_s = 0.0
+    for number in np.unique(runs):
+        inside = runs == number
+        known = np.isfinite(commands) & np.isfinite(raw_s) & inside
+        if runs[-1] > 0 and int(np.sum(np.isfinite(values) & known)) < MIN_ROWS:
+            table.notes.append(f"run {number + 1}: fewer than {MIN_ROWS} rows, left out")
+            continue
+        own_s, position = clean_series(
+            raw_s[inside], values[inside], f"column {output!r}", table.notes
+        )
+        if not np.any(known):
+            raise RefusedTableError(f"the command {command!r} has no number in run {number + 1}")
+        held = np.clip(np.searchsorted(raw_s[known], own_s, side="right") - 1, 0, None)
+        shift = start_s - own_s[0] if parts else 0.0
+        parts.append((own_s + shift, commands[known][held], position))
+        start_s = float(parts[-1][0][-1]) + REST_BETWEEN_RUNS_S
+    if not parts:
+        raise RefusedTableError(
+            f"no run of {table.path.name} has {MIN_ROWS} rows with {command!r} and {output!r}"
+        )
+    time_s, u, position = (np.concatenate(column) for column in zip(*parts, strict=True))
+    longest = runs == int(np.argmax(np.bincount(runs)))
+    audit = audit_times(table, raw_s[longest], f"{table.path.name}")
+    if len(parts) > 1:
+        table.notes.append(f"{len(parts)} runs, taken one after the other with rest between")
+    run = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+    _check_changes(command, output, u, position)
+    position, unit = _in_si(table, output, position, is_speed)
+    return Motion(time_s, u, position, run, is_speed, unit), audit
+
+
+def _check_changes(command: str, output: str, u: Array, position: Array) -> None:
+    if np.ptp(u) == 0.0:
+        raise RefusedTableError(
+            f"the command {command!r} is {u[0]:.6g} throughout: constant channel. Without a command that "
+            "changes nothing can be said; record steps in both directions with rests between"
+        )
+    if np.ptp(position) == 0.0:
+        raise RefusedTableError(
+            f"{output!r} is {position[0]:.6g} throughout while the command changes: constant channel. "
+            "Check the sensor, or choose another column"
+        )
+
+
+def _runs_of(time_s: Array, labels: Sequence[str], time: str) -> IntArray:
+    """Number of the run of each row, (rows,): another label, or times that start again.
+
+    Raises:
+        RefusedTableError: times that go back into the middle of a run.
+    """
+    names = np.array(labels)
+    steps_s = np.diff(time_s)
+    changed = names[1:] != names[:-1]
+    back = np.isfinite(steps_s) & (steps_s < 0.0)
+    low, high = float(np.nanmin(time_s)), float(np.nanmax(time_s))
+    restart = back & (time_s[1:] <= low + RESTART_RATIO * (high - low))
+    wrong = np.flatnonzero(back & ~restart & ~changed)
+    if wrong.size:
+        split_runs(time_s[np.isfinite(time_s)])
+        raise RefusedTableError(
+            f"the times in column {time!r} go back by {-steps_s[wrong[0]]:.3g} s in row {wrong[0] + 3}: "
+            "unsorted rows, or a clock that was set. Sort the rows, give one file a run, or "
+            "--group COLUMN if a column tells runs apart"
+        )
+    runs = np.concatenate([[0], np.cumsum(changed | restart)]).astype(np.int64)
+    if runs[-1] > max(len(time_s) / MIN_ROWS, 1.0):
+        raise RefusedTableError(
+            f"{runs[-1] + 1} runs in {len(time_s)} rows: too short, or rows of several runs are mixed. "
+            "Sort by run and time"
+        )
+    return runs
+
+
+def _in_si(table: Table, name: str, values: Array, is_speed: bool) -> tuple[Array, str]:
+    """Degrees to radians, millimetres to metres, wrapped angles unwrapped; the unit that results."""
+    words = table.words(name)
+    unit = "unit"
+    if has_degrees(words):
+        values, unit = np.radians(values), "rad"
+        table.notes.append(f"{name!r} converted from degrees to rad")
+    elif has_degrees(words) is False:
+        unit = "rad"
+    elif "mm" in words:
+        values, unit = values * 1e-3, "m"
+        table.notes.append(f"{name!r} converted from mm to m")
+    elif "cm" in words:
+        values, unit = values * 1e-2, "m"
+        table.notes.append(f"{name!r} converted from cm to m")
+    elif "m" in words:
+        unit = "m"
+    if is_speed:
+        return values, unit
+    for period, label in ((2.0 * math.pi, "2 pi"), (360.0, "360")):
+        jumps = np.abs(np.diff(values)) > 0.8 * period
+        if np.any(jumps) and float(np.ptp(values)) <= 1.02 * period:
+            values = np.unwrap(values, period=period)
+            table.notes.append(f"{name!r}: {int(np.sum(jumps))} jumps of {label} unwrapped")
+            break
+    return values, unit

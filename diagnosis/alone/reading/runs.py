@@ -1,0 +1,137 @@
+"""Times, rates and runs of a table: what is repaired is noted, what cannot be used is refused.
+
+It repairs holes of a few samples; refusals give numbers, cause and remedy.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
+from diagnosis.alone.reading.tables import Table
+from diagnosis.loading.clock_audit import ClockAudit, audit_clock
+from machine.conventions import Array, IntArray
+
+MIN_TABLE_RATE_HZ: Final = 12.0
+"""Below this a table hides dead times, and friction within a swing; tracked balls come at 15 Hz."""
+RUN_GAP_S: Final = 1.0
+RUN_GAP_PERIODS: Final = 12.0
+"""A pause of this many periods (and of 1 s) begins a new run."""
+MAX_MISSING_RATIO: Final = 0.3
+TIME_UNITS: Final[Mapping[str, float]] = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+
+
+def time_seconds(table: Table, name: str) -> Array:
+    """A time column in seconds from its first row, (rows,); the unit is in its name or in its steps.
+
+    Raises:
+        RefusedTableError: no unit makes sense of it.
+    """
+    values = table.clock(name)
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    steps = steps[steps > 0.0]
+    if steps.size == 0:
+        raise RefusedTableError(
+            f"the times in column {name!r} never increase (all {finite[0]:.6g}): constant channel. "
+            "Choose the time column"
+        )
+    period = float(np.median(steps))
+    named = [unit for unit in TIME_UNITS if table.words(name)[-1:] == [unit]]
+    if named:
+        factor = TIME_UNITS[named[0]]
+    elif period < 2.0:
+        factor = 1.0
+    elif period < 500.0:
+        factor = 1e-3
+        table.notes.append(f"times in {name!r} taken as milliseconds (median step {period:.4g})")
+    elif period < 5e5:
+        factor = 1e-6
+        table.notes.append(f"times in {name!r} taken as microseconds (median step {period:.4g})")
+    else:
+        factor = 1e-9
+        table.notes.append(f"times in {name!r} taken as nanoseconds (median step {period:.4g})")
+    return (values - finite[0]) * factor
+
+
+def check_rate(audit: ClockAudit, what: str, min_rate_hz: float = MIN_TABLE_RATE_HZ) -> None:
+    """Refuse records that are too slow.
+
+    Raises:
+        RefusedTableError: below `min_rate_hz`.
+    """
+    if audit.rate_hz < min_rate_hz:
+        raise RefusedTableError(
+            f"{what} was recorded at {audit.rate_hz:.3g} Hz, at least {min_rate_hz:g} Hz are needed: "
+            "effects of a tenth of a second hide between samples. Record faster; or, if the times are in ms, "
+            "call their column time_ms"
+        )
+    if audit.rate_hz > 2e5:
+        raise RefusedTableError(
+            f"{what} says {audit.rate_hz:.3g} Hz: swapped units of time. Give seconds, or a column name "
+            "that ends with _ms, _us or _ns"
+        )
+
+
+def split_runs(time_s: Array) -> IntArray:
+    """Number of the run of each row, (rows,): a new one where time starts again or pauses.
+
+    Raises:
+        RefusedTableError: the clock jumps back again and again.
+    """
+    steps = np.diff(time_s)
+    forward = steps[steps > 0.0]
+    period = float(np.median(forward)) if forward.size else 1.0
+    new = (steps < 0.0) | (steps > max(RUN_GAP_S, RUN_GAP_PERIODS * period))
+    runs = np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
+    if runs[-1] > len(time_s) / MIN_ROWS:
+        raise RefusedTableError(
+            f"its clock jumps or pauses {runs[-1]} times in {len(time_s)} rows: unsorted rows or a clock "
+            "that was set. Sort by time, or give --group COLUMN to tell runs apart"
+        )
+    return runs
+
+
+def clean_series(
+    time_s: Array, values: Array, what: str, notes: list[str], min_rows: int = MIN_ROWS
+) -> tuple[Array, Array]:
+    """Rows with a time and a number, (kept,), duplicates dropped; holes are left to interpolation.
+
+    Raises:
+        RefusedTableError: too much is missing, or time goes back.
+    """
+    inside = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
+    if inside.size < min_rows:
+        raise RefusedTableError(
+            f"{what} has {inside.size} numbers, at least {min_rows} are needed; the record is too short"
+        )
+    first, last = int(inside[0]), int(inside[-1])
+    ends = first + len(values) - 1 - last
+    holes = last - first + 1 - inside.size
+    if ends:
+        notes.append(f"{what}: {ends} rows without a number at the ends left out")
+    if holes > MAX_MISSING_RATIO * (last - first + 1):
+        raise RefusedTableError(
+            f"{what} lacks {holes} of {last - first + 1} numbers (NaN or empty): the sensor dropped out. "
+            "Repair it and record again"
+        )
+    if holes:
+        notes.append(f"{what}: {holes} missing numbers inside interpolated")
+    time_s, values = time_s[inside], values[inside]
+    fresh = np.concatenate([[True], np.diff(time_s) > 0.0])
+    if not np.all(fresh):
+        notes.append(f"{what}: {int(np.sum(~fresh))} rows with a repeated time dropped")
+    return time_s[fresh], values[fresh]
+
+
+def audit_times(table: Table, time_s: Array, what: str) -> ClockAudit:
+    """Audit a time column's rows that have a time, and refuse what is too slow."""
+    audit = audit_clock(time_s[np.isfinite(time_s)])
+    check_rate(audit, what)
+    if audit.gap_count:
+        table.notes.append(
+            f"{audit.missing_count} samples missing in {audit.gap_count} gaps, the longest "
+            f"{audit.longest_gap_s:.3g} s"
+        )
+    return audit

@@ -1,0 +1,165 @@
+"""A table of anybody's: its columns by name, as numbers or as labels, and what had to be assumed about it.
+
+A column that is not there, or holds hardly a number, is refused with what there is instead.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, time
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from diagnosis.alone.reading.layout import RefusedTableError, number, read_layout
+from machine.conventions import Array
+
+NUMBERS_RATIO: Final = 0.5
+ANGLE_DEGREES: Final = ("deg", "degrees", "degree")
+FEW_LABELS_COUNT: Final = 60
+"""A column with more different texts does not tell runs apart."""
+
+
+@dataclass(slots=True)
+class Table:
+    """Columns of a CSV file as text, and what had to be assumed about it."""
+
+    path: Path
+    columns: dict[str, list[str]]
+    notes: list[str] = field(default_factory=list[str])
+    units: dict[str, str] = field(default_factory=dict[str, str])
+    """From a row of units below the header."""
+
+    @property
+    def row_count(self) -> int:
+        """Rows without the header."""
+        return len(next(iter(self.columns.values()), []))
+
+    def numbers(self, name: str) -> Array:
+        """A column as numbers, (rows,); empty or unreadable cells are nan.
+
+        Raises:
+            RefusedTableError: no such column, or hardly a number in it.
+        """
+        cells = self.columns[self.column(name)]
+        try:
+            values = np.array(cells, dtype=np.float64)
+        except ValueError:
+            values = np.array([number(text) for text in cells])
+        values[~np.isfinite(values)] = np.nan
+        good = float(np.mean(np.isfinite(values))) if len(values) else 0.0
+        if good < NUMBERS_RATIO:
+            raise RefusedTableError(
+                f"column {name!r} of {self.path.name} holds a number in {good:.0%} of its rows; "
+                "choose another column"
+            )
+        return values
+
+    def clock(self, name: str) -> Array:
+        """A column of times, (rows,): numbers, or dates and times of day in s from the first."""
+        try:
+            return self.numbers(name)
+        except RefusedTableError:
+            values = np.array([_time_of_day_s(text) for text in self.columns[self.column(name)]])
+            if np.mean(np.isfinite(values)) < NUMBERS_RATIO:
+                raise
+            self.notes.append(f"{name!r} read as dates or times of day")
+            return values - values[np.isfinite(values)][0]
+
+    def words(self, name: str) -> list[str]:
+        """Words of a column's name, its unit from a row of units last."""
+        unit = self.units.get(self.column(name), "")
+        return name_words(name) + name_words(unit)
+
+    def text_columns(self) -> list[str]:
+        """Columns of labels: hardly a number in them, few different texts, at least two."""
+        found: list[str] = []
+        for name, cells in self.columns.items():
+            some = set(cells[:: max(1, len(cells) // 5000)]) - {""}
+            numbers = sum(bool(np.isfinite(number(text))) for text in some)
+            if 1 < len(some) <= FEW_LABELS_COUNT and numbers < NUMBERS_RATIO * len(some):
+                found.append(name)
+        return found
+
+    def labels(self, name: str) -> list[str]:
+        """A column as text, (rows,)."""
+        return self.columns[self.column(name)]
+
+    def column(self, name: str) -> str:
+        """The column's own name; case and blanks do not matter.
+
+        Raises:
+            RefusedTableError: no such column.
+        """
+        if name in self.columns:
+            return name
+        matches = [own for own in self.columns if own.strip().lower() == name.strip().lower()]
+        if len(matches) != 1:
+            raise RefusedTableError(
+                f"{self.path.name} has no column {name!r}; it has {', '.join(self.columns)}"
+            )
+        return matches[0]
+
+    def guess(self, what: str, option: str, words: Sequence[str]) -> str:
+        """The only column whose name begins with or holds one of `words`, noted as a guess.
+
+        Raises:
+            RefusedTableError: none or several; the text names the columns and the option to give.
+        """
+        found = [
+            name
+            for name in self.columns
+            if any(part in words for part in name_words(name)) or name.strip().lower() in words
+        ]
+        exact = [name for name in found if name.strip().lower() in words]
+        found = exact if len(exact) == 1 else found
+        if len(found) != 1:
+            seen = "none" if not found else " and ".join(found)
+            raise RefusedTableError(
+                f"which column of {self.path.name} is the {what}? It has {', '.join(self.columns)} "
+                f"({seen} would fit); give {option} COLUMN"
+            )
+        self.notes.append(f"column {found[0]!r} taken as the {what}")
+        return found[0]
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file with a header line; comma, semicolon, tab or blanks between cells.
+
+    Raises:
+        RefusedTableError: missing, empty or without a header.
+    """
+    header, rows, units, notes = read_layout(path)
+    width = len(header)
+    if not all(len(row) == width for row in rows):
+        rows = [(row + [""] * width)[:width] for row in rows]
+    columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
+    return Table(path, columns, notes, units)
+
+
+def has_degrees(words: Sequence[str]) -> bool | None:
+    """Whether a column's words say degrees; None when they say nothing about its unit."""
+    if any(word in ANGLE_DEGREES for word in words):
+        return True
+    return False if any(word in ("rad", "radians", "radian") for word in words) else None
+
+
+def name_words(name: str) -> list[str]:
+    """Lower-case words of a column name: ``Boom pos [deg]`` is boom, pos, deg."""
+    text = "".join(c.lower() if c.isalnum() else " " for c in name.replace("°", " deg "))
+    return text.split()
+
+
+def _time_of_day_s(text: str) -> float:
+    """Seconds of an ISO date and time or of a time of day; nan if it is none."""
+    try:
+        # Differences alone are used: a time without a zone may be taken as UTC.
+        stamp = datetime.fromisoformat(text.strip())
+        return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+    except ValueError:
+        pass
+    try:
+        moment = time.fromisoformat(text.strip())
+    except ValueError:
+        return float("nan")
+    return 3600.0 * moment.hour + 60.0 * moment.minute + moment.second + 1e-6 * moment.microsecond

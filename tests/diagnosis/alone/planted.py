@@ -1,0 +1,155 @@
+"""Measurements that never were: pendulums, joints and balls with known effects, by equations of their own.
+
+Nothing is imported from the product. Each maker returns columns (rows,) under names that other people use,
+with sensor noise, other units and odd rates; with nothing planted it is a null.
+"""
+
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+Columns = dict[str, np.ndarray]
+Slope = Callable[[np.ndarray], np.ndarray]
+
+
+def write(path: Path, columns: Mapping[str, np.ndarray], separator: str = ",") -> Path:
+    """A table of columns; text columns as they are, numbers with 9 digits."""
+    cells = [
+        [str(v) for v in column] if column.dtype.kind in "UO" else [f"{v:.9g}" for v in column]
+        for column in columns.values()
+    ]
+    rows = [separator.join(columns), *(separator.join(row) for row in zip(*cells, strict=True))]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def joined(runs: list[Columns], **labels: list[str]) -> Columns:
+    """Several runs in one table, with a column for each label."""
+    merged = {name: np.concatenate([run[name] for run in runs]) for name in runs[0]}
+    for name, values in labels.items():
+        sizes = [len(next(iter(run.values()))) for run in runs]
+        merged[name] = np.repeat(np.array(values), sizes)
+    return merged
+
+
+def _ode(slope: Slope, state: np.ndarray, seconds: np.ndarray, fine_s: float) -> np.ndarray:
+    """States at `seconds`, (rows, states), by explicit midpoint in steps of at most `fine_s`."""
+    rows = [state]
+    for start, end in pairwise(seconds.tolist()):
+        count = max(1, int(np.ceil((end - start) / fine_s)))
+        h = (end - start) / count
+        for _ in range(count):
+            state = state + h * slope(state + 0.5 * h * slope(state))
+        rows.append(state)
+    return np.array(rows)
+
+
+def pendulum(
+    rng: np.random.Generator,
+    viscous: float = 0.0,
+    coulomb: float = 0.0,
+    quadratic: float = 0.0,
+    rate_hz: float = 50.0,
+    noise_rad: float = 0.003,
+) -> Columns:
+    """A swing of 20 s: t in s, theta in degrees, its rate in deg/s with a gyro's bias."""
+    omega = rng.uniform(2.2, 4.5)
+
+    def slope(s: np.ndarray) -> np.ndarray:
+        loss = viscous * s[1] + coulomb * np.tanh(s[1] / 1e-3) + quadratic * abs(s[1]) * s[1]
+        return np.array([s[1], -(omega**2) * np.sin(s[0]) - loss])
+
+    t = np.arange(0.0, 20.0, 1.0 / rate_hz)
+    s = _ode(slope, np.array([rng.uniform(0.35, 0.7), 0.0]), t, 2e-3)
+    angle = s[:, 0] + rng.uniform(-0.03, 0.03) + rng.normal(0.0, noise_rad, len(t))
+    gyro = s[:, 1] + rng.normal(0.0, 3.0 * noise_rad, len(t)) + rng.uniform(-0.01, 0.01)
+    return {"t": t, "theta_deg": np.degrees(angle), "omega_deg_s": np.degrees(gyro)}
+
+
+def joint(
+    rng: np.random.Generator,
+    dead_time_s: float = 0.0,
+    lag_s: float = 0.0,
+    dead_band: float = 0.0,
+    top_speed: float = np.inf,
+    rate_hz: float = 50.0,
+    noise_rad: float = 0.001,
+    held_s: float = 0.0,
+) -> Columns:
+    """An excavator's joint over 40 s of steps and ramps: lever in per cent, angle in degrees, speed in deg/s.
+
+    `held_s` is the period of the log of the lever, which keeps its value in between.
+    """
+    h = 2e-3
+    t = np.arange(0.0, 40.0, h)
+    knots = np.arange(0.0, 41.0, 1.6)
+    sizes = rng.uniform(0.15, 1.0, len(knots)) * rng.choice([-1.0, 1.0], len(knots))
+    sizes[::3] = 0.0
+    steps = sizes[np.clip(np.searchsorted(knots, t, side="right") - 1, 0, None)]
+    lever = np.where(t < 28.0, steps, np.interp(t, knots, sizes))
+    gain = rng.uniform(0.3, 0.7)
+    seen = np.concatenate([np.zeros(round(dead_time_s / h)), lever])[: len(t)]
+    seen = np.sign(seen) * np.maximum(np.abs(seen) - dead_band, 0.0) / (1.0 - dead_band)
+    wanted = np.clip(gain * seen, -top_speed * gain, top_speed * gain)
+    speed = np.zeros(len(t))
+    for k in range(1, len(t)):
+        speed[k] = (
+            wanted[k]
+            if lag_s == 0.0
+            else speed[k - 1] + (1.0 - np.exp(-h / lag_s)) * (wanted[k] - speed[k - 1])
+        )
+    angle = np.cumsum(speed) * h
+    rows = np.arange(0.0, 39.9, 1.0 / rate_hz)
+    at = (rows / h).astype(int)
+    told = at if held_s == 0.0 else (np.floor(rows / held_s) * held_s / h).astype(int)
+    n = len(rows)
+    return {
+        "stamp_ms": rows * 1e3,
+        "lever_pct": 100.0 * lever[told],
+        "boom_deg": np.degrees(angle[at] + rng.normal(0.0, noise_rad, n)),
+        "boom_rate_deg_s": np.degrees(speed[at] + rng.normal(0.0, 10.0 * noise_rad, n)),
+    }
+
+
+def ball(
+    rng: np.random.Generator,
+    drag_per_m: float = 0.0,
+    wind_m_per_s: tuple[float, float] = (0.0, 0.0),
+    lift_per_m: float = 0.0,
+    rate_hz: float = 60.0,
+    noise_m: float = 0.005,
+    scale: float = 1.0,
+    tilt_rad: float = 0.0,
+    is_drop: bool = False,
+) -> Columns:
+    """One throw or drop in x, y, z (up), by a tracker of a wrong scale that leans along x by `tilt_rad`."""
+    if is_drop:
+        v = np.zeros(3)
+        span, height = rng.uniform(1.2, 1.6), 15.0
+    else:
+        speed, up, side = rng.uniform(7.0, 12.0), rng.uniform(0.5, 0.95), rng.uniform(-0.15, 0.15)
+        v = speed * np.array([np.cos(up) * np.cos(side), np.cos(up) * np.sin(side), np.sin(up)])
+        span, height = 2.0 * v[2] / 9.81, 1.8
+    air = np.array([*wind_m_per_s, 0.0])
+    right = np.array([v[1], -v[0], 0.0])
+    right = right / max(float(np.linalg.norm(right)), 1e-9)
+
+    def slope(s: np.ndarray) -> np.ndarray:
+        w = s[3:] - air
+        lift = lift_per_m * np.linalg.norm(s[3:]) * np.cross(right, s[3:])
+        gravity = np.array([0.0, 0.0, -9.81])
+        return np.concatenate([s[3:], gravity + lift - drag_per_m * np.linalg.norm(w) * w])
+
+    t = np.arange(0.0, span, 1.0 / rate_hz)
+    p = _ode(slope, np.concatenate([[0.0, 0.0, height], v]), t, 4e-3)[:, :3]
+    x = p[:, 0] * np.cos(tilt_rad) + p[:, 2] * np.sin(tilt_rad)
+    z = p[:, 2] * np.cos(tilt_rad) - p[:, 0] * np.sin(tilt_rad)
+    seen = scale * np.stack([x, p[:, 1], z], axis=1) + rng.normal(0.0, noise_m, (len(t), 3))
+    return {"t": t, "x": seen[:, 0], "y": seen[:, 1], "z": seen[:, 2]}
+
+
+def throws(rng: np.random.Generator, count: int = 5, **effects: object) -> Columns:
+    """Several throws of a ball, one after the other with times that start again."""
+    return joined([ball(rng, **effects) for _ in range(count)])  # pyright: ignore[reportArgumentType]
