@@ -37,6 +37,9 @@ NOISE_RATIO: Final = 0.03
 """Of the top speed: what the window that turns positions into speeds leaves of the sensor's noise."""
 LONGEST_WINDOW_S: Final = 0.4
 BLOCKS_COUNT: Final = 15
+MIN_CHANGES_COUNT: Final = 20
+"""Fewer changes of the command do not tell how often it was logged."""
+LONGEST_COMMAND_PERIOD_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,8 @@ class ActuationProblem:
     options: tuple[Option, ...]
     block: IntArray
     noise: float
+    command_period_s: float
+    """A command changed at some time within as much before it was logged."""
 
     @property
     def rich(self) -> tuple[str, ...]:
@@ -73,6 +78,11 @@ class ActuationProblem:
     def held(self) -> BoolArray:
         """Every third piece of the record."""
         return every_third(self.block)
+
+    @property
+    def timing_s(self) -> float:
+        """A command changed within half a period of its log about the mean; no average helps."""
+        return 0.5 * self.command_period_s
 
     @property
     def local(self) -> frozenset[str]:
@@ -253,6 +263,7 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
         ),
         block=spread_blocks(grid_s[sample], blocks, run),
         noise=noise,
+        command_period_s=_command_period(motion, period_s),
     )
 
 
@@ -272,6 +283,14 @@ def _first_gain(command: Array, measured: Array, sample: IntArray, top: float) -
         if power > 0.0 and product**2 / power > best:
             best, best_gain = product**2 / power, product / power
     return best_gain
+
+
+def _command_period(motion: Motion, period_s: float) -> float:
+    """Shortest usual time between two changes of the logged command, s; at least the sample period."""
+    changes = motion.time_s[1:][np.diff(motion.command) != 0.0]
+    if changes.size < MIN_CHANGES_COUNT:
+        return period_s
+    return float(np.clip(np.quantile(np.diff(changes), 0.1), period_s, LONGEST_COMMAND_PERIOD_S))
 
 
 def _sample_noise(values: Array) -> float:

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.stats import f as fisher
 
-from diagnosis.alone.fit import Fit, Option, Problem, fit
-from diagnosis.alone.selection import Selection
+from diagnosis.alone.fit import Option, Problem, correlation_length, fit
 
 SURPRISE: Final = 1e-3
 """Probability under which equal runs would differ as much."""
@@ -47,35 +46,38 @@ class Disagreement(NamedTuple):
 
 
 def disagreement(
-    parts: Sequence[Problem], selection: Selection, extra: Sequence[Option]
+    whole: Problem, parts: Sequence[Problem], keys: Sequence[str]
 ) -> Disagreement | None:
-    """Compare the common fit with one a run; None when the runs agree, or there is one.
+    """Compare one fit for all runs with one a run; None when they agree, or there is one run.
 
     Args:
-        parts: the runs as problems of their own, with the same options.
-        selection: of all runs together.
-        extra: options that each run gets beside those of the best structure.
+        whole: all runs together.
+        parts: each run by itself, with the same options.
+        keys: of the options that are fitted.
     """
     if len(parts) < 2:
         return None
-    common = selection.best.fit
-    taken = {option.effect for option in common.options}
-    options = (*common.options, *(o for o in extra if o.effect not in taken))
-    own: list[Fit] = []
-    for part in parts:
-        by_key = {option.key: option for option in part.options}
-        own.append(fit(part, tuple(by_key[option.key] for option in options), {}))
+    common = fit(whole, _options(whole, keys), {})
+    own = [fit(part, _options(part, keys), {}) for part in parts]
     squares = sum(float(np.sum(one.residual**2)) for one in own)
-    whole = float(np.sum(common.residual**2))
-    count = len(common.residual) / selection.correlation_samples
+    together = float(np.sum(common.residual**2))
+    lengths = [
+        correlation_length(one.residual, part.block) for one, part in zip(own, parts, strict=True)
+    ]
+    # The common fit of runs that disagree leaves long waves: their length is no property of the noise.
+    count = len(common.residual) / float(np.mean(lengths))
     size = sum(len(one.values) for one in own)
     more = max(size - len(common.values), 1)
     freedom = max(count - size, 1.0)
-    ratio2 = (max(whole - squares, 0.0) / more) / max(squares / freedom, 1e-300)
+    ratio2 = (max(together - squares, 0.0) / more) / max(squares / freedom, 1e-300)
     if float(fisher.sf(ratio2, more, freedom)) > SURPRISE:
         return None
-    names = {f"{o.key}.{p.name}" for o in options for p in o.parameters}
+    names = {f"{o.key}.{p.name}" for o in common.options for p in o.parameters}
     return Disagreement(
-        float(np.sqrt(whole / max(squares, 1e-300))),
+        float(np.sqrt(together / max(squares, 1e-300))),
         tuple({n: v for n, v in one.as_mapping().items() if n in names} for one in own),
     )
+
+
+def _options(problem: Problem, keys: Sequence[str]) -> tuple[Option, ...]:
+    return tuple(option for option in problem.options if option.key in keys)

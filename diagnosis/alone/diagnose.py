@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from diagnosis.alone.actuation import diagnose_joint
-from diagnosis.alone.flight import Ball, Flight, diagnose_ball
+from diagnosis.alone.flight import Ball, diagnose_ball
 from diagnosis.alone.reading.columns import (
     COMMAND_WORDS,
     TIME_WORDS,
@@ -35,6 +35,7 @@ from diagnosis.alone.reading.runs import check_rate, clean_series, split_runs, t
 from diagnosis.alone.reading.tables import Table, read_table
 from diagnosis.alone.several import combined, refused
 from diagnosis.alone.swing import Swing, diagnose_swing
+from diagnosis.alone.tracks import Flight
 from diagnosis.loading.clock_audit import audit_clock
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, BoolArray, IntArray

@@ -30,7 +30,7 @@ class FreeParameter(NamedTuple):
     is_void_at_high: bool = False
     """Whether the effect is not really there when the fit ends at `high`."""
     prior_sd: float = math.inf
-    """What is known of it beforehand, as a standard deviation; counts in the intervals of the others."""
+    """What is known of it beforehand, as a standard deviation about its first start."""
 
 
 class Option(NamedTuple):
@@ -68,6 +68,16 @@ class Problem(Protocol):
     @property
     def held(self) -> BoolArray:
         """(samples,) what is kept from the fit whose shrink is scored."""
+        ...
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of one sample's measurement noise, unit of the residual."""
+        ...
+
+    @property
+    def timing_s(self) -> float:
+        """How far the input's time stamps may be wrong together, s; widens the intervals of delays."""
         ...
 
     @property
@@ -140,8 +150,17 @@ def fit(
             [{**fixed, **dict(zip(names, row, strict=True))} for row in x.tolist()]
         )
 
+    sd = np.array([p.prior_sd for p in parameters.values()])
+    centre = np.array([p.starts[0] for p in parameters.values()])
+    known = np.flatnonzero(np.isfinite(sd))
+
     def weighted(x: Array) -> Array:
-        return unweighted(x) if use is None else unweighted(x) * use
+        residual = unweighted(x) if use is None else unweighted(x) * use
+        if known.size == 0:
+            return residual
+        # What is known beforehand counts as one more measurement of that parameter.
+        prior = -problem.noise * ((x - centre) / sd)[:, known]
+        return np.concatenate([residual, prior], axis=1)
 
     best_x, best_cost = np.array([]), np.inf
     # Every start gets a short run, the best one a long run.

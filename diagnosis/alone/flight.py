@@ -13,29 +13,39 @@ import numpy as np
 
 from diagnosis.alone.agreement import Disagreement, disagreement
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.flight_path import integrate, sampled
 from diagnosis.alone.reading.layout import RefusedTableError
-from diagnosis.alone.selection import Selection, every_third, select
+from diagnosis.alone.selection import every_third, select
+from diagnosis.alone.tracks import (
+    MIN_FLIGHT_ROWS,
+    Flight,
+    check_fall,
+    curvature_signal,
+    fastest,
+    first_motion,
+    thinned,
+    track_noise,
+    trimmed,
+    upright,
+)
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
 AIR_DENSITY_KG_PER_M3: Final = 1.204
 """20 C at sea level."""
+SPHERE_DRAG_COEFFICIENT: Final = 0.47
+"""Below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965)."""
 GRAVITY_SLACK_RATIO: Final = 0.02
 """Of the length scale, by eye: a metre stick that is read to a centimetre, a ball nearer than its scale."""
 LEAN_RAD: Final = 0.02
 """Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
 MAX_FLIGHTS_COUNT: Final = 16
 """Each flight has its own start and speed to be fitted; more of them add time and little else."""
-MAX_FLIGHT_ROWS: Final = 150
-"""Rows that a flight is averaged down to: the noise goes, and the motion within a mean of rows is a line."""
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
-MIN_FLIGHT_ROWS: Final = 10
 BLOCKS_PER_FLIGHT: Final = 5
 UNKNOWN_RATIO: Final = 0.35
-CRISIS_WIDTH_M_PER_S: Final = 1.5
-"""A smooth sphere's drag falls within about a sixth of its critical speed (Achenbach 1972)."""
 
 
 class Ball(NamedTuple):
@@ -51,14 +61,6 @@ class Ball(NamedTuple):
         return 0.5 * AIR_DENSITY_KG_PER_M3 * area / self.mass_kg
 
 
-class Flight(NamedTuple):
-    """One flight; times from its first row."""
-
-    time_s: Array
-    position_m: Array
-    """(rows, axes) z alone, or x, z, or x, y, z; z up and last."""
-
-
 @dataclass(frozen=True, slots=True)
 class FlightProblem:
     """Residuals of all flights of one ball; see `fit.Problem`."""
@@ -67,6 +69,8 @@ class FlightProblem:
     nuisance: tuple[FreeParameter, ...]
     options: tuple[Option, ...]
     block: IntArray
+    noise: float
+    """Of one coordinate, m."""
     drag_per_m: float
     """At drag coefficient 1; 1 when mass or diameter are unknown."""
 
@@ -81,6 +85,11 @@ class FlightProblem:
         if len(self.flights) == 1:
             return every_third(self.block)
         return (self.block // BLOCKS_PER_FLIGHT) % 2 == 1
+
+    @property
+    def timing_s(self) -> float:
+        """None: nothing is commanded."""
+        return 0.0
 
     @property
     def local(self) -> frozenset[str]:
@@ -112,7 +121,7 @@ class FlightProblem:
         step_s = max(last / STEPS_COUNT, FINEST_STEP_S)
         grid_s = np.arange(0.0, last + 2.0 * step_s, step_s)
         # (steps, sets * flights, axes): every set of every flight is one more particle.
-        path = _integrate(
+        path = integrate(
             start_of("p").reshape(-1, axes),
             start_of("v").reshape(-1, axes),
             grid_s,
@@ -121,17 +130,9 @@ class FlightProblem:
         ).reshape(len(grid_s), sets, count, axes)
         delay_s = np.array([one.get("release_delay.extra_delay_s", 0.0) for one in values])
         return [
-            _sampled(path[:, :, k], grid_s[1], np.maximum(flight.time_s - delay_s[:, None], 0.0))
+            sampled(path[:, :, k], grid_s[1], np.maximum(flight.time_s - delay_s[:, None], 0.0))
             for k, flight in enumerate(self.flights)
         ]
-
-
-def _sampled(path: Array, step_s: float, time_s: Array) -> Array:
-    """Linear interpolation of paths (steps, sets, axes) at times (sets, rows); (sets, rows, axes)."""
-    index = np.minimum((time_s / step_s).astype(np.int64), len(path) - 2)
-    share = (time_s / step_s - index)[..., None]
-    sets = np.arange(path.shape[1])[:, None]
-    return path[index, sets] * (1.0 - share) + path[index + 1, sets] * share
 
 
 def diagnose_ball(
@@ -146,8 +147,8 @@ def diagnose_ball(
     Raises:
         RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
     """
-    flights, notes = _upright(flights)
-    usable = tuple(_trimmed(_thinned(flight)) for flight in flights)
+    flights, notes = upright(flights)
+    usable = tuple(trimmed(thinned(flight)) for flight in flights)
     usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
     if not usable:
         raise RefusedTableError(
@@ -157,13 +158,10 @@ def diagnose_ball(
         notes.append(f"{MAX_FLIGHTS_COUNT} of {len(usable)} flights used, evenly chosen")
         chosen = np.linspace(0, len(usable) - 1, MAX_FLIGHTS_COUNT).astype(int)
         usable = tuple(usable[k] for k in chosen)
-    _check_fall(usable)
+    check_fall(usable)
     problem = make_problem(usable, ball)
-    noise = _track_noise(usable)
-    signal = _curvature_signal(usable)
-    selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
-    best = selection.best.fit.as_mapping()
-    split = _disagreement(usable, ball, problem, selection)
+    noise = problem.noise
+    split = _disagreement(usable, ball, problem)
     if split is not None and split.is_mixed and is_mixed_refused:
         raise RefusedTableError(
             f"the {len(usable)} flights of this file disagree ({split.in_words()}): several balls, or other "
@@ -171,6 +169,9 @@ def diagnose_ball(
         )
     if split is not None:
         notes.append(f"the {len(usable)} flights disagree beyond their noise: {split.in_words()}")
+    signal = curvature_signal(usable)
+    selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
+    best = selection.best.fit.as_mapping()
     known = not math.isnan(ball.drag_per_m)
     evidence: dict[str, Any] = {
         "flights": len(usable),
@@ -200,7 +201,7 @@ def diagnose_ball(
             evidence["constant_drag"] = next(
                 v for n, v in values.items() if n.startswith("air_drag.")
             )
-    return diagnosis_of(
+    found = diagnosis_of(
         problem,
         selection,
         noise,
@@ -208,6 +209,26 @@ def diagnose_ball(
         evidence,
         _plots(problem, selection.base.fit.as_mapping(), best),
     )
+    return _with_expected_drag(found, known)
+
+
+def _with_expected_drag(found: Diagnosis, is_ball_known: bool) -> Diagnosis:
+    """Set the drag that could not be seen against that of a sphere: is "none" news?"""
+    limits = found.evidence["limits"]
+    below = next((limit["below"] for limit in limits if limit["effect"] == "air_drag"), None)
+    if below is None:
+        return found
+    if is_ball_known:
+        hidden = "would not be seen here" if below > SPHERE_DRAG_COEFFICIENT else "would be seen"
+        words = f"The drag coefficient of a sphere, {SPHERE_DRAG_COEFFICIENT:g}, {hidden}."
+    else:
+        # k = 0.5 rho (pi / 4) Cd d^2 / m
+        full = 0.125 * math.pi * AIR_DENSITY_KG_PER_M3 * SPHERE_DRAG_COEFFICIENT
+        words = (
+            f"A sphere has that drag at {full / below:.2g} kg per square metre of its diameter; whether "
+            "drag of a heavier one acts, these data cannot tell."
+        )
+    return found.model_copy(update={"sentence": f"{found.sentence} {words}"})
 
 
 def make_problem(flights: tuple[Flight, ...], ball: Ball) -> FlightProblem:
@@ -232,8 +253,8 @@ def make_problem(flights: tuple[Flight, ...], ball: Ball) -> FlightProblem:
     ]
     top = 0.0
     for k, flight in enumerate(flights):
-        speed, first = _first_motion(flight)
-        top = max(top, _fastest(flight))
+        speed, first = first_motion(flight)
+        top = max(top, fastest(flight))
         for axis in range(axes):
             reach = float(np.ptp(flight.position_m[:, axis])) + 1.0
             p, v = float(first[axis]), float(speed[axis])
@@ -253,6 +274,7 @@ def make_problem(flights: tuple[Flight, ...], ball: Ball) -> FlightProblem:
         nuisance=tuple(nuisance),
         options=_options(axes, top, period_s, known),
         block=np.concatenate(blocks),
+        noise=track_noise(flights),
         drag_per_m=ball.drag_per_m if known else 1.0,
     )
 
@@ -293,185 +315,12 @@ def _options(axes: int, top: float, period_s: float, ball_known: bool) -> tuple[
     return tuple(options)
 
 
-def _integrate(
-    start: Array, speed: Array, grid_s: Array, values: Mapping[str, Array], drag_per_m: float
-) -> Array:
-    """Paths of particles, (steps, particles, axes), by Heun's method; `values` are (particles, 1)."""
-    count, axes = start.shape
-    nothing = np.zeros((count, 1))
-    k = values.get(
-        "air_drag.extra_drag_coefficient_ratio", values.get("air_drag.drag_per_m", nothing)
-    )
-    # A wrong length scale s shows as gravity s g; the true motion is 1 / s of the one seen.
-    scale = values["gravity"] / GRAVITY_M_PER_S2
-    k = k * drag_per_m / scale
-    wind = np.zeros((count, axes))
-    if axes >= 2:
-        wind[:, :1] = scale * values.get("wind.x_m_per_s", nothing)
-    if axes == 3:
-        wind[:, 1:2] = scale * values.get("wind.y_m_per_s", nothing)
-    critical = values.get("drag_crisis.critical_speed_m_per_s")
-    above = values.get("drag_crisis.above_ratio", nothing)
-    back = values.get("release_spin.backspin_lift_per_m")
-    gravity = np.zeros((count, axes))
-    gravity[:, -1:] = -values["gravity"]
-    for axis in range(axes - 1):
-        gravity[:, axis : axis + 1] = values["gravity"] * values[f"lean{axis}"]
-    spin = None
-    if back is not None:
-        spin = _spin_axes(
-            speed, back / scale, values.get("release_spin.sidespin_lift_per_m", nothing) / scale
-        )
-
-    def acceleration(v: Array) -> Array:
-        relative = v - wind
-        fast = np.sqrt(np.sum(relative * relative, axis=1, keepdims=True))
-        drag = k
-        if critical is not None:
-            falling = 0.5 - 0.5 * np.tanh(0.5 * (fast - critical) / CRISIS_WIDTH_M_PER_S)
-            drag = k * (above + (1.0 - above) * falling)
-        a = gravity - drag * fast * relative
-        if spin is None:
-            return a
-        # Lift along the ground speed: otherwise wind without drag could bend a flight through its spin.
-        return a + np.sqrt(np.sum(v * v, axis=1, keepdims=True)) * _lift(spin, v)
-
-    path = np.empty((len(grid_s), count, axes))
-    p, v, step_s = start, speed, float(grid_s[1])
-    for index in range(len(grid_s)):
-        path[index] = p
-        a = acceleration(v)
-        ahead = v + step_s * a
-        p = p + 0.5 * step_s * (v + ahead)
-        v = v + 0.5 * step_s * (a + acceleration(ahead))
-    return path
-
-
-def _spin_axes(speed: Array, back: Array, side: Array) -> Array:
-    """Spin axis times lift per metre, (flights, 3): backspin lifts, sidespin turns to the left."""
-    count, axes = speed.shape
-    full = np.zeros((count, 3))
-    full[:, 0] = speed[:, 0]
-    if axes == 3:
-        full[:, 1] = speed[:, 1]
-    ahead = full / np.maximum(np.linalg.norm(full, axis=1, keepdims=True), 1e-9)
-    # axis x forward = up, with x forward and z up, for an axis along -y: (y, -x, 0) of the heading.
-    right = np.stack([ahead[:, 1], -ahead[:, 0], np.zeros(count)], axis=1)
-    return back * right + side * np.array([0.0, 0.0, 1.0])
-
-
-def _lift(axis: Array, speed: Array) -> Array:
-    """Magnus direction axis x velocity, per unit of speed, in the axes at hand."""
-    axes = speed.shape[1]
-    full = np.zeros((len(speed), 3))
-    full[:, 0], full[:, 2] = speed[:, 0], speed[:, -1]
-    if axes == 3:
-        full[:, 1] = speed[:, 1]
-    lifted = np.cross(axis, full)
-    return lifted if axes == 3 else lifted[:, [0, 2]]
-
-
 def _disagreement(
-    flights: Sequence[Flight], ball: Ball, problem: FlightProblem, selection: Selection
+    flights: Sequence[Flight], ball: Ball, problem: FlightProblem
 ) -> Disagreement | None:
+    """Whether the flights need drag, wind and spin of their own."""
     parts = [replace(make_problem((flight,), ball), options=problem.options) for flight in flights]
-    drag = [option for option in problem.options if option.key == "air_drag"]
-    return disagreement(parts, selection, drag)
-
-
-def _upright(flights: Sequence[Flight]) -> tuple[Sequence[Flight], list[str]]:
-    """Turn a last axis that points down, as in films, where rows are counted from the top."""
-    falls = [_initial_fall(flight) for flight in flights if len(flight.time_s) >= MIN_FLIGHT_ROWS]
-    fall = float(np.median(falls)) if falls else GRAVITY_M_PER_S2
-    if not 0.6 < -fall / GRAVITY_M_PER_S2 < 1.4:
-        return flights, []
-    turned = [f._replace(position_m=f.position_m * _last_turned(f.position_m)) for f in flights]
-    return turned, ["the last axis points down (things fall along it): turned"]
-
-
-def _last_turned(position: Array) -> Array:
-    signs = np.ones(position.shape[1])
-    signs[-1] = -1.0
-    return signs
-
-
-def _thinned(flight: Flight) -> Flight:
-    """Means of so many rows that at most `MAX_FLIGHT_ROWS` are left."""
-    size = math.ceil(len(flight.time_s) / MAX_FLIGHT_ROWS)
-    if size == 1:
-        return flight
-    rows = len(flight.time_s) // size * size
-    return Flight(
-        flight.time_s[:rows].reshape(-1, size).mean(axis=1),
-        flight.position_m[:rows].reshape(rows // size, size, -1).mean(axis=1),
-    )
-
-
-def _trimmed(flight: Flight) -> Flight:
-    """Up to the first bounce: where the height turns from falling to rising once it has fallen."""
-    z = flight.position_m[:, -1]
-    slope = np.gradient(z, flight.time_s)
-    fastest_fall = float(np.min(slope))
-    if fastest_fall >= 0.0:
-        return flight
-    fell = int(np.argmin(slope))
-    rising = np.flatnonzero(slope[fell:] > 0.2 * abs(fastest_fall))
-    if rising.size == 0:
-        return flight
-    # The gradient mixes the samples around the bounce: leave two out.
-    end = max(fell + int(rising[0]) - 1, 1)
-    return Flight(flight.time_s[:end], flight.position_m[:end])
-
-
-def _check_fall(flights: Sequence[Flight]) -> None:
-    down = [_initial_fall(flight) for flight in flights]
-    fall = float(np.median(down))
-    for factor, unit in ((1000.0, "mm"), (100.0, "cm"), (1.0 / 0.3048, "feet")):
-        if 0.85 * factor < fall / GRAVITY_M_PER_S2 < 1.15 * factor:
-            raise RefusedTableError(
-                f"the ball falls at {fall:.4g} m/s^2: swapped units ({unit} for m). "
-                f"Give --length-unit {unit}"
-            )
-    if not 0.2 < fall / GRAVITY_M_PER_S2 < 1.6:
-        raise RefusedTableError(
-            f"the ball first falls at {fall:.3g} m/s^2 along z, gravity is 9.81: wrong axis or sign (z is "
-            "up), swapped units, or this is no free flight. Choose the columns, or give --length-unit"
-        )
-
-
-def _initial_fall(flight: Flight) -> float:
-    """Downward acceleration of a parabola through the first half, m/s^2."""
-    half = max(len(flight.time_s) // 2, MIN_FLIGHT_ROWS // 2)
-    fit = np.polyfit(flight.time_s[:half], flight.position_m[:half, -1], 2)
-    return -2.0 * float(fit[0])
-
-
-def _first_motion(flight: Flight) -> tuple[Array, Array]:
-    """Speed and position at the first row from a cubic through the flight, (axes,) each."""
-    fits = [np.polyfit(flight.time_s, column, 3) for column in flight.position_m.T]
-    return np.array([f[2] for f in fits]), np.array([f[3] for f in fits])
-
-
-def _fastest(flight: Flight) -> float:
-    speeds = np.gradient(flight.position_m, flight.time_s, axis=0)
-    return float(np.quantile(np.linalg.norm(speeds, axis=1), 0.95))
-
-
-def _track_noise(flights: Sequence[Flight]) -> float:
-    """Noise of one tracked coordinate, m: third differences over sqrt(20), robust."""
-    thirds = np.concatenate([np.diff(f.position_m, n=3, axis=0).ravel() for f in flights])
-    return 1.4826 * float(np.median(np.abs(thirds - np.median(thirds)))) / math.sqrt(20.0)
-
-
-def _curvature_signal(flights: Sequence[Flight]) -> float:
-    """Root mean square of what bends the tracks away from straight lines, m."""
-    squares: list[float] = []
-    for flight in flights:
-        for column in flight.position_m.T:
-            line = np.polyval(np.polyfit(flight.time_s, column, 1), flight.time_s)
-            squares += ((column - line) ** 2).tolist()
-    axes = flights[0].position_m.shape[1]
-    return math.sqrt(float(np.mean(squares)) * axes)
+    return disagreement(problem, parts, ("air_drag", "wind", "release_spin"))
 
 
 def _top_speed(problem: FlightProblem, values: Mapping[str, float]) -> float:

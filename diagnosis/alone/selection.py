@@ -37,6 +37,8 @@ ENDLESS_EFFECTS: Final = frozenset(
     {"valve_curve", "acceleration_limit", "speed_limit", "drag_crisis"}
 )
 """Effects that are absent at another value than zero."""
+DELAYS: Final = frozenset({"valve_dead_time.extra_dead_time_s"})
+"""What a wrong time stamp of the command is taken for."""
 IDLE_LOG_PRIOR: Final = math.log(1e-3)
 """For a set with an effect whose interval holds "nothing"."""
 FLOOR_RATIO: Final = 0.005
@@ -281,6 +283,8 @@ def intervals(
 ) -> Mapping[str, tuple[float, float]]:
     """90 % interval of each parameter of a fit, by name, within its bounds."""
     half = standard_errors(problem, found, selection.correlation_samples) * interval_factor(problem)
+    is_delay = np.array([name in DELAYS for name in found.names])
+    half = np.where(is_delay, half + problem.timing_s, half)
     low, high = bounds(problem, found)
     return {
         name: (float(max(value - h, at_least)), float(min(value + h, at_most)))

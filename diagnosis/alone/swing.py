@@ -42,6 +42,8 @@ class SwingProblem:
     options: tuple[Option, ...]
     block: IntArray
     step_s: float
+    noise: float
+    """rad"""
 
     @property
     def rich(self) -> tuple[str, ...]:
@@ -52,6 +54,11 @@ class SwingProblem:
     def held(self) -> BoolArray:
         """Every third piece."""
         return every_third(self.block)
+
+    @property
+    def timing_s(self) -> float:
+        """None: nothing is commanded."""
+        return 0.0
 
     @property
     def local(self) -> frozenset[str]:
@@ -173,6 +180,7 @@ def make_problem(swings: tuple[Swing, ...], length_m: float, noise: float) -> Sw
         options=_options(frequency, reference, size),
         block=spread_blocks(time_s, seconds, run.astype(np.int64)),
         step_s=period_s / STEPS_PER_PERIOD,
+        noise=noise,
     )
 
 

@@ -104,10 +104,11 @@ def outputs_of(table: Table) -> tuple[list[str], bool]:
     """The position column, or failing that the velocity column, and whether it is a velocity."""
     try:
         return [table.guess("position", "--position or --velocity", POSITION_WORDS)], False
-    except RefusedTableError:
-        return [
-            table.guess("position or velocity", "--position or --velocity", VELOCITY_WORDS)
-        ], True
+    except RefusedTableError as error:
+        try:
+            return [table.guess("velocity", "--velocity", VELOCITY_WORDS)], True
+        except RefusedTableError:
+            raise error from None
 
 
 def axes_of(table: Table) -> list[str]:

@@ -22,9 +22,12 @@ HEADER_LINES: Final = 60
 """The first row of numbers is looked for in as many lines."""
 MAX_BYTES: Final = 1_500_000_000
 """Beyond this a table does not fit into the memory of a small machine (about 4 times its size is needed)."""
-UNITS: Final = frozenset(
-    "s sec ms us ns min rad deg ° m cm mm ft in px m/s mm/s cm/s rad/s deg/s °/s % pct v - 1".split()
-)
+NO_NUMBERS: Final = ("nan", "inf", "-inf", "na", "n/a", "null", "none")
+_TIMES: Final = ("s", "sec", "ms", "us", "ns", "min")
+_LENGTHS: Final = ("m", "cm", "mm", "ft", "in", "px", "m/s", "cm/s", "mm/s")
+_ANGLES: Final = ("rad", "deg", "°", "rad/s", "deg/s", "°/s")
+UNITS: Final = frozenset({*_TIMES, *_LENGTHS, *_ANGLES, "%", "pct", "v", "-", "1"})
+"""What the cells of a row of units hold."""
 
 
 class RefusedTableError(LogError):
@@ -114,7 +117,9 @@ def _first_row(lines: Sequence[str], separator: str) -> int:
 
 
 def _numbers_count(row: Sequence[str]) -> int:
-    return sum(bool(np.isfinite(number(cell))) for cell in row)
+    return sum(
+        bool(np.isfinite(number(cell))) or cell.strip().lower() in NO_NUMBERS for cell in row
+    )
 
 
 def _header(

@@ -31,7 +31,13 @@ def time_seconds(table: Table, name: str) -> Array:
     values = table.clock(name)
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
+    down = int(np.sum(steps < 0.0))
     steps = steps[steps > 0.0]
+    if down > 0.5 * (finite.size - 1):
+        raise RefusedTableError(
+            f"the times in column {name!r} go down in {down} of {finite.size - 1} rows: reversed or unsorted "
+            "rows. Sort the rows by time"
+        )
     if steps.size == 0:
         raise RefusedTableError(
             f"the times in column {name!r} never increase (all {finite[0]:.6g}): constant channel. "

@@ -16,6 +16,8 @@ from machine.conventions import Array
 
 NUMBERS_RATIO: Final = 0.5
 ANGLE_DEGREES: Final = ("deg", "degrees", "degree")
+LARGEST: Final = 1e20
+"""No measurement is larger in any unit; nanoseconds since 1970 come near 2e18."""
 FEW_LABELS_COUNT: Final = 60
 """A column with more different texts does not tell runs apart."""
 
@@ -46,7 +48,7 @@ class Table:
             values = np.array(cells, dtype=np.float64)
         except ValueError:
             values = np.array([number(text) for text in cells])
-        values[~np.isfinite(values)] = np.nan
+        values[~(np.abs(values) < LARGEST)] = np.nan
         good = float(np.mean(np.isfinite(values))) if len(values) else 0.0
         if good < NUMBERS_RATIO:
             raise RefusedTableError(

@@ -7,6 +7,7 @@ with sensor noise, other units and odd rates; with nothing planted it is a null.
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -150,6 +151,7 @@ def ball(
     return {"t": t, "x": seen[:, 0], "y": seen[:, 1], "z": seen[:, 2]}
 
 
-def throws(rng: np.random.Generator, count: int = 5, **effects: object) -> Columns:
-    """Several throws of a ball, one after the other with times that start again."""
-    return joined([ball(rng, **effects) for _ in range(count)])  # pyright: ignore[reportArgumentType]
+def throws(rng: np.random.Generator, count: int = 5, **effects: Any) -> Columns:
+    """Throws of a ball, filmed: the scale is good to 0.6 %, the vertical to 0.35 degrees."""
+    camera = {"scale": 1.0 + rng.normal(0.0, 0.006), "tilt_rad": rng.normal(0.0, 0.006)}
+    return joined([ball(rng, **camera, **effects) for _ in range(count)])
