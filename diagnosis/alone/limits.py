@@ -3,9 +3,12 @@
 A verdict "none" is only worth what the record could have told.
 """
 
+import math
 from typing import Final, NamedTuple
 
-from diagnosis.alone.fit import Problem, fit
+import numpy as np
+
+from diagnosis.alone.fit import Fit, Problem, fit
 from diagnosis.alone.selection import SHAPE_EFFECTS, Selection, intervals
 
 
@@ -23,6 +26,8 @@ class Limit(NamedTuple):
 
 
 MOST_LIMITS_COUNT: Final = 8
+CLEAN_RATIO: Final = 1.5
+"""A residual of as many times the noise is noise; a larger one has errors that no average takes away."""
 
 
 def hidden_limits(problem: Problem, selection: Selection) -> tuple[Limit, ...]:
@@ -37,6 +42,24 @@ def hidden_limits(problem: Problem, selection: Selection) -> tuple[Limit, ...]:
         found = fit(problem, (*best.options, option), best.as_mapping())
         ranges = intervals(problem, selection, found)
         for p in option.parameters:
-            low, high = ranges[f"{option.key}.{p.name}"]
-            limits.append(Limit(option.effect, p.name, max(abs(low), abs(high)), p.unit))
+            name = f"{option.key}.{p.name}"
+            low, high = ranges[name]
+            size = max(abs(low), abs(high), _size_of_what_is_left(problem, found, name))
+            limits.append(Limit(option.effect, p.name, min(size, p.high), p.unit))
     return tuple(limits[:MOST_LIMITS_COUNT])
+
+
+def _size_of_what_is_left(problem: Problem, found: Fit, name: str) -> float:
+    """Size at which the effect alone moves the response as much as what the fit leaves; 0 if that is noise.
+
+    Errors of the record (a lens, a scale that changes with the distance) can hide as much of the effect
+    beyond what scale, start and speed take up.
+    """
+    left = math.sqrt(found.mean_square)
+    if left < CLEAN_RATIO * problem.noise:
+        return 0.0
+    own = np.array([one == name for one in found.names])
+    basis, _ = np.linalg.qr(found.jacobian[:, ~own])
+    column = found.jacobian[:, own]
+    pattern = math.sqrt(float(np.mean((column - basis @ (basis.T @ column)) ** 2)))
+    return left / max(pattern, 1e-12)
