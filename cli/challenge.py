@@ -5,7 +5,7 @@ from typing import Literal
 
 import tyro
 
-from cli.evaluate import progress_line
+from cli.campaigns import progress_line
 from diagnosis.challenge.make import make_challenge
 from diagnosis.challenge.run import answered, run_challenge
 from diagnosis.challenge.score import Measure, as_json, match, measures, read_sealed, table

@@ -35,6 +35,9 @@ VERBS: dict[str, Verb] = {
     ),
     "challenge": Verb("cli.challenge", "make, run and score a blind check of diagnose", "twin"),
     "calibrate": Verb("cli.calibrate", "measure a machine's valves and its response", "twin"),
+    "identify": Verb(
+        "cli.identify", "find response, release delay and swing of a machine from its logs", "twin"
+    ),
     "train": Verb("cli.train", "train a policy", "train"),
     "db": Verb("cli.db", "upgrade, downgrade or check the database", "server"),
     "openapi": Verb("cli.openapi", "write the description of the HTTP interface", "server"),

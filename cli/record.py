@@ -7,10 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from cli.evaluate import Campaign, open_campaign, progress_line
+from cli.campaigns import Campaign, open_campaign, progress_line
 from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.starts import sample_starts
+from runtime.control.control_loop import ControlParams
+from sim_twin.identify.motions import TestKind, motion_program
+from sim_twin.identify.recording import record_test
 from sim_twin.throws.accuracy import outcome_counts
 from sim_twin.throws.campaign import ThrowResult, run_throws
 from sim_twin.throws.plants import TWIN, VIRTUAL, plant_profile
@@ -23,8 +26,9 @@ MAX_RECORDED_COUNT = 64
 
 def run(
     *,
-    mode: Literal["2d", "3d"],
     out: Path,
+    mode: Literal["2d", "3d"] | None = None,
+    test: TestKind | None = None,
     plant: str = "virtual",
     throws: int = 12,
     targets: str = "7.5:10:0.5",
@@ -43,9 +47,13 @@ def run(
 
     Example: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
 
+    Or a test: downrange record --test release --plant virtual --unit-seed 7 --out logs
+
     Args:
-        mode: 2d throws within the arm's plane, 3d turns the cabin as well.
         out: folder for the logs; made if it is missing.
+        mode: 2d throws within the arm's plane, 3d turns the cabin as well; of no account to a test.
+        test: record a test for `downrange identify` instead of throws: valve steps of each joint (response),
+            39 openings at rest (release), free swings after a push (swing).
         plant: twin, virtual, or package.module:Class of your own simulated machine.
         throws: throws in all.
         targets: ranges in metres from the slew axis, FIRST:LAST:STEP with both ends, or 8,8.5,9.
@@ -56,8 +64,10 @@ def run(
         calibration: valve calibration of the machine; measured on the plant if left out.
         profile: twin profile, for --plant twin; nominal if left out.
     """
+    if mode is None and test is None:
+        raise UsageError("give --mode 2d or 3d, or --test response, release or swing")
     campaign = open_campaign(
-        mode=Mode(mode),
+        mode=Mode(mode or "2d"),
         plant=plant,
         targets=targets,
         throws=throws,
@@ -76,13 +86,17 @@ def run(
     name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
     context = LogContext(
         machine_id=f"{name}-{unit_seed}",
-        throw_prefix=f"{name}-{unit_seed}-{mode}-s{seed}",
+        throw_prefix=f"{name}-{unit_seed}-{test or mode}-s{seed}",
         twin_profile_version_count=0 if own is None else own.version_count,
         out_dir=out,
         twin_profile=own,
+        test=test or "",
     )
     recorder = CampaignRecorder(campaign.params, context)
-    results = _throw(campaign, throws, seed, recorder)
+    if test is None:
+        results = _throw(campaign, throws, seed, recorder)
+    else:
+        results = _run_test(campaign, test, seed, recorder)
     for stored in recorder.stored:
         print(stored.path)
     kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(results).items())
@@ -107,6 +121,21 @@ def _twin_profile(
         spec=campaign.spec,
         calibration=campaign.params.calibration,
     )
+
+
+def _run_test(
+    campaign: Campaign, test: TestKind, seed: int, recorder: CampaignRecorder
+) -> list[ThrowResult]:
+    """Carry out a test's program."""
+    params = ControlParams(
+        campaign.spec, campaign.params.calibration, campaign.params.mode, policy=None
+    )
+    program = motion_program(test, seed)
+    machines = campaign.make(program.start_rad_m.shape[0])
+    try:
+        return record_test(machines, params, program, seed, recorder)
+    finally:
+        machines.close()
 
 
 def _throw(

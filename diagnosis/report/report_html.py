@@ -60,12 +60,17 @@ def report_html(found: Diagnosis, title: str = "Gap") -> str:
             _evidence(found.evidence),
         )
     )
+    return page(f"{title}: {VERDICT_WORDS[found.verdict]}", body)
+
+
+def page(title: str, body: str, more_style: str = "") -> str:
+    """A whole page of sections, in the report's style and under its policy; `body` is markup."""
+    style = _STYLE.read_text(encoding="utf-8") + more_style
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        f"<title>{escape(title)}: {escape(VERDICT_WORDS[found.verdict])}</title>"
-        f"<style>{_STYLE.read_text(encoding='utf-8')}</style></head>"
+        f"<title>{escape(title)}</title><style>{style}</style></head>"
         f"<body><main>{body}</main></body></html>\n"
     )
 
@@ -73,7 +78,8 @@ def report_html(found: Diagnosis, title: str = "Gap") -> str:
 # Sections -----------------------------------------------------------------------------------------
 
 
-def _section(title: str, content: str) -> str:
+def section(title: str, content: str) -> str:
+    """A titled section; `content` is markup."""
     return f"<section><h2>{escape(title)}</h2>{content}</section>"
 
 
@@ -132,7 +138,7 @@ def _chain(found: Diagnosis) -> str:
         if is_metric
         else "One stage was recorded alone: its share is all of the gap, in the recorded channel."
     )
-    return _section(
+    return section(
         "Where", f'<p class="dim">{escape(note)}</p><ol class="chain">{"".join(cards)}</ol>'
     )
 
@@ -177,7 +183,7 @@ def _causes(causes: Sequence[Cause]) -> str:
         f"<td>{_sizes(cause)}</td></tr>"
         for cause in causes
     ]
-    return _section(
+    return section(
         "Which",
         '<div class="scroll"><table><tr><th>probability</th><th>cause</th><th>size, 90 % interval</th></tr>'
         f"{''.join(rows)}</table></div>",
@@ -201,7 +207,7 @@ def _next(found: Diagnosis) -> str:
     words = str(motion.get("words", ""))
     rest = {key: value for key, value in motion.items() if key != "words"}
     members = " or ".join(found.ambiguity.members)
-    return _section(
+    return section(
         "Next experiment",
         f"<p>Undecided: {escape(members)}; {escape(found.ambiguity.why)}.</p>"
         f"<p><strong>{escape(words)}</strong></p>{_tree(rest)}",
@@ -211,7 +217,7 @@ def _next(found: Diagnosis) -> str:
 def _unknown(signature: Any) -> str:
     if not isinstance(signature, Mapping):
         return ""
-    return _section("What is left unexplained", _tree(signature))
+    return section("What is left unexplained", _tree(signature))
 
 
 def _shrink(found: Diagnosis) -> str:
@@ -241,7 +247,7 @@ def _shrink(found: Diagnosis) -> str:
         if is_by_channels
         else f" {percent(shrink.removable_ratio)} of the gap is removable; the rest is noise and jitter."
     )
-    return _section("How far it shrinks", f"<p>{escape(words)}</p><table>{rows}</table>")
+    return section("How far it shrinks", f"<p>{escape(words)}</p><table>{rows}</table>")
 
 
 def _plots(plots: Mapping[str, Any]) -> str:
@@ -252,7 +258,7 @@ def _plots(plots: Mapping[str, Any]) -> str:
     folded = (
         f"<details><summary>{len(rest)} more</summary>{''.join(rest)}</details>" if rest else ""
     )
-    return _section("Measured against twin", "".join(drawn[:OPEN_FIGURES_COUNT]) + folded)
+    return section("Measured against twin", "".join(drawn[:OPEN_FIGURES_COUNT]) + folded)
 
 
 def _ruled_out(entries: Any) -> str:
@@ -270,7 +276,7 @@ def _ruled_out(entries: Any) -> str:
         if isinstance(odds, int | float):
             why = f"log odds {odds:+.1f} against no effect. {why}".strip()
         rows.append(f"<tr><td>{escape(name)}</td><td>{escape(why)}</td></tr>")
-    return _section(
+    return section(
         "Ruled out",
         f"<details><summary>{len(rows)} effects that these data speak against</summary>"
         f"<table><tr><th>effect</th><th>why</th></tr>{''.join(rows)}</table></details>",
@@ -288,7 +294,7 @@ def _parts(parts: Any) -> str:
             f"<h3>{escape(str(name))}</h3><p>{escape(str(sentence))}</p>"
             f"<details><summary>All of it</summary>{_tree(part)}</details>"
         )
-    return _section("Parts", "".join(content))
+    return section("Parts", "".join(content))
 
 
 def _refused(entries: Any, is_open: bool) -> str:
@@ -300,7 +306,7 @@ def _refused(entries: Any, is_open: bool) -> str:
         for entry in cast("Sequence[Any]", entries)
         if isinstance(entry, Mapping)
     )
-    return _section(
+    return section(
         "Refused data",
         f"<details{' open' if is_open else ''}><summary>{len(entries)} logs were not used</summary>"
         f"<table><tr><th>log</th><th>reason and remedy</th></tr>{rows}</table></details>",
@@ -315,7 +321,7 @@ def _evidence(evidence: Mapping[str, Any]) -> str:
         f"<tr><th>{escape(str(key).replace('_', ' '))}</th><td>{_folded(_tree(value))}</td></tr>"
         for key, value in rest.items()
     )
-    return _section("Evidence", f'<div class="scroll"><table>{rows}</table></div>')
+    return section("Evidence", f'<div class="scroll"><table>{rows}</table></div>')
 
 
 def _folded(content: str) -> str:

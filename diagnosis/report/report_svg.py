@@ -125,18 +125,18 @@ def _panel(x: Series, curves: Sequence[Curve], unit: str, x_unit: str, height: f
         f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="'
         f'{escape(", ".join(c.words for c in curves))} over {escape(x_unit)}">'
     ]
-    for tick in _ticks(y_low, y_high, 4 if height > 150.0 else 3):
+    for tick in round_ticks(y_low, y_high, 4 if height > 150.0 else 3):
         y = place(x_low, tick)[1]
         kind = "axis" if tick == 0.0 else "grid"
         parts.append(
             f'<line class="{kind}" x1="{left:g}" y1="{y:.1f}" x2="{width - right:g}" y2="{y:.1f}"/>'
-            f'<text x="{left - 6:g}" y="{y + 4:.1f}" text-anchor="end">{_label(tick)}</text>'
+            f'<text x="{left - 6:g}" y="{y + 4:.1f}" text-anchor="end">{label(tick)}</text>'
         )
-    for tick in _ticks(x_low, x_high, 8):
+    for tick in round_ticks(x_low, x_high, 8):
         a = place(tick, y_low)[0]
         parts.append(
             f'<line class="grid" x1="{a:.1f}" y1="{top:g}" x2="{a:.1f}" y2="{height - bottom:g}"/>'
-            f'<text x="{a:.1f}" y="{height - 5:g}" text-anchor="middle">{_label(tick)}</text>'
+            f'<text x="{a:.1f}" y="{height - 5:g}" text-anchor="middle">{label(tick)}</text>'
         )
     parts.append(
         f'<text x="{width - right:g}" y="{height - 5:g}" text-anchor="end">{escape(x_unit)}</text>'
@@ -168,7 +168,7 @@ def _span(low: float, high: float) -> tuple[float, float]:
     return low - half, high + half
 
 
-def _ticks(low: float, high: float, count: int) -> list[float]:
+def round_ticks(low: float, high: float, count: int) -> list[float]:
     """Round numbers within a range: `count` of them or a few more."""
     raw = 0.6 * (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
@@ -178,5 +178,6 @@ def _ticks(low: float, high: float, count: int) -> list[float]:
     return [index * step for index in range(first, last + 1)]
 
 
-def _label(value: float) -> str:
+def label(value: float) -> str:
+    """A tick's number with a true minus sign."""
     return f"{value:.4g}".replace("-", "−")

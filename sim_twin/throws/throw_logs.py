@@ -37,6 +37,8 @@ class LogContext:
     """The machine's own, put into every log so that it can be diagnosed alone."""
     throw_numbers: tuple[int, ...] = ()
     """Numbers of the throws in the set that they belong to; counted from 0 if empty."""
+    test: str = ""
+    """Kind of identification test (sim_twin.identify.motions); empty for throws."""
 
 
 class CampaignRecorder:
@@ -76,6 +78,8 @@ class CampaignRecorder:
         ball = _stacked(self._samples, "ball_t_mono_ns", "ball_position_m")
         for index in range(self._count):
             result = results[index]
+            if not self.wants(result):
+                continue
             ticks = min(round(result.simulated_s * 1e9 / CONTROL_PERIOD_NS), control.shape[0])
             last = self._samples[ticks]
             numbers = self._context.throw_numbers
@@ -96,6 +100,11 @@ class CampaignRecorder:
             self.store(throw_id, log)
         self._control, self._policy, self._samples = [], [], []
 
+    def wants(self, result: ThrowResult) -> bool:
+        """Whether a throw's log is written; all of them here."""
+        del result
+        return True
+
     def store(self, throw_id: str, log: ThrowLog) -> None:
         """Write one log."""
         self.stored.append(write_throw_log(log_path(self._context.out_dir, throw_id), log))
@@ -106,6 +115,7 @@ class CampaignRecorder:
         own = context.twin_profile
         return {
             **({} if own is None else {"twin_profile": own.model_dump(mode="json")}),
+            **({"test": context.test} if context.test else {}),
             "throw_id": throw_id,
             "machine_id": context.machine_id,
             "mode": params.mode.value,
@@ -154,6 +164,22 @@ class CampaignRecorder:
             )
             for number, (kind, at_ns, data) in enumerate(found)
         )
+
+
+class FailureRecorder(CampaignRecorder):
+    """Writes the logs of throws that ended badly only, and no more than a few of them."""
+
+    def __init__(self, params: ControlParams, context: LogContext, most_count: int) -> None:
+        """Write at most `most_count` logs."""
+        super().__init__(params, context)
+        self._left_count = most_count
+
+    def wants(self, result: ThrowResult) -> bool:
+        """A throw that did not land, while there is room."""
+        if result.outcome is Outcome.LANDED or self._left_count == 0:
+            return False
+        self._left_count -= 1
+        return True
 
 
 def _software() -> str:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cli.evaluate import parse_targets
+from cli.campaigns import parse_targets
 from cli.main import main
 from machine.errors import UsageError
 

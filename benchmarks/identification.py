@@ -1,0 +1,158 @@
+"""Identification against hidden parameters: records tests of virtual units and compares.
+
+python -m benchmarks.identification 0 3 7 --seeds 4 [--json FILE]
+
+Release delay and its scatter, friction and length have a counterpart in the unit; dead time and lag of a
+drive have one up to what oil and sensors add; limits and gains are compared between seeds.
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from diagnosis.identify.release import identify_release
+from diagnosis.identify.response import DIRECTIONS, identify_response
+from diagnosis.identify.swing import identify_swing
+from diagnosis.loading.logs import ThrowData, load_throws
+from machine.conventions import ACTIVE_JOINTS, Mode
+from machine.spec import load_spec
+from machine.starts import safe_pose
+from runtime.control.control_loop import ControlParams
+from sim_twin.identify.motions import TestKind, motion_program
+from sim_twin.identify.recording import record_test
+from sim_twin.throws.plants import VIRTUAL, plant_calibration, plant_maker
+from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
+from sim_twin.virtual.body import build_body
+from sim_twin.virtual.units import make_unit
+
+SPEC = load_spec()
+
+
+def record(kind: TestKind, unit: int, seed: int, out: Path) -> tuple[ThrowData, ...]:
+    make = plant_maker(VIRTUAL, unit_seed=unit, profile=None, calibration=None, spec=SPEC)
+    valves = plant_calibration(VIRTUAL, make, unit_seed=unit, spec=SPEC, path=None)
+    params = ControlParams(SPEC, valves, Mode.PLANAR, policy=None)
+    context = LogContext(f"virtual-{unit}", f"{kind}-{unit}-{seed}", 0, out, test=kind)
+    program = motion_program(kind, seed)
+    plant = make(program.start_rad_m.shape[0])
+    record_test(plant, params, program, seed, CampaignRecorder(params, context))
+    plant.close()
+    return load_throws([out], SPEC).throws
+
+
+def hidden(unit_seed: int) -> dict[str, float]:
+    """Values of the unit in the terms of what is identified."""
+    unit = make_unit(SPEC, unit_seed)
+    body = build_body(SPEC, unit, 0.002)
+    model, data = body.model, mujoco.MjData(body.model)
+    found = {"release.mean": unit.release_delay_s, "release.sd": unit.release_delay_sd_s}
+    for axis, name in ((4, "pitch"), (5, "roll")):
+
+        def torque(offset: float, axis: int = axis) -> float:
+            data.qpos[:] = safe_pose()
+            data.qpos[axis] += offset
+            mujoco.mj_forward(model, data)
+            return float(data.qfrc_bias[axis])
+
+        stiffness = (torque(1e-3) - torque(-1e-3)) / 2e-3
+        data.qpos[:] = safe_pose()
+        mujoco.mj_forward(model, data)
+        matrix = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, matrix)
+        inertia = float(matrix[axis, axis])
+        found[f"{name}.viscous"] = float(body.swing_viscous[axis - 4]) / inertia
+        found[f"{name}.coulomb"] = float(body.swing_coulomb[axis - 4]) / inertia
+        found[f"{name}.length"] = 9.81 * inertia / stiffness
+    for joint, name in enumerate(ACTIVE_JOINTS):
+        found[f"{name}.dead_time"] = unit.dead_time_s[joint]
+        found[f"{name}.lag"] = unit.spool_lag_s[joint]
+    return found
+
+
+def identified(unit: int, seed: int) -> dict[str, Any]:
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        release = identify_release(record("release", unit, seed, Path(folder) / "r"), SPEC)
+        found |= {"release.mean": release.mean, "release.sd": release.sd}
+        swings = identify_swing(record("swing", unit, seed, Path(folder) / "s"), SPEC)
+        for axis in swings:
+            found[f"{axis.joint}.viscous"] = axis.viscous_friction_per_s
+            found[f"{axis.joint}.coulomb"] = axis.coulomb_friction_rad_per_s2
+            found[f"{axis.joint}.length"] = axis.length_m
+        joints = identify_response(record("response", unit, seed, Path(folder) / "v"), SPEC)
+    for joint in joints:
+        found[f"{joint.joint}.dead_time"] = joint.shared["dead_time_s"]
+        found[f"{joint.joint}.lag"] = joint.shared["lag_s"]
+        for direction in DIRECTIONS:
+            for name, known in joint.directions[direction].items():
+                found[f"{joint.joint} {direction} {name}"] = known
+    return {k: (q.value, *(q.ci90 or (None, None))) for k, q in found.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("units", nargs="+", type=int)
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    runs = []
+    for unit in options.units:
+        truth = hidden(unit)
+        for seed in range(options.seeds):
+            runs.append(
+                {"unit": unit, "seed": seed, "truth": truth, "found": identified(unit, seed)}
+            )
+            print(f"unit {unit} seed {seed}", flush=True)
+            if options.json:
+                options.json.write_text(json.dumps(runs))
+    against_truth(runs)
+    against_other_seeds(runs)
+
+
+def against_truth(runs: list[dict[str, Any]]) -> None:
+    print("quantity            n  mean error  rms error  rms half width  inside 90 %")
+    for name in runs[0]["truth"]:
+        rows = [
+            (r["truth"][name], *r["found"][name]) for r in runs if r["found"][name][0] is not None
+        ]
+        if not rows:
+            print(f"{name:<18} {len(rows):3d}  never known")
+            continue
+        true, value, low, high = np.array(rows).T
+        error = value - true
+        inside = np.mean((low <= true) & (true <= high))
+        print(
+            f"{name:<18} {len(rows):3d}  {error.mean():+10.4f} {np.sqrt((error**2).mean()):10.4f}"
+            f"  {np.sqrt(((high - low) ** 2 / 4).mean()):14.4f}  {inside:10.0%}"
+        )
+
+
+def against_other_seeds(runs: list[dict[str, Any]]) -> None:
+    """Share of intervals that hold the mean of the unit's other seeds, by what was identified."""
+    counts = {}
+    for name in runs[0]["found"]:
+        if " " not in name:
+            continue
+        kind = name.split()[-1]
+        for unit in {r["unit"] for r in runs}:
+            own = [r["found"][name] for r in runs if r["unit"] == unit]
+            counts.setdefault(kind, [0, 0, 0])[2] += len(own)
+            known = [f for f in own if f[0] is not None]
+            if len(known) < 2:
+                continue
+            for k, (_, low, high) in enumerate(known):
+                others = np.mean([f[0] for i, f in enumerate(known) if i != k])
+                counts[kind][0] += low <= others <= high
+                counts[kind][1] += 1
+    for kind, (inside, total, asked) in counts.items():
+        share = f"{inside / total:.0%}" if total else "-"
+        print(f"{kind:<28} {total:3d} of {asked} known, {share} hold the mean of the other seeds")
+
+
+if __name__ == "__main__":
+    main()

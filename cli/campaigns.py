@@ -1,0 +1,208 @@
+"""What the verbs that throw many times share: options checked, campaign set up, throws carried out."""
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from machine.calibration import load_calibration
+from machine.conventions import Array, Mode
+from machine.errors import UsageError
+from machine.messages import Target
+from machine.reach import check_target
+from machine.spec import MachineSpec, load_spec
+from machine.starts import sample_starts
+from runtime.control.control_loop import ControlParams
+from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.throws.campaign import ThrowResult, TickRecorder, run_throws
+from sim_twin.throws.plants import PlantMaker, plant_calibration, plant_maker
+from sim_twin.twin.profile import load_profile
+
+MAX_TARGET_COUNT = 200
+MAX_BATCH_COUNT = 400
+"""Machines simulated side by side: beyond it the arrays of a tick leave the processor's cache."""
+
+
+class Campaign(NamedTuple):
+    """What `evaluate` and `record` set up alike."""
+
+    spec: MachineSpec
+    params: ControlParams
+    make: PlantMaker
+    ranges_m: tuple[float, ...]
+    policy_id: str
+    policy_folder: Path
+
+
+class CampaignOptions(NamedTuple):
+    """Options of a campaign, as they stand on the command line."""
+
+    plant: str
+    targets: str | None
+    throws: int
+    seed: int
+    unit_seed: int
+    policies: Path
+    policy: Path | None
+    calibration: Path | None
+    profile: Path | None
+
+
+def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Campaign:
+    """`open_campaign` with options of the command line."""
+    return open_campaign(
+        mode=Mode(mode),
+        plant=options.plant,
+        targets=options.targets or default_targets,
+        throws=options.throws,
+        seed=options.seed,
+        unit_seed=options.unit_seed,
+        policies=options.policies,
+        policy=options.policy,
+        calibration=options.calibration,
+        profile=options.profile,
+    )
+
+
+def open_campaign(
+    *,
+    mode: Mode,
+    plant: str,
+    targets: str,
+    throws: int,
+    seed: int,
+    unit_seed: int,
+    policies: Path,
+    policy: Path | None,
+    calibration: Path | None,
+    profile: Path | None,
+) -> Campaign:
+    """Check every option before anything is simulated.
+
+    Raises:
+        UsageError: an option that cannot work.
+        PolicyError: no policy, or one that does not fit.
+        RefusedError: a target that the policy was not made for.
+    """
+    ranges = parse_targets(targets)
+    if throws < 1:
+        raise UsageError(f"--throws {throws}: at least 1 throw at each target is needed")
+    if seed < 0 or unit_seed < 0:
+        raise UsageError(f"--seed {seed} --unit-seed {unit_seed}: seeds are 0 or more")
+    spec = load_spec()
+    runner = open_policy(mode, policies, policy, spec)
+    for range_m in ranges:
+        check_target(runner.card, Target(x_m=range_m, y_m=0.0))
+    twin_profile = None if profile is None else load_profile(profile)
+    make = plant_maker(
+        plant,
+        unit_seed=unit_seed,
+        profile=twin_profile,
+        calibration=None if calibration is None else load_calibration(calibration),
+        spec=spec,
+    )
+    valves = plant_calibration(plant, make, unit_seed=unit_seed, spec=spec, path=calibration)
+    if plant == "twin":
+        # A registration answers for the machine's misses; the twin has its own.
+        valves = valves.without_registrations()
+    params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
+    folder = policy if policy is not None else find_policy(policies, mode)
+    return Campaign(spec, params, make, ranges, runner.card.policy_id, folder)
+
+
+def open_policy(mode: Mode, policies: Path, policy: Path | None, spec: MachineSpec) -> PolicyRunner:
+    """Load the policy of a folder, or the active one of the mode.
+
+    Raises:
+        PolicyError: missing, broken, or for another machine.
+        UsageError: for the other mode.
+    """
+    runner = PolicyRunner(policy if policy is not None else find_policy(policies, mode), spec)
+    if runner.card.mode is not mode:
+        raise UsageError(
+            f"policy {runner.card.policy_id} throws in {runner.card.mode.value}, --mode is "
+            f"{mode.value}; choose the other mode or another policy"
+        )
+    return runner
+
+
+def parse_targets(text: str) -> tuple[float, ...]:
+    """Ranges from ``FIRST:LAST:STEP`` (both ends) or from a list with commas.
+
+    Raises:
+        UsageError: anything else, with what was wrong.
+    """
+    form = "use FIRST:LAST:STEP such as 7.5:10:0.5, or a list such as 8,8.5,9"
+    parts = text.split(":")
+    try:
+        numbers = [float(part) for part in (parts if len(parts) > 1 else text.split(","))]
+    except ValueError:
+        raise UsageError(f"--targets '{text}' holds something that is no number; {form}") from None
+    if not all(math.isfinite(number) for number in numbers):
+        raise UsageError(f"--targets '{text}' holds a number that is not finite; {form}")
+    if len(parts) == 1:
+        return _checked_ranges(tuple(numbers), text)
+    if len(numbers) != 3:
+        raise UsageError(f"--targets '{text}' has {len(numbers)} parts; {form}")
+    first, last, step = numbers
+    if step <= 0.0 or last < first:
+        raise UsageError(
+            f"--targets '{text}' goes from {first:g} m to {last:g} m in steps of {step:g} m; {form}"
+        )
+    count = math.floor((last - first) / step + 1e-6) + 1
+    if count > MAX_TARGET_COUNT:
+        raise UsageError(f"--targets '{text}' names {count} targets; at most {MAX_TARGET_COUNT}")
+    return _checked_ranges(tuple(round(first + i * step, 9) for i in range(count)), text)
+
+
+def _checked_ranges(ranges_m: tuple[float, ...], text: str) -> tuple[float, ...]:
+    if any(range_m <= 0.0 or range_m > 60.0 for range_m in ranges_m):
+        raise UsageError(f"--targets '{text}': ranges lie between 0 and 60 m")
+    return ranges_m
+
+
+def progress_line(what: str, of: str = "throws") -> Callable[[int, int], None]:
+    """Show throws (or others) done on stderr: in place on a terminal, else a line every tenth."""
+    live = sys.stderr.isatty()
+    shown = -1
+
+    def show(done: int, total: int) -> None:
+        nonlocal shown
+        step = done * 10 // max(total, 1)
+        if live:
+            end = "\n" if done == total else ""
+            print(f"\r{what}: {done} of {total} {of}", end=end, file=sys.stderr, flush=True)
+        elif step != shown:
+            print(f"{what}: {done} of {total} {of}", file=sys.stderr, flush=True)
+        shown = step
+
+    return show
+
+
+def campaign_starts(campaign: Campaign, throws: int, seed: int) -> tuple[Array, Array]:
+    """Targets (N, 3) and start poses (N, 6), `throws` at each range."""
+    ranges = np.repeat(np.asarray(campaign.ranges_m), throws)
+    target_m = np.zeros((ranges.size, 3))
+    target_m[:, 0] = ranges
+    rng = np.random.default_rng(seed)
+    return target_m, sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
+
+
+def throw_campaign(
+    campaign: Campaign, throws: int, seed: int, record: TickRecorder | None = None
+) -> list[list[ThrowResult]]:
+    """Throw `throws` times at each range; results per target."""
+    target_m, starts = campaign_starts(campaign, throws, seed)
+    batches = math.ceil(target_m.shape[0] / MAX_BATCH_COUNT)
+    plant = campaign.make(math.ceil(target_m.shape[0] / batches))
+    show = progress_line("evaluate")
+    try:
+        results = run_throws(
+            plant, campaign.params, target_m, starts, seed, record=record, progress=show
+        )
+    finally:
+        plant.close()
+    return [results[i : i + throws] for i in range(0, len(results), throws)]

@@ -1,0 +1,27 @@
+"""The paper's figures that an evaluation is put beside; section numbers are the paper's."""
+
+from typing import NamedTuple
+
+
+class PaperScatter(NamedTuple):
+    """Real throws at 9 m, 10 a policy (IV-B); frame `throw`, crossrange positive to the left."""
+
+    mean_range_m: float
+    sd_downrange_m: float
+    mean_crossrange_m: float
+    sd_crossrange_m: float
+    throw_count: int
+
+
+SCATTER_RANGE_M = 9.0
+SCATTER = {
+    "2d": PaperScatter(8.92, 0.37, 0.05, 0.30, 10),
+    "3d": PaperScatter(8.90, 0.42, -0.14, 0.72, 10),
+}
+TARGETS = {"2d": "7.5:10:0.5", "3d": "7:9.5:0.5"}
+"""Ranges of the two plots (IV-A), 200 throws each."""
+SIMULATED = {
+    "2d": "1 sigma of 0.11 to 0.15 m at the three near targets, good to 9.5 m",
+    "3d": "1 sigma of about 0.30 m in both directions at all targets; offset up to 8.0 m",
+}
+"""What the text says of them (the plots' numbers are not printed)."""

@@ -1,0 +1,84 @@
+"""Ranges for training: the closed loop from the runtime's velocity reference to the joint, from throws.
+
+The numbers are those of `training.environment.task.ResponseConfig`, with a second-order lag only; 90 % of
+single throws lie within a range.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.identify.drive_record import drive_record, moved_blocks
+from diagnosis.identify.quantity import Quantity
+from diagnosis.identify.response import MIN_BLOCKS
+from diagnosis.identify.response_bootstrap import HIGH, LOW, fit, quantities
+from diagnosis.loading.logs import ThrowData
+from diagnosis.threads import one_blas_thread
+from machine.conventions import ACTIVE_JOINTS, Array
+from machine.spec import MachineSpec
+from runtime.records.log_reader import read_throw_log
+
+ONE_SIDED_NORMAL = 1.645
+"""90 % of a normal distribution lie within this many standard deviations."""
+Ranges = dict[str, tuple[float, float] | str]
+
+
+def training_ranges(
+    throws: Sequence[ThrowData], spec: MachineSpec, seed: int = 0
+) -> dict[str, Ranges]:
+    """By joint: low and high of each number, or why it cannot be known."""
+    rng = np.random.default_rng(seed)
+    references = [_reference(throw) for throw in throws]
+    with one_blas_thread():
+        return {
+            name: _joint(throws, spec, joint, references, rng)
+            for joint, name in enumerate(ACTIVE_JOINTS)
+        }
+
+
+def _reference(throw: ThrowData) -> Array:
+    """What the velocity controller was told, (T, 4) on the log's grid, held."""
+    rows = read_throw_log(throw.path).control
+    t_s = (rows["t_mono_ns"] - throw.recorded_at_ns).astype(np.float64) * 1e-9
+    before = np.clip(np.searchsorted(t_s, throw.t_s + 0.003) - 1, 0, None)
+    return np.nan_to_num(rows["velocity_reference_rad_m_per_s"].astype(np.float64)[before])
+
+
+def _joint(
+    throws: Sequence[ThrowData],
+    spec: MachineSpec,
+    joint: int,
+    references: Sequence[Array],
+    rng: np.random.Generator,
+) -> Ranges:
+    record = drive_record(throws, spec, joint, references)
+    limit = spec.limits.speed_positive_rad_m_per_s[joint]
+    moved = [moved_blocks(record, sign, limit) for sign in (1.0, -1.0)]
+    count = int((moved[0] | moved[1]).sum())
+    names = ("dead_time_s", "natural_frequency_rad_per_s", "damping_ratio")
+    if count < MIN_BLOCKS:
+        why = f"cannot be known from these logs: {count} throws use it, {MIN_BLOCKS} are needed"
+        return dict.fromkeys((*names, "gain_positive_ratio", "gain_negative_ratio"), why)
+    shared = fit(record, moved[0] | moved[1], True, rng)
+    known = quantities(shared, 0, count)
+    found: Ranges = {name: _range(known[name], name) for name in names}
+    free = fit(record, moved[0] | moved[1], False, rng, shared)
+    for k, direction in enumerate(("positive", "negative")):
+        own = int(moved[k].sum())
+        found[f"gain_{direction}_ratio"] = (
+            _range(quantities(free, k, own)["gain_ratio"], "gain_ratio")
+            if own >= MIN_BLOCKS
+            else f"cannot be known from these logs: {own} throws use it, {MIN_BLOCKS} are needed"
+        )
+    return found
+
+
+def _range(known: Quantity, name: str) -> tuple[float, float] | str:
+    if known.value is None:
+        return known.why
+    half = ONE_SIDED_NORMAL * (known.spread or 0.0)
+    bounds = {"dead_time_s": 0, "damping_ratio": 2, "gain_ratio": 3}
+    low, high = known.value - half, known.value + half
+    if name in bounds:
+        low, high = max(low, float(LOW[bounds[name]])), min(high, float(HIGH[bounds[name]]))
+    return max(low, 0.25 * known.value), high

@@ -1,0 +1,81 @@
+"""Friction and length of a free swing are recovered; the arm's own give on closed valves is not friction."""
+
+import numpy as np
+import pytest
+
+from diagnosis.identify.apply import extra_length, next_profile, swing_length, with_swing
+from diagnosis.identify.swing import FreeSwing, identify_swing, simulate_swing
+from sim_twin.identify.motions import motion_program
+from sim_twin.twin.profile import nominal_profile
+from tests.diagnosis.identify.recorded_tests import SPEC, load, recorded, some
+
+NOMINAL_PITCH_M, NOMINAL_ROLL_M = 0.9185, 0.8041
+"""Inertia over mass moment of the compiled model with its load (mj_fullM, qfrc_bias)."""
+
+
+@pytest.fixture(scope="module")
+def axes():
+    return identify_swing(recorded("swing", 0, 3), SPEC)
+
+
+def test_the_nominal_machine_swings_with_the_papers_friction(axes):
+    for axis in axes:
+        assert axis.swing_count >= 3
+        assert axis.coulomb_friction_rad_per_s2.value == pytest.approx(0.1, abs=0.01)
+        assert axis.viscous_friction_per_s.value == pytest.approx(0.03, abs=0.015)
+
+
+def test_length_is_that_of_the_compiled_model(axes):
+    for axis, true in zip(axes, (NOMINAL_PITCH_M, NOMINAL_ROLL_M), strict=True):
+        assert axis.length_m.value == pytest.approx(true, abs=0.006)
+    assert swing_length(SPEC, 0) == pytest.approx(NOMINAL_PITCH_M, abs=0.002)
+    assert swing_length(SPEC, 1) == pytest.approx(NOMINAL_ROLL_M, abs=0.002)
+    assert extra_length(axes, SPEC)[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_prediction_lies_on_the_measurement(axes):
+    for axis in axes:
+        measured, predicted = (np.asarray(axis.plot[k]) for k in ("measured_rad", "predicted_rad"))
+        assert np.max(np.abs(measured)) > 0.15
+        assert np.sqrt(np.mean((measured - predicted) ** 2)) < 0.02
+
+
+def test_without_viscous_friction_the_amplitude_falls_evenly():
+    t = np.arange(2000) * 0.01
+    swing = FreeSwing("t", t, np.zeros(t.size), np.zeros(t.size))
+    angle, _ = simulate_swing(swing, np.array([0.0, 0.1, 0.9, 0.5, 0.0]))
+    peaks = angle[1:-1][(angle[1:-1] > angle[2:]) & (angle[1:-1] > angle[:-2])]
+    steps = -np.diff(peaks[:5])
+    # 4 c L / g a period.
+    assert steps == pytest.approx(np.full(steps.size, 4 * 0.1 * 0.9 / 9.81), rel=0.1)
+
+
+def test_throws_without_a_free_swing_say_so():
+    short = load("release", some(motion_program("release", 1), np.arange(2)), 0, 1)
+    axis, _ = identify_swing(short, SPEC)
+    assert axis.viscous_friction_per_s.value is None
+    assert "cannot be known from these logs" in axis.viscous_friction_per_s.why
+    profile = nominal_profile(SPEC)
+    assert next_profile(profile, with_swing(profile, [axis], SPEC), "m", "n") is None
+
+
+def test_a_longer_gripper_becomes_an_effect_of_the_profile(axes):
+    longer = tuple(
+        axis.model_copy(
+            update={
+                "length_m": axis.length_m.model_copy(
+                    update={
+                        "value": swing_length(SPEC, k, 0.05),
+                        "ci90": (swing_length(SPEC, k, 0.04), swing_length(SPEC, k, 0.06)),
+                    }
+                )
+            }
+        )
+        for k, axis in enumerate(axes)
+    )
+    before = nominal_profile(SPEC)
+    after = next_profile(before, with_swing(before, longer, SPEC), "m", "n")
+    (effect,) = after.effects
+    assert effect.parameters["extra_length_m"] == pytest.approx(0.05, abs=1e-6)
+    assert after.intervals["gripper_length.extra_length_m"] == pytest.approx((0.04, 0.06))
+    assert after.intervals["viscous_friction_per_s.pitch"][0] >= 0.0
