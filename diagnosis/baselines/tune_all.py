@@ -36,8 +36,11 @@ Z_LIMIT = 72.0
 EVOLUTION_THROWS = 3
 EVOLUTION_GENERATIONS = 30
 EVOLUTION_POPULATION = 16
-EVOLUTION_LIMIT = 25.5
-"""What one of six healthy machines exceeds, in the library's tolerances; the largest was 36."""
+EVOLUTION_LIMIT = 29.7
+"""What one of ten healthy sets exceeds, in the library's tolerances: they reached 23.8 to 28.3, one 31.2.
+
+Null sets of `downrange challenge make --seed 41 --sets 10 --tiers null`, half way between the largest two.
+"""
 RELEASE_SD_S = 0.01
 
 

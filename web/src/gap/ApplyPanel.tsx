@@ -5,7 +5,7 @@ import { errorWords } from "../words/errors";
 import classes from "./ApplyPanel.module.css";
 import { PreviewCompare } from "./PreviewCompare";
 import { useGapActions, useTwinProfile } from "./useGap";
-import { additionWords, type Diagnosis, type Run } from "./words";
+import { additionWords, type Diagnosis, doubtWords, type Run } from "./words";
 
 type Props = { run: Run; found: Diagnosis };
 
@@ -17,6 +17,7 @@ export function ApplyPanel({ run, found }: Props) {
   const isApplied = run.applied_version_count !== null;
   const isInUse = isApplied && twin?.version_count === run.applied_version_count;
   const next = (twin?.version_count ?? run.profile_version_count) + 1;
+  const doubt = doubtWords(found);
   const error = apply.error ?? undo.error;
   return (
     <>
@@ -25,6 +26,11 @@ export function ApplyPanel({ run, found }: Props) {
           ? `Applied as version ${run.applied_version_count} of the twin of ${run.machine_id}${isInUse ? ", in use." : "; another version is in use now."}`
           : `${additionWords(found)} Previews of ${run.machine_id} then use it at once; undo brings the twin back.`}
       </p>
+      {!isApplied && doubt && (
+        <p className={classes.problem} role="note">
+          {doubt}
+        </p>
+      )}
       {!isApplied && <PreviewCompare machineId={run.machine_id} runId={run.gap_run_id} />}
       <div className={classes.actions}>
         {!isApplied && (

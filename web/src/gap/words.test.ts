@@ -6,6 +6,7 @@ import {
   additionWords,
   causeWords,
   type Diagnosis,
+  doubtWords,
   newest,
   parameterWords,
   probabilityWords,
@@ -103,6 +104,19 @@ describe("words of a diagnosis", () => {
     const channels = shrinkWords({ ...shrink, predicted_ratio: null }, "channels");
     expect(channels).toContain("81 % of the gap in the channels that it moves");
     expect(channels).not.toContain("removable");
+    const worse = { ...shrink, ratio: -0.89, ci90: [-1, -0.65] as [number, number] };
+    expect(shrinkWords(worse, "impact")).toContain("Widens the removable gap by 89 %");
+  });
+
+  it("warn of a cause that held-out throws do not bear out", () => {
+    const shrink = (ratio: number, low: number) =>
+      ({ ratio, ci90: [low, 0.9], before_m: 1.25, after_m: 2, held_out_throws: 8 }) as never;
+    expect(doubtWords({ ...found, shrink: shrink(0.8, 0.7) })).toBeNull();
+    expect(doubtWords({ ...found, shrink: shrink(0.3, -0.1) })).toContain("do not show");
+    expect(doubtWords({ ...found, shrink: shrink(-0.89, -1) })).toContain(
+      "1.25 before, 2.00 after",
+    );
+    expect(doubtWords({ ...found, shrink: null })).toBeNull();
   });
 
   it("say what applying would add", () => {

@@ -123,8 +123,12 @@ export function sizesOf(effect: Fitted): { name: string; value: string; interval
 export function shrinkWords(shrink: Schema["Shrink"], measure: unknown): string {
   const isByChannels = measure === "channels";
   const what = isByChannels ? "gap in the channels that it moves" : "removable gap";
+  const interval = `90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}`;
+  const thrown = `on ${shrink.held_out_throws} held-out throws`;
   const parts = [
-    `Removes ${percent(shrink.ratio)} of the ${what} on ${shrink.held_out_throws} held-out throws, 90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}.`,
+    shrink.ratio < 0
+      ? `Widens the ${what} by ${percent(-shrink.ratio)} ${thrown} (removes ${percent(shrink.ratio)}, ${interval}).`
+      : `Removes ${percent(shrink.ratio)} of the ${what} ${thrown}, ${interval}.`,
   ];
   if (typeof shrink.predicted_ratio === "number")
     parts.push(`Predicted before it was added: ${percent(shrink.predicted_ratio)}.`);
@@ -134,6 +138,15 @@ export function shrinkWords(shrink: Schema["Shrink"], measure: unknown): string 
       : `${percent(shrink.removable_ratio)} of the gap is removable, the rest is noise and jitter.`,
   );
   return parts.join(" ");
+}
+
+/** Why not to apply what was found; null when held-out throws speak for it. */
+export function doubtWords(found: Diagnosis): string | null {
+  const { shrink } = found;
+  if (!shrink || shrink.ci90[0] > 0) return null;
+  return shrink.ratio < 0
+    ? `On held-out throws the twin is worse with it: ${fixed(shrink.before_m, 2)} before, ${fixed(shrink.after_m, 2)} after. Do not apply it; throw more and diagnose again.`
+    : `Held-out throws do not show that it helps: 90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}. Throw more before applying it.`;
 }
 
 /** "Adds valve dead time, dipper: extra dead time 62.0 ms." */
