@@ -35,7 +35,8 @@ def throws(
     Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
 
     Args:
-        logs: throw logs (MCAP) of one machine, or folders of them; at least 3 throws, better 12.
+        logs: throw logs of one machine (MCAP, or CSV with one file a throw: docs/throw_log.md), or folders of
+            them; at least 3 throws, better 12.
         profile: twin profile of the machine; the one in the logs if left out, or nominal.
         json: file for the whole result.
         html: file for the report, one page that needs no network.

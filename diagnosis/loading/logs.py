@@ -26,12 +26,12 @@ from diagnosis.loading.log_checks import (
     check_valve_and_supply,
 )
 from diagnosis.loading.log_grid import ControlGrid, grid_control
+from diagnosis.loading.throw_csv import LOG_SUFFIXES, read_log
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.calibration import ValveCalibration
 from machine.conventions import Array, BoolArray
 from machine.errors import LogError
 from machine.spec import MachineSpec, load_spec
-from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
 from sim_twin.twin.profile import TwinProfile
 
@@ -136,7 +136,7 @@ def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> Loade
     """Load throw logs.
 
     Args:
-        paths: MCAP files, or folders searched for ``*.mcap``.
+        paths: MCAP or CSV files, one a throw, or folders of them.
         spec: the machine type that the logs must come from; the twin's own if left out.
     """
     machine = load_spec() if spec is None else spec
@@ -168,14 +168,14 @@ def _files(paths: Sequence[Path], refused: list[tuple[Path, str]]) -> list[Path]
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(path.rglob("*.mcap"))
+            inside = sorted(p for p in path.rglob("*") if p.suffix in LOG_SUFFIXES)
             if not inside:
-                refused.append((path, "the folder holds no *.mcap file"))
+                refused.append((path, "the folder holds no throw log (*.mcap or *.csv)"))
             files += inside
         elif path.exists():
             files.append(path)
         else:
-            refused.append((path, "no such file; give throw logs (.mcap) or folders of them"))
+            refused.append((path, "no such file; give throw logs (.mcap, .csv) or folders"))
     return list(dict.fromkeys(files))
 
 
@@ -202,7 +202,7 @@ def _of_one_machine(
 
 
 def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
-    log = read_throw_log(path)
+    log = read_log(path)
     check_machine(log.metadata, spec)
     _check_outcome(log)
     grid = grid_control(log.control)
@@ -232,6 +232,8 @@ def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
             f"no impact and {len(ball_m)} ball samples: nobody measured where this load went. Truncated, "
             "or neither survey nor tracker ran"
         )
+    if len(ball_m) < MIN_BALL_SAMPLES_COUNT:
+        notes.append("no ball track: release, speed and flight are one term of the miss")
     if not log.is_complete:
         notes.append("not closed by its recorder; read up to the damage")
     if dropped := int(log.metadata.get(RESULT_RECORD, {}).get("dropped_count") or 0):
@@ -393,7 +395,5 @@ def _profile(metadata: Mapping[str, Any]) -> TwinProfile | None:
 
 
 def _rates(clocks: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    names = ("control", "imu", "ball")
-    if not clocks:
-        return {}
+    names = ("control", "imu", "ball") if clocks else ()
     return {name: float(np.median([clock[name]["rate_hz"] for clock in clocks])) for name in names}

@@ -1,0 +1,225 @@
+"""A whole throw as one CSV file, written and read: a throw log's channels (docs/throw_log.md) as columns.
+
+Control, IMU and load tracker keep their own times, so their columns differ in length and end in empty cells.
+A file without what a diagnosis needs is refused with the columns that are missing.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, JOINT_NAMES, Array
+from machine.errors import LogError
+from machine.messages import ImpactSurvey
+from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW
+from runtime.records.log_reader import read_throw_log
+from runtime.records.throw_log import RESULT_RECORD, ThrowLog
+
+LOG_SUFFIXES: Final = (".mcap", ".csv")
+MAX_BYTES: Final = 200_000_000
+"""A throw has about 2 MB; beyond this the file is another thing."""
+CONTEXT_KEYS: Final = (
+    *("throw_id", "machine_id", "mode", "target", "model_sha256", "calibration", "twin_profile"),
+    RESULT_RECORD,
+)
+
+
+def _unit(joint: str) -> str:
+    return "m" if joint == "telescope" else "rad"
+
+
+def _per_joint(joints: Sequence[str], middle: str, after: str = "") -> list[str]:
+    return [f"{joint}_{middle}_{_unit(joint)}{after}" for joint in joints]
+
+
+CONTROL_COLUMNS: Final[Mapping[str, list[str]]] = {
+    "tick_count": ["tick_count"],
+    "motion_code_count": ["motion_code_count"],
+    "sensor_position_rad_m": _per_joint(ACTIVE_JOINTS, "sensor_position"),
+    "sensor_velocity_rad_m_per_s": _per_joint(ACTIVE_JOINTS, "sensor_velocity", "_per_s"),
+    "joint_position_rad_m": _per_joint(JOINT_NAMES, "position"),
+    "joint_velocity_rad_m_per_s": _per_joint(JOINT_NAMES, "velocity", "_per_s"),
+    "velocity_request_rad_m_per_s": _per_joint(ACTIVE_JOINTS, "velocity_request", "_per_s"),
+    "velocity_reference_rad_m_per_s": _per_joint(ACTIVE_JOINTS, "velocity_reference", "_per_s"),
+    "valve_requested_ratio": [f"{joint}_valve_requested_ratio" for joint in ACTIVE_JOINTS],
+    "valve_applied_ratio": [f"{joint}_valve_applied_ratio" for joint in ACTIVE_JOINTS],
+    "safety_code_count": ["safety_code_count"],
+    "gripper_open_commanded": ["gripper_open_commanded_ratio"],
+    "payload_held": ["payload_held_ratio"],
+    "supply_pressure_pa": ["supply_pressure_pa"],
+}
+"""By field of a control row: its columns, called as in the console's time series."""
+IMU_COLUMNS: Final[Mapping[str, list[str]]] = {
+    "gyro_rad_per_s": [f"gyro_{axis}_rad_per_s" for axis in "xyz"],
+    "accel_m_per_s2": [f"accel_{axis}_m_per_s2" for axis in "xyz"],
+}
+BALL_COLUMNS: Final[Mapping[str, list[str]]] = {"position_m": [f"ball_{axis}_m" for axis in "xyz"]}
+OPTIONAL_FIELDS: Final = frozenset(
+    {
+        *("tick_count", "velocity_request_rad_m_per_s", "velocity_reference_rad_m_per_s"),
+        *("valve_requested_ratio", "safety_code_count", "payload_held", "supply_pressure_pa"),
+    }
+)
+
+
+def read_log(path: Path) -> ThrowLog:
+    """Read a throw log of either kind, by its suffix.
+
+    Raises:
+        LogError: it cannot be used.
+    """
+    return read_throw_csv(path) if path.suffix.lower() == ".csv" else read_throw_log(path)
+
+
+def throw_csv(log: ThrowLog) -> str:
+    """A throw log as the text of a CSV file."""
+    context = {key: log.metadata[key] for key in CONTEXT_KEYS if key in log.metadata}
+    if log.impact is not None:
+        context["impact"] = log.impact.model_dump(mode="json")
+    start_ns = int(log.control["t_mono_ns"][0]) if len(log.control) else 0
+    context["start_t_mono_ns"] = start_ns
+    context["impact_t_mono_ns"] = log.impact_t_mono_ns
+    columns: dict[str, list[str]] = {}
+    times = {"t_s": log.control["t_mono_ns"], "sensor_t_s": log.control["sensor_t_mono_ns"]}
+    times |= {"imu_t_s": log.imu["t_mono_ns"], "ball_t_s": log.ball["t_mono_ns"]}
+    for name, stamps in times.items():
+        columns[name] = [_seconds(int(stamp) - start_ns) for stamp in stamps]
+    groups = ((log.control, CONTROL_COLUMNS), (log.imu, IMU_COLUMNS), (log.ball, BALL_COLUMNS))
+    for rows, fields in groups:
+        for field, names in fields.items():
+            values = rows[field].astype(np.float64).reshape(len(rows), -1)
+            for index, name in enumerate(names):
+                columns[name] = [
+                    repr(v) if np.isfinite(v) else "" for v in values[:, index].tolist()
+                ]
+    text = io.StringIO()
+    for key, value in context.items():
+        text.write(f"# {key}: {json.dumps(value)}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    longest = max(len(cells) for cells in columns.values())
+    padded = [cells + [""] * (longest - len(cells)) for cells in columns.values()]
+    writer.writerows(zip(*padded, strict=True))
+    return text.getvalue()
+
+
+def read_throw_csv(path: Path) -> ThrowLog:
+    """Read a throw from CSV.
+
+    Raises:
+        LogError: not such a file, or columns are missing.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise LogError(
+                f"{path.name} is larger than {MAX_BYTES / 1e6:g} MB: give one file a throw"
+            )
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise LogError(f"cannot open {path}: {error.strerror}") from error
+    context = _context(path, [line for line in lines if line.startswith("#")])
+    body = [line for line in lines if line.strip() and not line.startswith("#")]
+    columns = _columns(path, body)
+    start_ns = int(context.pop("start_t_mono_ns", 0))
+    control = _rows(CONTROL_ROW, columns, "t_s", CONTROL_COLUMNS, start_ns, path)
+    sensed = columns.get("sensor_t_s", columns["t_s"])[: len(control)]
+    control["sensor_t_mono_ns"] = start_ns + np.round(1e9 * np.nan_to_num(sensed)).astype(np.int64)
+    if "tick_count" not in columns:
+        passed = (control["t_mono_ns"] - control["t_mono_ns"][:1]) * 1e-9 / CONTROL_PERIOD_S
+        control["tick_count"] = np.round(passed).astype(np.int64)
+    impact = context.pop("impact", None)
+    try:
+        survey = None if impact is None else ImpactSurvey.model_validate(impact)
+    except ValidationError as error:
+        raise LogError(f"the impact of {path.name} cannot be read: {impact!r}") from error
+    ended = {"is_complete": True, **context.pop(RESULT_RECORD, {})}
+    return ThrowLog(
+        metadata={"throw_id": path.stem, **context, RESULT_RECORD: ended},
+        control=control,
+        imu=_rows(IMU_ROW, columns, "imu_t_s", IMU_COLUMNS, start_ns, path),
+        ball=_rows(BALL_ROW, columns, "ball_t_s", BALL_COLUMNS, start_ns, path),
+        impact=survey,
+        impact_t_mono_ns=int(context.get("impact_t_mono_ns") or 0),
+    )
+
+
+def _seconds(ns: int) -> str:
+    """Nanoseconds as seconds, exactly."""
+    return f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09d}"
+
+
+def _context(path: Path, lines: Sequence[str]) -> dict[str, Any]:
+    context: dict[str, Any] = {}
+    for line in lines:
+        key, found, value = line.lstrip("# ").partition(":")
+        if not found:
+            continue
+        try:
+            context[key.strip()] = json.loads(value)
+        except ValueError as error:
+            raise LogError(f"the line '# {key}' of {path.name} holds no JSON: {error}") from error
+    return context
+
+
+def _columns(path: Path, body: Sequence[str]) -> dict[str, Array]:
+    if len(body) < 2:
+        raise LogError(f"{path.name} holds no rows: empty or cut off")
+    header, *rows = csv.reader(body)
+    names = [name.strip() for name in header]
+    needed = [
+        "t_s",
+        *(n for f, ns in CONTROL_COLUMNS.items() if f not in OPTIONAL_FIELDS for n in ns),
+    ]
+    needed += ["imu_t_s", *(n for ns in IMU_COLUMNS.values() for n in ns)]
+    missing = [name for name in needed if name not in names]
+    if missing:
+        shown = ", ".join(missing[:6]) + (f" and {len(missing) - 6} more" if missing[6:] else "")
+        raise LogError(
+            f"{path.name} is no whole throw: {len(missing)} of {len(needed)} columns are missing ({shown}). "
+            "docs/throw_log.md lists them; one stage alone needs less (`downrange diagnose actuation`)"
+        )
+    padded = [(row + [""] * len(names))[: len(names)] for row in rows]
+    cells = zip(*padded, strict=True)
+    return {
+        n: np.array([_number(t) for t in column]) for n, column in zip(names, cells, strict=True)
+    }
+
+
+def _rows(
+    kind: np.dtype[np.void],
+    columns: Mapping[str, Array],
+    time: str,
+    fields: Mapping[str, Sequence[str]],
+    start_ns: int,
+    path: Path,
+) -> NDArray[np.void]:
+    """Rows of one channel: as many as its times; a channel without times is empty."""
+    times = columns.get(time, np.zeros(0))
+    known = np.flatnonzero(np.isfinite(times))
+    count = int(known[-1]) + 1 if known.size else 0
+    if known.size != count:
+        raise LogError(f"{path.name}: {count - known.size} times in column {time} are missing")
+    rows = np.zeros(count, dtype=kind)
+    rows["t_mono_ns"] = start_ns + np.round(1e9 * times[:count]).astype(np.int64)
+    for field, names in fields.items():
+        cells = np.stack([columns.get(n, np.full(count, np.nan))[:count] for n in names], axis=1)
+        shape = rows[field].shape
+        whole: Callable[[Array], Array] = (
+            np.nan_to_num if kind[field].base.kind != "f" else np.asarray
+        )
+        rows[field] = whole(cells).reshape(shape)
+    return rows
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
