@@ -1,6 +1,6 @@
 """Identification against hidden parameters: records tests of virtual units and compares.
 
-python -m benchmarks.identification 0 3 7 --seeds 4 [--json FILE]
+python -m benchmarks.identification 0 3 7 --seeds 4 [--first-seed 0] [--tests release ...] [--json FILE]
 
 Release delay and its scatter, friction and length have a counterpart in the unit; dead time and lag of a
 drive have one up to what oil and sensors add; limits and gains are compared between seeds.
@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from diagnosis.identify.quantity import Quantity
 from diagnosis.identify.release import identify_release
 from diagnosis.identify.response import DIRECTIONS, identify_response
 from diagnosis.identify.swing import identify_swing
@@ -74,38 +75,52 @@ def hidden(unit_seed: int) -> dict[str, float]:
     return found
 
 
-def identified(unit: int, seed: int) -> dict[str, Any]:
-    found = {}
+def identified(unit: int, seed: int, tests: list[str]) -> dict[str, Any]:
+    found: dict[str, Quantity] = {}
     with tempfile.TemporaryDirectory() as folder:
-        release = identify_release(record("release", unit, seed, Path(folder) / "r"), SPEC)
-        found |= {"release.mean": release.mean, "release.sd": release.sd}
-        swings = identify_swing(record("swing", unit, seed, Path(folder) / "s"), SPEC)
-        for axis in swings:
-            found[f"{axis.joint}.viscous"] = axis.viscous_friction_per_s
-            found[f"{axis.joint}.coulomb"] = axis.coulomb_friction_rad_per_s2
-            found[f"{axis.joint}.length"] = axis.length_m
-        joints = identify_response(record("response", unit, seed, Path(folder) / "v"), SPEC)
-    for joint in joints:
+        if "release" in tests:
+            release = identify_release(record("release", unit, seed, Path(folder) / "r"), SPEC)
+            found |= {"release.mean": release.mean, "release.sd": release.sd}
+        if "swing" in tests:
+            for axis in identify_swing(record("swing", unit, seed, Path(folder) / "s"), SPEC):
+                found[f"{axis.joint}.viscous"] = axis.viscous_friction_per_s
+                found[f"{axis.joint}.coulomb"] = axis.coulomb_friction_rad_per_s2
+                found[f"{axis.joint}.length"] = axis.length_m
+        if "response" in tests:
+            found |= responses(record("response", unit, seed, Path(folder) / "v"))
+    return {k: (q.value, *(q.ci90 or (None, None))) for k, q in found.items()}
+
+
+def responses(throws: tuple[ThrowData, ...]) -> dict[str, Quantity]:
+    found: dict[str, Quantity] = {}
+    for joint in identify_response(throws, SPEC):
         found[f"{joint.joint}.dead_time"] = joint.shared["dead_time_s"]
         found[f"{joint.joint}.lag"] = joint.shared["lag_s"]
         for direction in DIRECTIONS:
             for name, known in joint.directions[direction].items():
                 found[f"{joint.joint} {direction} {name}"] = known
-    return {k: (q.value, *(q.ci90 or (None, None))) for k, q in found.items()}
+    return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("units", nargs="+", type=int)
     parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--tests", nargs="+", default=["release", "swing", "response"])
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     runs = []
     for unit in options.units:
         truth = hidden(unit)
-        for seed in range(options.seeds):
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
             runs.append(
-                {"unit": unit, "seed": seed, "truth": truth, "found": identified(unit, seed)}
+                {
+                    "unit": unit,
+                    "seed": seed,
+                    "truth": truth,
+                    "found": identified(unit, seed, options.tests),
+                }
             )
             print(f"unit {unit} seed {seed}", flush=True)
             if options.json:
@@ -117,6 +132,8 @@ def main() -> None:
 def against_truth(runs: list[dict[str, Any]]) -> None:
     print("quantity            n  mean error  rms error  rms half width  inside 90 %")
     for name in runs[0]["truth"]:
+        if name not in runs[0]["found"]:
+            continue
         rows = [
             (r["truth"][name], *r["found"][name]) for r in runs if r["found"][name][0] is not None
         ]

@@ -22,6 +22,9 @@ ONSET_RATIO = 0.05
 SLOPE_S, SLEW_SLOPE_S = 0.07, 0.15
 """Window of the slope that gives an acceleration: its noise, 0.1 and 0.04 rad/s2, lifts a peak."""
 ONSET_S = 0.6
+STEP_TICKS = 3
+STEP_RATIO = 0.8
+"""Only a command that is up to this share within 30 ms is a step: a controller's ramp limits by itself."""
 SATURATED_RATIO = 0.7
 """Peak acceleration a step size of the largest steps over that of the smallest: below it something limits."""
 
@@ -56,7 +59,7 @@ def acceleration_limit(record: DriveRecord, joint: int, sign: float, unit: str) 
     window = round((SLEW_SLOPE_S if joint == 0 else SLOPE_S) / CONTROL_PERIOD_S) | 1
     slope = savgol_filter(record.measured, window, 1, deriv=1, delta=CONTROL_PERIOD_S)
     size, peak = _steps(record, sign * np.asarray(slope), sign)
-    most = float(np.max(peak, initial=0.0))
+    most = float(np.max(sign * np.asarray(slope)[record.used], initial=0.0))
     if size.size < 3 * MIN_COUNT:
         why = f"{size.size} steps from rest, {3 * MIN_COUNT} of different sizes are needed"
         return unknown(unit, why, most, int(size.size))
@@ -83,7 +86,10 @@ def _steps(record: DriveRecord, slope: Array, sign: float) -> tuple[Array, Array
         before = record.measured[max(first - 10, 0) : first]
         if last - first < 10 or (before.size and np.max(np.abs(before)) > 3.0 * rest):
             continue
-        sizes.append(float(np.max(steady[first : min(first + 20, last)])))
+        size = float(np.max(steady[first : min(first + 20, last)]))
+        if np.max(steady[first : first + STEP_TICKS]) < STEP_RATIO * size:
+            continue
+        sizes.append(size)
         peaks.append(float(np.max(slope[first : min(first + ahead, last)])))
     return np.asarray(sizes), np.asarray(peaks)
 

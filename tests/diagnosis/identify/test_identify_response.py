@@ -106,6 +106,16 @@ def test_acceleration_that_grows_with_the_step_has_no_limit():
     assert "it grows with the step" in found.why
 
 
+def test_a_controllers_ramp_is_no_step():
+    record = synthetic(noise=0.0)
+    window = np.full(12, 1.0 / 12.0)
+    ramped = replace(record, steady=np.convolve(record.steady, window)[: record.steady.size])
+    found = acceleration_limit(ramped, 1, 1.0, "rad/s2")
+    assert found.value is None
+    assert found.why.endswith("0 steps from rest, 9 of different sizes are needed")
+    assert found.at_least > 0.5
+
+
 def test_the_next_profile_has_response_and_intervals(joints):
     before = nominal_profile(SPEC)
     after = next_profile(before, with_response(before, joints), "m003", "steps")

@@ -1,0 +1,66 @@
+"""`downrange record --test` and `downrange identify` from end to end, and what they refuse."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+from machine.calibration import nominal_calibration
+from machine.spec import load_spec
+from sim_twin.twin.profile import load_profile, nominal_profile
+
+
+@pytest.fixture(scope="module")
+def openings(swing_policies: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """39 openings of the nominal virtual machine, without the staircases of a calibration."""
+    out = tmp_path_factory.mktemp("openings")
+    valves = tmp_path_factory.mktemp("valves") / "valves.json"
+    valves.write_text(nominal_calibration(load_spec()).model_dump_json(), encoding="utf-8")
+    words = ["record", "--test", "release", "--plant", "virtual", "--calibration", str(valves)]
+    assert main([*words, "--policies", str(swing_policies), "--seed", "3", "--out", str(out)]) == 0
+    return out
+
+
+def test_openings_give_the_machines_delay(
+    openings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert len(list(openings.glob("virtual-0-release-s3-*.mcap"))) == 39
+    out, plot, profile = (tmp_path / name for name in ("r.json", "r.svg", "next.json"))
+    words = ["identify", "release-delay", str(openings), "--json", str(out)]
+    assert main([*words, "--plot", str(plot), "--apply", str(profile)]) == 0
+    told = capsys.readouterr().out
+    assert "paper: 258 ms, sd 15 ms, 39 releases" in told
+    whole = json.loads(out.read_text(encoding="utf-8"))
+    nominal = nominal_profile(load_spec())
+    mean = whole["result"]["mean"]
+    assert mean["count"] == 39
+    assert mean["value"] == pytest.approx(nominal.release_delay_s, abs=0.012)
+    assert whole["evidence"]["throws_used"]
+    assert plot.stat().st_size > 1000
+    after = load_profile(profile)
+    assert after.release_delay_s == mean["value"]
+    assert after.version_count == 2, "the profile in the logs is version 1"
+    assert "release delay identified from 39 logs" in after.note
+
+
+def test_logs_without_a_swing_write_no_profile(
+    openings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    profile = tmp_path / "next.json"
+    assert main(["identify", "swing", str(openings), "--apply", str(profile)]) == 0
+    told = capsys.readouterr().out
+    assert told.count("cannot be known from these logs") == 6
+    assert "nothing was identified" in told
+    assert not profile.exists()
+
+
+def test_what_cannot_be_identified_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for words, why in (
+        (["identify", "response"], "give throw logs"),
+        (["identify", "response", str(tmp_path)], "none of the logs can be used"),
+        (["identify", "swing", str(tmp_path), "--plot", "x.txt"], "must end with"),
+        (["record", "--out", str(tmp_path)], "give --mode 2d or 3d, or --test"),
+    ):
+        assert main(words) == 1
+        assert why in capsys.readouterr().err
