@@ -11,7 +11,7 @@ from diagnosis.causes.jitter import JITTER, PARAMETER
 from diagnosis.causes.parameters import library
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import members_index, screen, total, weigh
-from diagnosis.causes.separating import acting_name, separating_motion
+from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
@@ -31,6 +31,9 @@ from sim_twin.effects.effect import Effect, effect_stage, parameter_unit
 NORMAL_90 = 1.6449
 SIZE_ERROR_RATIO = 0.04
 """Of an effect's size: the real effect is never quite the library's."""
+LEAST_GAIN_RATIO = 0.05
+"""An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
+eye)."""
 CAUSE_COUNT = 8
 RULED_OUT_COUNT = 12
 
@@ -57,16 +60,24 @@ def conclude(found: Findings) -> Diagnosis:
     jitter = ranked.jitter_probability > 0.5
     best = ranked.best
     shrunk = None if found.shrink is None else found.shrink[0]
+    demoted = _demoted(found)
     ambiguity: Ambiguity | None = None
     if ranked.unknown > 0.5:
         verdict = VerdictKind.UNKNOWN
     elif not best.members:
         verdict = VerdictKind.EXPLAINED if jitter else VerdictKind.NONE
+    elif ranked.is_doubtful:
+        verdict = VerdictKind.NONE
     elif ranked.rival is not None:
         verdict = VerdictKind.AMBIGUOUS
         ambiguity = _ambiguity(ranked)
-    else:
+    elif demoted is None:
         verdict = VerdictKind.EXPLAINED
+    elif shrunk is not None and shrunk.ci90[1] > LEAST_GAIN_RATIO:
+        verdict = VerdictKind.AMBIGUOUS
+        ambiguity = _or_nothing(ranked, demoted)
+    else:
+        verdict = VerdictKind.NONE
     return Diagnosis(
         verdict=verdict,
         sentence=_sentence(verdict, causes, gap, found.shrink, ranked, ambiguity),
@@ -79,11 +90,31 @@ def conclude(found: Findings) -> Diagnosis:
             **found.loaded.evidence(),
             "where": _where(verdict, ranked, stages),
             "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
+            "log_evidence": {
+                _names(h.effects) or "none": round(float(h.log_evidence[0]), 1)
+                for h in ranked.hypotheses
+            },
             "ruled_out": _ruled_out(found),
             "unknown": _signature(ranked) if verdict is VerdictKind.UNKNOWN else None,
             "shrink_measure": None if found.shrink is None else found.shrink[1],
+            "demoted": demoted,
             "seconds": dict(found.seconds),
         },
+    )
+
+
+def _demoted(found: Findings) -> str | None:
+    """Why the best cause may not be called the explanation: it gains nothing on held-out throws."""
+    if not found.ranked.best.members:
+        return None
+    if found.shrink is None:
+        return "too few throws with an impact to show a gain on held-out throws"
+    gain = found.shrink[0]
+    if gain.ratio > LEAST_GAIN_RATIO and gain.ci90[0] > 0.0:
+        return None
+    return (
+        f"{_names(found.ranked.best.effects)} closes {gain.ratio:.0%} of the removable gap on held-out "
+        f"throws ({gain.ci90[0]:.0%} to {gain.ci90[1]:.0%}): no gain that can be shown"
     )
 
 
@@ -216,9 +247,19 @@ def _ambiguity(ranked: Ranked) -> Ambiguity:
         members=members,
         separating_motion=separating_motion(first, second),
         why=(
-            f"these throws would favour the true one of {members[0]} and {members[1]} by a factor of "
+            f"these throws leave {members[1]} probable beside {members[0]}; with a perfect library they "
+            f"would favour the true one by a factor of "
             f"{np.exp(min(max(ranked.rival_log_odds, 0.0), 20.0)):.1f} on average"
         ),
+    )
+
+
+def _or_nothing(ranked: Ranked, why: str) -> Ambiguity:
+    """A cause that the throws favour, and that gains nothing that can be shown."""
+    return Ambiguity(
+        members=(_names(ranked.best.effects), "none"),
+        separating_motion=alone_motion(ranked.best.effects[0]),
+        why=why,
     )
 
 
@@ -275,6 +316,8 @@ def _sentence(
     size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
     top = causes[0]
     if verdict is VerdictKind.NONE:
+        if ranked.best.members:
+            return f"{size}No effect that can be claimed; {top.name} ({top.probability:.0%}) comes nearest."
         return f"{size}No effect: a healthy machine scatters as much ({top.probability:.0%} sure)."
     if verdict is VerdictKind.UNKNOWN:
         signature = _signature(ranked)

@@ -5,7 +5,7 @@ two; the shrink is predicted there; then the twin profile with those effects is 
 and the part that was left out is simulated from its valve commands to its impact.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -17,17 +17,22 @@ from diagnosis.causes.hypotheses import Hypothesis, Problem, fitted_effects
 from diagnosis.causes.parameters import View, library
 from diagnosis.causes.residuals import ALL, relinearise
 from diagnosis.causes.selection import members_index, screen, total, weigh
-from diagnosis.causes.whitening import leftovers, whiten_throw
+from diagnosis.causes.whitening import DEAF_BLOCKS, leftovers, whiten_throw
 from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.simulate import joint_latency_s, late, sliced
 from diagnosis.verdict import Shrink
+from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from sim_twin.effects.effect import Effect
+from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
 from sim_twin.twin.profile import TwinProfile, load_profile, save_profile
 
 PART_COUNT = 3
 BOOTSTRAP_COUNT = 400
 LEAST_GAP_RATIO = 0.02
+AFTER_COMMAND_S = 1.0
+"""By then the load has left, whatever delays its release; joints need not be simulated longer."""
 CLEAR_RATIO = 1.6
 """An impact gap this many times a healthy machine's says something about an effect."""
 
@@ -38,7 +43,9 @@ class Gaps(NamedTuple):
     impact_m: Array
     """(N, 2) measured minus twin."""
     power: Array
-    """(N,) of the whitened residual in the channels that the effects move, per row; 1 is healthy."""
+    """(N,) of the whitened residual in the channels that the effects move, per row; NaN if they move none."""
+    floor: Array
+    """(N,) what healthy machines leave of that power."""
 
 
 class Held(NamedTuple):
@@ -62,8 +69,9 @@ def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile
 
 def impacts(
     prepared: Sequence[PreparedThrow],
-    problem: Problem,
+    healthy: HealthyModel,
     profile: TwinProfile,
+    calibration: ValveCalibration,
 ) -> Array:
     """Impacts (N, 2) from the valve commands alone, what every healthy machine is off taken into account.
 
@@ -71,23 +79,31 @@ def impacts(
     swing, the release and the flight.
     """
     inputs = [p.input for p in prepared]
-    alone = replay(
-        inputs, [ReplayElement(i) for i in range(len(inputs))], profile, problem.calibration
+    alone = replay_drives(
+        inputs, [ReplayElement(i) for i in range(len(inputs))], profile, calibration
     )
     moved = [
-        corrected_input(p, problem.healthy, alone.joint_velocity_rad_m_per_s[i])
+        sliced(
+            corrected_input(p, healthy, alone[i], joint_latency_s(profile.effects, p.input)),
+            0,
+            p.input.release_t_s + AFTER_COMMAND_S,
+        )
         for i, p in enumerate(prepared)
     ]
     elements = [ReplayElement(i, measured_joints=ALL) for i in range(len(inputs))]
-    return replay(moved, elements, profile, problem.calibration).impact_m[:, :2]
+    return replay(moved, elements, profile, calibration).impact_m[:, :2]
 
 
-def corrected_input(p: PreparedThrow, healthy: HealthyModel, velocity: Array) -> ReplayInput:
-    """The throw with simulated and corrected joint motion in place of the measured one."""
+def corrected_input(
+    p: PreparedThrow, healthy: HealthyModel, velocity: Array, latency_s: Array
+) -> ReplayInput:
+    """The throw with simulated and corrected joint motion, as reported, in place of the measured one."""
     rows = p.motion.t_s.size
     corrected = velocity[:rows].copy()
     for joint in range(ACTIVE_COUNT):
-        corrected[:, joint] += correction(healthy, p.input, p.motion, joint, velocity[:rows, joint])
+        track = velocity[:rows, joint]
+        track = track + correction(healthy, p.motion, joint, track)
+        corrected[:, joint] = late(track, float(latency_s[joint]))
     travelled = np.cumsum(corrected[1:] * CONTROL_PERIOD_S, axis=0)
     start = p.input.position_rad_m[:1]
     position = np.vstack([start, start + travelled])
@@ -112,15 +128,34 @@ def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps
     # The rest of the machine's scatter is not this effect's gap.
     others = hypothesis.mean.copy()
     others[constants] = 0.0
-    power: list[float] = []
+    power: list[tuple[float, float]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
-        whitened = whiten_throw(p, linear, problem.model, problem.factor[i])
+        whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis(i))
         left = leftovers(whitened, others)
         slopes = problem.whitened[i].slopes[:, columns]
-        moved = {name for name, rows in whitened.rows.items() if np.abs(slopes[rows]).any()}
-        square, count = np.sum([left[name] for name in moved], axis=0) if moved else (np.nan, 1)
-        power.append(float(square / count))
-    return Gaps(measured - impacts(problem.prepared, problem, profile), np.array(power))
+        moved = {
+            name
+            for name, rows in whitened.rows.items()
+            if np.abs(slopes[rows]).any() and not name.startswith(DEAF_BLOCKS)
+        }
+        power.append(_power(left, moved, problem.model.unknown_level))
+    squares, floors = np.array(power).T
+    found = impacts(problem.prepared, problem.healthy, profile, problem.calibration)
+    return Gaps(measured - found, squares, floors)
+
+
+def _power(
+    left: Mapping[str, tuple[float, int]],
+    moved: set[str],
+    healthy: Mapping[str, tuple[float, float]],
+) -> tuple[float, float]:
+    """Power a row of some blocks, and what is left of it on a healthy machine; NaN without blocks."""
+    count = sum(left[name][1] for name in moved)
+    if count == 0:
+        return float("nan"), float("nan")
+    square = sum(left[name][0] for name in moved)
+    floor = sum(left[name][1] * np.exp(healthy.get(name, (0.0, 0.0))[0]) for name in moved)
+    return square / count, float(floor / count)
 
 
 def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
@@ -128,7 +163,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
     count = len(problem.prepared)
     everyone = np.arange(count)
     before = gaps(problem, hypothesis, problem.profile)
-    after = Gaps(np.full((count, 2), np.nan), np.full(count, np.nan))
+    after = Gaps(np.full((count, 2), np.nan), *np.full((2, count), np.nan))
     trained: list[Gaps] = []
     rows: list[IntArray] = []
     for part in range(min(PART_COUNT, count)):
@@ -142,6 +177,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
         found = gaps(problem, hypothesis, load_profile(path))
         after.impact_m[left_out] = found.impact_m[left_out]
         after.power[left_out] = found.power[left_out]
+        after.floor[left_out] = found.floor[left_out]
         trained.append(_rows(found, used))
         rows.append(used)
     return Held(
@@ -153,7 +189,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
 
 
 def _rows(found: Gaps, rows: IntArray) -> Gaps:
-    return Gaps(found.impact_m[rows], found.power[rows])
+    return Gaps(*(values[rows] for values in found))
 
 
 def _sizes(problem: Problem, hypothesis: Hypothesis, used: IntArray) -> Array:
@@ -172,8 +208,11 @@ def _closed(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> fl
     if by_impact:
         ends, floor = (_rms(before.impact_m), _rms(after.impact_m)), floor_m
     else:
-        ends = (float(np.sqrt(np.nanmean(g.power))) for g in (before, after))
-        floor = 1.0
+        known = np.isfinite(before.power) & np.isfinite(after.power)
+        if not known.any():
+            return 0.0
+        ends = (float(np.sqrt(g.power[known].mean())) for g in (before, after))
+        floor = float(np.sqrt(before.floor[known].mean()))
     first, last = ends
     # What lies below a healthy machine's gap is chance, not more than all of it; and where there was next to
     # nothing to remove, nothing was removed.

@@ -3,8 +3,10 @@
 The twin's drives know neither pressures nor the shared pump, and every machine of the type has both. What
 that leaves between twin and machine is the same on all of them, and would look like an effect. It is
 learned as a linear filter (ridge regression) on throws of healthy machines: from the twin's own
-prediction, the valve commands, the other joints' motion and the swing, with delays up to 0.2 s. The joint's
-own measured motion is no input, so that an effect at this joint cannot be taken for health.
+prediction, the other joints' motion and the swing, with delays up to 0.2 s. The joint's own measured motion
+is no input, so that an effect at this joint cannot be taken for health; and no valve command is, so that
+the correction moves with what an effect makes of the command (with commands among the inputs, a dead time
+of 0.069 s was sized at 0.119 s).
 The weights stand in healthy.json; diagnosis/causes/noise_calibration.py made them.
 """
 
@@ -17,7 +19,6 @@ from pydantic import BaseModel, ConfigDict
 
 from diagnosis.loading.measured import MeasuredMotion
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
-from sim_twin.replay.replay import ReplayInput
 
 HEALTHY_PATH = Path(__file__).with_name("healthy.json")
 DELAYS_COUNT = (0, 4, 8, 14, 22)
@@ -52,23 +53,22 @@ def load_healthy(path: Path = HEALTHY_PATH) -> HealthyModel:
     return HealthyModel.model_validate_json(path.read_text(encoding="utf-8"))
 
 
-def inputs(data: ReplayInput, motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
+def inputs(motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
     """Inputs (T, k) of a joint's filter at the ticks.
 
     Args:
-        data: valve commands.
         motion: measured.
         joint: whose velocity is corrected.
         predicted: (T,) velocity that the twin gives it, rad/s or m/s.
     """
     v, a, q = motion.velocity_rad_m_per_s, motion.acceleration_rad_m_per_s2, motion.position_rad_m
-    u = data.valve_ratio
     push = np.gradient(predicted, CONTROL_PERIOD_S)
     reach = np.sin(q[:, 1] + q[:, 2]) * (2.0 + q[:, 3]) + 3.0 * np.cos(q[:, 1])
-    demand = np.abs(u).sum(axis=1)
+    others = [other for other in range(ACTIVE_COUNT) if other != joint]
+    demand = np.abs(v[:, others]).sum(axis=1)
     moving = np.clip(predicted / BREAKAWAY_RAD_M_PER_S, -1.0, 1.0)
     direction = np.clip(predicted / SLOW_RAD_M_PER_S, -1.0, 1.0)
-    speed, valve = np.abs(predicted), u[:, joint]
+    speed = np.abs(predicted)
     columns = [
         predicted,
         push,
@@ -78,22 +78,15 @@ def inputs(data: ReplayInput, motion: MeasuredMotion, joint: int, predicted: Arr
         speed * reach,
         predicted * demand,
         speed * demand,
-        valve,
-        np.abs(valve),
-        valve * np.abs(valve),
         moving,
     ]
-    for other in range(ACTIVE_COUNT):
-        if other == joint:
-            continue
+    for other in others:
         columns += [
             v[:, other],
             a[:, other],
             np.abs(v[:, other]),
-            u[:, other],
-            np.abs(u[:, other]),
             v[:, other] * predicted,
-            np.abs(u[:, other]) * direction,
+            np.abs(v[:, other]) * direction,
         ]
     swing_push = np.gradient(motion.swing_rate_rad_per_s, CONTROL_PERIOD_S, axis=0)
     now = np.column_stack([*columns, motion.swing_rate_rad_per_s, swing_push])
@@ -106,18 +99,14 @@ def _delayed(values: Array, ticks: int) -> Array:
     return np.vstack([np.repeat(values[:1], ticks, axis=0), values[:-ticks]])
 
 
-def correction(
-    model: HealthyModel, data: ReplayInput, motion: MeasuredMotion, joint: int, predicted: Array
-) -> Array:
+def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
     """What a healthy machine's velocity is above the twin's, for predictions (T,) or (m, T)."""
     found = model.joints[joint]
     weight = np.asarray(found.weight) / np.asarray(found.scale)
     if not weight.any():
         return np.zeros_like(predicted)
     offset = found.offset - float(np.asarray(found.centre) @ weight)
-    tracks = [
-        inputs(data, motion, joint, one) @ weight + offset for one in np.atleast_2d(predicted)
-    ]
+    tracks = [inputs(motion, joint, one) @ weight + offset for one in np.atleast_2d(predicted)]
     return np.reshape(tracks, predicted.shape)
 
 
@@ -138,7 +127,7 @@ def learn(values: Sequence[Array], residuals: Sequence[Array]) -> JointFilter:
 
 def nothing() -> HealthyModel:
     """A model that corrects nothing, to begin the learning with."""
-    width = len(DELAYS_COUNT) * (12 + 7 * (ACTIVE_COUNT - 1) + 4)
+    width = len(DELAYS_COUNT) * (9 + 5 * (ACTIVE_COUNT - 1) + 4)
     empty = JointFilter(
         centre=(0.0,) * width, scale=(1.0,) * width, weight=(0.0,) * width, offset=0.0
     )

@@ -4,12 +4,13 @@ A first linearisation at "no effect" finds candidates; an effect of finite size 
 simulated again at its own estimate and compared by the evidence that the data then give.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.causes.healthy import HealthyModel
+from diagnosis.causes.adapt import filters_help, inflated, misfit
+from diagnosis.causes.healthy import HealthyModel, nothing
 from diagnosis.causes.noise import NoiseModel
 from diagnosis.causes.parameters import Layout, Parameter, effects_of, index_of, library
 from diagnosis.causes.residuals import Linear, linearise, relinearise
@@ -28,6 +29,8 @@ from diagnosis.causes.selection import (
     weigh,
 )
 from diagnosis.causes.whitening import (
+    FORM_ERROR_RATIO,
+    Basis,
     Whitened,
     factors,
     information,
@@ -37,13 +40,11 @@ from diagnosis.causes.whitening import (
 )
 from diagnosis.loading.prepared import PreparedThrow
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_JOINTS, Array
+from machine.conventions import ACTIVE_JOINTS, Array, IntArray
 from sim_twin.effects.effect import DRIFT, Effect, resolve
 from sim_twin.twin.profile import TwinProfile
 
 BOOTSTRAP_COUNT = 30
-SET_FORM_ERROR_RATIO = 0.1
-"""Of an effect's signal, the same in every throw."""
 SINGLE_COUNT = 6
 PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
@@ -73,6 +74,10 @@ class Problem:
     whitened: Sequence[Whitened]
     information: Sequence[Information]
 
+    def basis(self, throw: int) -> Basis:
+        """A throw at "no effect", whitened."""
+        return Basis(self.linear[throw], self.factor[throw], self.whitened[throw])
+
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
@@ -85,7 +90,8 @@ class Hypothesis:
     """(draws,) on each bootstrap of the throws; the first is the data themselves."""
     mean: Array
     """Posterior of the whole vector of the layout, scatter of the other parameters included."""
-    whitened: Sequence[Whitened]
+    levels: Mapping[str, float]
+    """By block: log of the residual power per row that is left over all throws."""
     information: Sequence[Information]
     """Of the whole vector, linearised at the hypothesis."""
 
@@ -98,8 +104,28 @@ def pose(
     model: NoiseModel,
     layout: Layout,
 ) -> Problem:
-    """Linearise at "no effect"."""
+    """Linearise at "no effect", with as much of the healthy machines' model as suits this one."""
     linear = linearise(prepared, profile, calibration, healthy)
+    if not filters_help(prepared, linear, healthy):
+        healthy = nothing()
+        linear = linearise(prepared, profile, calibration, healthy)
+    first = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    excess = misfit(first.whitened, layout.priors, model)
+    if max(excess.values()) <= 1.0:
+        return first
+    wider = inflated(model, excess)
+    return _whitened(prepared, profile, calibration, healthy, wider, layout, linear)
+
+
+def _whitened(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+    model: NoiseModel,
+    layout: Layout,
+    linear: Sequence[Linear],
+) -> Problem:
     factor = [factors(p, model) for p in prepared]
     whitened = [
         whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
@@ -127,7 +153,6 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     none = _Trial(
         (),
         np.zeros(0),
-        problem.linear,
         problem.whitened,
         problem.information,
         problem.layout.priors,
@@ -152,9 +177,12 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
             if part in by_members and part:
                 chosen.setdefault(part, by_members[part].sizes)
     tick(0.9)
-    settled = [none, *_settle(problem, chosen, 2)]
+    settled = {t.members: t.sizes for t in _settle(problem, chosen, 1)}
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
-    return [_weighed(problem, trial, weights) for trial in settled]
+    return [
+        _weighed(problem, trial, weights)
+        for trial in (none, *_round(problem, settled, is_last=True))
+    ]
 
 
 def _singles(problem: Problem) -> list["_Trial"]:
@@ -253,8 +281,8 @@ class _Trial:
     members: Set
     sizes: Array
     """Of the members' parameters."""
-    linear: Sequence[Linear]
     whitened: Sequence[Whitened]
+    """Kept in the last round only: it is large."""
     information: Sequence[Information]
     priors: Priors
 
@@ -271,13 +299,18 @@ def _formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pr
     own = np.sqrt(np.maximum(np.diag(precision), 1e-12))
     along = np.abs(precision[:, index] @ sizes) / (own * max(signal, 1e-12))
     along[index] = 0.0
-    # All of them together make up the share.
-    share = along / max(float(np.linalg.norm(along)), 1.0)
-    extra = SET_FORM_ERROR_RATIO * signal * share / own
+    extra = _form_error_ratio(index) * signal * along / own
     return priors._replace(spike_sd=np.hypot(priors.spike_sd, extra))
 
 
-def _round(problem: Problem, seeds: dict[Set, Array]) -> list[_Trial]:
+def _form_error_ratio(index: IntArray) -> float:
+    """Of a hypothesis with these parameters: the same in every throw, as far as anybody knows."""
+    constants = library()
+    stages = {constants[int(i) % len(constants)].stage for i in index if i < 2 * len(constants)}
+    return FORM_ERROR_RATIO["actuation" if "actuation" in stages else "swing"]
+
+
+def _round(problem: Problem, seeds: dict[Set, Array], *, is_last: bool = False) -> list[_Trial]:
     """Simulate every set at its sizes, in one batch, and estimate the sizes again."""
     if not seeds:
         return []
@@ -292,27 +325,34 @@ def _round(problem: Problem, seeds: dict[Set, Array]) -> list[_Trial]:
         list(zip(effects, only, strict=True)),
     )
     return [
-        _estimated(problem, members, found, linear)
+        _estimated(problem, members, found, linear, is_last=is_last)
         for members, found, linear in zip(seeds, effects, batch, strict=True)
     ]
 
 
 def _estimated(
-    problem: Problem, members: Set, effects: Sequence[Effect], at: Sequence[Linear]
+    problem: Problem,
+    members: Set,
+    effects: Sequence[Effect],
+    at: Sequence[Linear],
+    *,
+    is_last: bool,
 ) -> _Trial:
-    linear: list[Linear] = []
-    whitened: list[Whitened] = []
+    kept: list[Whitened] = []
+    informations: list[Information] = []
     for i, p in enumerate(problem.prepared):
         change = problem.linear[i].residual - at[i].residual
-        linear.append(_carried(at[i], effects, p.input.progress_ratio))
-        factor = widened(p, problem.model, problem.factor[i], change)
-        whitened.append(whiten_throw(p, linear[i], problem.model, factor, problem.linear[i]))
-    informations = information(whitened)
+        linear = _carried(at[i], effects, p.input.progress_ratio)
+        factor = widened(p, problem.model, problem.factor[i], change, effects)
+        whitened = whiten_throw(p, linear, problem.model, factor, problem.basis(i))
+        informations += information([whitened])
+        if is_last:
+            kept.append(whitened)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
     priors = _formed(problem.layout.priors, data, members, start)
     sizes = weigh(screen(data, priors), priors, members).mean
-    return _Trial(members, sizes, linear, whitened, informations, priors)
+    return _Trial(members, sizes, kept, informations, priors)
 
 
 def _sizes_of(effect: Effect) -> list[float]:
@@ -367,13 +407,14 @@ def _weighed(problem: Problem, trial: _Trial, weights: Array) -> Hypothesis:
     logs = np.array([log_evidence(total(trial.information, w), priors, members) for w in weights])
     base = screen(total(trial.information), priors)
     evidence = weigh(base, priors, members)
+    mean = _conditional_mean(base.mean, base.covariance, priors, evidence)
     return Hypothesis(
         members=members,
         effects=fitted_effects(problem.layout, members, evidence.mean),
         evidence=evidence,
         log_evidence=logs,
-        mean=_conditional_mean(base.mean, base.covariance, priors, evidence),
-        whitened=trial.whitened,
+        mean=mean,
+        levels=_levels(trial.whitened, mean),
         information=trial.information,
     )
 
@@ -387,12 +428,12 @@ def _conditional_mean(mean: Array, covariance: Array, priors: Priors, found: Set
     return mean + covariance[:, index] @ np.linalg.solve(block, found.mean - mean[index])
 
 
-def leftover_levels(hypothesis: Hypothesis) -> dict[str, float]:
-    """Log of the residual power per row of every block, after the hypothesis, over all throws."""
+def _levels(whitened: Sequence[Whitened], mean: Array) -> dict[str, float]:
+    """Log of the residual power per row of every block, after the parameters `mean`, over all throws."""
     power: dict[str, float] = {}
     rows: dict[str, int] = {}
-    for whitened in hypothesis.whitened:
-        for name, (square, count) in leftovers(whitened, hypothesis.mean).items():
+    for one in whitened:
+        for name, (square, count) in leftovers(one, mean).items():
             power[name] = power.get(name, 0.0) + square
             rows[name] = rows.get(name, 0) + count
     return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}

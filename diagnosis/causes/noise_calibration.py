@@ -4,7 +4,7 @@
 
 Each folder is one set: throw logs (*.mcap) and the machine's own identified profile (profile.json). Use sets
 of several machines of the type, none of which is diagnosed later. The healthy filters are learned on all
-sets; noise is measured on residuals of filters that have not seen the set. Scatter (the spikes) and
+sets; noise is measured on residuals of filters that have not seen the machine. Scatter (the spikes) and
 nuisances are then found by expectation maximisation: the variances under which the healthy sets are most
 probable.
 """
@@ -22,20 +22,22 @@ from diagnosis.causes.healthy import HEALTHY_PATH, HealthyModel, correction, inp
 from diagnosis.causes.noise import NOISE_PATH, ChannelNoise, NoiseModel
 from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.residuals import Linear, linearise
-from diagnosis.causes.selection import inform, screen, total
+from diagnosis.causes.selection import inform_gram, screen, total
 from diagnosis.causes.whitening import (
     SET_NUISANCES,
-    Whitened,
     explained,
     factors,
     set_nuisance_sd,
+    slope_count,
     throw_nuisances,
     whiten_throw,
 )
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.prepared import PreparedThrow, prepare
+from diagnosis.shrink import impacts
+from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
-from sim_twin.twin.profile import load_profile
+from sim_twin.twin.profile import TwinProfile, load_profile
 
 FOLD_COUNT = 5
 ROUND_COUNT = 4
@@ -55,6 +57,12 @@ FIRST_NUISANCE_SD = {
 }
 KEPT_NUISANCE = ("release_delay_s", "switch_lag_s")
 """Not separable in healthy data; jitter of the opening is in the machine's profile."""
+WITHOUT_MEAN = (
+    *(f"valve_{name}" for name in ("lag", "dead_band", "gain", "hysteresis")),
+    *("speed_limit", "load_dependent_speed", "backlash", "stiction", "pump_flow_sharing"),
+)
+"""What is off there on every machine is taken away by the filters; a mean of their own would drift against
+that of the dead time, which the identification sees with the joint sensor in it."""
 MIN_LEVEL_SD = 0.08
 LEVEL_WIDENING_RATIO = 1.3
 """Few sets show less than their true spread."""
@@ -66,6 +74,8 @@ class HealthySet:
 
     prepared: Sequence[PreparedThrow]
     linear: Sequence[Linear]
+    profile: TwinProfile
+    calibration: ValveCalibration
 
 
 def load_set(folder: Path) -> HealthySet:
@@ -73,8 +83,9 @@ def load_set(folder: Path) -> HealthySet:
     loaded = load_throws([folder])
     profile = load_profile(folder / "profile.json")
     prepared = prepare(loaded.throws, profile)
-    linear = linearise(prepared, profile, loaded.throws[0].calibration, nothing())
-    return HealthySet(prepared, linear)
+    calibration = loaded.throws[0].calibration
+    linear = linearise(prepared, profile, calibration, nothing())
+    return HealthySet(prepared, linear, profile, calibration)
 
 
 def learn_healthy(sets: Sequence[HealthySet], note: str) -> HealthyModel:
@@ -88,7 +99,7 @@ def learn_healthy(sets: Sequence[HealthySet], note: str) -> HealthyModel:
                 block = p.block(f"actuation.{name}")
                 if block is None:
                     continue
-                ticks = inputs(p.input, p.motion, joint, linear.predicted_velocity[:, joint])
+                ticks = inputs(p.motion, joint, linear.predicted_velocity[:, joint])
                 at = [np.interp(block.t_s, p.motion.t_s, column) for column in ticks.T]
                 values.append(np.stack(at, axis=1))
                 residuals.append(linear.residual[block.rows])
@@ -104,20 +115,21 @@ def corrected(one: HealthySet, healthy: HealthyModel) -> HealthySet:
         for joint, name in enumerate(ACTIVE_JOINTS):
             block = p.block(f"actuation.{name}")
             if block is not None:
-                track = correction(
-                    healthy, p.input, p.motion, joint, old.predicted_velocity[:, joint]
-                )
+                track = correction(healthy, p.motion, joint, old.predicted_velocity[:, joint])
                 residual[block.rows] -= p.joint_pair @ np.interp(p.joint_at_s, p.motion.t_s, track)
         linear.append(replace(old, residual=residual))
-    return HealthySet(one.prepared, linear)
+    return replace(one, linear=linear)
 
 
 def cross_corrected(sets: Sequence[HealthySet]) -> list[HealthySet]:
-    """Every set corrected by filters that were learned without it."""
+    """Every set corrected by filters that were learned on other machines."""
+    names = [one.prepared[0].throw.machine_id for one in sets]
+    machines = sorted(set(names))
+    fold_of = {name: place % FOLD_COUNT for place, name in enumerate(machines)}
     out: list[HealthySet | None] = [None] * len(sets)
     for fold in range(FOLD_COUNT):
-        inside = [i for i in range(len(sets)) if i % FOLD_COUNT == fold]
-        others = [s for i, s in enumerate(sets) if i not in inside]
+        inside = [i for i, name in enumerate(names) if fold_of[name] == fold]
+        others = [one for i, one in enumerate(sets) if i not in inside]
         if not inside or not others:
             continue
         healthy = learn_healthy(others, "fold")
@@ -177,7 +189,6 @@ class _Fit:
     """Of the whole vector."""
     nuisance_square: Array
     """(q,) posterior second moment of the throws' unit nuisances, mean over throws."""
-    whitened: Sequence[Whitened]
     left: Sequence[Array]
     """By throw, in the channels' own units, nuisances and parameters taken off."""
 
@@ -190,7 +201,7 @@ def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
         for p, linear, f in zip(one.prepared, one.linear, factor, strict=True)
     ]
     kept = np.r_[: plan.parameter_count, plan.parameter_count + plan.drift_count : plan.size_count]
-    data = total([inform(w.residual, w.slopes, w.nuisance) for w in white])
+    data = total([inform_gram(w.gram, slope_count()) for w in white])
     priors = plan.priors
     base = screen(data, priors._replace(spike_sd=priors.spike_sd[kept]))
     mean, variance = np.zeros(plan.size_count), np.zeros(plan.size_count)
@@ -207,21 +218,24 @@ def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
         for block, one_factor in zip(p.blocks, lower, strict=True):
             raw[block.rows] = one_factor @ rest[block.rows]
         left.append(raw)
-    return _Fit(mean, variance, np.mean(squares, axis=0), white, left)
+    return _Fit(mean, variance, np.mean(squares, axis=0), left)
 
 
 def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     """One round: fit every set under the model, then the variances that would have made the fits probable."""
     fits = [_fit(one, model) for one in sets]
     middle = np.mean([fit.mean for fit in fits], axis=0)
-    # The mean moves in steps; what is left of it this round does not count as scatter.
-    square = np.mean([(fit.mean - middle) ** 2 + fit.variance for fit in fits], axis=0)
     constants = library()
     names = [*[p.key for p in constants], *SET_NUISANCES]
+    # The mean moves in steps; what is left of it this round does not count as scatter.
+    moves = np.ones(middle.size)
+    moves[[i for i, p in enumerate(constants) if p.key.startswith(WITHOUT_MEAN)]] = 0.0
+    square = np.mean([(fit.mean - moves * middle) ** 2 + fit.variance for fit in fits], axis=0)
     places = [*range(len(constants)), *range(2 * len(constants), square.size)]
     mean = {
         name: model.healthy_mean.get(name, 0.0) + float(middle[place])
         for name, place in zip(names, places, strict=True)
+        if not name.startswith(WITHOUT_MEAN)
     }
     tolerance = {p.key: float(np.sqrt(square[i])) for i, p in enumerate(constants)}
     offset = 2 * len(constants)
@@ -322,7 +336,20 @@ def calibrate_noise(
     for number in range(ROUND_COUNT):
         model = improve(clean, model)
         say(f"round {number + 1} of {ROUND_COUNT}")
-    return healthy, with_levels(clean, model)
+    gap_m = healthy_gaps(sets, healthy)
+    return healthy, with_levels(clean, model).model_copy(update={"healthy_gap_m": gap_m})
+
+
+def healthy_gaps(sets: Sequence[HealthySet], healthy: HealthyModel) -> dict[str, float]:
+    """Root mean square gap of the impact by mode, m, open loop with the filters."""
+    squares: dict[str, list[float]] = {}
+    for one in sets:
+        found = impacts(one.prepared, healthy, one.profile, one.calibration)
+        for p, impact in zip(one.prepared, found, strict=True):
+            gap = p.throw.impact_m[:2] - impact
+            if np.isfinite(gap).all():
+                squares.setdefault(p.throw.mode, []).append(float(gap @ gap))
+    return {mode: float(np.sqrt(np.mean(values))) for mode, values in squares.items()}
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from diagnosis.causes.healthy import HealthyModel, correction
 from diagnosis.causes.parameters import Parameter, View, index_of, joint_index, library
 from diagnosis.loading.prepared import AXES, Block, PreparedThrow
+from diagnosis.simulate import Simulated, late, simulate
 from machine.ballistics import drag_per_m, landing
 from machine.calibration import ValveCalibration
 from machine.conventions import (
@@ -29,7 +30,7 @@ from machine.conventions import (
 )
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect, resolve
-from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, replay
+from sim_twin.replay.replay import ReplayElement, ReplayInput
 from sim_twin.replay.types import FourFlags
 from sim_twin.twin.profile import TwinProfile
 
@@ -69,10 +70,12 @@ class _Plan:
 
     def __init__(self) -> None:
         self.elements: list[ReplayElement] = []
+        self.views: list[View] = []
 
     def add(self, throw: int, effects: tuple[Effect, ...], view: View) -> int:
         """Index of the new element."""
         flight = view is View.FLIGHT
+        self.views.append(view)
         self.elements.append(
             ReplayElement(
                 throw=throw,
@@ -106,7 +109,7 @@ def linearise(
         bases = {view: plan.add(i, (), view) for view in View}
         moves = _moved(plan, i, (), library(), tuple(View))
         parts.append(_Part(bases, moves, _nuisance_elements(plan, inputs, i)))
-    output = replay(inputs, plan.elements, profile, calibration)
+    output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
         _linear(p, output, part, (), profile, healthy, None)
         for p, part in zip(prepared, parts, strict=True)
@@ -149,7 +152,7 @@ def relinearise(
         parts.append(row)
     if not plan.elements:
         return [list(first) for _ in requests]
-    output = replay(inputs, plan.elements, profile, calibration)
+    output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
         [
             _linear(p, output, part, effects, profile, healthy, before)
@@ -180,7 +183,10 @@ def _moved(
     wanted: Sequence[Parameter],
     views: tuple[View, ...],
 ) -> _Moves:
-    """Elements that move one parameter each; in the actuation view one moves it at all joints."""
+    """Elements that move one parameter each; in the actuation view one moves it at all joints.
+
+    Only single effects have bounds, so that a step beyond one is a sum like any other.
+    """
     moves: _Moves = {}
     together: dict[str, list[Parameter]] = {}
     for p in wanted:
@@ -188,23 +194,14 @@ def _moved(
             if view is View.ACTUATION and p.joint is not None:
                 together.setdefault(f"{p.effect}.{p.name}", []).append(p)
                 continue
-            step = _step(p, base)
-            moves[index_of()[p.key], view] = (plan.add(throw, (*base, p.at(step)), view), step)
+            moved = plan.add(throw, (*base, p.at(p.step)), view)
+            moves[index_of()[p.key], view] = (moved, p.step)
     for parameters in together.values():
-        steps = [_step(p, base) for p in parameters]
-        effects = tuple(p.at(step) for p, step in zip(parameters, steps, strict=True))
+        effects = tuple(p.at(p.step) for p in parameters)
         element = plan.add(throw, (*base, *effects), View.ACTUATION)
-        for p, step in zip(parameters, steps, strict=True):
-            moves[index_of()[p.key], View.ACTUATION] = (element, step)
+        for p in parameters:
+            moves[index_of()[p.key], View.ACTUATION] = (element, p.step)
     return moves
-
-
-def _step(p: Parameter, base: tuple[Effect, ...]) -> float:
-    """The library's step, backwards where the sum with `base` would leave the bounds."""
-    size = sum(
-        e.parameters.get(p.name, 0.0) for e in base if (e.effect, e.joint) == (p.effect, p.joint)
-    )
-    return p.step if size + p.step <= p.high else -p.step
 
 
 def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tuple[list[int], int]:
@@ -228,7 +225,7 @@ def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tu
 
 def _linear(
     prepared: PreparedThrow,
-    output: ReplayOutput,
+    output: Simulated,
     part: _Part,
     effects: tuple[Effect, ...],
     profile: TwinProfile,
@@ -284,7 +281,7 @@ def _linear(
 
 
 def _predicted(
-    prepared: PreparedThrow, output: ReplayOutput, part: _Part, healthy: HealthyModel
+    prepared: PreparedThrow, output: Simulated, part: _Part, healthy: HealthyModel
 ) -> dict[View, dict[int, Array]]:
     """What the twin says of the throw's vector (n,) in each simulated view, by element."""
     elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
@@ -335,7 +332,7 @@ def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) 
 
 def _predict(
     prepared: PreparedThrow,
-    output: ReplayOutput,
+    output: Simulated,
     elements: IntArray,
     view: View,
     healthy: HealthyModel,
@@ -350,7 +347,10 @@ def _predict(
             joint, rows = joint_index(channel), prepared.motion.t_s.size
             track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
             # What every machine is off its twin follows the motion that the effects lead to.
-            track = track + correction(healthy, prepared.input, prepared.motion, joint, track)
+            track = track + correction(healthy, prepared.motion, joint, track)
+            # The correction belongs to the motion, which a late sensor reports later.
+            latency_s = output.joint_latency_s[elements, joint]
+            track = np.stack([late(one, s) for one, s in zip(track, latency_s, strict=True)])
             out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
         elif view is View.SWING:
             kind, letter = channel.split(".")
@@ -375,15 +375,15 @@ def _at(track: Array, t_s: Array) -> Array:
     )
 
 
-def _ball(output: ReplayOutput, elements: IntArray, t_s: Array) -> Array:
+def _ball(output: Simulated, elements: IntArray, t_s: Array) -> Array:
     """Ball positions (m, 3 n) at times (n,): the simulated track, parabolas beyond its ends."""
     out = np.full((elements.size, t_s.size, 3), np.nan)
     for row, element in enumerate(elements):
-        track = output.ball_position_m[element]
-        known = np.flatnonzero(np.isfinite(track[:, 0]))
-        if known.size < 3:
+        flown = output.ball[element]
+        if flown is None or flown[1].shape[0] < 3:
             continue
-        ticks, points = known * CONTROL_PERIOD_S, track[known]
+        start_s, points = flown
+        ticks = start_s + CONTROL_PERIOD_S * np.arange(points.shape[0])
         inside = (t_s >= ticks[0]) & (t_s <= ticks[-1])
         for axis in range(3):
             out[row, inside, axis] = np.interp(t_s[inside], ticks, points[:, axis])

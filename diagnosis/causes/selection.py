@@ -93,14 +93,24 @@ def inform(
         nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
         log_volume: half the log determinant of the noise that was whitened.
     """
-    inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
-    on_jacobian, on_residual = nuisance.T @ jacobian, nuisance.T @ residual
-    solved = np.linalg.solve(inner, np.column_stack([on_jacobian, on_residual]))
-    precision = jacobian.T @ jacobian - on_jacobian.T @ solved[:, :-1]
-    gradient = jacobian.T @ residual - on_jacobian.T @ solved[:, -1]
-    square = float(residual @ residual - on_residual @ solved[:, -1])
+    table = np.column_stack([residual, jacobian, nuisance])
+    return inform_gram(table.T @ table, jacobian.shape[1], log_volume)
+
+
+def inform_gram(gram: Array, parameter_count: int, log_volume: float = 0.0) -> Information:
+    """Marginalise a throw's nuisances, from all products of columns.
+
+    Args:
+        gram: (1 + p + q, 1 + p + q) of residual, jacobian and nuisance, side by side.
+        parameter_count: p.
+        log_volume: as in `inform`.
+    """
+    data, noise = slice(0, 1 + parameter_count), slice(1 + parameter_count, None)
+    inner = gram[noise, noise] + np.eye(gram.shape[0] - 1 - parameter_count)
+    across = gram[noise, data]
+    left = gram[data, data] - across.T @ np.linalg.solve(inner, across)
     volume = log_volume + 0.5 * float(np.linalg.slogdet(inner)[1])
-    return Information(precision, gradient, square, volume)
+    return Information(left[1:, 1:], left[1:, 0], float(left[0, 0]), volume)
 
 
 def total(informations: Sequence[Information], weights: Array | None = None) -> Information:

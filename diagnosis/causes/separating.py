@@ -145,6 +145,12 @@ def acting_name(effect: Effect) -> str:
     return next(iter(effect.parameters)).split(".")[0]
 
 
+def alone_motion(effect: Effect) -> dict[str, Any]:
+    """What to record next to tell an effect from nothing; ``words`` for people."""
+    motion, words = _STAGES[effect_stage(effect)]
+    return {**motion, **({} if effect.joint is None else {"joint": effect.joint}), "words": words}
+
+
 def separating_motion(first: Effect, second: Effect) -> dict[str, Any]:
     """What to record next to tell two causes apart; ``words`` for people."""
     names = frozenset((acting_name(first), acting_name(second)))

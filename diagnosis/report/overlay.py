@@ -13,8 +13,10 @@ from diagnosis.causes.hypotheses import Problem
 from diagnosis.causes.residuals import ALL
 from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.shrink import corrected_input
+from diagnosis.simulate import joint_latency_s
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect
+from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.replay import ReplayElement, replay
 from sim_twin.replay.types import ReplayOutput
 
@@ -91,14 +93,15 @@ def _simulate(
 ) -> tuple[list[Array], ReplayOutput]:
     """Joint velocities (T, 4) a throw from its commands, corrected; and all that follows from them."""
     inputs = [p.input for p in shown]
-    alone = replay(
+    alone = replay_drives(
         inputs,
         [ReplayElement(i, effects) for i in range(len(inputs))],
         problem.profile,
         problem.calibration,
     )
+    own = (*problem.profile.effects, *effects)
     moved = [
-        corrected_input(p, problem.healthy, alone.joint_velocity_rad_m_per_s[k])
+        corrected_input(p, problem.healthy, alone[k], joint_latency_s(own, p.input))
         for k, p in enumerate(shown)
     ]
     elements = [ReplayElement(i, effects, measured_joints=ALL) for i in range(len(inputs))]

@@ -69,7 +69,8 @@ _ACTUATION = (
         "actuation",
         ACTIVE_JOINTS,
         (P("extra_lag_s", -0.2, 0.6, 0.006, 0.15, 0.02),),
-        "The mean lag 2 z / w of the second-order response grows by it; the damping ratio stays.",
+        "First-order lag of the spool, between its play and its overlap; below 0 the response's own "
+        "mean lag 2 z / w gets shorter.",
         "second-order valve and load; 0.05-0.25 s measured on stock valves (docs/machine.md, M)",
     ),
     EffectSpec(
@@ -125,8 +126,9 @@ _ACTUATION = (
         "actuation",
         ACTIVE_JOINTS,
         (P("gap_rad_m", 0.0, 0.06, 0.001, 0.02, 0.005),),
-        "Lost motion between drive and joint at each reversal; the joint stays where it is left. At "
-        "first the drive touches the side that carries the load (slew: neither).",
+        "Lost motion between drive and joint at each reversal: the drive alone crosses it at its "
+        "steady speed, the joint stays where it came to rest and moves off from rest. At first the "
+        "drive touches the side that carries the load (slew: neither).",
         "play operator; pin and slew-gear clearance (MuJoCo issue 995)",
     ),
     EffectSpec(

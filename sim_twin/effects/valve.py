@@ -22,8 +22,9 @@ STOP_SHARE_RATIO = 0.1
 """A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
 
 
-BULK_MODULUS_PA = 1.6e9
-"""Of mineral oil with little air (textbook 1.4-1.7 GPa; long hoses halve it)."""
+BULK_MODULUS_PA = 0.8e9
+"""Effective: mineral oil with little air (textbook 1.4-1.7 GPa) behind long hoses, which halve it; 0.5-0.9
+GPa were measured on a crane of this size (docs/virtual_machine.md, S)."""
 SLEW_TRAPPED_M3 = 1.5e-3
 """Oil on each side of the slew motor (assumed)."""
 SLIP_S = 0.02
@@ -84,6 +85,7 @@ class ValveEffects:
         shape = (arrays.count, ACTIVE_COUNT)
         self.dead_time_s = get("valve_dead_time", "extra_dead_time_s")
         self._lag_s = get("valve_lag", "extra_lag_s")
+        self._decay, self._mean = _first_order(self._lag_s)
         self._half_width = get("valve_hysteresis", "half_width_ratio")
         self._band = _directions(arrays, "valve_dead_band")
         self._gain = _directions(arrays, "valve_gain")
@@ -97,7 +99,9 @@ class ValveEffects:
             np.asarray(spec.limits.speed_positive_rad_m_per_s),
             np.asarray(spec.limits.speed_negative_rad_m_per_s),
         )
-        self._spool, self._lost = np.zeros(shape), np.zeros(shape)
+        self._spool, self._lagging = np.zeros(shape), np.zeros(shape)
+        self._lost, self._free = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        self._slope_before = np.zeros(shape)
         self._at_rest = np.ones(shape, dtype=np.bool_)
         self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
         self._is_fresh = True
@@ -105,24 +109,34 @@ class ValveEffects:
     def reset(self) -> None:
         """Spools centred, joints at rest, drives against the side of their gaps that carries the load."""
         self._spool[:] = 0.0
+        self._lagging[:] = 0.0
+        self._slope_before[:] = 0.0
         self._is_fresh = True
         self._at_rest[:] = True
         self._wound[:] = 0.0
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
-        """Natural frequencies whose mean lag 2 z / w is longer by the extra lag."""
+        """Natural frequencies whose mean lag 2 z / w is shorter by an extra lag below 0.
+
+        Longer lags are a first-order lag of the spool's own (`on_command`).
+        """
         if self._lag_s is None:
             return natural_frequency_rad_per_s
         lag = 2.0 * damping_ratio / natural_frequency_rad_per_s
-        slower = 2.0 * damping_ratio / np.maximum(lag + self._lag_s, np.minimum(lag, MIN_LAG_S))
-        return np.where(self._lag_s == 0.0, natural_frequency_rad_per_s, slower)
+        faster = 2.0 * damping_ratio / np.maximum(lag + self._lag_s, np.minimum(lag, MIN_LAG_S))
+        return np.where(self._lag_s >= 0.0, natural_frequency_rad_per_s, faster)
 
     def on_command(self, valve_ratio: Array) -> Array:
-        """What the spools make of valve commands."""
+        """What the spools make of valve commands: play, then lag, then overlap."""
         if self._half_width is not None:
             w = self._half_width
             self._spool = np.clip(self._spool, valve_ratio - w, valve_ratio + w)
             valve_ratio = self._spool
+        if self._decay is not None:
+            behind = self._lagging - valve_ratio
+            self._lagging = valve_ratio + self._decay * behind
+            # The mean over the tick, which the response holds.
+            valve_ratio = valve_ratio + self._mean * behind
         if self._band is not None:
             band = np.where(valve_ratio >= 0.0, *self._band)
             valve_ratio = np.sign(valve_ratio) * np.maximum(np.abs(valve_ratio) - band, 0.0)
@@ -164,16 +178,26 @@ class ValveEffects:
         return np.minimum(flow / demand, 1.0) / healthy
 
     def on_motion(
-        self, target: Array, before: Array, velocity: Array, slope: Array
+        self,
+        target: Array,
+        before: Array,
+        velocity: Array,
+        slope: Array,
+        active_position_rad_m: Array,
     ) -> tuple[Array, Array]:
-        """Drive velocity and its slope with joints that stick.
+        """Drive velocity and its slope with joints that stick, or hang in the play of their drives.
 
         Args:
             target: steady speed asked for.
             before: velocity a tick ago.
             velocity: what the lag makes of both.
             slope: the lag's second state.
+            active_position_rad_m: joints.
         """
+        if self._gap is not None:
+            velocity, slope = self._cross(
+                self._gap, target, before, velocity, slope, active_position_rad_m
+            )
         if self._breakaway is None:
             return velocity, slope
         small = (self._breakaway > 0.0) & (np.abs(target) <= self._breakaway)
@@ -185,24 +209,67 @@ class ValveEffects:
         self._wound = np.where(self._at_rest, wound, self._wound)
         return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
 
-    def on_joint(self, drive_velocity: Array, active_position_rad_m: Array) -> Array:
-        """Joint velocities as drives break loose and behind their play.
+    def _cross(
+        self,
+        gap: Array,
+        target: Array,
+        before: Array,
+        velocity: Array,
+        slope: Array,
+        active_position_rad_m: Array,
+    ) -> tuple[Array, Array]:
+        """Velocity and slope of joints whose drives may be crossing their play.
 
-        Nothing loads the slew, which starts in the middle of its play.
+        What lags is the arm on its oil. A drive alone in its play runs at the steady speed at once, the joint
+        stays where it came to rest, and moves off from rest when the drive meets it again. Nothing loads the
+        slew, which starts in the middle of its play.
         """
-        if self._breakaway is not None:
-            left = np.where(self._at_rest, 1.0, math.exp(-CONTROL_PERIOD_S / SLIP_S))
-            drive_velocity = drive_velocity + (1.0 - left) * self._wound / CONTROL_PERIOD_S
-            self._wound = left * self._wound
-        if self._gap is None:
-            return drive_velocity
-        half = 0.5 * self._gap
+        half = 0.5 * gap
         if self._is_fresh:
             load = gravity_load_ratio(self._spec, active_position_rad_m)
             self._lost, self._is_fresh = np.sign(load) * half, False
-        lost = self._lost + drive_velocity * CONTROL_PERIOD_S
+            self._free = (half > 0.0) & (load == 0.0)
+        side = np.sign(self._lost)
+        leaves = ~self._free & (side * target < 0.0) & (side * velocity < 0.0) & (half > 0.0)
+        # The joint comes to rest within the tick; the rest of the tick is the drive's.
+        swing = np.abs(velocity) + np.maximum(side * before, 0.0)
+        share = np.where(leaves, np.abs(velocity) / np.maximum(swing, 1e-12), 1.0)
+        free = self._free | leaves
+        lost = self._lost + np.where(free, target * share * CONTROL_PERIOD_S, 0.0)
+        over = np.abs(lost) - half
+        arrived = free & (over >= 0.0)
+        used = over / np.maximum(np.abs(target) * share * CONTROL_PERIOD_S, 1e-12)
+        moved = np.where(arrived, np.clip(used, 0.0, 1.0), np.where(free, 0.0, 1.0))
+        self._free = free & ~arrived
         self._lost = np.clip(lost, -half, half)
-        return np.where(self._gap > 0.0, (lost - self._lost) / CONTROL_PERIOD_S, drive_velocity)
+        eased = np.where(free, math.exp(-CONTROL_PERIOD_S / SLIP_S), 1.0)
+        resting = self._slope_before * np.where(self._free, eased, 1.0)
+        changed = np.where(
+            self._free, resting, self._slope_before + moved * (slope - self._slope_before)
+        )
+        self._slope_before = np.where(half > 0.0, changed, 0.0)
+        return velocity * moved, np.where(half > 0.0, changed, slope)
+
+    def on_joint(self, drive_velocity: Array) -> Array:
+        """Joint velocities as drives break loose."""
+        if self._breakaway is None:
+            return drive_velocity
+        left = np.where(self._at_rest, 1.0, math.exp(-CONTROL_PERIOD_S / SLIP_S))
+        slip = (1.0 - left) * self._wound / CONTROL_PERIOD_S
+        self._wound = left * self._wound
+        return drive_velocity + slip
+
+
+def _first_order(lag_s: Array | None) -> tuple[Array | None, Array]:
+    """What is left of a first-order lag's error after a tick, and its mean over the tick; shapes (N, 4).
+
+    exp(-h / T) and (1 - exp(-h / T)) T / h; both 0 without a lag.
+    """
+    if lag_s is None or not (lag_s > 0.0).any():
+        return None, np.zeros(0)
+    share = np.maximum(lag_s, 1e-9) / CONTROL_PERIOD_S
+    decay = np.where(lag_s > 0.0, np.exp(-1.0 / share), 0.0)
+    return decay, np.where(lag_s > 0.0, (1.0 - decay) * share, 0.0)
 
 
 def _directions(arrays: EffectArrays, effect: str) -> tuple[Array, Array] | None:

@@ -169,5 +169,7 @@ class VelocityResponse:
         self._slope = a21 * error + a22 * self._slope
         if effects is None:
             return self._velocity
-        self._velocity, self._slope = effects.on_motion(target, before, self._velocity, self._slope)
-        return effects.on_joint(self._velocity, active_position_rad_m)
+        self._velocity, self._slope = effects.on_motion(
+            target, before, self._velocity, self._slope, active_position_rad_m
+        )
+        return effects.on_joint(self._velocity)

@@ -33,7 +33,7 @@ def hypothesis(problem: Problem) -> Hypothesis:
         evidence=SetEvidence(members, 0.0, np.array([0.12]), np.eye(1)),
         log_evidence=np.zeros(1),
         mean=np.zeros(problem.layout.size_count),
-        whitened=problem.whitened,
+        levels={},
         information=problem.information,
     )
 
@@ -59,8 +59,10 @@ def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
     reloaded = load_profile(path)
     assert reloaded.version_count == problem.profile.version_count + 1
     measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
-    before = measured - impacts(problem.prepared, problem, problem.profile)
-    after = measured - impacts(problem.prepared, problem, reloaded)
+    before, after = (
+        measured - impacts(problem.prepared, problem.healthy, one, problem.calibration)
+        for one in (problem.profile, reloaded)
+    )
     assert np.abs(after).max() < 0.5 * np.abs(before).max()
 
 

@@ -20,20 +20,20 @@ def test_filter_learns_what_is_linear_in_its_inputs() -> None:
     p = prepare(throws((), 2).throws, profile())[0]
     rng = np.random.default_rng(0)
     predicted = np.cumsum(0.01 * rng.standard_normal(p.motion.t_s.size))
-    values = inputs(p.input, p.motion, 1, predicted)
+    values = inputs(p.motion, 1, predicted)
     truth = 0.1 * predicted + 0.02 * p.motion.acceleration_rad_m_per_s2[:, 2]
     learned = learn([values], [truth])
     model = HealthyModel(note="", joints=(learned,) * 4)
-    found = correction(model, p.input, p.motion, 1, predicted)
+    found = correction(model, p.motion, 1, predicted)
     assert np.std(found - truth) < 0.2 * np.std(truth)
-    both = correction(model, p.input, p.motion, 1, np.stack([predicted, predicted]))
+    both = correction(model, p.motion, 1, np.stack([predicted, predicted]))
     np.testing.assert_allclose(both, [found, found])
 
 
 def test_nothing_corrects_nothing() -> None:
     p = prepare(throws((), 2).throws, profile())[0]
     track = np.ones(p.motion.t_s.size)
-    assert not correction(nothing(), p.input, p.motion, 0, track).any()
+    assert not correction(nothing(), p.motion, 0, track).any()
 
 
 def test_whitened_discrepancy_has_unit_power() -> None:

@@ -62,11 +62,22 @@ def test_dead_time_cannot_become_negative() -> None:
     np.testing.assert_array_equal(gone, drive(step_command(0.5), dead_s=0.0))
 
 
-@pytest.mark.parametrize("extra_s", [-0.05, 0.02, 0.6])
-def test_extra_lag_is_the_further_mean_delay(extra_s: float) -> None:
-    slow = drive(step_command(0.5, ticks=900), effect("valve_lag", extra_lag_s=extra_s))
-    travelled = 0.01 * (drive(step_command(0.5, ticks=900)) - slow).sum(axis=0)[TELESCOPE]
-    assert travelled / steady(0.5) == pytest.approx(extra_s, abs=1e-3)
+@pytest.mark.parametrize("extra_s", [0.02, 0.6])
+def test_an_extra_lag_is_a_first_order_lag_of_the_spool(extra_s: float) -> None:
+    command = step_command(0.5)
+    # Mean over each tick of 1 - exp(-t / T).
+    ends = np.exp(-0.01 * np.arange(command.shape[0] + 1) / extra_s)
+    spool = command * (1.0 + np.diff(ends) * extra_s / 0.01)[:, None]
+    slow = drive(command, effect("valve_lag", extra_lag_s=extra_s))
+    np.testing.assert_allclose(slow, drive(spool), atol=1e-12)
+    plain = drive(command)[:, TELESCOPE].max()
+    assert slow[:, TELESCOPE].max() <= plain * (1.0 + 1e-9), "a lag must not ring"
+
+
+def test_a_lag_that_is_taken_away_shortens_the_mean_delay() -> None:
+    fast = drive(step_command(0.5, ticks=900), effect("valve_lag", extra_lag_s=-0.05))
+    travelled = 0.01 * (drive(step_command(0.5, ticks=900)) - fast).sum(axis=0)[TELESCOPE]
+    assert travelled / steady(0.5) == pytest.approx(-0.05, abs=1e-3)
 
 
 def test_a_lag_that_is_taken_away_leaves_one_tick() -> None:
@@ -145,11 +156,27 @@ def test_backlash_is_lost_at_each_reversal() -> None:
     gap = effect("backlash", gap_rad_m=0.04)
     there = np.concatenate([step_command(0.5, ticks=200), step_command(-0.5, ticks=200)])
     back = np.concatenate([there, step_command(0.5, ticks=200), step_command(0.0, ticks=100)])
-    lost = 0.01 * (np.cumsum(drive(back), axis=0) - np.cumsum(drive(back, gap), axis=0))
+    loose = drive(back, gap)
+    lost = 0.01 * (np.cumsum(drive(back), axis=0) - np.cumsum(loose, axis=0))
     # The telescope hangs: at rest its drive pulls, so outward motion starts with the whole gap.
-    assert lost[190, TELESCOPE] == pytest.approx(0.04, abs=1e-9)
-    assert lost[390, TELESCOPE] == pytest.approx(0.0, abs=1e-9)
-    assert lost[-1, TELESCOPE] == pytest.approx(0.04, abs=1e-9)
+    assert lost[190, TELESCOPE] == pytest.approx(0.04, abs=1e-6)
+    # Back it comes with a lag less; a joint that starts anew from rest loses a little more than the gap.
+    assert -0.01 < lost[390, TELESCOPE] < 0.0
+    assert lost[-1, TELESCOPE] == pytest.approx(0.04, abs=2e-3)
+    # In the gap the joint stands where it came to rest, for as long as the drive alone takes.
+    crossing = np.flatnonzero(loose[200:400, TELESCOPE] == 0.0)
+    assert crossing.size == pytest.approx(0.04 / abs(steady(-0.5)) / 0.01, abs=1.5)
+    assert (np.diff(crossing) == 1).all()
+
+
+def test_a_vanishing_gap_loses_in_proportion() -> None:
+    lost = [
+        0.01
+        * (drive(step_command(0.5)) - drive(step_command(0.5), effect("backlash", gap_rad_m=g)))
+        for g in (1e-5, 1e-3)
+    ]
+    for gap, way in zip((1e-5, 1e-3), lost, strict=True):
+        assert way.sum(axis=0)[TELESCOPE] == pytest.approx(gap, rel=1e-3)
 
 
 def test_a_sticking_joint_waits_for_the_breakaway_speed() -> None:

@@ -1,0 +1,91 @@
+"""How well what is known of healthy machines suits this one, judged by its own throws.
+
+Filters and noise were learned on one type of machine in one simulator. Another machine may be further from
+its twin in everything; then the filters must not be forced on it, and nothing must be called an effect that
+is only the level of its misfit. An effect sits at one joint or in one stage: what all joints, or all axes,
+have in common is misfit.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.causes.healthy import HealthyModel, correction
+from diagnosis.causes.noise import NoiseModel
+from diagnosis.causes.parameters import joint_index
+from diagnosis.causes.residuals import Linear
+from diagnosis.causes.selection import Priors, screen, total
+from diagnosis.causes.whitening import Whitened, information, leftovers
+from diagnosis.loading.prepared import AXES, PreparedThrow
+from machine.conventions import ACTIVE_JOINTS
+
+COMMON = {
+    "actuation": tuple(f"actuation.{joint}" for joint in ACTIVE_JOINTS),
+    "swing": tuple(f"swing.gyro.{axis}" for axis in AXES),
+}
+"""Blocks of which more than half must be loud before a stage counts as misfit."""
+CLEAR_LOG_POWER = 0.7
+"""Healthy sets of the type stay below it (their levels scatter by 0.1 to 0.2): less is left as it is."""
+
+
+def filters_help(
+    prepared: Sequence[PreparedThrow], linear: Sequence[Linear], healthy: HealthyModel
+) -> bool:
+    """Whether the healthy filters bring the twin nearer to this machine, on the mean of its joints.
+
+    Args:
+        prepared: the throws.
+        linear: at "no effect", with the filters.
+        healthy: the filters.
+    """
+    gains: list[float] = []
+    for name in COMMON["actuation"]:
+        before, after = 0.0, 0.0
+        for p, one in zip(prepared, linear, strict=True):
+            block, joint = p.block(name), joint_index(name.partition(".")[2])
+            if block is None:
+                continue
+            track = correction(healthy, p.motion, joint, one.predicted_velocity[:, joint])
+            moved = p.joint_pair @ np.interp(p.joint_at_s, p.motion.t_s, track)
+            after += float(np.nansum(one.residual[block.rows] ** 2))
+            before += float(np.nansum((one.residual[block.rows] + moved) ** 2))
+        if before > 0.0 and after > 0.0:
+            gains.append(float(np.log(before / after)))
+    return not gains or float(np.mean(gains)) >= 0.0
+
+
+def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> dict[str, float]:
+    """Factor by which the discrepancy of a stage exceeds that of the type's healthy machines; 1 or more.
+
+    The lower median over a stage's blocks: an effect at one joint, or two, does not count.
+    """
+    mean = screen(total(information(whitened)), priors).mean
+    power: dict[str, tuple[float, int]] = {}
+    for one in whitened:
+        for name, (square, count) in leftovers(one, mean).items():
+            before = power.get(name, (0.0, 0))
+            power[name] = before[0] + square, before[1] + count
+    found: dict[str, float] = {}
+    for stage, names in COMMON.items():
+        excess = sorted(
+            float(np.log(power[name][0] / power[name][1])) - model.unknown_level[name][0]
+            for name in names
+            if name in power and power[name][0] > 0.0 and name in model.unknown_level
+        )
+        middle = excess[(len(excess) - 1) // 2] if excess else 0.0
+        found[stage] = float(np.exp(0.5 * middle)) if middle > CLEAR_LOG_POWER else 1.0
+    return found
+
+
+def inflated(model: NoiseModel, factors: dict[str, float]) -> NoiseModel:
+    """The model of a machine whose stages are further from the twin by these factors."""
+    channels = {
+        name: channel.model_copy(
+            update={
+                field: getattr(channel, field) * factors.get(name.partition(".")[0], 1.0)
+                for field in ("floor_sd", "rate_ratio", "push_ratio")
+            }
+        )
+        for name, channel in model.channels.items()
+    }
+    return model.model_copy(update={"channels": channels})
