@@ -149,9 +149,9 @@ def _sensitivity(part: ModeEvaluation) -> str:
         title,
         f'<p class="dim">{escape(part.sensitivity_note)} Target at {part.sensitivity_range_m:g} m; the same '
         "throws with one thing changed at a time, compared throw by throw. Dashed low, solid high.</p>"
-        f'<div class="pair"><figure>{sensitivity_plot(part.sensitivity, title)}</figure>'
+        f"<figure>{sensitivity_plot(part.sensitivity, title)}</figure>"
         '<div class="scroll"><table><tr><th>factor</th><th>low</th><th>high</th><th>high, crossrange</th>'
-        f"<th>sd, high over as it is</th><th>pairs</th></tr>{rows}</table></div></div>",
+        f"<th>sd, high over as it is</th><th>pairs</th></tr>{rows}</table></div>",
     )
 
 
@@ -166,7 +166,8 @@ def _factor(shift: FactorShift) -> str:
     )
     lost = f", {shift.failed} failed" if shift.failed else ""
     return (
-        f"<tr><td>{escape(shift.name)}<br><span class='dim'>{escape(shift.change)}</span></td>{cells}"
+        f"<tr><td class='name'>{escape(shift.name)}<br>"
+        f"<span class='dim'>{escape(shift.change)}</span></td>{cells}"
         f'<td class="number">{fixed(shift.sd_ratio)}</td><td class="number">{shift.pairs}{lost}</td></tr>'
     )
 
