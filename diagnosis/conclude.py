@@ -29,8 +29,9 @@ from diagnosis.verdict import (
 from sim_twin.effects.effect import Effect, effect_stage, parameter_unit
 
 NORMAL_90 = 1.6449
-SIZE_ERROR_RATIO = 0.04
-"""Of an effect's size: the real effect is never quite the library's."""
+SIZE_ERROR_RATIO = 0.15
+"""Of an effect's size: the real effect is never quite the library's. With 0.04, 69 % of 13 intervals on a
+development challenge held; the median error was 22 %."""
 LEAST_GAIN_RATIO = 0.05
 """An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
 eye)."""
@@ -73,11 +74,9 @@ def conclude(found: Findings) -> Diagnosis:
         ambiguity = _ambiguity(ranked)
     elif demoted is None:
         verdict = VerdictKind.EXPLAINED
-    elif shrunk is not None and shrunk.ci90[1] > LEAST_GAIN_RATIO:
+    else:
         verdict = VerdictKind.AMBIGUOUS
         ambiguity = _or_nothing(ranked, demoted)
-    else:
-        verdict = VerdictKind.NONE
     return Diagnosis(
         verdict=verdict,
         sentence=_sentence(verdict, causes, gap, found.shrink, ranked, ambiguity),

@@ -53,6 +53,8 @@ WEIGHED_COUNT = 5
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
+LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency")
+"""A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
 MARGIN_LOG_ODDS = 3.0
 """A grown set must promise to come this close to the best one."""
 
@@ -202,7 +204,7 @@ def _singles(problem: Problem) -> list["_Trial"]:
     typical = {
         m: priors.slab_sd[priors.groups[m[0]]]
         for m in linear
-        if problem.layout.groups[m[0]][0] in WITH_THRESHOLD
+        if problem.layout.groups[m[0]][0] in (*WITH_THRESHOLD, *LATE)
     }
     settled: dict[Set, _Trial] = {}
     for start in (linear, typical):
