@@ -203,22 +203,38 @@ def _rms(gap: Array) -> float:
     return float(np.sqrt((gap[good] ** 2).sum(axis=-1).mean())) if good.any() else float("nan")
 
 
-def _closed(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> float:
-    """Share of the gap above a healthy machine's that is gone."""
+class Ends(NamedTuple):
+    """Root mean squares of a gap before and after, and of what cannot be removed; one unit."""
+
+    before: float
+    after: float
+    floor: float
+
+
+def _ends(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> Ends | None:
+    """Of the impact, or of the channels; None where the effects move no channel."""
     if by_impact:
-        ends, floor = (_rms(before.impact_m), _rms(after.impact_m)), floor_m
-    else:
-        known = np.isfinite(before.power) & np.isfinite(after.power)
-        if not known.any():
-            return 0.0
-        ends = (float(np.sqrt(g.power[known].mean())) for g in (before, after))
-        floor = float(np.sqrt(before.floor[known].mean()))
-    first, last = ends
-    # What lies below a healthy machine's gap is chance, not more than all of it; and where there was next to
-    # nothing to remove, nothing was removed.
-    return float(
-        np.clip((first - max(last, floor)) / max(first - floor, LEAST_GAP_RATIO * floor), -1.0, 1.0)
-    )
+        return Ends(_rms(before.impact_m), _rms(after.impact_m), floor_m)
+    known = np.isfinite(before.power) & np.isfinite(after.power)
+    if not known.any():
+        return None
+    powers = (before.power, after.power, before.floor)
+    return Ends(*(float(np.sqrt(power[known].mean())) for power in powers))
+
+
+def _closed(ends: Ends | None, least_seen: float) -> float:
+    """Share of the removable gap that is gone.
+
+    Not removable is what healthy machines of the type show, or what is left on the throws that gave the
+    sizes (`least_seen`) where that is less: a set can be quieter than its type.
+    """
+    if ends is None:
+        return 0.0
+    floor = min(ends.floor, least_seen, ends.before)
+    # What lies below the floor is chance, not more than all of it; and where there was next to nothing to
+    # remove, nothing was removed.
+    removable = max(ends.before - floor, LEAST_GAP_RATIO * ends.before, 1e-12)
+    return float(np.clip((ends.before - max(ends.after, floor)) / removable, -1.0, 1.0))
 
 
 def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:
@@ -241,20 +257,22 @@ def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Sh
     gap_m = _rms(before.impact_m)
     moved_m = _rms(before.impact_m - after.impact_m)
     by_impact = gap_m > CLEAR_RATIO * floor_m and moved_m > floor_m
-    floor = min(floor_m, 0.999 * gap_m)
+    trained = _ends(held.trained_before, held.trained_after, floor_m, by_impact=by_impact)
+    least_seen = trained.after if trained is not None else np.inf
     rng = np.random.default_rng(0)
     drawn = [
-        _closed(_rows(before, rows), _rows(after, rows), floor, by_impact=by_impact)
+        _closed(
+            _ends(_rows(before, rows), _rows(after, rows), floor_m, by_impact=by_impact), least_seen
+        )
         for rows in rng.integers(0, good.size, (BOOTSTRAP_COUNT, good.size))
     ]
     low, high = np.quantile(drawn, (0.05, 0.95))
+    floor = min(floor_m, _rms(held.trained_after.impact_m), gap_m)
     found = Shrink(
-        predicted_ratio=_closed(
-            held.trained_before, held.trained_after, floor, by_impact=by_impact
-        ),
+        predicted_ratio=_closed(trained, least_seen),
         before_m=gap_m,
         after_m=_rms(after.impact_m),
-        ratio=_closed(before, after, floor, by_impact=by_impact),
+        ratio=_closed(_ends(before, after, floor_m, by_impact=by_impact), least_seen),
         ci90=(float(low), float(high)),
         held_out_throws=int(good.size),
         removable_ratio=1.0 - floor / gap_m,

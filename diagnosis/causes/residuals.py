@@ -150,8 +150,6 @@ def relinearise(
             bases = {view: plan.add(i, effects, view) for view in chosen}
             row.append(_Part(bases, _moved(plan, i, effects, wanted, chosen), None))
         parts.append(row)
-    if not plan.elements:
-        return [list(first) for _ in requests]
     output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
         [

@@ -54,6 +54,7 @@ on in development sets."""
 DEAF_BLOCKS = "swing.accel"
 """Joints that stop or break loose within a tick shake the gripper by more than smoothed joint motion can tell
 (up to 9 standard deviations on sets with stiction or backlash): no measure of what is left unexplained."""
+OPENING = "release.switch"
 OIL_LAG_S = 0.05 * 0.06
 """Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
 
@@ -257,14 +258,20 @@ def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
 
     The throw's nuisances are set to their best values first.
     """
-    left = whitened.residual - explained(whitened, mean)
+    unexplained = whitened.residual - explained(whitened, mean)
     nuisance = whitened.nuisance
     inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
-    left = left - nuisance @ np.linalg.solve(inner, nuisance.T @ left)
-    return {
+    left = unexplained - nuisance @ np.linalg.solve(inner, nuisance.T @ unexplained)
+    power = {
         name: (float(left[rows] @ left[rows]), rows.stop - rows.start)
         for name, rows in whitened.rows.items()
     }
+    if OPENING in whitened.rows:
+        # Nuisances could take all of the opening's single row: it is held against their spread instead.
+        row = whitened.rows[OPENING].start
+        spread = 1.0 + float(nuisance[row] @ nuisance[row])
+        power[OPENING] = float(unexplained[row]) ** 2 / spread, 1
+    return power
 
 
 def _set_columns(prepared: PreparedThrow, linear: Linear) -> Array:

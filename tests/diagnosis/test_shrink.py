@@ -8,7 +8,7 @@ from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import SetEvidence
 from diagnosis.causes.whitening import set_nuisance_sd
 from diagnosis.loading.prepared import prepare
-from diagnosis.shrink import impacts, shrink, with_effects
+from diagnosis.shrink import Ends, _closed, impacts, shrink, with_effects
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import load_profile, save_profile
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -72,3 +72,39 @@ def test_gap_within_healthy_scatter_is_measured_on_the_channels(problem: Problem
     found, measure = shown
     assert measure == "channels"
     assert found.ratio > 0.8
+
+
+def test_a_set_quieter_than_its_type_shows_its_gain_all_the_same() -> None:
+    """The floor is what is left on this machine where that is less than healthy machines leave."""
+    loud_type = Ends(before=0.8, after=0.3, floor=1.0)
+    assert _closed(loud_type, least_seen=0.25) == pytest.approx(0.5 / 0.55)
+    assert _closed(Ends(before=0.8, after=0.8, floor=1.0), least_seen=0.8) == 0.0
+    assert _closed(Ends(before=2.0, after=0.5, floor=1.0), least_seen=0.4) == pytest.approx(0.9375)
+    assert _closed(Ends(before=2.0, after=2.5, floor=1.0), least_seen=2.4) == pytest.approx(-0.5)
+
+
+def test_a_late_release_is_a_gap_that_closes() -> None:
+    known = health()
+    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.08})
+    loaded = throws((late,), 6)
+    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    prepared = prepare(loaded.throws, profile())
+    calibration = loaded.throws[0].calibration
+    one = pose(prepared, profile(), calibration, known.filters, known.noise, plan)
+    members = (plan.groups.index(("release_delay", None)),)
+    found = shrink(
+        one,
+        Hypothesis(
+            members=members,
+            effects=(late,),
+            evidence=SetEvidence(members, 0.0, np.array([0.08]), np.eye(1)),
+            log_evidence=np.zeros(1),
+            mean=np.zeros(plan.size_count),
+            levels={},
+            information=one.information,
+        ),
+        floor_m=0.3,
+    )
+    assert found is not None
+    assert found[0].ratio > 0.7
+    assert found[0].ci90[0] > 0.0

@@ -105,3 +105,20 @@ def test_delay_of_the_opening_shows_at_the_switch() -> None:
     assert block is not None
     assert late[0].residual[block.rows][0] == pytest.approx(0.05, abs=1e-6)
     assert View.FLIGHT not in library()[index_of()["release_delay.extra_delay_s"]].views
+
+
+def test_a_delay_of_the_opening_needs_no_simulation_to_be_taken_into_account(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    prepared, found = own
+    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.08})
+    calibration = prepared[0].throw.calibration
+    wanted = [p for p in library() if p.effect == "release_delay"]
+    args = (prepared, profile(), calibration, health().filters, found, [((late,), wanted)])
+    for p, before, after in zip(prepared, found, relinearise(*args)[0], strict=True):
+        switch = p.block("release.switch")
+        assert switch is not None
+        moved = before.residual - after.residual
+        assert moved[switch.rows] == pytest.approx([0.08])
+        moved[switch.rows] = 0.0
+        np.testing.assert_array_equal(np.nan_to_num(moved), 0.0)
