@@ -164,11 +164,12 @@ def _factor(shift: FactorShift) -> str:
             (shift.crossrange_high_m, shift.crossrange_high_ci95_m),
         )
     )
-    lost = f", {shift.failed} failed" if shift.failed else ""
+    lost = f", {shift.failed_count} failed" if shift.failed_count else ""
     return (
         f"<tr><td class='name'>{escape(shift.name)}<br>"
         f"<span class='dim'>{escape(shift.change)}</span></td>{cells}"
-        f'<td class="number">{fixed(shift.sd_ratio)}</td><td class="number">{shift.pairs}{lost}</td></tr>'
+        f'<td class="number">{fixed(shift.sd_ratio)}</td>'
+        f'<td class="number">{shift.pair_count}{lost}</td></tr>'
     )
 
 

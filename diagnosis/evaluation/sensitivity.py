@@ -45,9 +45,9 @@ class FactorShift(BaseModel):
     crossrange_high_ci95_m: Interval | None = None
     sd_ratio: float | None = None
     """Downrange standard deviation with the factor high over that of the machine as it is."""
-    pairs: int
+    pair_count: int
     """Throws that landed in all three runs."""
-    failed: int
+    failed_count: int
     """Throws that landed on the machine as it is and not with the factor changed."""
 
 
@@ -129,7 +129,7 @@ def _shift(
     return FactorShift(
         name=factor.name,
         change=f"-/+ {factor.change}",
-        pairs=int(all_three.sum()),
-        failed=int((landed[0] & ~all_three).sum()),
+        pair_count=int(all_three.sum()),
+        failed_count=int((landed[0] & ~all_three).sum()),
         **values,
     )

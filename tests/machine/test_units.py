@@ -15,12 +15,16 @@ from machine.telemetry import CONTROL_ROW, POLICY_ROW
 FOREIGN = {
     "server.viewer_door.frames",  # the 3D view's own protocol
     "diagnosis.verdict",  # a published shape: the unit stands beside the value or in the name around it
+    "diagnosis.identify.quantity",  # likewise
+    "diagnosis.evaluation.measures",  # the published names of `downrange evaluate --json`, with intervals
     "diagnosis.causes.noise",  # numbers of a channel, each in that channel's unit
     "diagnosis.causes.healthy",  # learned weights over inputs of many units
 }
 """Modules whose field names are not ours to choose, or have no one unit."""
 SEEDS = {"seed", "unit_seed"}
 """Names of random streams: numbers that measure nothing."""
+KEYED = {"best", "plot"}
+"""Numbers by name, where the name in the key carries the unit."""
 PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
 
 
@@ -66,7 +70,9 @@ def test_numeric_fields_of_models_end_with_a_unit(model):
     bare = [
         name
         for name, field in model.model_fields.items()
-        if is_numeric(field.annotation) and not name.endswith(UNIT_SUFFIXES) and name not in SEEDS
+        if is_numeric(field.annotation)
+        and not name.endswith(UNIT_SUFFIXES)
+        and name not in SEEDS | KEYED
     ]
     assert not bare, f"{model.__name__}: {bare} carry no unit; see machine/conventions.py"
 

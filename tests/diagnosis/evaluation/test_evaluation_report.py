@@ -80,7 +80,7 @@ def test_a_longer_release_delay_shifts_each_throw_alike(swing_policies: Path):
     shifts = sensitivity(make, params, target, starts, 1)
     assert [s.name for s in shifts] == [f.name for f in FACTORS]
     delay = shifts[0]
-    assert delay.pairs + delay.failed == 8
+    assert delay.pair_count + delay.failed_count == 8
     # Later is further on an upward swing, and the reverse; far clearer than the scatter of 8 throws.
     assert delay.low_m * delay.high_m < 0.0
     width = delay.high_ci95_m[1] - delay.high_ci95_m[0]
