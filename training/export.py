@@ -6,7 +6,6 @@ above 1e-5 (actions are of order 1) is an error.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -145,8 +144,3 @@ def action_scale(spec: MachineSpec, mode: Mode) -> Array:
     limits = spec.limits
     scale = np.maximum(limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s)
     return scale[1:] if mode is Mode.PLANAR else scale
-
-
-def task_record(task: TaskConfig) -> dict[str, Any]:
-    """The resolved configuration as plain JSON values, every field."""
-    return asdict(task)

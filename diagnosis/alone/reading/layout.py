@@ -15,7 +15,6 @@ import numpy as np
 from machine.errors import LogError
 
 MIN_ROWS: Final = 20
-SEPARATORS: Final = ",;\t"
 LOOK_LINES: Final = 400
 """As many lines tell how a table is laid out."""
 HEADER_LINES: Final = 60

@@ -31,7 +31,7 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
           />
         )}
         <span className={classes.hint}>
-          Click to mark a moment in all, drag to zoom, double click to zoom out.
+          Time in s. Click to mark a moment in all, drag to zoom, double click to zoom out.
         </span>
       </div>
       <div className={classes.grid}>
