@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from machine.calibration import load_calibration
-from machine.conventions import Array, Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import UsageError
 from machine.messages import Target
-from machine.reach import check_target
+from machine.reach import check_pace, check_target
 from machine.spec import MachineSpec, load_spec
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
@@ -35,6 +35,8 @@ class Campaign(NamedTuple):
     ranges_m: tuple[float, ...]
     policy_id: str
     policy_folder: Path
+    pace_ratio: float = DEFAULT_PACE_RATIO
+    """0 careful .. 1 fast."""
 
 
 class CampaignOptions(NamedTuple):
@@ -49,6 +51,7 @@ class CampaignOptions(NamedTuple):
     policy: Path | None
     calibration: Path | None
     profile: Path | None
+    pace: float = DEFAULT_PACE_RATIO
 
 
 def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Campaign:
@@ -64,6 +67,7 @@ def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Camp
         policy=options.policy,
         calibration=options.calibration,
         profile=options.profile,
+        pace_ratio=options.pace,
     )
 
 
@@ -79,6 +83,7 @@ def open_campaign(
     policy: Path | None,
     calibration: Path | None,
     profile: Path | None,
+    pace_ratio: float = DEFAULT_PACE_RATIO,
 ) -> Campaign:
     """Check every option before anything is simulated.
 
@@ -92,6 +97,7 @@ def open_campaign(
         raise UsageError(f"--throws {throws}: at least 1 throw at each target is needed")
     if seed < 0 or unit_seed < 0:
         raise UsageError(f"--seed {seed} --unit-seed {unit_seed}: seeds are 0 or more")
+    check_pace(pace_ratio)
     spec = load_spec()
     runner = open_policy(mode, policies, policy, spec)
     for range_m in ranges:
@@ -110,7 +116,7 @@ def open_campaign(
         valves = valves.without_registrations()
     params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
     folder = policy if policy is not None else find_policy(policies, mode)
-    return Campaign(spec, params, make, ranges, runner.card.policy_id, folder)
+    return Campaign(spec, params, make, ranges, runner.card.policy_id, folder, pace_ratio)
 
 
 def open_policy(mode: Mode, policies: Path, policy: Path | None, spec: MachineSpec) -> PolicyRunner:
@@ -201,7 +207,14 @@ def throw_campaign(
     show = progress_line("evaluate")
     try:
         results = run_throws(
-            plant, campaign.params, target_m, starts, seed, record=record, progress=show
+            plant,
+            campaign.params,
+            target_m,
+            starts,
+            seed,
+            record=record,
+            progress=show,
+            pace_ratio=campaign.pace_ratio,
         )
     finally:
         plant.close()

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from cli.campaigns import Campaign, CampaignOptions, open_with, throw_campaign
 from cli.evaluation_report import write_report
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.policy_card import add_evaluation, load_card
 from sim_twin.throws.accuracy import (
@@ -31,6 +32,7 @@ def run(
     throws: int = 200,
     seed: int = 0,
     unit_seed: int = 0,
+    pace: float = DEFAULT_PACE_RATIO,
     json: Path | None = None,
     plot: Path | None = None,
     policies: Path = Path("policies"),
@@ -59,6 +61,7 @@ def run(
         throws: throws at each target.
         seed: of start poses and of everything random in the plant; the same seed gives the same throws.
         unit_seed: which machine of its kind the plant is; 0 is the nominal one.
+        pace: 0 careful .. 1 fast, for policies that were trained with a pace.
         json: write the result to this file.
         plot: write the plot to this file (.png, .svg or .pdf).
         policies: folder of policy versions; its active.json names the one of each mode.
@@ -70,7 +73,7 @@ def run(
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
     options = CampaignOptions(
-        plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile
+        plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile, pace
     )
     if report is not None:
         if json is not None or plot is not None or card:

@@ -73,6 +73,7 @@ def _part(
         throw_prefix=f"{mode}-s{options.seed}",
         twin_profile_version_count=0,
         out_dir=folder / "logs",
+        pace_ratio=campaign.pace_ratio,
     )
     recorder = FailureRecorder(campaign.params, context, room)
     started = perf_counter()

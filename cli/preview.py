@@ -8,9 +8,10 @@ from typing import Literal
 
 from cli.campaigns import open_policy
 from machine.calibration import load_calibration, nominal_calibration
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.messages import Target
+from machine.reach import check_pace
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
@@ -27,6 +28,7 @@ def run(
     height: float = 0.0,
     slew: float = 0.0,
     seed: int = 0,
+    pace: float = DEFAULT_PACE_RATIO,
     policies: Path = Path("policies"),
     policy: Path | None = None,
     calibration: Path | None = None,
@@ -46,6 +48,7 @@ def run(
         height: of the target surface above ground, metres.
         slew: where the cabin stands now, radians.
         seed: of the scatter behind the ellipse.
+        pace: 0 careful .. 1 fast, for policies that were trained with a pace.
         policies: folder of policy versions; its active.json names the one of each mode.
         policy: folder of one policy version (policy.onnx and card.json), instead of the active one.
         calibration: valve calibration of the machine; nominal if left out.
@@ -57,6 +60,7 @@ def run(
             f"--rollouts {rollouts} --seed {seed} --slew {slew}: rollouts and seed are 0 or more, "
             "the slew angle is finite"
         )
+    check_pace(pace)
     spec = load_spec()
     runner = open_policy(Mode(mode), policies, policy, spec)
     valves = nominal_calibration(spec) if calibration is None else load_calibration(calibration)
@@ -71,6 +75,7 @@ def run(
             joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
             rollout_count=rollouts,
             seed=seed,
+            pace_ratio=pace,
         ),
         _show_progress if sys.stderr.isatty() else None,
     )

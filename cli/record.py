@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from cli.campaigns import Campaign, open_campaign, progress_line
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
@@ -34,6 +34,7 @@ def run(
     targets: str = "7.5:10:0.5",
     seed: int = 0,
     unit_seed: int = 0,
+    pace: float = DEFAULT_PACE_RATIO,
     policies: Path = Path("policies"),
     policy: Path | None = None,
     calibration: Path | None = None,
@@ -45,9 +46,8 @@ def run(
     sensors and its survey say, no truth of the simulator; `downrange diagnose` reads them. They carry the
     machine's twin profile, so that one can be diagnosed with nothing else.
 
-    Example: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
-
-    Or a test: downrange record --test release --plant virtual --unit-seed 7 --out logs
+    Examples: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
+    downrange record --test release --plant virtual --unit-seed 7 --out logs
 
     Args:
         out: folder for the logs; made if it is missing.
@@ -59,6 +59,7 @@ def run(
         targets: ranges in metres from the slew axis, FIRST:LAST:STEP with both ends, or 8,8.5,9.
         seed: of start poses and of everything random in the plant.
         unit_seed: which machine of its kind the plant is; 0 is the nominal one.
+        pace: 0 careful .. 1 fast.
         policies: folder of policy versions; its active.json names the one of each mode.
         policy: folder of one policy version, instead of the active one.
         calibration: valve calibration of the machine; measured on the plant if left out.
@@ -77,19 +78,20 @@ def run(
         policy=policy,
         calibration=calibration,
         profile=profile,
+        pace_ratio=pace,
     )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
-    own = _twin_profile(plant, campaign, unit_seed, profile)
-    name = re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
+    own, name = _twin_profile(plant, campaign, unit_seed, profile), _slug(plant)
     context = LogContext(
         machine_id=f"{name}-{unit_seed}",
         throw_prefix=f"{name}-{unit_seed}-{test or mode}-s{seed}",
         twin_profile_version_count=0 if own is None else own.version_count,
         out_dir=out,
         twin_profile=own,
+        pace_ratio=pace,
         test=test or "",
     )
     recorder = CampaignRecorder(campaign.params, context)
@@ -103,6 +105,11 @@ def run(
     size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
     print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
     return 0
+
+
+def _slug(plant: str) -> str:
+    """A plant's name as ids may hold it."""
+    return re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
 
 
 def _twin_profile(
@@ -156,6 +163,7 @@ def _throw(
             seed,
             record=recorder,
             progress=progress_line("record"),
+            pace_ratio=campaign.pace_ratio,
         )
     finally:
         machines.close()

@@ -9,7 +9,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
+from machine.reach import check_pace
 from server.accounts.auth import FIRST_LOGIN_FILE
 from server.throws.throw_client import ThrowClient, ThrowReport, login_from_file
 
@@ -20,6 +22,7 @@ def run(
     server: str = "http://127.0.0.1:8000",
     machine: str = "m001",
     mode: Literal["2d", "3d"] = "2d",
+    pace: float = DEFAULT_PACE_RATIO,
     user: str | None = None,
     password_file: Path | None = None,
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
@@ -35,18 +38,20 @@ def run(
         server: address of the server.
         machine: machine id.
         mode: 2d (arm plane) or 3d (with the cabin turning).
+        pace: 0 careful .. 1 fast, for policies that were trained with a pace.
         user: account name.
         password_file: file with the password alone, or with lines `name password`.
         timeout_s: how long to wait for the throw to end.
         as_json: print one line of JSON instead of words.
     """
     x_m, y_m = parse_target(target)
+    check_pace(pace)
     name = user or os.environ.get("DOWNRANGE_USER") or "operator"
     first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
     file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
     password = login_from_file(file, name)
     with ThrowClient(server, name, password) as client:
-        report = client.throw(machine, mode, x_m, y_m, timeout_s)
+        report = client.throw(machine, mode, x_m, y_m, timeout_s, pace)
     print(json.dumps(asdict(report)) if as_json else in_words(report))
     return 0 if report.state == "landed" else 3
 

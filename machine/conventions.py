@@ -32,6 +32,9 @@ POLICY_PERIOD_S: Final = CONTROL_PERIOD_S * POLICY_DECIMATION
 RELEASE_THRESHOLD_RATIO: Final = 0.9
 """The last action opens the gripper when it exceeds this (paper, section III-C)."""
 
+DEFAULT_PACE_RATIO: Final = 0.25
+"""How a throw is paced where nobody says: on the careful side of 0 (careful) .. 1 (fast)."""
+
 GRAVITY_M_PER_S2: Final = 9.81
 
 UNIT_SUFFIXES: Final = (

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 
 SCHEMA_VERSION = 1
 
@@ -101,6 +101,8 @@ class ThrowPlan(_ToMachine):
     machine_id: str
     mode: Mode
     target: Target
+    pace_ratio: float = Field(default=DEFAULT_PACE_RATIO, ge=0.0, le=1.0)
+    """0 careful .. 1 fast; policies that were not trained with a pace throw as they always do."""
     policy_sha256: str
     model_sha256: str
     twin_profile_version: int

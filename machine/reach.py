@@ -1,14 +1,24 @@
-"""Which targets may be thrown at: the arithmetic that the machine and the server both apply."""
+"""Which targets may be thrown at, and how fast: what the machine and the server both check."""
 
 import math
 
 from machine.conventions import Mode
-from machine.errors import RefusedError
+from machine.errors import RefusedError, UsageError
 from machine.messages import RejectReason, Target
 from machine.policy_card import PolicyCard
 
 MIN_RANGE_M = {Mode.PLANAR: 5.5, Mode.SPATIAL: 5.0}
 """Nearer targets would bring the load over the machine's own legs and wheels."""
+
+
+def check_pace(pace_ratio: float) -> None:
+    """Refuse a pace outside of 0 (careful) .. 1 (fast).
+
+    Raises:
+        UsageError: with the value.
+    """
+    if not 0.0 <= pace_ratio <= 1.0:
+        raise UsageError(f"pace {pace_ratio:g}: it lies between 0 (careful) and 1 (fast)")
 
 
 def check_target(card: PolicyCard, target: Target) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_COUNT, Array, Mode
+from machine.conventions import ACTIVE_COUNT, DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import DownrangeError
 from machine.messages import (
     CheckResult,
@@ -122,6 +122,7 @@ class MachineControl:
         self._now_ns = driver.now_ns()
         self._sample: SensorSample = driver.read()
         self._target_m: Array = np.full((1, 3), np.nan)
+        self._pace_ratio = DEFAULT_PACE_RATIO
         self._state: ControlState = initial_state(
             self._params[self._mode], self._sample, np.zeros((1, 3)), self._now_ns
         )
@@ -246,6 +247,7 @@ class MachineControl:
             return
         target = plan.target
         self._target_m = np.array([[target.x_m, target.y_m, target.z_m]])
+        self._pace_ratio = plan.pace_ratio
         if hasattr(self.driver, "target_height_m"):
             cast("GroundedDriver", self.driver).target_height_m[:] = target.z_m
         if plan.mode is not self._mode:
@@ -253,7 +255,8 @@ class MachineControl:
             self._state = replace(self._state, throw=initial_throw(plan.mode, 1))
 
     def _step(self, now_ns: int) -> ControlOutputs | None:
-        inputs = ControlInputs(self._sample, np.array([int(self.throw.motion)]), self._target_m)
+        motion = np.array([int(self.throw.motion)])
+        inputs = ControlInputs(self._sample, motion, self._target_m, self._pace_ratio)
         try:
             self._state, outputs = step(self._params[self._mode], self._state, inputs, now_ns)
         except DownrangeError as error:
@@ -359,14 +362,10 @@ class MachineControl:
             "spec": fixed.spec.model_dump(mode="json"),
         }
         if plan is not None:
-            context |= {
-                "mode": plan.mode.value,
-                "target": plan.target.model_dump(mode="json"),
-                "plan": plan.model_dump(mode="json"),
-                "plan_hash": plan.plan_hash,
-                "policy_sha256": plan.policy_sha256,
-                "twin_profile_version": plan.twin_profile_version,
-            }
+            agreed = plan.model_dump(mode="json")
+            named = ("mode", "target", "pace_ratio", "policy_sha256", "twin_profile_version")
+            context |= {name: agreed[name] for name in named}
+            context |= {"plan": agreed, "plan_hash": plan.plan_hash}
         return context
 
     def machine_state(self) -> MachineState:

@@ -150,6 +150,7 @@ def step(
             sensed.begins,
             sensed.motion_tick,
             now_ns,
+            inputs.pace_ratio,
         ),
     )
     throw = policy.memory

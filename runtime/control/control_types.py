@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.calibration import ValveCalibration
-from machine.conventions import Array, BoolArray, IntArray, Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Array, BoolArray, IntArray, Mode
 from machine.errors import PolicyError
 from machine.spec import MachineSpec
 from runtime.control.imu_estimator import ImuState
@@ -72,6 +72,8 @@ class ControlInputs:
     """(N,) conventions.Motion"""
     target_m: Array
     """(N, 3) frame `machine`; NaN where there is none."""
+    pace_ratio: Array | float = DEFAULT_PACE_RATIO
+    """(N,), or one for all machines; 0 careful .. 1 fast."""
 
 
 @dataclass(frozen=True, slots=True)

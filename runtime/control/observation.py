@@ -1,4 +1,4 @@
-"""What a policy sees: 65 numbers (3D) or 56 (2D), built from joints, gripper and target.
+"""What a policy sees: 65 numbers (3D) or 56 (2D), built from joints, gripper and target; then its pace.
 
 Runs unchanged on numpy arrays (the machine, the twin) and on JAX arrays inside `jit` (the trainer): no
 in-place writes, no branches on values. Refuses to know where the numbers come from.
@@ -43,6 +43,14 @@ ACTION_NAMES: dict[Mode, tuple[str, ...]] = {
 
 OBSERVATION_NAMES: dict[Mode, tuple[str, ...]] = {mode: _observation_names(mode) for mode in Mode}
 """Order of the observation vector; the card of every policy repeats it."""
+
+PACE_NAME = "pace"
+"""Last entry of policies that were trained with a pace (0 careful .. 1 fast); the others have none."""
+
+
+def observation_names(mode: Mode, is_paced: bool) -> tuple[str, ...]:
+    """Names of all entries of a policy's observation."""
+    return (*OBSERVATION_NAMES[mode], *((PACE_NAME,) if is_paced else ()))
 
 
 class PolicyFrame(NamedTuple):
@@ -124,8 +132,11 @@ def build(
     velocity_history_rad_m_per_s: Array,
     previous_action_ratio: Array,
     opened: BoolArray,
+    pace_ratio: Array | None = None,
 ) -> Array:
-    """Observation vector (..., 65) in 3D, (..., 56) in 2D; order in ``OBSERVATION_NAMES``.
+    """Observation vector (..., 65) in 3D, (..., 56) in 2D, one more with a pace.
+
+    Order in `observation_names`.
 
     Args:
         mode: 2D or 3D; static under `jit`.
@@ -134,6 +145,7 @@ def build(
         velocity_history_rad_m_per_s: (..., 4, 6).
         previous_action_ratio: (..., 5) or (..., 4), as the policy gave it; clipped to [-1, 1] here.
         opened: (...) whether the release has been commanded.
+        pace_ratio: (...) for a policy that was trained with a pace.
     """
     xp = namespace(frame.joint_position_rad_m)
     first = 0 if mode is Mode.SPATIAL else 1
@@ -152,6 +164,7 @@ def build(
             xp.hypot(horizontal, delta[..., 2])[..., None],
             frame.target_m,
             xp.where(opened, 1.0, 0.0)[..., None],
+            *([] if pace_ratio is None else [pace_ratio[..., None]]),
         ],
         axis=-1,
     )

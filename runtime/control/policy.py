@@ -14,7 +14,7 @@ from machine.conventions import Array, Mode
 from machine.errors import PolicyError
 from machine.policy_card import POLICY_FILE, PolicyCard, load_card
 from machine.spec import MachineSpec
-from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, PACE_NAME, observation_names
 
 POLICY_ID = re.compile(r"[a-z0-9][a-z0-9._-]{2,63}")
 """As in the card (machine.policy_card.PolicyCard)."""
@@ -64,6 +64,8 @@ class PolicyRunner:
         self._session = _open_session(folder / POLICY_FILE)
         self._observation_count = len(self.card.observation_names)
         self._action_count = len(self.card.action_names)
+        self.is_paced = is_paced(self.card)
+        """Whether it sees the pace."""
         _check_signature(
             self._session, folder / POLICY_FILE, self._observation_count, self._action_count
         )
@@ -118,6 +120,11 @@ def _open_session(path: Path) -> ort.InferenceSession:
         raise PolicyError(f"{path} is not a usable ONNX file ({error}); copy it again") from error
 
 
+def is_paced(card: PolicyCard) -> bool:
+    """Whether a policy sees the pace."""
+    return card.observation_names[-1:] == (PACE_NAME,)
+
+
 def _check_card(card: PolicyCard, folder: Path, spec: MachineSpec) -> None:
     if card.model_sha256 != spec.sha256:
         raise PolicyError(
@@ -125,7 +132,11 @@ def _check_card(card: PolicyCard, folder: Path, spec: MachineSpec) -> None:
             f"{spec.sha256[:12]}... ({spec.model_name}); use a policy trained for it"
         )
     for what, given, expected in (
-        ("observations", card.observation_names, OBSERVATION_NAMES[card.mode]),
+        (
+            "observations",
+            card.observation_names,
+            observation_names(card.mode, is_paced(card)),
+        ),
         ("actions", card.action_names, ACTION_NAMES[card.mode]),
     ):
         if tuple(given) != expected:

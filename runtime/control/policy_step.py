@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.conventions import (
+    DEFAULT_PACE_RATIO,
     POLICY_DECIMATION,
     RELEASE_THRESHOLD_RATIO,
     Array,
@@ -63,6 +64,8 @@ class PolicyInputs(NamedTuple):
     motion_tick_count: IntArray
     """(N,) 0 at the motion's first tick."""
     now_ns: int
+    pace_ratio: Array | float = DEFAULT_PACE_RATIO
+    """(N,), or one for all machines; 0 careful .. 1 fast."""
 
 
 class PolicyOutputs(NamedTuple):
@@ -113,7 +116,7 @@ def run_policies(
             f"a throw in mode {mode.value} needs a policy and none is loaded; "
             "see policies/active.json"
         )
-    seen, memory = _observe(spec, mode, memory, inputs, due)
+    seen, memory = _observe(spec, mode, memory, inputs, due, policy.is_paced)
     raw = policy.infer(seen)
     finite: BoolArray = np.asarray(np.isfinite(raw).all(axis=1))
     failed[due] = ~finite
@@ -129,7 +132,7 @@ def run_policies(
         request_rad_m_per_s=_put(memory.request_rad_m_per_s, due, request),
         released=_put(memory.released, due, memory.released[due] | opens),
     )
-    return PolicyOutputs(memory, _row(inputs, due, seen, raw), failed)
+    return PolicyOutputs(memory, _row(mode, inputs, due, seen, raw), failed)
 
 
 def _wait(memory: ThrowMemory, inputs: PolicyInputs, throws: BoolArray) -> ThrowMemory:
@@ -140,7 +143,12 @@ def _wait(memory: ThrowMemory, inputs: PolicyInputs, throws: BoolArray) -> Throw
 
 
 def _observe(
-    spec: MachineSpec, mode: Mode, memory: ThrowMemory, inputs: PolicyInputs, due: IntArray
+    spec: MachineSpec,
+    mode: Mode,
+    memory: ThrowMemory,
+    inputs: PolicyInputs,
+    due: IntArray,
+    is_paced: bool,
 ) -> tuple[Array, ThrowMemory]:
     """Observations (len(due), D) and the memory with their histories pushed."""
     begins, target = inputs.begins[due], inputs.target_m[due]
@@ -161,7 +169,9 @@ def _observe(
         positions = np.where(start, frame.joint_position_rad_m[:, None], positions)
         velocities = np.where(start, frame.joint_velocity_rad_m_per_s[:, None], velocities)
         previous = np.where(begins[:, None], 0.0, previous)
-    seen = observation.build(mode, frame, positions, velocities, previous, memory.released[due])
+    pace = np.broadcast_to(inputs.pace_ratio, inputs.motion.shape)[due] if is_paced else None
+    released = memory.released[due]
+    seen = observation.build(mode, frame, positions, velocities, previous, released, pace)
     return seen, memory._replace(
         slew_turns_count=_put(memory.slew_turns_count, due, turns),
         position_history_rad_m=_put(memory.position_history_rad_m, due, positions),
@@ -178,9 +188,13 @@ def _put(values: NDArray[Scalar], index: IntArray, new: NDArray[Scalar]) -> NDAr
     return result
 
 
-def _row(inputs: PolicyInputs, due: IntArray, seen: Array, raw: Array) -> NDArray[np.void]:
+def _row(
+    mode: Mode, inputs: PolicyInputs, due: IntArray, seen: Array, raw: Array
+) -> NDArray[np.void]:
+    """What was seen and done; the pace, one number for the whole throw, is in the log's plan."""
+    width = len(observation.OBSERVATION_NAMES[mode])
     row = np.zeros(inputs.motion.shape[0], dtype=POLICY_ROW)
     row["t_mono_ns"][due] = inputs.now_ns
-    row["observation_ratio"][due, : seen.shape[1]] = seen
+    row["observation_ratio"][due, :width] = seen[:, :width]
     row["action_ratio"][due, : raw.shape[1]] = raw
     return row

@@ -91,7 +91,7 @@ class Planner:
         running = self._store.add(row)
         if refusal is None:
             self._supersede(session.session_id, row.plan_id)
-            self._submit(running, policy, known.state, target, request.rollout_count)
+            self._submit(running, policy, known.state, request)
             running.first.wait(FIRST_NUMBERS_WAIT_S)
         return self._store.view(row.plan_id)
 
@@ -118,6 +118,7 @@ class Planner:
             target_x_m=target.x_m,
             target_y_m=target.y_m,
             target_z_m=target.z_m,
+            pace_ratio=request.pace_ratio,
             policy_id=policy.card.policy_id,
             policy_sha256=policy.card.policy_sha256,
             model_sha256=self._spec.sha256,
@@ -168,18 +169,18 @@ class Planner:
         running: Running,
         policy: ShelfPolicy,
         state: MachineState,
-        target: Target,
-        rollout_count: int,
+        request: PlanRequest,
     ) -> None:
         row = running.row
         job = PreviewJob(
             job_id=row.plan_id,
             slot=0,
             policy_dir=policy.folder,
-            target=target,
+            target=request.target.target(),
+            pace_ratio=request.pace_ratio,
             joint_position_rad_m=state.joint_position_rad_m,
             payload_held=state.payload_held,
-            rollout_count=rollout_count,
+            rollout_count=request.rollout_count,
             calibration_path=self._twins.calibration_path(row.machine_id),
             profile_path=self._twins.profile_path(row.machine_id),
             seed=int(row.plan_id.replace("-", ""), 16) % (1 << 31),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from machine.calibration import load_calibration, nominal_calibration
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import DownrangeError
 from machine.messages import Target
 from machine.policy_card import POLICY_FILE
@@ -41,6 +42,7 @@ class PreviewJob:
     calibration_path: Path | None
     profile_path: Path | None
     seed: int
+    pace_ratio: float = DEFAULT_PACE_RATIO
 
 
 class CancelledPreviewError(Exception):
@@ -80,6 +82,7 @@ class Worker:
             payload_held=job.payload_held,
             rollout_count=job.rollout_count,
             seed=job.seed,
+            pace_ratio=job.pace_ratio,
         )
         self._check(job)
         return preview(request, partial(self._progress, job))

@@ -53,6 +53,8 @@ class ThrowRow(View):
     operator: str
     mode: Mode
     target: TargetView
+    pace_ratio: float
+    """0 careful .. 1 fast."""
     policy_id: str
     policy_sha256: str
     phase: ThrowPhase

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from machine.conventions import Mode
+from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.messages import LandingEllipse
 from server.schemas.console import Request, TargetRequest, TargetView, View
 
@@ -16,6 +16,8 @@ class PlanRequest(Request):
 
     mode: Mode
     target: TargetRequest
+    pace_ratio: float = Field(default=DEFAULT_PACE_RATIO, ge=0.0, le=1.0)
+    """0 careful .. 1 fast."""
     rollout_count: int = Field(default=200, ge=0, le=1000)
     """Throws behind the landing ellipse; 0 for none."""
 
@@ -73,6 +75,7 @@ class PlanView(View):
     state: PlanState
     mode: Mode
     target: TargetView
+    pace_ratio: float
     policy_id: str | None
     policy_sha256: str | None
     model_sha256: str

@@ -15,6 +15,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import DownrangeError, UsageError
 from server.accounts.access import OWN_VALUE
 from server.accounts.auth import COOKIE
@@ -115,9 +116,15 @@ class ThrowClient:
         raise ServerError(text)
 
     def throw(
-        self, machine_id: str, mode: str, x_m: float, y_m: float, timeout_s: float
+        self,
+        machine_id: str,
+        mode: str,
+        x_m: float,
+        y_m: float,
+        timeout_s: float,
+        pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> ThrowReport:
-        """Make one throw at a point in frame `machine`.
+        """Make one throw at a point in frame `machine`, 0 careful .. 1 fast.
 
         Raises:
             ServerError: refused at any step, with the server's reason.
@@ -126,7 +133,7 @@ class ThrowClient:
         self._call("POST", f"/machines/{machine_id}/lease")
         try:
             with Renewal(self._call, machine_id):
-                plan = self._plan(machine_id, mode, x_m, y_m)
+                plan = self._plan(machine_id, mode, x_m, y_m, pace_ratio)
                 row = self._fire_and_hold(machine_id, plan["plan_id"], timeout_s)
         finally:
             self._call("DELETE", f"/machines/{machine_id}/lease")
@@ -146,7 +153,9 @@ class ThrowClient:
             detail=row["detail"],
         )
 
-    def _plan(self, machine_id: str, mode: str, x_m: float, y_m: float) -> dict[str, Any]:
+    def _plan(
+        self, machine_id: str, mode: str, x_m: float, y_m: float, pace_ratio: float
+    ) -> dict[str, Any]:
         machine = self._call("GET", f"/machines/{machine_id}")
         if machine["state"] is not None and not machine["state"]["payload_held"]:
             self._call("POST", f"/machines/{machine_id}/load")
@@ -154,7 +163,12 @@ class ThrowClient:
         plan = self._call(
             "POST",
             f"/machines/{machine_id}/plans",
-            {"mode": mode, "target": {"x_m": x_m, "y_m": y_m}, "rollout_count": 0},
+            {
+                "mode": mode,
+                "target": {"x_m": x_m, "y_m": y_m},
+                "pace_ratio": pace_ratio,
+                "rollout_count": 0,
+            },
         )
         end_s = time.monotonic() + PREVIEW_TIMEOUT_S
         while plan["state"] == "previewing" and time.monotonic() < end_s:

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, Motion
+from machine.conventions import CONTROL_PERIOD_S, DEFAULT_PACE_RATIO, Array, BoolArray, Motion
 from machine.errors import UsageError
 from machine.kinematics import grip_centre, to_throw_frame
 from machine.messages import LandingEllipse
@@ -87,6 +87,7 @@ def run_throws(
     progress: Progress | None = None,
     use_truth: bool = False,
     ends_at_release: bool = False,
+    pace_ratio: float = DEFAULT_PACE_RATIO,
 ) -> list[ThrowResult]:
     """Throw once at each target (N, 3) from each start (N, 6), `plant.count` at a time.
 
@@ -101,6 +102,7 @@ def run_throws(
         use_truth: score the true impacts where the plant knows them, not the surveyed ones.
         ends_at_release: where the plant predicts impacts, score the prediction and spare the time after the
             release (a gripper that hits something while it settles then goes unnoticed).
+        pace_ratio: of every throw, 0 careful .. 1 fast.
 
     Raises:
         UsageError: no policy, unequal numbers of targets and starts, or a target off the ground on a
@@ -119,7 +121,9 @@ def run_throws(
         # The last batch is filled up with repeats, whose results are dropped.
         rows = first + np.arange(plant.count) % taken
         batch_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
-        batch = ThrowBatch(plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken)
+        batch = ThrowBatch(
+            plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken, pace_ratio
+        )
         batch.use_truth = use_truth
         batch.ends_at_release = ends_at_release and isinstance(plant, PredictsImpact)
         if record is not None:
@@ -155,12 +159,13 @@ class ThrowBatch:
         start_rad_m: Array,
         seed: int,
         taken: int,
+        pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> None:
         """Start a throw on every machine; only the first `taken` of them count."""
         self._spec = params.spec
         if isinstance(plant, HasSurface):
             plant.set_surface_height(target_m[:, 2])
-        self.rollout = Rollout(plant, params, target_m, start_rad_m, seed)
+        self.rollout = Rollout(plant, params, target_m, start_rad_m, seed, pace_ratio=pace_ratio)
         self._taken, self._count = taken, plant.count
         low, high = params.spec.position_range_rad_m
         self._low, self._high = low[None] + LIMIT_REACHED_RAD_M, high[None] - LIMIT_REACHED_RAD_M

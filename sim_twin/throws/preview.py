@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from machine.ballistics import step_flight
-from machine.conventions import CONTROL_PERIOD_S, JOINT_COUNT, Array
+from machine.conventions import CONTROL_PERIOD_S, DEFAULT_PACE_RATIO, JOINT_COUNT, Array
 from machine.errors import RefusedError, UsageError
 from machine.messages import LandingEllipse, RejectReason, Target
 from machine.reach import check_target
@@ -49,6 +49,8 @@ class PreviewRequest:
     rollout_count: int = 200
     """Throws of the landing ellipse; 0 for none."""
     seed: int = 0
+    pace_ratio: float = DEFAULT_PACE_RATIO
+    """0 careful .. 1 fast."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,13 @@ class _NominalThrow:
             count=1, profile=exact_profile(request.profile), calibration=params.calibration
         )
         self._batch = ThrowBatch(
-            self._twin, params, self._target, self.start[None], request.seed, 1
+            self._twin,
+            params,
+            self._target,
+            self.start[None],
+            request.seed,
+            1,
+            request.pace_ratio,
         )
         self._film = [self.start]
         self._solids: list[Clearance] = []
@@ -261,7 +269,17 @@ def _with_ellipse(
         starts = scattered_starts(request.params.spec, request.profile.spread, start, size, rng)
         target = np.repeat(_point(request.target), size, axis=0)
         seed = int(np.random.SeedSequence((request.seed, 1, number)).generate_state(1)[0])
-        results.extend(run_throws(twin, request.params, target, starts, seed, ends_at_release=True))
+        results.extend(
+            run_throws(
+                twin,
+                request.params,
+                target,
+                starts,
+                seed,
+                ends_at_release=True,
+                pace_ratio=request.pace_ratio,
+            )
+        )
         shown = replace(shown, ellipse=landing_ellipse(results), wall_s=perf_counter() - started)
         if on_progress is not None and len(results) < total:
             on_progress(shown)

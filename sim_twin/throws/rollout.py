@@ -5,7 +5,7 @@ The control step is the one that runs on the machine; nothing here decides what 
 
 import numpy as np
 
-from machine.conventions import CONTROL_PERIOD_NS, Array, IntArray, Motion
+from machine.conventions import CONTROL_PERIOD_NS, DEFAULT_PACE_RATIO, Array, IntArray, Motion
 from machine.errors import PlantError
 from runtime.control import control_loop
 from runtime.control.control_loop import ControlInputs, ControlOutputs, ControlParams
@@ -23,6 +23,7 @@ class Rollout:
         start_rad_m: Array,
         seed: int,
         motion: Motion = Motion.THROW,
+        pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> None:
         """Put the machines at their starts, loaded and at rest.
 
@@ -33,6 +34,7 @@ class Rollout:
             start_rad_m: (N, 6) poses.
             seed: of the plant's per-throw noise.
             motion: what the machines do first.
+            pace_ratio: of every throw, 0 careful .. 1 fast.
 
         Raises:
             PlantError: targets and starts are not as many as the plant's machines.
@@ -43,6 +45,7 @@ class Rollout:
                 f"{target_m.shape} and starts of shape {start_rad_m.shape}"
             )
         self.plant, self.params, self.target_m = plant, params, target_m
+        self._pace_ratio = pace_ratio
         plant.reset(start_rad_m, seed)
         self.start_ns = plant.now_ns()
         self.motion: IntArray = np.full(plant.count, int(motion), dtype=np.int64)
@@ -57,7 +60,7 @@ class Rollout:
     def tick(self) -> ControlOutputs:
         """Control with the present sample, move on by one period, read the next sample."""
         now_ns = self.plant.now_ns()
-        inputs = ControlInputs(sample=self.sample, motion=self.motion, target_m=self.target_m)
+        inputs = ControlInputs(self.sample, self.motion, self.target_m, self._pace_ratio)
         self._state, outputs = control_loop.step(self.params, self._state, inputs, now_ns)
         self.plant.write(outputs.command)
         self.plant.advance(now_ns + CONTROL_PERIOD_NS)

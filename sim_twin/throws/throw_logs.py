@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.conventions import CONTROL_PERIOD_NS, Array, IntArray
+from machine.conventions import CONTROL_PERIOD_NS, DEFAULT_PACE_RATIO, Array, IntArray
 from machine.messages import EventKind, ImpactSurvey, MachineEvent, ThrowEnd
 from machine.telemetry import BALL_ROW, IMU_ROW
 from runtime.control.control_loop import ControlOutputs, ControlParams
@@ -37,6 +37,8 @@ class LogContext:
     """The machine's own, put into every log so that it can be diagnosed alone."""
     throw_numbers: tuple[int, ...] = ()
     """Numbers of the throws in the set that they belong to; counted from 0 if empty."""
+    pace_ratio: float = DEFAULT_PACE_RATIO
+    """What the campaign throws with."""
     test: str = ""
     """Kind of identification test (sim_twin.identify.motions); empty for throws."""
 
@@ -120,6 +122,7 @@ class CampaignRecorder:
             "machine_id": context.machine_id,
             "mode": params.mode.value,
             "target": {"x_m": x, "y_m": y, "z_m": z},
+            "pace_ratio": context.pace_ratio,
             "plan_hash": "",
             "policy_id": "" if params.policy is None else params.policy.card.policy_id,
             "policy_sha256": "" if params.policy is None else params.policy.card.policy_sha256,

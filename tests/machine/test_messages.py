@@ -45,6 +45,7 @@ def test_plan_hash_survives_the_wire_to_the_last_bit(x, y, z):
     [
         {"target": Target(x_m=9.0, y_m=1e-12)},
         {"mode": Mode.SPATIAL},
+        {"pace_ratio": 0.26},
         {"policy_sha256": "c" * 64},
         {"machine_id": "m002"},
         {"predicted_impact_m": (9.0, 0.0, 1e-9)},
@@ -58,6 +59,12 @@ def test_plan_hash_changes_with_any_field(change):
 def test_a_target_that_is_no_place_is_refused(value):
     with pytest.raises(ValidationError):
         Target(x_m=value, y_m=0.0)
+
+
+@pytest.mark.parametrize("pace", [-0.01, 1.01, float("nan")])
+def test_a_pace_outside_of_careful_and_fast_is_refused(pace):
+    with pytest.raises(ValidationError):
+        plan(pace_ratio=pace)
 
 
 def test_the_machine_refuses_fields_it_does_not_know():

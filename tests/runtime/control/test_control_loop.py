@@ -30,6 +30,7 @@ class Scripted:
     """Steady action; the machine is asked to release when told to."""
 
     action_scale_rad_m_per_s = np.array([0.5, 0.7, 0.5])
+    is_paced = False
 
     card = SimpleNamespace(mode=Mode.PLANAR, policy_id="scripted", policy_sha256="0" * 64)
 

@@ -72,6 +72,7 @@ class Wandering:
     """A stand-in for a policy: smooth random velocities, never a release."""
 
     action_scale_rad_m_per_s = np.array([0.6, 0.35, 0.5, 0.35])
+    is_paced = False
 
     card = SimpleNamespace(mode=Mode.SPATIAL, policy_id="wandering", policy_sha256="0" * 64)
 

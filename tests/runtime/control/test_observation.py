@@ -21,7 +21,7 @@ def random_machines(count=50):
     return pose, RNG.normal(0.0, 0.4, (count, 6)), target
 
 
-def observe(mode, q, v, target):
+def observe(mode, q, v, target, *pace):
     turns = observation.start_turns(q[..., 0], target)
     frame = observation.policy_frame(SPEC, mode, q, v, target, turns)
     positions = observation.start_history(frame.joint_position_rad_m)
@@ -29,7 +29,7 @@ def observe(mode, q, v, target):
         observation.start_history(0.5 * v), frame.joint_velocity_rad_m_per_s
     )
     action = q[..., : len(ACTION_NAMES[mode])] * 3.0
-    return observation.build(mode, frame, positions, velocities, action, q[..., 1] > 0.7)
+    return observation.build(mode, frame, positions, velocities, action, q[..., 1] > 0.7, *pace)
 
 
 @pytest.mark.parametrize("mode, width, actions", [(Mode.PLANAR, 56, 4), (Mode.SPATIAL, 65, 5)])
@@ -37,6 +37,15 @@ def test_names(mode, width, actions):
     assert len(OBSERVATION_NAMES[mode]) == len(set(OBSERVATION_NAMES[mode])) == width
     assert len(ACTION_NAMES[mode]) == actions
     assert ACTION_NAMES[mode][-1] == "release"
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_the_pace_is_one_more_entry_at_the_end(mode):
+    q, v, target = random_machines()
+    pace = RNG.uniform(0.0, 1.0, q.shape[0])
+    plain, paced = observe(mode, q, v, target), observe(mode, q, v, target, pace)
+    assert observation.observation_names(mode, True) == (*OBSERVATION_NAMES[mode], "pace")
+    assert np.array_equal(paced[:, :-1], plain) and np.array_equal(paced[:, -1], pace)
 
 
 @pytest.mark.parametrize("mode", list(Mode))

@@ -106,6 +106,20 @@ def test_other_names_are_refused(folder):
         PolicyRunner(folder, SPEC)
 
 
+def test_a_policy_may_end_with_the_pace(folder):
+    assert not PolicyRunner(folder, SPEC).is_paced
+    card = PolicyCard.model_validate_json((folder / CARD_FILE).read_text())
+    put_model(folder, linear(width=57))
+    change_card(
+        folder,
+        observation_names=(*card.observation_names, "pace"),
+        policy_sha256=file_sha256(folder / POLICY_FILE),
+    )
+    runner = PolicyRunner(folder, SPEC)
+    assert runner.is_paced
+    assert runner.act(np.zeros((2, 57))).shape == (2, 4)
+
+
 @pytest.mark.parametrize("scale", [(0.5, 0.7), (0.5, 0.7, 0.0), (0.5, 0.7, float("nan"))])
 def test_scales_must_be_positive_numbers(folder, scale):
     text = json.loads((folder / CARD_FILE).read_text())

@@ -14,7 +14,8 @@ SPEC = load_spec()
 class Scripted:
     """Answers with prepared actions and keeps what it saw."""
 
-    def __init__(self, actions, mode=Mode.SPATIAL):
+    def __init__(self, actions, mode=Mode.SPATIAL, is_paced=False):
+        self.is_paced = is_paced
         self.actions = np.asarray(actions, dtype=float)
         self.action_scale_rad_m_per_s = np.array([0.95, 0.5, 0.7, 0.5])[
             -(self.actions.shape[-1] - 1) :
@@ -35,6 +36,7 @@ class Run:
         self.ticks = np.zeros(count, dtype=np.int64)
         self.before = np.zeros(count, dtype=np.int64)
         self.tick_number = 0
+        self.pace_ratio = np.linspace(0.0, 1.0, count)
 
     def tick(self, *motions):
         motion = np.array([int(m) for m in motions])
@@ -46,7 +48,14 @@ class Run:
         velocity = np.full((self.count, 6), 0.01 * self.tick_number)
         target = np.tile([9.0, 1.0, 0.0], (self.count, 1))
         inputs = PolicyInputs(
-            pose, velocity, target, motion, begins, self.ticks, 1000 + self.tick_number
+            pose,
+            velocity,
+            target,
+            motion,
+            begins,
+            self.ticks,
+            1000 + self.tick_number,
+            self.pace_ratio,
         )
         self.tick_number += 1
         self.out = run_policies(SPEC, self.mode, self.policy, self.memory, inputs)
@@ -179,6 +188,15 @@ def test_the_row_holds_what_was_seen_and_said():
     assert np.allclose(row["observation_ratio"][0, :56], run.policy.seen[0][0])
     assert not row["observation_ratio"][0, 56:].any() and not row["observation_ratio"][1].any()
     assert row["action_ratio"][0].tolist() == [3.0, -1.0, 0.5, 0.0, 0.0]
+
+
+def test_only_a_paced_policy_sees_the_pace_of_its_own_machine_and_the_row_leaves_it_out():
+    plain, paced = (Run(Scripted([0.0] * 5, is_paced=paced)) for paced in (False, True))
+    row = plain.tick(Motion.HOLD, Motion.THROW).row
+    assert paced.tick(Motion.HOLD, Motion.THROW).row.tobytes() == row.tobytes()
+    (without,), (seen,) = plain.policy.seen, paced.policy.seen
+    assert without.shape == (1, 65) and seen.shape == (1, 66)
+    assert np.array_equal(seen[:, :65], without) and seen[0, 65] == 1.0
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

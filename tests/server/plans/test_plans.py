@@ -39,10 +39,20 @@ def test_a_plan_has_numbers_path_frames_and_a_hash(machine, ada):
     assert names["gripper to ground"]["value_m"] > 0.0
     assert names["boom to its limit"]["value_rad"] is not None
     assert len(plan["plan_hash"]) == 64
+    assert plan["pace_ratio"] == 0.25
     frames = ada.get(f"/plans/{plan['plan_id']}/frames").json()
     assert frames["frame_period_s"] == pytest.approx(0.02)
     assert frames["frames_rad_m"][0][1] == pytest.approx(machine.joints[1], abs=1e-3)
     assert len(frames["ball_path_m"]) > 5
+
+
+def test_a_plan_keeps_its_pace_and_refuses_one_that_is_none(machine, ada):
+    body = {"mode": "2d", "target": {"x_m": 8.0, "y_m": 0.0}, "rollout_count": 0}
+    path = "/machines/m001/plans"
+    assert ada.post(path, json={**body, "pace_ratio": 1.5}).status_code == 422
+    plan = ada.post(path, json={**body, "pace_ratio": 0.75}).json()
+    assert plan["pace_ratio"] == 0.75
+    assert finished(ada, plan)["plan_hash"] != finished(ada, create(ada))["plan_hash"]
 
 
 def test_the_ellipse_arrives_by_events_of_this_session_only(running, machine, ada):

@@ -47,7 +47,7 @@ def test_throws_are_scored_and_repeat_with_their_seed(swing_policies: Path) -> N
     target_m = np.array([[r, 0.0, 0.0] for r in (6.0, 6.5, 7.0, 6.5, 6.0)])
     told: list[tuple[int, int]] = []
 
-    def throw(seed: int) -> list[ThrowResult]:
+    def throw(seed: int, pace_ratio: float = 0.25) -> list[ThrowResult]:
         return run_throws(
             Twin.for_plant(count=2, unit_seed=0),
             params(swing_policies),
@@ -55,6 +55,7 @@ def test_throws_are_scored_and_repeat_with_their_seed(swing_policies: Path) -> N
             starts(target_m),
             seed,
             progress=lambda done, total: told.append((done, total)),
+            pace_ratio=pace_ratio,
         )
 
     first = throw(1)
@@ -69,7 +70,8 @@ def test_throws_are_scored_and_repeat_with_their_seed(swing_policies: Path) -> N
         )
         assert r.simulated_s > r.throw_duration_s > 0.5
         assert 1.0 < r.release_speed_m_per_s < 6.0
-    assert throw(1) == first
+    # A policy that was not trained with a pace does not see it.
+    assert throw(1, pace_ratio=1.0) == first
     other = throw(2)
     assert (
         max(

@@ -1775,6 +1775,11 @@ export interface components {
         PlanRequest: {
             mode: components["schemas"]["Mode"];
             /**
+             * Pace Ratio
+             * @default 0.25
+             */
+            pace_ratio: number;
+            /**
              * Rollout Count
              * @default 200
              */
@@ -1823,6 +1828,8 @@ export interface components {
             mode: components["schemas"]["Mode"];
             /** Model Sha256 */
             model_sha256: string;
+            /** Pace Ratio */
+            pace_ratio: number;
             /** Plan Hash */
             plan_hash: string | null;
             /** Plan Id */
@@ -2293,6 +2300,8 @@ export interface components {
             /** Operator */
             operator: string;
             outcome: components["schemas"]["Outcome"] | null;
+            /** Pace Ratio */
+            pace_ratio: number;
             phase: components["schemas"]["ThrowPhase"];
             /** Plan Id */
             plan_id: string;

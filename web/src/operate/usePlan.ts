@@ -9,6 +9,8 @@ import type { Target } from "./target";
 
 const SETTLE_MS = 250;
 const ROLLOUT_COUNT = 200;
+/** 0 careful .. 1 fast; the server's own default. */
+const PACE_RATIO = 0.25;
 
 type Wish = { machineId: string; mode: "2d" | "3d"; target: Target };
 
@@ -17,7 +19,12 @@ async function requestPlan({ machineId, mode, target }: Wish): Promise<Plan> {
   return take(
     api.POST("/api/v1/machines/{machine_id}/plans", {
       params: { path: { machine_id: machineId } },
-      body: { mode, target: { x_m, y_m, z_m, mode }, rollout_count: ROLLOUT_COUNT },
+      body: {
+        mode,
+        target: { x_m, y_m, z_m, mode },
+        pace_ratio: PACE_RATIO,
+        rollout_count: ROLLOUT_COUNT,
+      },
     }),
   );
 }
