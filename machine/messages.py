@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
+from machine.site.objects import SiteObjects
 
 SCHEMA_VERSION = 1
 
@@ -108,6 +109,8 @@ class ThrowPlan(_ToMachine):
     twin_profile_version: int
     predicted_impact_m: tuple[float, float, float]
     predicted_ellipse: LandingEllipse | None = None
+    site: SiteObjects = ()
+    """What stood around the machine when the throw was previewed, frame `machine`."""
 
     @property
     def plan_hash(self) -> str:

@@ -43,8 +43,12 @@ def check_target(card: PolicyCard, target: Target) -> None:
             "Move the target closer or the machine nearer.",
         )
     if not card.target_height_min_m - 1e-9 <= target.z_m <= card.target_height_max_m + 1e-9:
+        low_m, high_m = card.target_height_min_m, card.target_height_max_m
+        heights = f"to heights of {low_m:+.2f} to {high_m:+.2f} m"
+        if low_m == high_m == 0.0:
+            heights = "to the ground only (0.00 m)"
         raise RefusedError(
             RejectReason.TARGET_OUT_OF_REACH,
-            f"Refused: target height {target.z_m:+.2f} m, this policy throws to heights "
-            f"{card.target_height_min_m:+.2f} to {card.target_height_max_m:+.2f} m.",
+            f"Refused: target height {target.z_m:+.2f} m, policy {card.policy_id} throws {heights}. "
+            f"Choose a target at such a height, or a policy that was trained for {target.z_m:+.2f} m.",
         )

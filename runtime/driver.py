@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from machine.conventions import Array, BoolArray, IntArray
+from machine.site.solids import Solids
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,15 @@ class SimulatedDriver(Driver, Protocol):
 
     def collided(self) -> BoolArray:
         """(N,) whether the gripper has touched ground, arm or machine since the reset."""
+        ...
+
+
+@runtime_checkable
+class LandingDriver(Protocol):
+    """A driver that simulates the loads' flight too, and wants to know what they can land on."""
+
+    def set_solids(self, solids: Solids) -> None:
+        """Ground and objects, frame `machine`, from now on."""
         ...
 
 

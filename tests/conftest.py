@@ -84,6 +84,8 @@ def write_swing_policy(folder: Path, mode: Mode, throws: bool = True) -> None:
         ),
         target_range_min_m=5.5,
         target_range_max_m=10.9,
+        target_height_min_m=-0.8,
+        target_height_max_m=0.8,
         training=TrainingRecord(
             commit="none",
             seed_count=0,

@@ -6,7 +6,7 @@ into replies, events and log rows, and keeps none of them.
 
 import secrets
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from machine.messages import (
     RejectReason,
     ThrowState,
 )
+from machine.site.solids import Solids
 from machine.spec import MachineSpec
 from runtime.control import swing_control
 from runtime.control.control_loop import (
@@ -37,7 +38,7 @@ from runtime.control.control_loop import (
 from runtime.control.imu_estimator import ImuEstimate
 from runtime.control.policy import PolicyRunner
 from runtime.control.policy_step import initial_throw
-from runtime.driver import Driver, SensorSample, ValveCommand
+from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
 from runtime.throw.freshness import why_stale
@@ -60,13 +61,6 @@ CHECK_PERIOD_TICKS: Final = 10
 STALL_LIMIT_COUNT: Final = 10
 """Periods missed at once (0.1 s blind) that end a throw before its commit point."""
 _CLOSED: Final = ValveCommand(np.zeros((1, ACTIVE_COUNT)), np.zeros(1, dtype=np.bool_))
-
-
-class GroundedDriver(Protocol):
-    """A driver that simulates the ground too, and wants to know how high the target surface is."""
-
-    target_height_m: Array
-    """(N,)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,8 +242,8 @@ class MachineControl:
         target = plan.target
         self._target_m = np.array([[target.x_m, target.y_m, target.z_m]])
         self._pace_ratio = plan.pace_ratio
-        if hasattr(self.driver, "target_height_m"):
-            cast("GroundedDriver", self.driver).target_height_m[:] = target.z_m
+        if isinstance(self.driver, LandingDriver):
+            self.driver.set_solids(Solids.around(plan.site, target))
         if plan.mode is not self._mode:
             self._mode = plan.mode
             self._state = replace(self._state, throw=initial_throw(plan.mode, 1))

@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 
 from machine.conventions import ACTIVE_JOINTS, Array
+from machine.site.objects import SiteKind
+from machine.site.solids import Solids
 from machine.spec import MachineSpec
 from sim_twin.twin.model import twin_model
 
@@ -20,6 +22,12 @@ OBSTACLES: dict[str, tuple[str, ...]] = {
 }
 """What the operator is told -> collision shapes of m545.xml."""
 GRIPPER_SHAPES = ("gripper_body_collision", "gripper_claw_collision")
+ARM_SHAPES = ("boom_obstacle", "dipper_obstacle", "telescope_obstacle", *GRIPPER_SHAPES)
+"""Everything that moves out over the yard; capsules and spheres, all of them."""
+SITE_MARGIN_M = 0.2
+"""Kept from objects of the site. Chosen by eye: people say where things stand with a tape measure."""
+SAMPLE_SPACING_M = 0.15
+"""Of points on the axes of capsules; a corner between two of them is seen 15 mm too far off at most."""
 
 
 class Clearance(NamedTuple):
@@ -37,15 +45,20 @@ class Clearance(NamedTuple):
 
 
 def solid_clearances(
-    frames_rad_m: Array, period_s: float, known: Sequence[Clearance] = (), known_count: int = 0
+    frames_rad_m: Array,
+    period_s: float,
+    known: Sequence[Clearance] = (),
+    known_count: int = 0,
+    solids: Solids | None = None,
 ) -> list[Clearance]:
-    """Distances between the gripper's collision shapes and everything solid, over frames (T, 6).
+    """Distances from everything solid, over frames (T, 6): gripper to machine and ground, arm to the site.
 
     Args:
         frames_rad_m: joint positions.
         period_s: from frame to frame.
         known: what this function returned for the first `known_count` frames; they are not looked at again.
         known_count: how many.
+        solids: what stands around the machine.
     """
     model, _ = twin_model()
     data = mujoco.MjData(model)
@@ -57,6 +70,8 @@ def solid_clearances(
         ]
         for name, others in OBSTACLES.items()
     }
+    arm = _ArmPoints(model)
+    places: list[Array] = []
     smallest: dict[str, tuple[float, int]] = dict.fromkeys(pairs, (FAR_M, 0))
     smallest |= {c.name: (c.value_rad_m, round(c.at_s / period_s)) for c in known}
     segment = np.zeros(6)
@@ -70,10 +85,57 @@ def solid_clearances(
             )
             if distance < smallest[name][0]:
                 smallest[name] = (distance, index)
+        if solids is not None and solids.objects:
+            places.append(arm.places(data))
+    if solids is not None and places:
+        _note_site(smallest, solids, arm.distances(np.stack(places), solids), known_count)
     return [
-        Clearance(name, distance, 0.0, index * period_s, "m")
+        Clearance(name, distance, SITE_MARGIN_M if name.startswith(TO_SITE) else 0.0, at, "m")
         for name, (distance, index) in smallest.items()
+        for at in (index * period_s,)
     ]
+
+
+TO_SITE = "arm or gripper to "
+"""Begins the names of clearances from objects of the site."""
+
+
+def _note_site(
+    smallest: dict[str, tuple[float, int]], solids: Solids, near_m: Array, first: int
+) -> None:
+    """Take the smallest of distances (T, K) from the site's objects into `smallest`."""
+    for column, item in enumerate(solids.objects):
+        if item.kind is SiteKind.PIT:
+            continue  # nothing of it stands in the way
+        name, at = TO_SITE + item.name, int(near_m[:, column].argmin())
+        distance = float(near_m[at, column])
+        if distance < smallest.get(name, (FAR_M, 0))[0]:
+            smallest[name] = (distance, first + at)
+
+
+class _ArmPoints:
+    """Points on the axes of the arm's collision shapes, which stand for spheres of the shapes' radii."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        ids: list[int] = []
+        along: list[float] = []
+        for name in ARM_SHAPES:
+            geom = model.geom(name)
+            half_m = float(geom.size[1]) if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
+            count = 1 + int(np.ceil(2.0 * half_m / SAMPLE_SPACING_M))
+            ids += [int(geom.id)] * count
+            along += np.linspace(-half_m, half_m, count).tolist()
+        self._ids, self._along = np.array(ids), np.array(along)[:, None]
+        self._radius_m: Array = model.geom_size[self._ids, 0]
+
+    def places(self, data: mujoco.MjData) -> Array:
+        """Where the points (P, 3) are as the arm stands in `data`."""
+        axes = data.geom_xmat[self._ids].reshape(-1, 3, 3)[:, :, 2]
+        return data.geom_xpos[self._ids] + self._along * axes
+
+    def distances(self, places_m: Array, solids: Solids) -> Array:
+        """Distances (T, K) of the arm at places (T, P, 3) from the objects of a site."""
+        return (solids.distances(places_m)[..., 1:] - self._radius_m[:, None]).min(axis=1)
 
 
 def limit_clearances(

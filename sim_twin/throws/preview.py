@@ -15,6 +15,7 @@ from machine.conventions import CONTROL_PERIOD_S, DEFAULT_PACE_RATIO, JOINT_COUN
 from machine.errors import RefusedError, UsageError
 from machine.messages import LandingEllipse, RejectReason, Target
 from machine.reach import check_target
+from machine.site.objects import SiteObject
 from runtime.control.control_loop import ControlParams
 from sim_twin.throws.campaign import (
     Outcome,
@@ -25,6 +26,7 @@ from sim_twin.throws.campaign import (
     throw_errors,
 )
 from sim_twin.throws.clearances import Clearance, limit_clearances, solid_clearances
+from sim_twin.throws.landing import Landing
 from sim_twin.throws.refusals import Refusal, nominal_refusals, spread_refusals
 from sim_twin.throws.throw_start import scattered_starts, throw_start
 from sim_twin.twin.profile import TwinProfile, exact_profile
@@ -46,6 +48,8 @@ class PreviewRequest:
     joint_position_rad_m: tuple[float, float, float, float, float, float]
     """The machine's pose now; the gripper is taken as plumb, whatever its two entries say."""
     payload_held: bool = True
+    site: tuple[SiteObject, ...] = ()
+    """What stands around the machine."""
     rollout_count: int = 200
     """Throws of the landing ellipse; 0 for none."""
     seed: int = 0
@@ -69,6 +73,8 @@ class ThrowPreview:
     flight_s: float
     duration_s: float
     release_speed_m_per_s: float
+    lands_on: str | None
+    """Name of what the load touches first: the ground's or an object's; None where it touches nothing."""
     clearances: tuple[Clearance, ...]
     wall_s: float
     """Time that the computation took so far."""
@@ -129,6 +135,7 @@ def _nothing(refusal: Refusal, wall_s: float) -> ThrowPreview:
         flight_s=nan,
         duration_s=0.0,
         release_speed_m_per_s=nan,
+        lands_on=None,
         clearances=(),
         wall_s=wall_s,
         is_final=True,
@@ -146,6 +153,7 @@ class _NominalThrow:
         params = request.params
         self._spec, self._started = params.spec, started
         self._target = _point(request.target)
+        self._landing = Landing.of(request.site, request.target)
         pose = np.asarray(request.joint_position_rad_m)
         self.start, self._turn = throw_start(
             params.spec, params.mode, pose, self._target[0], FRAME_PERIOD_S
@@ -153,6 +161,7 @@ class _NominalThrow:
         self._twin = Twin(
             count=1, profile=exact_profile(request.profile), calibration=params.calibration
         )
+        self._twin.set_solids(self._landing.solids)
         self._batch = ThrowBatch(
             self._twin,
             params,
@@ -170,8 +179,10 @@ class _NominalThrow:
     def run(self, on_progress: Progress | None) -> ThrowPreview:
         """Throw; tell about it when the load leaves and when it has come down."""
         self._roll(until_release=True)
-        if on_progress is not None and self._twin.payload.flying[0]:
-            on_progress(self._shown(self._predicted_result()))
+        if self._twin.payload.flying[0]:
+            predicted = self._shown(self._predicted_result())
+            if on_progress is not None:
+                on_progress(predicted)
         self._roll(until_release=False)
         shown = self._shown(self._batch.results()[0])
         if on_progress is not None:
@@ -208,7 +219,9 @@ class _NominalThrow:
         thrown = frames.shape[0]
         if not np.isnan(result.throw_duration_s):
             thrown = self._turn.shape[0] + 1 + round(result.throw_duration_s / FRAME_PERIOD_S)
-        self._solids = solid_clearances(frames, FRAME_PERIOD_S, self._solids, self._solids_count)
+        self._solids = solid_clearances(
+            frames, FRAME_PERIOD_S, self._solids, self._solids_count, self._landing.solids
+        )
         self._solids_count = frames.shape[0]
         clearances = (
             *self._solids,
@@ -216,8 +229,10 @@ class _NominalThrow:
             *limit_clearances(self._spec, frames[:thrown], FRAME_PERIOD_S),
         )
         path = self._flight_path(result) if landed else np.zeros((0, 3))
+        end = self._twin.payload.predicted if landed else None
+        contact = None if end is None else end.contact
         return ThrowPreview(
-            refused=nominal_refusals(result, clearances),
+            refused=self._landing.refusals(contact) + nominal_refusals(result, clearances),
             impact_m=result.impact_m if landed else None,
             ellipse=None,
             frames_rad_m=frames,
@@ -227,6 +242,7 @@ class _NominalThrow:
             flight_s=result.simulated_s - result.throw_duration_s if landed else float("nan"),
             duration_s=(frames.shape[0] - 1) * FRAME_PERIOD_S,
             release_speed_m_per_s=result.release_speed_m_per_s,
+            lands_on=self._landing.met(contact),
             clearances=clearances,
             wall_s=perf_counter() - self._started,
             is_final=False,
@@ -248,7 +264,8 @@ class _NominalThrow:
                 load.lift_per_m,
             )
             points.append(position[0])
-        points.append(np.array(result.impact_m) + np.array([0.0, 0.0, self._spec.ball.radius_m]))
+        if load.predicted is not None:
+            points.append(load.predicted.centre_m[0])
         return np.stack(points)
 
 
@@ -263,8 +280,11 @@ def _with_ellipse(
     total = request.rollout_count
     first = min(FIRST_CHUNK_COUNT, total)
     results: list[ThrowResult] = []
+    astray: list[str] = []
+    landing = Landing.of(request.site, request.target)
     for number, size in enumerate((first, total - first) if total > first else (first,)):
         twin = Twin(count=size, profile=request.profile, calibration=request.params.calibration)
+        twin.set_solids(landing.solids)
         rng = np.random.default_rng((request.seed, 2, number))
         starts = scattered_starts(request.params.spec, request.profile.spread, start, size, rng)
         target = np.repeat(_point(request.target), size, axis=0)
@@ -280,12 +300,14 @@ def _with_ellipse(
                 pace_ratio=request.pace_ratio,
             )
         )
+        end = twin.payload.predicted
+        astray += landing.bad_ends(None if end is None else end.contact)
         shown = replace(shown, ellipse=landing_ellipse(results), wall_s=perf_counter() - started)
         if on_progress is not None and len(results) < total:
             on_progress(shown)
     return replace(
         shown,
-        refused=(*shown.refused, *spread_refusals(results)),
+        refused=(*shown.refused, *spread_refusals(results, astray)),
         wall_s=perf_counter() - started,
         is_final=True,
     )

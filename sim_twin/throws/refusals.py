@@ -76,12 +76,20 @@ def nominal_refusals(result: ThrowResult, clearances: Sequence[Clearance]) -> tu
     return tuple(refused)
 
 
-def spread_refusals(results: Sequence[ThrowResult]) -> tuple[Refusal, ...]:
-    """What speaks against the throw once it is repeated with everything that scatters."""
-    bad = [r.outcome.value for r in results if r.outcome is not Outcome.LANDED]
+def spread_refusals(
+    results: Sequence[ThrowResult], astray: Sequence[str] = ()
+) -> tuple[Refusal, ...]:
+    """What speaks against the throw once it is repeated with everything that scatters.
+
+    Args:
+        results: the scattered throws.
+        astray: how those ended that landed, but on something else; one entry a throw.
+    """
+    bad = [r.outcome.value.replace("_", " ") for r in results if r.outcome is not Outcome.LANDED]
+    bad += astray
     if len(bad) <= BAD_THROW_LIMIT_RATIO * len(results):
         return ()
-    kinds = ", ".join(f"{bad.count(kind)} {kind.replace('_', ' ')}" for kind in sorted(set(bad)))
+    kinds = ", ".join(f"{bad.count(kind)} {kind}" for kind in sorted(set(bad)))
     return (
         _refusal(
             f"{len(bad)} of {len(results)} predicted throws end badly ({kinds}), at most "

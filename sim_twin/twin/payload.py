@@ -8,6 +8,8 @@ import numpy as np
 from machine.ballistics import drag_per_m, landing, step_flight
 from machine.conventions import Array, BoolArray, IntArray
 from machine.kinematics import ToolState
+from machine.site.solids import Solids
+from machine.site.touchdown import Touchdown, touchdown
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
 from sim_twin.effects.load import LoadEffects
@@ -48,7 +50,12 @@ class Payload:
         if self._effects is not None and self._effects.spins:
             self.lift_per_m = np.zeros((count, 3))
         self.surface_height_m = np.zeros(count)
-        """Height of the ground the load lands on; a target off the ground raises it."""
+        """Height of the ground the load lands on; a target off the ground raises it. Not looked at where
+        there are solids."""
+        self.solids: Solids | None = None
+        """What stands around; None for nothing but endless ground."""
+        self.predicted: Touchdown | None = None
+        """What released loads touch first, as of the last prediction; None without solids."""
         self.held = np.zeros(count, dtype=np.bool_)
         self.flying = np.zeros(count, dtype=np.bool_)
         self.release_t_ns = np.full(count, NEVER_NS)
@@ -173,6 +180,12 @@ class Payload:
         lift = None if self.lift_per_m is None else self.lift_per_m[rows]
         p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s[rows], step_s, lift)
         self.position_m[rows], self._velocity[rows] = p1, v1
+        if self.solids is not None:
+            hits = self.solids.closes(p0, p1, self._radius_m)
+            if hits.any():
+                begin_ns = now_ns - np.round(step_s[hits] * 1e9).astype(np.int64)
+                self._meet(rows[hits], p0[hits], v0[hits], begin_ns)
+            return
         plane = self.surface_height_m[rows] + self._radius_m
         # A load that never rose above a raised surface falls beside it, to the ground.
         plane = np.where(p0[:, 2] > plane, plane, np.minimum(plane, self._radius_m))
@@ -192,15 +205,35 @@ class Payload:
         self.impact_m[rows] = end.position_m
         # The survey measures the mark on the surface, not the ball's centre above it.
         self.impact_m[rows, 2] = plane - self._radius_m
-        self.impact_t_ns[rows] = begin_ns + np.round(end.time_s * 1e9).astype(np.int64)
+        self._end_flight(rows, begin_ns, end.time_s)
+
+    def _meet(self, rows: IntArray, position: Array, velocity: Array, begin_ns: IntArray) -> None:
+        """End the flight of `rows`, which touch a solid within a tick of `begin_ns`."""
+        end = self._to_solids(rows, position, velocity)
+        self.impact_m[rows] = end.contact.point_m
+        self._end_flight(rows, begin_ns, end.time_s)
+
+    def _end_flight(self, rows: IntArray, begin_ns: IntArray, time_s: Array) -> None:
+        self.impact_t_ns[rows] = begin_ns + np.round(time_s * 1e9).astype(np.int64)
         self.flying[rows] = False
         self.position_m[rows] = np.nan
+
+    def _to_solids(self, rows: IntArray, position: Array, velocity: Array) -> Touchdown:
+        assert self.solids is not None
+        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
+        drag, wind = self.drag_per_m[rows], self.wind_m_per_s[rows]
+        return touchdown(self.solids, self._radius_m, position, velocity, drag, wind, lift)
 
     def predicted_impact(self) -> tuple[Array, Array]:
         """Points (N, 3) where released loads come down and their flight times (N,); NaN while held.
 
-        Known as soon as the load has left; a raised surface counts as endless.
+        Known as soon as the load has left; without solids a raised surface counts as endless.
         """
+        if self.solids is not None:
+            rows = np.arange(self._count)
+            end = self._to_solids(rows, self.release_position_m, self.release_velocity_m_per_s)
+            self.predicted = end
+            return end.contact.point_m, end.time_s
         plane = self.surface_height_m + self._radius_m
         end = landing(
             self.release_position_m,

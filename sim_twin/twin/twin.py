@@ -23,6 +23,7 @@ from machine.conventions import (
 )
 from machine.errors import PlantError, UsageError
 from machine.kinematics import ToolState, grip_centre
+from machine.site.solids import Solids
 from machine.spec import MachineSpec, load_spec
 from runtime.driver import SensorSample, ValveCommand
 from sim_twin.effects.arrays import effect_arrays
@@ -373,6 +374,10 @@ class Twin:
     def set_surface_height(self, height_m: Array) -> None:
         """Height (N,) of the surface on which the loads land, from the next release on."""
         self._payload.surface_height_m[:] = height_m
+
+    def set_solids(self, solids: Solids) -> None:
+        """What loads land on or hit instead of endless ground; for all machines, frame `machine`."""
+        self._payload.solids = solids
 
     def close(self) -> None:
         """Close the valves."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from machine.ballistics import drag_per_m, step_flight
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
+from machine.site.solids import Solids, touch_share
 from machine.spec import Ball, MachineSpec
 from sim_twin.virtual.sensors import NEVER_NS
 from sim_twin.virtual.units import MachineUnit, ThrowConditions
@@ -65,6 +66,8 @@ class ThrownLoad:
             air_density_kg_per_m3=spec.ball.air_density_kg_per_m3,
         )
         self.radius_m = unit.ball_radius_m
+        self.solids: Solids | None = None
+        """What stands around; None for nothing but the target's plane."""
         self._drag_per_m = drag_per_m(ball)
         self.held = np.ones(count, dtype=np.bool_)
         self.flying = np.zeros(count, dtype=np.bool_)
@@ -140,12 +143,20 @@ class ThrownLoad:
         self._next_release_ns = int(pending.min())
 
     def fly(self, now_ns: int, plane_m: Array, wind_m_per_s: Array) -> Landed:
-        """Fly all loads in the air to this time, towards target surfaces at heights (N,)."""
+        """Fly all loads in the air to this time, towards solids, else to target surfaces at heights (N,)."""
         rows = np.flatnonzero(self.flying)
         step_s: Array = (now_ns - self._time_ns[rows]).astype(np.float64) * 1e-9
         p0, v0 = self.position_m[rows], self.velocity_m_per_s[rows]
         wind = wind_m_per_s[rows]
         p1, v1 = self._step_flight(rows, p0, v0, wind, step_s)
+        if self.solids is not None:
+            down = self.solids.closes(p0, p1, self.radius_m)
+            landed = rows[down]
+            if landed.size:
+                p1[down] = self._meet(
+                    self.solids, landed, p0[down], v0[down], wind[down], step_s[down]
+                )
+            return self._moved(rows, landed, p1, v1, now_ns)
         bottom = plane_m[rows] + self.radius_m
         down = (p1[:, 2] <= bottom) & (v1[:, 2] < 0.0)
         landed = rows[down]
@@ -158,10 +169,37 @@ class ThrownLoad:
             p1[down], v1[down] = self._step_flight(landed, p0[down], v0[down], wind[down], touch_s)
             point = p1[down]
             point[:, 2] = plane_m[landed]
-            self.impact_m[landed] = point
-            self.impact_ns[landed] = self._time_ns[landed] + (touch_s * 1e9).astype(np.int64)
-            self.flying[landed] = False
-        self.position_m[rows], self.velocity_m_per_s[rows] = p1, v1
+            self._touch(landed, point, touch_s)
+        return self._moved(rows, landed, p1, v1, now_ns)
+
+    def _meet(
+        self,
+        solids: Solids,
+        landed: IntArray,
+        position: Array,
+        velocity: Array,
+        wind: Array,
+        step_s: Array,
+    ) -> Array:
+        """Centres (M, 3) of loads at the moment in this step at which they touch a solid."""
+
+        def fly(share: Array) -> Array:
+            return self._step_flight(landed, position, velocity, wind, share * step_s)[0]
+
+        share = touch_share(lambda u: solids.distance(fly(u)) - self.radius_m, landed.size)
+        centre = fly(share)
+        self._touch(landed, solids.contact(centre, self.radius_m).point_m, share * step_s)
+        return centre
+
+    def _touch(self, landed: IntArray, point: Array, touch_s: Array) -> None:
+        self.impact_m[landed] = point
+        self.impact_ns[landed] = self._time_ns[landed] + (touch_s * 1e9).astype(np.int64)
+        self.flying[landed] = False
+
+    def _moved(
+        self, rows: IntArray, landed: IntArray, position: Array, velocity: Array, now_ns: int
+    ) -> Landed:
+        self.position_m[rows], self.velocity_m_per_s[rows] = position, velocity
         self.velocity_m_per_s[landed] = 0.0
         self._time_ns[rows] = now_ns
         return Landed(landed, self.impact_ns[landed], self.impact_m[landed])

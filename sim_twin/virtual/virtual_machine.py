@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 
 from machine.conventions import ACTIVE_COUNT, JOINT_COUNT, Array, BoolArray, IntArray
 from machine.errors import PlantError
+from machine.site.solids import Solids
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SensorSample, ValveCommand
@@ -292,6 +293,10 @@ class VirtualMachine:
     def set_surface_height(self, height_m: Array) -> None:
         """Height (N,) above ground of the surface on which loads touch down, from now on."""
         self.target_height_m[:] = height_m
+
+    def set_solids(self, solids: Solids) -> None:
+        """What loads land on or hit instead of a plane at `target_height_m`, from now on."""
+        self._load.solids = solids
 
     def true_impact_m(self) -> Array:
         """Points (N, 3) of the surface that the loads touched, NaN before; without survey error."""

@@ -40,10 +40,12 @@ def test_a_throw_gives_events_rows_and_its_release(bench, mode):
     assert sum("ball" in report.rows for report in logged) == pytest.approx(60, abs=3)
 
 
-def test_target_height_reaches_a_driver_that_simulates_the_ground(bench):
-    bench.driver.target_height_m = np.zeros(1)
+def test_what_stands_around_reaches_a_driver_that_simulates_the_landing(bench):
+    told = []
+    bench.driver.set_solids = told.append
     bench.arm()
-    assert bench.driver.target_height_m[0] == 0.5
+    assert [solids.names for solids in told] == [("ground",)]
+    assert told[0].ground_m == 0.5  # nothing of that height is described: the ground is
 
 
 def test_stale_fire_is_refused_reported_and_leaves_the_machine_armed(bench):

@@ -83,7 +83,9 @@ def test_older_schema_names_the_remedy(database, monkeypatch):
             return "9998"
 
         def walk_revisions(self):
-            return [type("Script", (), {"revision": name}) for name in ("0001", "0002", "0003", "9998")]
+            return [
+                type("Script", (), {"revision": name}) for name in ("0001", "0002", "0003", "9998")
+            ]
 
     monkeypatch.setattr(module, "ScriptDirectory", Scripts)
     assert database.standing() is DatabaseStanding.OLDER

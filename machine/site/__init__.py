@@ -1,0 +1,1 @@
+"""What stands around a machine, and where a load in flight meets it."""
