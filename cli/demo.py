@@ -12,13 +12,38 @@ from pathlib import Path
 from typing import IO
 
 import httpx
+from pydantic import TypeAdapter
 
 from cli.calibrate import run as calibrate_machine
 from machine.errors import UsageError
+from machine.site.objects import SiteKind, SiteObject, SiteObjects
 from server.accounts.auth import FIRST_LOGIN_FILE
 from server.serve import open_socket
 
 MACHINE_ID = "m001"
+SITE = (
+    SiteObject(
+        name="truck bed",
+        kind=SiteKind.BOX,
+        x_m=7.4,
+        y_m=5.6,
+        turn_rad=-0.92,
+        length_m=4.4,
+        width_m=2.4,
+        height_m=1.2,
+    ),
+    SiteObject(
+        name="pit",
+        kind=SiteKind.PIT,
+        x_m=8.3,
+        y_m=-3.2,
+        turn_rad=-0.37,
+        length_m=2.4,
+        width_m=2.4,
+        height_m=0.8,
+    ),
+)
+"""What a newcomer can throw at beside the ground; a truck's bed across the throw, 9.3 m away."""
 READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 8.0
 RESTART_PAUSE_S = 1.0
@@ -183,6 +208,8 @@ def run(
                 machine_id=MACHINE_ID,
                 policies=policies,
             )
+            site = TypeAdapter(SiteObjects).dump_json(SITE, indent=2)
+            (data / "machines" / f"{MACHINE_ID}.site.json").write_bytes(site)
         server.start()
         password = data / "machines" / f"{MACHINE_ID}.password"
         _wait_for(server, data, "the machine's account", password.is_file)

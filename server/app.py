@@ -34,6 +34,7 @@ from server.routes import (
     machines,
     plans,
     policies,
+    sites,
     view,
 )
 from server.schemas.console import ErrorBody
@@ -71,6 +72,7 @@ def _api_router() -> APIRouter:
         hold,
         history,
         view,
+        sites,
         policies,
         gap,
         audit,

@@ -48,7 +48,10 @@ async def _invalid(_request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     # What was sent is not sent back: it may hold NaN, megabytes or a password.
     problems: list[dict[str, JsonValue]] = [
-        {"field": ".".join(str(part) for part in item["loc"]), "problem": item["msg"]}
+        {
+            "field": ".".join(str(part) for part in item["loc"]),
+            "problem": item["msg"].removeprefix("Value error, "),
+        }
         for item in error.errors()
     ]
     first = problems[0] if problems else {"field": "request", "problem": "not valid"}

@@ -18,6 +18,7 @@ from server.schemas.events import (
     MachineLostEvent,
     MachineStateEvent,
     PlanUpdatedEvent,
+    SiteUpdatedEvent,
     TargetProposedEvent,
     ThrowUpdatedEvent,
     TwinUpdatedEvent,
@@ -31,6 +32,7 @@ DiscreteEvent = (
     | ThrowUpdatedEvent
     | GapUpdatedEvent
     | TwinUpdatedEvent
+    | SiteUpdatedEvent
     | AlertEvent
 )
 

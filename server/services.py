@@ -14,7 +14,7 @@ from machine.errors import DownrangeError
 from machine.spec import load_spec
 from runtime.link.zenoh_config import RouterTls, router_config
 from server.accounts.audit import AuditChain
-from server.accounts.auth import Accounts, Session
+from server.accounts.auth import Accounts
 from server.events import EventHub
 from server.gap.preview import GapPreviews
 from server.gap.runs import GapDesk
@@ -32,6 +32,7 @@ from server.plans.plan_store import PlanStore
 from server.plans.plans import Planner
 from server.plans.policies import PolicyShelf
 from server.plans.preview_pool import PreviewPool
+from server.plans.sites import SiteBook
 from server.plans.targets import TargetDesk
 from server.settings import Settings
 from server.store.database import Database, DatabaseStanding, upgrade
@@ -85,6 +86,7 @@ class Services:
     twin_versions: TwinVersions
     gap_previews: GapPreviews
     views: MachineViews
+    sites: SiteBook
     targets: TargetDesk
     scene: ViewerScene
 
@@ -157,6 +159,7 @@ def open_services(settings: Settings, scene: ViewerScene) -> Generator[Services]
         services.accounts.create_first_users(settings.data_dir)
         services.registry.provision(settings.machine_slot_count)
         services.plans.start()
+        services.sites.start()
         services.throws.start()
         services.leases.free_all()
         services.audit.anchor()
@@ -204,9 +207,12 @@ def assemble(
     plans = PlanStore(database)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     twins = TwinFiles(settings.data_dir, spec)
-    planner = Planner(plans, registry, policies, pool, twins, hub, scene, spec, settings.plan_ttl_s)
+    sites = SiteBook(database, audit, registry, hub, settings.data_dir)
+    planner = Planner(
+        plans, registry, policies, pool, twins, sites, hub, scene, spec, settings.plan_ttl_s
+    )
     holds = HoldDesk(link, registry, metrics)
-    throw_desk = ThrowDesk(database, registry, leases, plans, throws, commands, holds)
+    throw_desk = ThrowDesk(database, registry, leases, plans, sites, throws, commands, holds)
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     replays = Replays(logs, plans, scene)
     gap = GapDesk(database, audit, registry, logs, twins, hub)
@@ -215,18 +221,15 @@ def assemble(
     views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
     board = ImpactBoard(database, scene)
     throws.on_change.append(board.refresh)
-    targets = TargetDesk(scene, policies, hub, board)
+    targets = TargetDesk(scene, policies, sites, hub, board)
+    sites.on_change.append(targets.show_site)
     leases.on_new_epoch.append(lambda machine_id, _: holds.revoke(machine_id))
     leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
     ingest.on_throw_end.append(holds.end)
 
-    def end_session(session: Session) -> None:
-        leases.end_session(session)
-        hub.end_session(session.session_id)
-        targets.end_session(session.session_id)
-        replays.end_session(session.session_id)
-
-    accounts.on_session_end(end_session)
+    accounts.on_session_end(leases.end_session)
+    for part in (hub, targets, replays):
+        accounts.on_session_end(lambda session, part=part: part.end_session(session.session_id))
     services = Services(
         settings=settings,
         database=database,
@@ -254,6 +257,7 @@ def assemble(
         twin_versions=twin_versions,
         gap_previews=gap_previews,
         views=views,
+        sites=sites,
         targets=targets,
         scene=scene,
     )

@@ -12,6 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 GROUND = "ground"
 """What the ground is called where objects are named."""
+UNDESCRIBED = "ground that nobody described"
+"""What ground is called whose height is known only from a target that lies on it."""
 SWING_CIRCLE_M = 2.7
 """Nothing may stand nearer to the slew axis: the chassis' corner is at 2.65 m, the tail of the turning
 carriage at 2.24 m (boxes `chassis_obstacle` and `upper_obstacle` of m545.xml)."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from machine.conventions import Array, BoolArray, IntArray
 from machine.messages import Target
-from machine.site.objects import GROUND, SiteKind, SiteObject
+from machine.site.objects import GROUND, UNDESCRIBED, SiteKind, SiteObject
 
 SURFACE_TOLERANCE_M = 0.05
 """A target this near to a surface lies on it; half of what a tape measure and a person are good for."""
@@ -45,7 +45,8 @@ class Solids:
 
     def __init__(self, objects: Sequence[SiteObject] = (), ground_m: float = 0.0) -> None:
         self.objects, self.ground_m = tuple(objects), ground_m
-        self.names = (GROUND, *(item.name for item in objects))
+        ground = GROUND if ground_m == 0.0 else UNDESCRIBED
+        self.names = (ground, *(item.name for item in objects))
 
     @classmethod
     def around(cls, objects: Sequence[SiteObject], target: Target) -> "Solids":
@@ -63,7 +64,7 @@ class Solids:
             if height_m is not None and abs(height_m - target.z_m) <= SURFACE_TOLERANCE_M:
                 return item.name
         level = not sunk and abs(target.z_m - self.ground_m) <= SURFACE_TOLERANCE_M
-        return GROUND if level else None
+        return self.names[0] if level else None
 
     @property
     def floor_m(self) -> float:

@@ -37,6 +37,7 @@ _OPERATOR = _VIEWER | {
     Permission.THROW,
     Permission.IMPACT_MARK,
     Permission.GAP_RUN,
+    Permission.SITE_EDIT,
 }
 _SUPERVISOR = _OPERATOR | {Permission.LEASE_TAKE, Permission.STOP_CLEAR, Permission.AUDIT_READ}
 _ENGINEER = _SUPERVISOR | {

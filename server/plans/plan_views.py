@@ -7,6 +7,7 @@ from typing import Any
 
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
+from machine.site.objects import GROUND, SiteObject
 from server.clock import utc_now
 from server.plans.preview_worker import unit_of
 from server.schemas.console import TargetView
@@ -29,6 +30,11 @@ def plan_target(row: Plan) -> Target:
     return Target(x_m=row.target_x_m, y_m=row.target_y_m, z_m=row.target_z_m)
 
 
+def plan_site(row: Plan) -> tuple[SiteObject, ...]:
+    """What stood around the machine when a plan was made."""
+    return tuple(SiteObject.model_validate(item) for item in row.site)
+
+
 def prediction_of(target: Target, preview: ThrowPreview) -> PredictionView | None:
     """The numbers of a preview whose load lands; None for one that never comes down."""
     if preview.impact_m is None:
@@ -43,6 +49,7 @@ def prediction_of(target: Target, preview: ThrowPreview) -> PredictionView | Non
         flight_s=preview.flight_s,
         duration_s=preview.duration_s,
         release_speed_m_per_s=preview.release_speed_m_per_s,
+        lands_on=preview.lands_on or GROUND,
         clearances=tuple(_clearance(item) for item in preview.clearances),
         ball_path_m=_points(preview),
         compute_s=preview.wall_s,
@@ -125,6 +132,7 @@ def throw_plan(row: Plan) -> ThrowPlan | None:
         twin_profile_version=row.twin_profile_version,
         predicted_impact_m=prediction.impact_m,
         predicted_ellipse=prediction.ellipse,
+        site=plan_site(row),
     )
 
 

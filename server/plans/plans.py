@@ -22,10 +22,18 @@ from server.events import EventHub
 from server.machines.machines import Registry
 from server.machines.twins import TwinFiles
 from server.plans.plan_store import PlanStore, Running
-from server.plans.plan_views import frames_of, pack_frames, plan_view, take_preview, throw_plan
+from server.plans.plan_views import (
+    frames_of,
+    pack_frames,
+    plan_site,
+    plan_view,
+    take_preview,
+    throw_plan,
+)
 from server.plans.policies import PolicyShelf, ShelfPolicy
 from server.plans.preview_pool import PreviewPool
 from server.plans.preview_worker import CancelledPreviewError, PreviewJob
+from server.plans.sites import SiteBook, dump
 from server.schemas.events import PlanUpdatedEvent
 from server.schemas.plans import PlanRequest, PlanState, PlanView
 from server.store.models import Plan
@@ -49,6 +57,7 @@ class Planner:
         shelf: PolicyShelf,
         pool: PreviewPool,
         twins: TwinFiles,
+        sites: SiteBook,
         hub: EventHub,
         scene: ViewerScene,
         spec: MachineSpec,
@@ -59,6 +68,7 @@ class Planner:
         self._shelf = shelf
         self._pool = pool
         self._twins = twins
+        self._sites = sites
         self._hub = hub
         self._scene = scene
         self._spec = spec
@@ -123,6 +133,7 @@ class Planner:
             policy_sha256=policy.card.policy_sha256,
             model_sha256=self._spec.sha256,
             twin_profile_version=self._twins.profile_version(machine_id),
+            site=dump(self._sites.objects(machine_id)),
             refusals=[],
             prediction=None,
             start_rad_m=list(state.joint_position_rad_m),
@@ -180,6 +191,7 @@ class Planner:
             pace_ratio=request.pace_ratio,
             joint_position_rad_m=state.joint_position_rad_m,
             payload_held=state.payload_held,
+            site=plan_site(row),
             rollout_count=request.rollout_count,
             calibration_path=self._twins.calibration_path(row.machine_id),
             profile_path=self._twins.profile_path(row.machine_id),

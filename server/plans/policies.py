@@ -17,6 +17,7 @@ from machine.messages import RejectReason
 from machine.policy_card import CARD_FILE, PolicyCard, load_card
 from machine.reach import MIN_RANGE_M
 from machine.spec import MachineSpec
+from runtime.control.observation import PACE_NAME
 from runtime.control.policy import ACTIVE_FILE, find_policy
 from server.clock import utc_now
 from server.errors import ApiError, NotFoundError, from_reason
@@ -157,6 +158,7 @@ class PolicyShelf:
                     range_max_m=policy.card.target_range_max_m,
                     height_min_m=policy.card.target_height_min_m,
                     height_max_m=policy.card.target_height_max_m,
+                    has_pace=PACE_NAME in policy.card.observation_names,
                 )
                 for mode, policy in sorted(self._active.items())
             ),

@@ -13,6 +13,7 @@ from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import DownrangeError
 from machine.messages import Target
 from machine.policy_card import POLICY_FILE
+from machine.site.objects import SiteObject
 from machine.spec import MachineSpec, load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
@@ -43,6 +44,7 @@ class PreviewJob:
     profile_path: Path | None
     seed: int
     pace_ratio: float = DEFAULT_PACE_RATIO
+    site: tuple[SiteObject, ...] = ()
 
 
 class CancelledPreviewError(Exception):
@@ -83,6 +85,7 @@ class Worker:
             rollout_count=job.rollout_count,
             seed=job.seed,
             pace_ratio=job.pace_ratio,
+            site=job.site,
         )
         self._check(job)
         return preview(request, partial(self._progress, job))

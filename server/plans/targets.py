@@ -11,6 +11,7 @@ from machine.reach import check_target
 from server.errors import ApiError
 from server.events import EventHub
 from server.plans.policies import PolicyShelf
+from server.plans.sites import SiteBook
 from server.schemas.console import TargetView, ViewRequest
 from server.schemas.events import TargetProposedEvent
 from server.throws.impact_board import ImpactBoard
@@ -34,9 +35,15 @@ class TargetDesk:
     """Targets and 3D view settings of all sessions."""
 
     def __init__(
-        self, scene: ViewerScene, policies: PolicyShelf, hub: EventHub, board: ImpactBoard
+        self,
+        scene: ViewerScene,
+        policies: PolicyShelf,
+        sites: SiteBook,
+        hub: EventHub,
+        board: ImpactBoard,
     ) -> None:
         self._scene = scene
+        self._sites = sites
         self._board = board
         self._policies = policies
         self._hub = hub
@@ -93,6 +100,7 @@ class TargetDesk:
             outlook.machine_id = request.machine_id
             self._scene.show_machine(session_id, request.machine_id)
             self._board.watch(session_id, request.machine_id)
+            self._scene.set_site(session_id, self._sites.objects(request.machine_id))
         if request.mode is not None:
             outlook.mode = request.mode
         if request.machine_id is not None or request.mode is not None:
@@ -103,10 +111,19 @@ class TargetDesk:
             self._scene.set_camera(session_id, request.camera)
         if request.is_picking is not None:
             self._scene.set_picking(session_id, request.is_picking)
-        if request.pick_height_m is not None:
-            self._scene.set_pick_height(session_id, request.pick_height_m)
         if request.play_preview:
             self._scene.play_preview(session_id)
+
+    def show_site(self, machine_id: str) -> None:
+        """Draw a site that was changed wherever its machine is looked at."""
+        with self._lock:
+            watching = [
+                session_id
+                for session_id, outlook in self._outlooks.items()
+                if outlook.machine_id == machine_id
+            ]
+        for session_id in watching:
+            self._scene.set_site(session_id, self._sites.objects(machine_id))
 
     def end_session(self, session_id: str) -> None:
         """Forget a session."""

@@ -67,6 +67,7 @@ class Permission(StrEnum):
     POLICY_UPLOAD = "policy.upload"
     POLICY_APPROVE = "policy.approve"
     POLICY_DEPLOY = "policy.deploy"
+    SITE_EDIT = "site.edit"
     MACHINE_ENROL = "machine.enrol"
     ADMIN = "admin"
 
@@ -184,6 +185,8 @@ class ModeReach(View):
     range_max_m: float
     height_min_m: float
     height_max_m: float
+    has_pace: bool
+    """Whether the policy was trained to throw carefully or fast as asked; others throw in one way."""
 
 
 class ReachView(View):
@@ -259,7 +262,6 @@ class ViewRequest(Request):
     camera: Literal["3d", "top", "side"] | None = None
     is_picking: bool | None = None
     """Whether a click places the target."""
-    pick_height_m: float | None = Field(default=None, ge=-5.0, le=10.0)
     play_preview: bool = False
     """Play the plan's ghost once more."""
 

@@ -9,6 +9,7 @@ from server.schemas.console import LeaseView, MachineView, TargetView, View
 from server.schemas.gap import GapRunRow
 from server.schemas.history import ThrowRow
 from server.schemas.plans import PlanView
+from server.schemas.sites import SiteView
 
 
 class MachineStateEvent(View):
@@ -78,6 +79,13 @@ class TwinUpdatedEvent(View):
     version_count: int
 
 
+class SiteUpdatedEvent(View):
+    """What stands around a machine was changed."""
+
+    kind: Literal["site.updated"] = "site.updated"
+    site: SiteView
+
+
 class AlertEvent(View):
     """Something a person should look at."""
 
@@ -99,6 +107,7 @@ class ServerEvent(
             | ThrowUpdatedEvent
             | GapUpdatedEvent
             | TwinUpdatedEvent
+            | SiteUpdatedEvent
             | AlertEvent,
             Field(discriminator="kind"),
         ]

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.messages import LandingEllipse
+from machine.site.objects import GROUND
 from server.schemas.console import Request, TargetRequest, TargetView, View
 
 
@@ -62,6 +63,8 @@ class PredictionView(View):
     flight_s: float
     duration_s: float
     release_speed_m_per_s: float
+    lands_on: str = GROUND
+    """Name of what the load touches first."""
     clearances: tuple[ClearanceView, ...]
     ball_path_m: tuple[tuple[float, float, float], ...]
     compute_s: float

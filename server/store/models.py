@@ -157,6 +157,8 @@ class Plan(Base):
     twin_profile_version: Mapped[int]
     refusals: Mapped[list[Any]]
     prediction: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    site: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
+    """JSON of the objects that the preview saw around the machine."""
     start_rad_m: Mapped[list[Any]]
     """Joint positions the preview started from."""
     plan_json: Mapped[str | None] = mapped_column(Text)
@@ -307,6 +309,20 @@ class TwinVersion(Base):
     """``applied`` or ``undone``."""
     gap_run_id: Mapped[str | None] = mapped_column(String(36))
     """Run whose effects were the last to be added to what this version says."""
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+
+
+class SiteVersion(Base):
+    """What stood around a machine from one change to the next."""
+
+    __tablename__ = "site_versions"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    version_count: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    objects: Mapped[list[Any]]
+    """JSON of machine.site.objects.SiteObject."""
+    before_version_count: Mapped[int | None] = mapped_column(BigInteger)
+    """Version that undo goes back to; 0 is an empty site, None when there is none."""
     created_by: Mapped[str] = mapped_column(String(64))
     created_utc: Mapped[datetime]
 

@@ -5,7 +5,7 @@ import threading
 from sqlalchemy import select
 
 from server.store.database import Database
-from server.store.models import Throw
+from server.store.models import Impact, Throw
 from server.throws.impacts import point_of, target_of
 from server.viewer.scene import ViewerScene
 
@@ -58,10 +58,18 @@ class ImpactBoard:
             .limit(SHOWN_COUNT)
         )
         with self._database.read() as database:
-            return [_mark(throw) for throw in database.scalars(query)]
+            throws = list(database.scalars(query))
+            ids = [throw.throw_id for throw in throws]
+            rows = database.execute(
+                select(Impact.throw_id, Impact.z_m)
+                .where(Impact.throw_id.in_(ids))
+                .order_by(Impact.impact_id)
+            )
+            heights_m = {row[0]: row[1] for row in rows}
+            return [_mark(throw, heights_m.get(throw.throw_id)) for throw in throws]
 
 
-def _mark(throw: Throw) -> tuple[Point, str]:
+def _mark(throw: Throw, height_m: float | None) -> tuple[Point, str]:
     target = target_of(throw)
     along_m = throw.measured_downrange_error_m or 0.0
     across_m = throw.measured_crossrange_error_m or 0.0
@@ -70,4 +78,4 @@ def _mark(throw: Throw) -> tuple[Point, str]:
         f"{abs(along_m):.2f} m {'long' if along_m >= 0.0 else 'short'}, "
         f"{abs(across_m):.2f} m {'left' if across_m >= 0.0 else 'right'}"
     )
-    return (x_m, y_m, target.z_m), words
+    return (x_m, y_m, target.z_m if height_m is None else height_m), words

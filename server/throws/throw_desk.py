@@ -17,6 +17,7 @@ from server.machines.commands import CommandDesk
 from server.machines.leases import LeaseBook
 from server.machines.machines import Registry
 from server.plans.plan_store import PlanStore
+from server.plans.sites import SiteBook
 from server.schemas.history import Outcome
 from server.schemas.plans import ArmView, FireView
 from server.store.database import Database
@@ -45,6 +46,7 @@ class ThrowDesk:
         registry: Registry,
         leases: LeaseBook,
         plans: PlanStore,
+        sites: SiteBook,
         throws: ThrowBook,
         commands: CommandDesk,
         holds: HoldDesk,
@@ -53,6 +55,7 @@ class ThrowDesk:
         self._registry = registry
         self._leases = leases
         self._plans = plans
+        self._sites = sites
         self._throws = throws
         self._commands = commands
         self._holds = holds
@@ -73,6 +76,7 @@ class ThrowDesk:
         if state is None or not self._registry.is_connected(machine_id):
             raise from_reason(RejectReason.MACHINE_LOST, self._commands.lost_text(machine_id))
         plan = self._plans.freeze(plan_id, shown_hash, state)
+        self._sites.require_unchanged(machine_id, plan.site)
         self.forget(machine_id)
         request = ArmRequest(
             command_id=new_id(),

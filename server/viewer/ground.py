@@ -1,12 +1,18 @@
-"""Ground, light and haze of the 3D view."""
+"""Ground, light and haze of the 3D view, and what stands around the machine."""
+
+from collections.abc import Sequence
 
 import viser
 
-from server.viewer import shapes
+from machine.site.objects import SiteKind, SiteObject
+from server.viewer import shapes, site_shapes
 from server.viewer.theme import Theme
 
 GROUND_RADIUS_M = 400.0
 GRID_RADIUS_M = 60.0
+GROUND_LIFT_M = -0.02
+"""The ground is drawn a little below its marks."""
+LABEL_LIFT_M = 0.15
 HAZE_NEAR_M = 45.0
 HAZE_FAR_M = 190.0
 
@@ -20,6 +26,9 @@ class GroundNodes:
         scene.configure_default_lights(enabled=False)
         scene.configure_environment_map("park", environment_intensity=theme.sky_intensity_ratio)
         scene.configure_fog(HAZE_NEAR_M, HAZE_FAR_M, color=theme.haze)
+        self._shadows = shadows
+        self._site: list[viser.SceneNodeHandle] = []
+        self._ground = self._lay(())
         self._nodes: list[viser.SceneNodeHandle] = [
             scene.add_light_directional(
                 "/sun",
@@ -32,14 +41,6 @@ class GroundNodes:
                 sky_color=(255, 255, 255),
                 ground_color=(120, 118, 112),
                 intensity=theme.sky_intensity_ratio,
-            ),
-            scene.add_mesh_simple(
-                "/ground",
-                *shapes.disc(GROUND_RADIUS_M, 96),
-                color=theme.ground,
-                cast_shadow=False,
-                receive_shadow=theme.shadow_ratio if shadows else False,
-                position=(0.0, 0.0, -0.02),
             ),
             scene.add_grid(
                 "/grid",
@@ -54,6 +55,55 @@ class GroundNodes:
                 fade_distance=GRID_RADIUS_M,
                 fade_from="origin",
                 shadow_opacity=0.0,
+            ),
+        ]
+
+    def _lay(self, pits: Sequence[SiteObject]) -> viser.SceneNodeHandle:
+        return self._scene.add_mesh_simple(
+            "/ground",
+            *site_shapes.ground(GROUND_RADIUS_M, pits),
+            color=self._theme.ground,
+            cast_shadow=False,
+            receive_shadow=self._theme.shadow_ratio if self._shadows else False,
+            position=(0.0, 0.0, GROUND_LIFT_M),
+        )
+
+    def draw_site(self, objects: Sequence[SiteObject]) -> None:
+        """What stands around the machine, in place of what was drawn of it before."""
+        for node in reversed(self._site):
+            node.remove()
+        self._site.clear()
+        self._ground.remove()
+        self._ground = self._lay([item for item in objects if item.kind is SiteKind.PIT])
+        for index, item in enumerate(objects):
+            self._add(f"/site/{index}", item)
+
+    def _add(self, name: str, item: SiteObject) -> None:
+        theme, is_pit = self._theme, item.kind is SiteKind.PIT
+        top_m = 0.0 if is_pit else item.base_height_m + item.height_m
+        self._site += [
+            self._scene.add_mesh_simple(
+                name,
+                *site_shapes.mesh(item),
+                color=theme.pit if is_pit else theme.site,
+                flat_shading=True,
+                side="double",
+                cast_shadow=self._shadows and not is_pit,
+                receive_shadow=theme.shadow_ratio if self._shadows else False,
+            ),
+            self._scene.add_line_segments(
+                f"{name}/edges",
+                site_shapes.edges(item),
+                theme.site_edge,
+                thickness=1.6,
+                thickness_units="screen",
+            ),
+            self._scene.add_label(
+                f"{name}/label",
+                item.name,
+                position=(item.x_m, item.y_m, top_m + LABEL_LIFT_M),
+                font_screen_scale=1.0,
+                anchor="bottom-center",
             ),
         ]
 
@@ -79,6 +129,7 @@ class GroundNodes:
 
     def remove(self) -> None:
         """Take everything out of the scene."""
-        for node in self._nodes:
+        for node in [*reversed(self._site), self._ground, *self._nodes]:
             node.remove()
+        self._site.clear()
         self._nodes.clear()

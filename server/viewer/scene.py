@@ -11,6 +11,7 @@ import numpy as np
 
 from machine.conventions import Array
 from machine.messages import LandingEllipse
+from machine.site.objects import SiteObject
 from machine.spec import MJCF_PATH, MachineSpec
 from server.viewer.replay import Playback, ThrowMotion
 from server.viewer.stage import OnPick, OnPickRefused, ViewerStage
@@ -118,9 +119,13 @@ class ViewerScene:
         """Let clicks place a target, or not."""
         self._stage.apply(session_id, lambda state: setattr(state, "is_picking", is_picking), None)
 
-    def set_pick_height(self, session_id: str, height_m: float) -> None:
-        """Height of the plane on which clicks place the target."""
-        self._stage.apply(session_id, lambda state: setattr(state, "pick_height_m", height_m), None)
+    def set_site(self, session_id: str, objects: Sequence[SiteObject]) -> None:
+        """Show what stands around the machine; clicks place the target on it."""
+
+        def change(state: SessionView) -> None:
+            state.site = tuple(objects)
+
+        self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
 
     def set_target(self, session_id: str, target_m: Point | None) -> None:
         """Show or take away the target mark."""

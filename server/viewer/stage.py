@@ -19,7 +19,7 @@ from server.viewer.state import LiveSample, Point, SessionView
 from server.viewer.theme import VIEWPOINTS
 from server.viewer.view import ClientView
 from server.viewer_door.gate import ViewerGate
-from server.viewer_door.pick import PickRefusedError, Ray, pick_ground
+from server.viewer_door.pick import PickRefusedError, Ray, pick_surface
 
 logger = logging.getLogger(__name__)
 
@@ -234,7 +234,7 @@ class ViewerStage:
             return
         ray = Ray(np.asarray(event.ray_origin), np.asarray(event.ray_direction))
         try:
-            point = pick_ground(ray, state.pick_height_m)
+            point = pick_surface(ray, state.site)
         except PickRefusedError as refusal:
             if self._on_pick_refused is not None:
                 self._on_pick_refused(session_id, refusal)

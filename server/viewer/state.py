@@ -8,6 +8,7 @@ import numpy as np
 
 from machine.conventions import Array, Mode
 from machine.messages import LandingEllipse
+from machine.site.objects import SiteObject
 from server.viewer.replay import Playback, ThrowMotion
 from server.viewer.theme import CameraPreset, ThemeName
 
@@ -80,7 +81,7 @@ class SessionView:
 
     machine_id: str | None = None
     target_m: Point | None = None
-    pick_height_m: float = 0.0
+    site: tuple[SiteObject, ...] = ()
     is_picking: bool = True
     reach: Reach | None = None
     plan: PlanView | None = None

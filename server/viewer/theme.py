@@ -28,6 +28,9 @@ class Theme:
     light_intensity_ratio: float
     sky_intensity_ratio: float
     shadow_ratio: float
+    site: Rgb
+    site_edge: Rgb
+    pit: Rgb
 
 
 THEMES: dict[ThemeName, Theme] = {
@@ -47,6 +50,9 @@ THEMES: dict[ThemeName, Theme] = {
         light_intensity_ratio=2.2,
         sky_intensity_ratio=0.55,
         shadow_ratio=0.35,
+        site=(150, 158, 166),
+        site_edge=(72, 80, 90),
+        pit=(146, 138, 126),
     ),
     "dark": Theme(
         is_dark=True,
@@ -64,6 +70,9 @@ THEMES: dict[ThemeName, Theme] = {
         light_intensity_ratio=1.7,
         sky_intensity_ratio=0.35,
         shadow_ratio=0.5,
+        site=(96, 104, 112),
+        site_edge=(168, 176, 186),
+        pit=(38, 36, 33),
     ),
 }
 

@@ -51,8 +51,13 @@ class ClientView:
         self.ground = self._make_ground(state)
         self.draw_all(state)
 
+    def draw_site(self, state: SessionView) -> None:
+        """Draw what stands around the machine."""
+        self.ground.draw_site(state.site)
+
     def draw_all(self, state: SessionView) -> None:
         """Draw all marks of the session and place the camera; the machine follows with its sample."""
+        self.draw_site(state)
         self.marks.draw_all(state, self.ground)
         self.place_camera(state)
 

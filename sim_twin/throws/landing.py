@@ -4,9 +4,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from machine.messages import RejectReason, Target
-from machine.site.objects import GROUND, SiteObject
+from machine.site.objects import UNDESCRIBED, SiteObject
 from machine.site.solids import Contact, Solids
 from sim_twin.throws.refusals import Refusal
+
+BESIDE_M = 2.0
+"""Ground that nobody described is not believed in so near to something that somebody did. By eye: the half
+of a truck's bed, by which a click or an arrow key may miss it."""
 
 
 class Landing(NamedTuple):
@@ -20,7 +24,24 @@ class Landing(NamedTuple):
     def of(cls, site: Sequence[SiteObject], target: Target) -> "Landing":
         """The site around a throw at this target."""
         solids = Solids.around(site, target)
-        return cls(solids, solids.name_at(target) or GROUND)
+        return cls(solids, solids.name_at(target) or solids.names[0])
+
+    def target_refusal(self, target: Target) -> Refusal | None:
+        """Why nothing can lie at this target: it hangs in the air, or under the ground, beside an object."""
+        near = [(o.distance_m(target.x_m, target.y_m), o) for o in self.solids.objects]
+        if self.solids.name_at(target) not in (None, UNDESCRIBED) or not near:
+            return None
+        away_m, item = min(near, key=lambda pair: pair[0])
+        if away_m > BESIDE_M:
+            return None
+        surface_m = item.surface_m(target.x_m, target.y_m)
+        where = f"{away_m:.2f} m beside {item.name}" if surface_m is None else f"at {item.name}"
+        there = f", whose surface there is at {surface_m:+.2f} m" if surface_m is not None else ""
+        return Refusal(
+            RejectReason.TARGET_INVALID,
+            f"Refused: nothing is {target.z_m:+.2f} m high there, {where}{there}. Click on the surface "
+            "that is meant, or give its height.",
+        )
 
     def met(self, contact: Contact | None, row: int = 0) -> str | None:
         """Name of what the load of a row touches first; None where it touches nothing."""

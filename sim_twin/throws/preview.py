@@ -115,6 +115,9 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
             RejectReason.NO_PAYLOAD, "Refused: the gripper is empty. Take up a load first."
         )
         return _nothing(refusal, perf_counter() - started)
+    unlikely = Landing.of(request.site, request.target).target_refusal(request.target)
+    if unlikely is not None:
+        return _nothing(unlikely, perf_counter() - started)
     nominal = _NominalThrow(request, started)
     shown = nominal.run(on_progress)
     if request.rollout_count == 0 or shown.impact_m is None:

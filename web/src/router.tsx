@@ -76,6 +76,12 @@ const fleet = createRoute({
   component: lazyRouteComponent(() => import("./routes/fleet"), "FleetPage"),
 });
 
+const site = createRoute({
+  getParentRoute: () => frame,
+  path: "/site",
+  component: lazyRouteComponent(() => import("./routes/site"), "SitePage"),
+});
+
 const admin = createRoute({
   getParentRoute: () => frame,
   path: "/admin",
@@ -84,7 +90,7 @@ const admin = createRoute({
 
 const tree = root.addChildren([
   login,
-  frame.addChildren([home, operate, throws, oneThrow, policies, gap, fleet, admin]),
+  frame.addChildren([home, operate, throws, oneThrow, site, policies, gap, fleet, admin]),
 ]);
 
 export const router = createRouter({ routeTree: tree, defaultPreload: "intent" });

@@ -5,7 +5,7 @@ import pytest
 
 from machine.conventions import GRAVITY_M_PER_S2
 from machine.messages import Target
-from machine.site.objects import SiteKind, SiteObject
+from machine.site.objects import UNDESCRIBED, SiteKind, SiteObject
 from machine.site.solids import Solids, touch_share
 from machine.site.touchdown import Touchdown, touchdown
 
@@ -95,8 +95,8 @@ def test_loads_that_do_not_fly_end_nowhere():
         (Target(x_m=9.0, y_m=0.0, z_m=1.2), "bed", 0.0),
         (Target(x_m=9.0, y_m=0.0, z_m=1.23), "bed", 0.0),
         (Target(x_m=7.0, y_m=0.0, z_m=0.0), "ground", 0.0),
-        (Target(x_m=7.0, y_m=0.0, z_m=0.5), "ground", 0.5),
-        (Target(x_m=7.0, y_m=0.0, z_m=-0.5), "ground", -0.5),
+        (Target(x_m=7.0, y_m=0.0, z_m=0.5), UNDESCRIBED, 0.5),
+        (Target(x_m=7.0, y_m=0.0, z_m=-0.5), UNDESCRIBED, -0.5),
     ],
 )
 def test_a_target_lies_on_what_is_described_or_on_ground_of_its_height(target, name, ground_m):

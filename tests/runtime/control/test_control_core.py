@@ -44,7 +44,7 @@ def test_what_stands_around_reaches_a_driver_that_simulates_the_landing(bench):
     told = []
     bench.driver.set_solids = told.append
     bench.arm()
-    assert [solids.names for solids in told] == [("ground",)]
+    assert [solids.names for solids in told] == [("ground that nobody described",)]
     assert told[0].ground_m == 0.5  # nothing of that height is described: the ground is
 
 

@@ -84,7 +84,8 @@ def test_older_schema_names_the_remedy(database, monkeypatch):
 
         def walk_revisions(self):
             return [
-                type("Script", (), {"revision": name}) for name in ("0001", "0002", "0003", "9998")
+                type("Script", (), {"revision": name})
+                for name in ("0001", "0002", "0003", "0004", "9998")
             ]
 
     monkeypatch.setattr(module, "ScriptDirectory", Scripts)

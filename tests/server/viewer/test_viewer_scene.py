@@ -7,6 +7,7 @@ import pytest
 
 from machine.conventions import Mode
 from machine.messages import LandingEllipse
+from machine.site.objects import SiteObject
 from machine.starts import safe_pose
 from server.viewer.replay import ThrowMotion
 from server.viewer.scene import ViewerScene
@@ -25,6 +26,8 @@ ELLIPSE = LandingEllipse(
     landed_count=200,
 )
 UPPER = "/live/chassis/upper"
+BED = SiteObject(name="bed", kind="box", x_m=9.0, y_m=3.0, length_m=3.0, width_m=3.0, height_m=1.0)
+PIT = SiteObject(name="pit", kind="pit", x_m=9.0, y_m=-5.0, length_m=2.0, width_m=2.0, height_m=0.8)
 
 
 def motion(duration_s: float = 0.3) -> ThrowMotion:
@@ -154,14 +157,28 @@ def test_the_target_moves_without_being_made_anew(
 def test_a_click_marks_the_target_and_tells(
     app: ViewerApp, session: str, client: ViewClient
 ) -> None:
-    app.scene.set_pick_height(session, 1.0)
-    state = app.scene._stage.session(session)
-    wait_for(lambda: state is not None and state.pick_height_m == 1.0, "the raised plane")
+    app.scene.set_site(session, [BED, PIT])
+    client.until(lambda: "/site/1/edges" in client.nodes, "the bed and the pit")
+    assert client.nodes["/site/0/label"]["text"] == "bed"
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
     client.until(lambda: "/target" in client.nodes, "the mark")
     assert client.nodes["/target"]["position"] == pytest.approx([9.0, 3.0, 1.03])
     wait_for(lambda: app.picks and app.picks[-1][0] == session, "the pick")
-    assert app.picks[-1][1] == pytest.approx((9.0, 3.0, 1.0))
+    assert app.picks[-1][1] == pytest.approx((9.0, 3.0, 1.0), abs=1e-5)
+
+
+def test_what_stands_around_is_drawn_changed_and_outlives_the_colours(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_site(session, [BED, PIT])
+    client.until(lambda: "/site/1/label" in client.nodes, "both")
+    app.scene.set_theme(session, "dark")
+    client.until(lambda: "/site/1/label" in client.nodes, "both in the dark")
+    app.scene.set_site(session, [PIT])
+    client.until(lambda: "/site/1" not in client.nodes, "the bed to go")
+    client.until(lambda: "/site/0/label" in client.nodes, "the pit")
+    assert client.nodes["/site/0/label"]["text"] == "pit"
+    assert "/ground" in client.nodes
 
 
 def test_clicks_that_give_no_target_are_told_and_draw_nothing(
@@ -355,7 +372,7 @@ def test_the_oldest_session_that_nobody_watches_is_forgotten(
     monkeypatch.setattr("server.viewer.stage.MAX_SESSIONS", 3)
     names = [f"{session}{i}" for i in range(6)]
     for name in names:
-        app.scene.set_pick_height(name, 1.0)
+        app.scene.set_picking(name, True)
     wait_for(lambda: app.scene._stage.session(names[-1]), "the newest")
     assert app.scene._stage.session(session) is not None
     assert app.scene._stage.session(names[0]) is None

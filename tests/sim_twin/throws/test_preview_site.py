@@ -78,13 +78,28 @@ def test_a_load_lands_in_the_pit(request_2d: PreviewRequest, free: ThrowPreview)
     pit = SiteObject(
         name="pit", kind="pit", x_m=6.0, y_m=0.0, length_m=1.4, width_m=1.4, height_m=0.5
     )
-    shown = preview(replace(request_2d, site=(pit,)))
+    target = Target(x_m=6.0, y_m=0.0, z_m=-0.5)
+    shown = preview(replace(request_2d, site=(pit,), target=target))
+    assert shown.refused == ()
     assert shown.lands_on == "pit"
     assert shown.impact_m is not None
     assert shown.impact_m[2] == pytest.approx(-0.5, abs=1e-6)
     assert shown.impact_m[0] > free.impact_m[0]
     # Asked for at the height of the ground, where there is none.
-    assert "lands on pit, not on ground" in shown.refused[0].detail
+    over = preview(replace(request_2d, site=(pit,)))
+    assert "at pit, whose surface there is at -0.50 m" in over.refused[0].detail
+
+
+def test_a_target_in_the_air_beside_a_bed_is_refused(request_2d: PreviewRequest) -> None:
+    bed = box("bed", 8.0, 0.4)
+    beside = preview(replace(request_2d, site=(bed,), target=Target(x_m=6.0, y_m=0.0, z_m=0.4)))
+    assert [r.detail for r in beside.refused] == [
+        "Refused: nothing is +0.40 m high there, 1.20 m beside bed. Click on the surface that is meant, or "
+        "give its height."
+    ]
+    far = preview(replace(request_2d, target=Target(x_m=6.0, y_m=0.0, z_m=0.4)))
+    assert far.lands_on == "ground that nobody described"
+    assert far.refused == ()
 
 
 def test_the_arm_keeps_its_distance_from_what_stands_around(request_2d: PreviewRequest) -> None:

@@ -420,6 +420,50 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{machine_id}/site": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Site
+         * @description Boxes, pits and piles around a machine.
+         */
+        get: operations["read_site"];
+        /**
+         * Change Site
+         * @description Put other objects in place of all there were, as a new version.
+         */
+        put: operations["change_site"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/site/undo": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Undo Site
+         * @description Go back to the version before, as a new version.
+         */
+        post: operations["undo_site"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{machine_id}/stop": {
         parameters: {
             query?: never;
@@ -1708,6 +1752,8 @@ export interface components {
          * @description What the active policy of a mode was trained and validated for.
          */
         ModeReach: {
+            /** Has Pace */
+            has_pace: boolean;
             /** Height Max M */
             height_max_m: number;
             /** Height Min M */
@@ -1733,7 +1779,7 @@ export interface components {
          * @description One right; roles are sets of these (server/accounts/auth.py).
          * @enum {string}
          */
-        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "machine.enrol" | "admin";
+        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "site.edit" | "machine.enrol" | "admin";
         /**
          * PhaseBand
          * @description A phase of a throw on the time axis.
@@ -1962,6 +2008,11 @@ export interface components {
                 number,
                 number
             ];
+            /**
+             * Lands On
+             * @default ground
+             */
+            lands_on: string;
             /** Release S */
             release_s: number;
             /** Release Speed M Per S */
@@ -2066,7 +2117,7 @@ export interface components {
          * ServerEvent
          * @description Payload of every server-sent event; `kind` is also the event's name.
          */
-        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["AlertEvent"];
+        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["AlertEvent"];
         /**
          * SessionView
          * @description Who is signed in.
@@ -2107,6 +2158,86 @@ export interface components {
             ratio: number;
             /** Removable Ratio */
             removable_ratio: number;
+        };
+        /**
+         * SiteKind
+         * @description What an object is.
+         * @enum {string}
+         */
+        SiteKind: "box" | "pit" | "pile";
+        /**
+         * SiteObject
+         * @description One thing at its place. Lengths are those of its footprint, which is turned about its centre.
+         */
+        SiteObject: {
+            /**
+             * Base Height M
+             * @default 0
+             */
+            base_height_m: number;
+            /** Height M */
+            height_m: number;
+            kind: components["schemas"]["SiteKind"];
+            /** Length M */
+            length_m: number;
+            /** Name */
+            name: string;
+            /**
+             * Top Ratio
+             * @default 0
+             */
+            top_ratio: number;
+            /**
+             * Turn Rad
+             * @default 0
+             */
+            turn_rad: number;
+            /** Width M */
+            width_m: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+        };
+        /**
+         * SiteRequest
+         * @description All objects of a site as they are from now on.
+         */
+        SiteRequest: {
+            /** From Version Count */
+            from_version_count: number;
+            /** Objects */
+            objects: components["schemas"]["SiteObject"][];
+        };
+        /**
+         * SiteUpdatedEvent
+         * @description What stands around a machine was changed.
+         */
+        SiteUpdatedEvent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "site.updated";
+            site: components["schemas"]["SiteView"];
+        };
+        /**
+         * SiteView
+         * @description What stands around a machine, frame `machine`.
+         */
+        SiteView: {
+            /** Changed By */
+            changed_by: string | null;
+            /** Changed Utc */
+            changed_utc: string | null;
+            /** Machine Id */
+            machine_id: string;
+            /** Objects */
+            objects: components["schemas"]["SiteObject"][];
+            /** Undo Version Count */
+            undo_version_count: number | null;
+            /** Version Count */
+            version_count: number;
         };
         /**
          * Stage
@@ -2485,8 +2616,6 @@ export interface components {
             /** Machine Id */
             machine_id?: string | null;
             mode?: components["schemas"]["Mode"] | null;
-            /** Pick Height M */
-            pick_height_m?: number | null;
             /**
              * Play Preview
              * @default false
@@ -5118,6 +5247,346 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["PlanView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_site: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SiteView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    change_site: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["SiteRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SiteView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    undo_site: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SiteView"];
                 };
             };
             /** @description Bad Request */

@@ -4,6 +4,7 @@ import {
   IconBackhoe,
   IconBrain,
   IconClipboardList,
+  IconMap2,
   IconTable,
 } from "@tabler/icons-react";
 import { Link } from "@tanstack/react-router";
@@ -13,6 +14,7 @@ import classes from "./Rail.module.css";
 const PAGES = [
   { to: "/operate", label: "Operate", icon: IconArrowBounce },
   { to: "/throws", label: "Throws", icon: IconTable },
+  { to: "/site", label: "Site", icon: IconMap2 },
   { to: "/policies", label: "Policies", icon: IconBrain },
   { to: "/gap", label: "Gap", icon: IconArrowsDiff },
   { to: "/fleet", label: "Fleet", icon: IconBackhoe },

@@ -1,5 +1,5 @@
 import { useEffect, useState } from "react";
-import { bearingWords, fixed, metres } from "../words/format";
+import { bearingWords, fixed, heightWords, metres } from "../words/format";
 import { ActionFooter } from "./ActionFooter";
 import classes from "./Panel.module.css";
 import { PreviewStep } from "./PreviewStep";
@@ -36,6 +36,8 @@ export function OperatePanel({ operate }: { operate: Operate }) {
         onTarget={operate.setTarget}
         onEditing={setAiming}
         problem={operate.problem}
+        pace_ratio={operate.pace_ratio}
+        onPace={operate.setPace}
       />
     ),
     preview: <PreviewStep machine={machine} plan={plan} />,
@@ -94,7 +96,7 @@ function summariesOf({ mode, target, plan, result }: Operate): Record<StepName, 
     : (plan?.state ?? "");
   return {
     target: target
-      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}`
+      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}${heightWords(target.z_m)}`
       : mode.toUpperCase(),
     preview,
     throw: "",

@@ -7,6 +7,7 @@ import {
   metres,
   percent,
   seconds,
+  signed,
   speed,
 } from "../words/format";
 import { nearestClearance } from "./clearance";
@@ -26,7 +27,11 @@ export function PreviewNumbers({
   const nearest = nearestClearance(prediction.clearances);
   return (
     <dl className={classes.numbers} data-testid="preview-numbers">
-      <dt>Lands</dt>
+      <dt>Lands on</dt>
+      <dd>
+        {prediction.lands_on}, {signed(prediction.impact_m[2])} m
+      </dd>
+      <dt>Error</dt>
       <dd>{downrangeWords(prediction.downrange_error_m)}</dd>
       <dt />
       <dd>{crossrangeWords(prediction.crossrange_error_m)}</dd>
@@ -47,6 +52,8 @@ export function PreviewNumbers({
       )}
       <dt>Release speed</dt>
       <dd>{speed(prediction.release_speed_m_per_s)}</dd>
+      <dt>Time to release</dt>
+      <dd>{seconds(prediction.release_s, 1)}</dd>
       <dt>Duration</dt>
       <dd>
         {seconds(prediction.duration_s, 1)}, flight {seconds(prediction.flight_s)}

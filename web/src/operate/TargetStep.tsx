@@ -1,6 +1,8 @@
 import { NumberInput, SegmentedControl } from "@mantine/core";
+import type { Schema } from "../session/client";
 import type { Machine } from "../session/live";
-import { metres } from "../words/format";
+import { metres, signed } from "../words/format";
+import { PaceSlider } from "./PaceSlider";
 import classes from "./Panel.module.css";
 import { fromPolar, NUDGE_M, type Target } from "./target";
 
@@ -13,6 +15,8 @@ type Props = {
   /** Whether one of the number fields has the keyboard. */
   onEditing: (isEditing: boolean) => void;
   problem: string | null;
+  pace_ratio: number;
+  onPace: (pace_ratio: number) => void;
 };
 
 const MODES = [
@@ -22,6 +26,8 @@ const MODES = [
 
 const DEGREES = 180 / Math.PI;
 const FIRST_RANGE_M = 9;
+/** What policies are trained for at most; the present one may do less, and says so. */
+const HEIGHTS_M = { min: -1, max: 3 };
 
 /** Where to throw: by a click in the view, by numbers, or by arrow keys. */
 export function TargetStep(props: Props) {
@@ -74,8 +80,8 @@ export function TargetStep(props: Props) {
           label="Height, m"
           value={target ? round(z_m, 2) : ""}
           placeholder="0.00"
-          min={-5}
-          max={10}
+          min={HEIGHTS_M.min}
+          max={HEIGHTS_M.max}
           step={NUDGE_M}
           onChange={(value) => isNumber(value) && onTarget(fromPolar(range_m, azimuth_rad, value))}
         />
@@ -86,12 +92,26 @@ export function TargetStep(props: Props) {
         </p>
       )}
       <p className={classes.note}>
-        Click the ground, or type. Arrow keys move the target by 5 cm.
-        {reach &&
-          ` ${mode.toUpperCase()} reaches ${metres(reach.range_min_m)} to ${metres(reach.range_max_m)}.`}
+        Click the ground or an object, or type. Arrow keys move the target by 5 cm.
+        {reach && ` ${reachWords(reach)}`}
       </p>
+      <PaceSlider
+        pace_ratio={props.pace_ratio}
+        isHeeded={reach?.has_pace ?? false}
+        onPace={props.onPace}
+      />
     </>
   );
+}
+
+/** "2D reaches 5.50 m to 10.90 m, heights -1.00 to +3.00 m." */
+function reachWords(reach: Schema["ModeReach"]): string {
+  const ranges = `${metres(reach.range_min_m)} to ${metres(reach.range_max_m)}`;
+  const isFlat = reach.height_min_m === 0 && reach.height_max_m === 0;
+  const heights = isFlat
+    ? "on the ground only"
+    : `heights ${signed(reach.height_min_m)} to ${signed(reach.height_max_m)} m`;
+  return `${reach.mode.toUpperCase()} reaches ${ranges}, ${heights}.`;
 }
 
 function isNumber(value: number | string): value is number {

@@ -16,6 +16,9 @@ export function fromPolar(range_m: number, azimuth_rad: number, z_m: number): Ta
   return fromPoint(range_m * Math.cos(azimuth_rad), range_m * Math.sin(azimuth_rad), z_m);
 }
 
+/** A text that is the same for the same point. */
+export const pointKey = ({ x_m, y_m, z_m }: Target) => `${x_m} ${y_m} ${z_m}`;
+
 /** Move a target along its own line (positive longer) and across it (positive left). */
 export function nudge(target: Target, long_m: number, left_m: number): Target {
   const cos = Math.cos(target.azimuth_rad);

@@ -11,7 +11,9 @@ import { useNow } from "../session/useNow";
 import { useSession } from "../session/useSession";
 import { operateGate } from "./gate";
 import { isAbortable } from "./hold";
+import { DEFAULT_PACE_RATIO } from "./pace";
 import { presentStep } from "./steps";
+import { pointKey } from "./target";
 import { useHold } from "./useHold";
 import { usePlan } from "./usePlan";
 import { useTarget } from "./useTarget";
@@ -23,6 +25,10 @@ export function useOperate() {
     key: "downrange.mode",
     defaultValue: "2d",
   });
+  const [pace_ratio, setPace] = useLocalStorage<number>({
+    key: "downrange.pace",
+    defaultValue: DEFAULT_PACE_RATIO,
+  });
   const [throwId, setThrowId] = useState<string | null>(null);
   const thrown = useLive((live) => (throwId === null ? null : (live.throws[throwId] ?? null)));
   const refusal = useLive((live) => (machineId ? (live.targetRefusals[machineId] ?? "") : ""));
@@ -31,7 +37,13 @@ export function useOperate() {
 
   const isOver = thrown?.phase === "ended";
   const isRunning = (machine !== null && isMoving(machine.lamp)) || (throwId !== null && !isOver);
-  const { plan, error, again } = usePlan(machine, mode, target, !isRunning && throwId === null);
+  const { plan, error, again } = usePlan(
+    machine,
+    mode,
+    target,
+    pace_ratio,
+    !isRunning && throwId === null,
+  );
   const control = useHold({ machine, plan }, thrown, setThrowId);
   const { hold, release } = control;
 
@@ -41,9 +53,9 @@ export function useOperate() {
   }, [isHolder, hold, release]);
 
   // A result belongs to the machine and the target it was thrown at.
-  const throwTargetKey = target ? `${target.x_m} ${target.y_m} ${target.z_m}` : "";
+  const throwTargetKey = target ? pointKey(target) : "";
   const isIdle = hold.phase === "idle";
-  useResetResult(`${machineId} ${mode} ${throwTargetKey}`, isIdle && isOver, () =>
+  useResetResult(`${machineId} ${mode} ${pace_ratio} ${throwTargetKey}`, isIdle && isOver, () =>
     setThrowId(null),
   );
 
@@ -66,6 +78,8 @@ export function useOperate() {
     machine,
     mode,
     setMode,
+    pace_ratio,
+    setPace,
     target,
     problem: refusal || aim.error || null,
     setTarget: (next: NonNullable<typeof target>) => void aim.set(next, mode),

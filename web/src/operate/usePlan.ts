@@ -5,16 +5,14 @@ import { api, take } from "../session/client";
 import type { Machine, Plan } from "../session/live";
 import { dispatchLive, useLive } from "../session/liveStore";
 import { errorWords } from "../words/errors";
-import type { Target } from "./target";
+import { pointKey, type Target } from "./target";
 
 const SETTLE_MS = 250;
 const ROLLOUT_COUNT = 200;
-/** 0 careful .. 1 fast; the server's own default. */
-const PACE_RATIO = 0.25;
 
-type Wish = { machineId: string; mode: "2d" | "3d"; target: Target };
+type Wish = { machineId: string; mode: "2d" | "3d"; target: Target; pace_ratio: number };
 
-async function requestPlan({ machineId, mode, target }: Wish): Promise<Plan> {
+async function requestPlan({ machineId, mode, target, pace_ratio }: Wish): Promise<Plan> {
   const { x_m, y_m, z_m } = target;
   return take(
     api.POST("/api/v1/machines/{machine_id}/plans", {
@@ -22,7 +20,7 @@ async function requestPlan({ machineId, mode, target }: Wish): Promise<Plan> {
       body: {
         mode,
         target: { x_m, y_m, z_m, mode },
-        pace_ratio: PACE_RATIO,
+        pace_ratio,
         rollout_count: ROLLOUT_COUNT,
       },
     }),
@@ -36,6 +34,7 @@ export function usePlan(
   machine: Machine | null,
   mode: "2d" | "3d",
   target: Target | null,
+  pace_ratio: number,
   isWanted: boolean,
 ) {
   const [planId, setPlanId] = useState<string | null>(null);
@@ -48,12 +47,14 @@ export function usePlan(
   const policy = machine?.reach.modes.find((other) => other.mode === mode)?.policy_sha256 ?? null;
   // What was refused because the gripper was empty is previewed anew once it is not.
   const isLoaded = machine?.state?.payload_held ?? false;
+  // A plan knows what stood around the machine: it cannot be armed once that was changed.
+  const site = useLive((live) => (machineId ? live.sites[machineId]?.version_count : 0)) ?? 0;
   const key =
     target && machineId && policy
-      ? [machineId, mode, policy, isLoaded, target.x_m, target.y_m, target.z_m, round].join(" ")
+      ? [machineId, mode, policy, isLoaded, site, pace_ratio, pointKey(target), round].join(" ")
       : null;
   const wish = useRef<Wish | null>(null);
-  wish.current = target && machineId ? { machineId, mode, target } : null;
+  wish.current = target && machineId ? { machineId, mode, target, pace_ratio } : null;
 
   useEffect(() => {
     const ticket = ++latest.current;

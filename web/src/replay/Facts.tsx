@@ -1,8 +1,9 @@
 import { Button } from "@mantine/core";
 import { IconDownload } from "@tabler/icons-react";
+import { paceWords } from "../operate/pace";
 import type { Schema } from "../session/client";
 import { outcomeSentence } from "../throws/outcome";
-import { bytes, seconds, shortHash, speed } from "../words/format";
+import { bearingWords, bytes, metres, seconds, shortHash, signed, speed } from "../words/format";
 import { localStamp, zoneName } from "../words/time";
 import classes from "./Facts.module.css";
 
@@ -13,6 +14,11 @@ export function Facts({ detail }: { detail: Detail }) {
   const { row, plan } = detail;
   const facts: [string, React.ReactNode, string?][] = [
     ["Outcome", outcomeSentence(row)],
+    [
+      "Target",
+      `${metres(row.target.range_m)}, ${bearingWords(row.target.azimuth_rad)}, ${signed(row.target.z_m)} m high`,
+    ],
+    ["Pace", paceWords(row.pace_ratio)],
     ["Person", row.operator],
     ["Machine", row.machine_id],
     [`Time, ${zoneName(new Date(row.created_utc))}`, localStamp(row.created_utc)],

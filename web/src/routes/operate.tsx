@@ -16,7 +16,6 @@ export function OperatePage() {
   useViewFollows({
     machineId: operate.machine?.machine_id ?? null,
     mode: operate.mode,
-    height_m: operate.target?.z_m ?? 0,
     isPicking: isFree,
   });
   return (

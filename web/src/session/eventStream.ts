@@ -14,6 +14,7 @@ export const EVENT_KINDS: readonly ServerEvent["kind"][] = [
   "throw.updated",
   "gap.updated",
   "twin.updated",
+  "site.updated",
   "alert",
 ];
 

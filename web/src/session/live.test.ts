@@ -161,6 +161,8 @@ describe("throws, leases, alerts", () => {
     expect(two.gapRuns.g1?.progress_ratio).toBe(0.6);
     const twin = event(two, { kind: "twin.updated", machine_id: "m001", version_count: 3 });
     expect(twin).toBe(two);
+    const site = { machine_id: "m001", version_count: 2, objects: [] } as never;
+    expect(event(two, { kind: "site.updated", site }).sites.m001?.version_count).toBe(2);
     expect(reduceLive(two, { kind: "resync", machines: [] }).gapRuns).toEqual({});
   });
 

@@ -18,6 +18,7 @@ export type ServerEvent =
   | Schema["ThrowUpdatedEvent"]
   | Schema["GapUpdatedEvent"]
   | Schema["TwinUpdatedEvent"]
+  | Schema["SiteUpdatedEvent"]
   | Schema["AlertEvent"];
 
 export type Live = {
@@ -25,6 +26,8 @@ export type Live = {
   plans: Readonly<Record<string, Plan>>;
   throws: Readonly<Record<string, Throw>>;
   gapRuns: Readonly<Record<string, GapRun>>;
+  /** What stands around machines, as far as it was changed since the page was opened. */
+  sites: Readonly<Record<string, Schema["SiteView"]>>;
   /** Why a picked point cannot be a target, by machine. */
   targetRefusals: Readonly<Record<string, string>>;
   /** Last lease change by machine, to tell why control was lost. */
@@ -45,6 +48,7 @@ export const EMPTY_LIVE: Live = {
   plans: {},
   throws: {},
   gapRuns: {},
+  sites: {},
   targetRefusals: {},
   leaseNews: {},
   alerts: [],
@@ -123,6 +127,8 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       return { ...live, gapRuns: put(live.gapRuns, event.run.gap_run_id, event.run) };
     case "twin.updated":
       return live;
+    case "site.updated":
+      return { ...live, sites: { ...live.sites, [event.site.machine_id]: event.site } };
     case "alert":
       return { ...live, alerts: addAlert(live.alerts, event) };
   }

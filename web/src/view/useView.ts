@@ -15,17 +15,16 @@ export function useViewRequest() {
   return useCallback((wish: ViewRequest) => mutate(wish), [mutate]);
 }
 
-/** Keeps the view on this machine, mode and height while the page shows it. */
+/** Keeps the view on this machine and mode while the page shows it. */
 export function useViewFollows(wish: {
   machineId: string | null;
-  mode: "2d" | "3d";
-  height_m: number;
+  mode?: "2d" | "3d";
   isPicking: boolean;
 }): void {
-  const { machineId, mode, height_m, isPicking } = wish;
+  const { machineId, mode, isPicking } = wish;
   const request = useViewRequest();
   useEffect(() => {
     if (machineId === null) return;
-    request({ machine_id: machineId, mode, pick_height_m: height_m, is_picking: isPicking });
-  }, [request, machineId, mode, height_m, isPicking]);
+    request({ machine_id: machineId, mode, is_picking: isPicking });
+  }, [request, machineId, mode, isPicking]);
 }

@@ -1,0 +1,11 @@
+/** How fast a throw is made, from 0, careful, to 1, fast; only policies trained for it heed it. */
+
+/** The server's own default (machine/conventions.py). */
+export const DEFAULT_PACE_RATIO = 0.25;
+export const PACE_STEP = 0.05;
+
+/** "0.25, careful": the number with a word for it. */
+export function paceWords(pace_ratio: number): string {
+  const word = pace_ratio < 0.375 ? "careful" : pace_ratio > 0.625 ? "fast" : "balanced";
+  return `${pace_ratio.toFixed(2)}, ${word}`;
+}
