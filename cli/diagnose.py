@@ -108,13 +108,16 @@ def swing(
     group: str | None = None,
     length_m: float | None = None,
     angle_unit: Literal["auto", "rad", "deg"] = "auto",
+    fps: float | None = None,
+    counts_per_turn: float | None = None,
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
     """Find which friction a freely swinging joint has, from a CSV file of its angle.
 
     Tells viscous friction, Coulomb friction and air drag apart; with --length-m also a wrong length or a
-    stiff hose. Record from the release until the swing has died down.
+    stiff hose. A gyro, a tracked bob (x and y) and a mass on a spring do as well. Record from the release
+    until the swing has died down.
 
     Example: downrange diagnose swing pendulum.csv --time t --angle theta_deg
 
@@ -127,10 +130,15 @@ def swing(
         group: column that tells several swings apart; a pause or a restart of time does it as well.
         length_m: length of the ideal pendulum; without it the frequency is taken from the data.
         angle_unit: unit of the angle; auto takes the column's name, or degrees beyond 2 pi.
+        fps: frames a second, when the times are frame numbers of a film.
+        counts_per_turn: of an encoder, when the angle is in counts.
         json: file for the whole result.
         html: file for the report.
     """
-    found = swing_from_csv(file, time, angle, group, length_m, angle_unit, _teller())
+    _check_positive(fps=fps, counts_per_turn=counts_per_turn)
+    found = swing_from_csv(
+        file, time, angle, group, length_m, angle_unit, fps, counts_per_turn, _teller()
+    )
     return _finish(found, json, html, f"Swing, {file.name}")
 
 
@@ -145,7 +153,8 @@ def flight(
     group: str | None = None,
     mass_kg: float | None = None,
     diameter_m: float | None = None,
-    length_unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto",
+    length_unit: Literal["auto", "m", "cm", "mm", "ft", "in", "yd", "px"] = "auto",
+    fps: float | None = None,
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -168,10 +177,12 @@ def flight(
             begins another flight as well.
         mass_kg: of the ball; with the diameter, drag is given as a coefficient.
         diameter_m: of the ball.
-        length_unit: of the positions; auto takes the columns' names.
+        length_unit: of the positions; auto takes the columns' names. px takes the scale from gravity.
+        fps: frames a second, when the times are frame numbers of a film.
         json: file for the whole result.
         html: file for the report.
     """
+    _check_positive(fps=fps)
     if (mass_kg is None) != (diameter_m is None):
         raise UsageError("give both --mass-kg and --diameter-m, or neither")
     if mass_kg is not None and diameter_m is not None and min(mass_kg, diameter_m) <= 0.0:
@@ -180,8 +191,15 @@ def flight(
         raise UsageError("give --z, the column that points up (for a film in x and y: --x x --z y)")
     axes = [name for name in (x, y, z) if name is not None]
     ball = Ball() if mass_kg is None or diameter_m is None else Ball(mass_kg, diameter_m)
-    found = flight_from_csv(file, time, axes, group, ball, length_unit, _teller())
+    found = flight_from_csv(file, time, axes, group, ball, length_unit, fps, _teller())
     return _finish(found, json, html, f"Flight, {file.name}")
+
+
+def _check_positive(**options: float | None) -> None:
+    """Refuse options that must be positive and are not."""
+    for name, value in options.items():
+        if value is not None and not value > 0.0:
+            raise UsageError(f"--{name.replace('_', '-')} {value:g}: it must be positive")
 
 
 def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) -> int:

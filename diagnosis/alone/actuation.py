@@ -14,6 +14,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.reading.commands import Command, read_command
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.motion import Motion
 from diagnosis.alone.response import actuation_options, play, simulate_position, simulate_speed
@@ -25,6 +26,8 @@ from machine.conventions import Array, BoolArray, IntArray
 
 Kind = Literal["speed", "position"]
 MIN_SPAN_S: Final = 2.0
+RELEVANT_RATIO: Final = 0.015
+"""Of the motion, by eye: what the stepwise simulation of a joint and its log's ticks leave undecided."""
 MAX_TICKS: Final = 5_000
 POSITION_RATIO: Final = 0.25
 """A position that follows its command leaves less than this unexplained; a drifting one does not follow."""
@@ -37,9 +40,6 @@ NOISE_RATIO: Final = 0.03
 """Of the top speed: what the window that turns positions into speeds leaves of the sensor's noise."""
 LONGEST_WINDOW_S: Final = 0.4
 BLOCKS_COUNT: Final = 15
-MIN_CHANGES_COUNT: Final = 20
-"""Fewer changes of the command do not tell how often it was logged."""
-LONGEST_COMMAND_PERIOD_S: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +111,9 @@ def diagnose_joint(
     joint: str | None = None,
     kind: Literal["auto", "speed", "position"] = "auto",
     progress: Callable[[str], None] | None = None,
+    command_words: tuple[str, ...] = (),
 ) -> Diagnosis:
-    """Diagnose one joint.
+    """Diagnose one joint; `command_words` are of the command's name and unit.
 
     Raises:
         RefusedTableError: too short, or no motion that could tell anything.
@@ -122,27 +123,27 @@ def diagnose_joint(
         raise RefusedTableError(
             f"the record lasts {span_s:.2f} s, at least {MIN_SPAN_S:g} s are needed; record several steps"
         )
-    zero, zero_note = rest_command(motion)
-    notes = [zero_note]
+    period_s = 1.0 / audit.rate_hz
+    command = read_command(motion, command_words, period_s)
+    notes = [*command.notes]
     if span_s > LONGEST_SPAN_S:
-        motion = busiest_part(motion, zero)
+        motion = busiest_part(motion)
         first = float(motion.time_s[0])
         notes.append(
             f"of {span_s:.0f} s the {LONGEST_SPAN_S:g} s with the most commands are used, from "
             f"{first:.0f} s on"
         )
-    problem = make_problem(motion, zero, "speed" if kind == "auto" else kind, 1.0 / audit.rate_hz)
+    problem = make_problem(motion, command, "speed" if kind == "auto" else kind, period_s)
     signal = float(np.sqrt(np.mean(problem.measured**2)))
-    selection = select(problem, signal, problem.noise, progress)
+    selection = select(problem, signal, problem.noise, progress, relevant_ratio=RELEVANT_RATIO)
     if kind == "auto" and not motion.is_speed and selection.left_ratio > 0.3:
-        other = make_problem(motion, zero, "position", 1.0 / audit.rate_hz)
+        other = make_problem(motion, command, "position", period_s)
         spread = float(np.std(other.measured))
-        tried = select(other, spread, other.noise, progress)
+        tried = select(other, spread, other.noise, progress, relevant_ratio=RELEVANT_RATIO)
         if tried.left_ratio < min(0.5 * selection.left_ratio, POSITION_RATIO):
             problem, selection, signal = other, tried, spread
             notes.append("the position follows the command: taken as a position command")
     gain = selection.best.fit.as_mapping()["speed_per_command"]
-    scale = float(np.max(np.abs(motion.command - zero)))
     rate = "" if problem.kind == "position" else "/s"
     evidence: dict[str, Any] = {
         "rate_hz": audit.rate_hz,
@@ -150,8 +151,8 @@ def diagnose_joint(
         "samples": len(motion.time_s),
         "span_s": span_s,
         "command_kind": problem.kind,
-        "command_rest": zero,
-        "command_full": scale,
+        "command_rest": command.rest,
+        "command_full": command.full,
         "gain_per_full_command": {"value": gain, "unit": f"{motion.unit}{rate}"},
         "window_s": len(problem.window) * problem.step_s,
         "noise": {"value": problem.noise, "unit": f"{motion.unit}{rate}"},
@@ -176,9 +177,9 @@ def diagnose_joint(
     )
 
 
-def busiest_part(motion: Motion, zero: float) -> Motion:
+def busiest_part(motion: Motion) -> Motion:
     """The stretch of `LONGEST_SPAN_S` in which commands change most."""
-    change = np.concatenate([[0.0], np.abs(np.diff(motion.command - zero))])
+    change = np.concatenate([[0.0], np.abs(np.diff(motion.command))])
     total = np.cumsum(change)
     end = np.searchsorted(motion.time_s, motion.time_s + LONGEST_SPAN_S) - 1
     whole = motion.time_s + LONGEST_SPAN_S <= motion.time_s[-1]
@@ -192,35 +193,14 @@ def busiest_part(motion: Motion, zero: float) -> Motion:
     )
 
 
-def rest_command(motion: Motion) -> tuple[float, str]:
-    """The command at which the joint rests, and why."""
-    u = motion.command
-    if np.min(u) <= 0.0 <= np.max(u) and (np.min(u) < 0.0 or np.mean(u == 0.0) > 0.02):
-        return 0.0, "command 0 taken as rest"
-    values, counts = np.unique(np.round(u, 9), return_counts=True)
-    common = int(np.argmax(counts))
-    if counts[common] > 0.05 * len(u):
-        return float(
-            values[common]
-        ), f"command {values[common]:g} taken as rest: its most frequent value"
-    if np.min(u) > 0.0 and np.min(u) < 0.1 * np.max(u):
-        return 0.0, "command 0 taken as rest"
-    middle = 0.5 * float(np.min(u) + np.max(u))
-    return middle, f"command {middle:g} taken as rest: the middle of its range"
-
-
-def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> ActuationProblem:
+def make_problem(motion: Motion, read: Command, kind: Kind, period_s: float) -> ActuationProblem:
     """Put a joint's record on an even grid."""
     time_s = motion.time_s - motion.time_s[0]
     span_s = float(time_s[-1])
     step_s = period_s / max(1, math.ceil(period_s / COARSEST_TICK_S))
     step_s = max(step_s, FINEST_TICK_S, span_s / MAX_TICKS)
     grid_s = np.arange(0.0, span_s, step_s)
-    held = np.clip(np.searchsorted(time_s, grid_s + 1e-9, side="right") - 1, 0, None)
-    ahead = np.clip(held + 1, 0, len(time_s) - 1)
-    # Between two runs the joint rests: what it did then is not known, and not compared.
-    command = np.where(motion.run[held] == motion.run[ahead], motion.command[held] - zero, 0.0)
-    command = command / float(np.max(np.abs(command)))
+    command = read.on_grid(motion, grid_s)
     output = np.interp(grid_s, time_s, motion.output)
     use_window = kind == "speed" and not motion.is_speed
     window = np.array([])
@@ -263,7 +243,7 @@ def make_problem(motion: Motion, zero: float, kind: Kind, period_s: float) -> Ac
         ),
         block=spread_blocks(grid_s[sample], blocks, run),
         noise=noise,
-        command_period_s=_command_period(motion, period_s),
+        command_period_s=read.period_s,
     )
 
 
@@ -283,14 +263,6 @@ def _first_gain(command: Array, measured: Array, sample: IntArray, top: float) -
         if power > 0.0 and product**2 / power > best:
             best, best_gain = product**2 / power, product / power
     return best_gain
-
-
-def _command_period(motion: Motion, period_s: float) -> float:
-    """Shortest usual time between two changes of the logged command, s; at least the sample period."""
-    changes = motion.time_s[1:][np.diff(motion.command) != 0.0]
-    if changes.size < MIN_CHANGES_COUNT:
-        return period_s
-    return float(np.clip(np.quantile(np.diff(changes), 0.1), period_s, LONGEST_COMMAND_PERIOD_S))
 
 
 def _sample_noise(values: Array) -> float:

@@ -12,30 +12,28 @@ import numpy as np
 
 from diagnosis.alone.actuation import diagnose_joint
 from diagnosis.alone.flight import Ball, diagnose_ball
+from diagnosis.alone.reading.clocks import time_of
 from diagnosis.alone.reading.columns import (
-    COMMAND_WORDS,
-    TIME_WORDS,
-    AngleUnit,
-    angle_of,
     axes_of,
+    command_of,
     found_groups,
     group_labels,
-    in_radians,
     integrated,
-    is_turn_rate,
     is_velocity,
     listed,
-    metres,
     outputs_of,
     pairs_of,
 )
+from diagnosis.alone.reading.free_swings import Swing, swing_of_rate
 from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
 from diagnosis.alone.reading.motion import read_motion
 from diagnosis.alone.reading.runs import check_rate, clean_series, split_runs, time_seconds
+from diagnosis.alone.reading.swings import swing_column
 from diagnosis.alone.reading.tables import Table, read_table
+from diagnosis.alone.reading.tracks import Flight, Scale
+from diagnosis.alone.reading.units import AngleUnit, are_pixels, metres, without_spikes
 from diagnosis.alone.several import combined, refused
-from diagnosis.alone.swing import Swing, diagnose_swing
-from diagnosis.alone.tracks import Flight
+from diagnosis.alone.swing import diagnose_swing
 from diagnosis.loading.clock_audit import audit_clock
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, BoolArray, IntArray
@@ -68,14 +66,14 @@ def actuation_from_csv(
         )
     try:
         table = read_table(path)
-        time = time or table.guess("time", "--time", TIME_WORDS)
+        time = time_of(table, time)
         is_speed = velocity is not None
         commands, outputs = listed(command), listed(velocity if is_speed else position)
         if not commands and not outputs:
             commands, outputs = pairs_of(table)
-        commands = commands or [table.guess("command", "--command", COMMAND_WORDS)]
+        commands = commands or [command_of(table, time, next(iter(outputs), None))]
         if not outputs:
-            outputs, is_speed = outputs_of(table)
+            outputs, is_speed = outputs_of(table, [time, *commands])
         if group is None:
             owner, run = found_groups(table, [time, *commands, *outputs])
             group = ",".join(name for name in (owner, run) if name is not None) or None
@@ -93,7 +91,7 @@ def actuation_from_csv(
         table.notes = table.notes[:] if not parts else []
         try:
             motion, audit = read_motion(table, time, one, output, is_speed, labels)
-            found = diagnose_joint(motion, audit, name, kind, tell)
+            found = diagnose_joint(motion, audit, name, kind, tell, tuple(table.words(one)))
         except RefusedTableError as error:
             parts[output] = refused(str(error), {"notes": table.notes})
             continue
@@ -108,25 +106,40 @@ def swing_from_csv(
     group: str | None = None,
     length_m: float | None = None,
     angle_unit: AngleUnit = "auto",
+    fps: float | None = None,
+    counts_per_turn: float | None = None,
     tell: Tell | None = None,
 ) -> Diagnosis:
-    """Diagnose the free swings of one body; a group, a pause or a new start of time begins another swing."""
+    """Diagnose the free swings of one body.
+
+    Args:
+        path: CSV file.
+        time: column of times; frame numbers with `fps`.
+        angle: column of angles, rates of turn, or ways of a mass on a spring.
+        group: column that tells swings apart; a pause or a new start of time does it as well.
+        length_m: of the ideal pendulum.
+        angle_unit: of the angle.
+        fps: frames a second of a film.
+        counts_per_turn: of an encoder.
+        tell: told what is being done.
+    """
     try:
         table = read_table(path)
-        time = time or table.guess("time", "--time", TIME_WORDS)
-        angle = angle or angle_of(table)
-        values = in_radians(table, angle, table.numbers(angle), angle_unit)
+        time = time_of(table, time, fps)
+        column = swing_column(table, time, angle, angle_unit, counts_per_turn)
         if group is None:
-            owner, run = found_groups(table, [time, angle])
+            owner, run = found_groups(table, [time, *column.name.split(", ")])
             group = ",".join(name for name in (owner, run) if name is not None) or None
-        runs = _runs(table, time, group_labels(table, group), [values], angle)
-        if is_turn_rate(table, angle):
-            table.notes.append(f"{angle!r} is a rate: integrated to an angle, its bias taken off")
-            swings = [Swing(t, _angle(t, rate)) for t, (rate,) in runs]
+        runs = _runs(table, time, group_labels(table, group), [column.values], column.name)
+        if column.is_rate:
+            table.notes.append(
+                f"{column.name!r} is a rate: integrated to an angle, its bias taken off"
+            )
+            swings = [swing_of_rate(t, rate) for t, (rate,) in runs]
         else:
-            swings = [Swing(t, np.unwrap(a)) for t, (a,) in runs]
+            swings = [Swing(t, a) for t, (a,) in runs]
         reference = math.nan if length_m is None else length_m
-        found = diagnose_swing(swings, reference, None, tell)
+        found = diagnose_swing(swings, reference, None, tell, is_length=column.is_length)
     except RefusedTableError as error:
         return refused(str(error))
     return _noted(found, table.notes)
@@ -139,6 +152,7 @@ def flight_from_csv(
     group: str | None = None,
     ball: Ball | None = None,
     length_unit: str = "auto",
+    fps: float | None = None,
     tell: Tell | None = None,
 ) -> Diagnosis:
     """Diagnose tracked balls.
@@ -149,14 +163,16 @@ def flight_from_csv(
         axes: columns of the position; the last one is up. Found by name if left out.
         group: columns (by commas); the first tells balls apart, all of them tell flights apart.
         ball: mass and diameter, the same for all.
-        length_unit: m, cm, mm, ft, in, or auto: by the columns' names, else m.
+        length_unit: m, cm, mm, ft, in, yd, px, or auto: by the columns' names, else m.
+        fps: frames a second of a film.
         tell: told what is being done.
     """
     try:
         table = read_table(path)
-        time = time or table.guess("time", "--time", TIME_WORDS)
+        time = time_of(table, time, fps)
         names = list(axes) or axes_of(table)
         columns = [table.numbers(name) * metres(table, name, length_unit) for name in names]
+        scale = Scale(are_pixels(table, names, length_unit), not axes, length_unit == "auto")
         owner, run = found_groups(table, [time, *names]) if group is None else (None, None)
         owner = next(iter(listed(group)), owner)
         group = group or ",".join(name for name in (owner, run) if name is not None) or None
@@ -174,12 +190,18 @@ def flight_from_csv(
     if any(speeds):
         table.notes.append(f"{', '.join(names)} are speeds: integrated to positions")
     for name in dict.fromkeys(balls):
-        mine = np.array([label == name for label in balls])
+        mine = np.array(balls) == name
         try:
-            runs = _runs(table, time, labels, columns, " and ".join(names), mine)
+            own = [_despiked(table, *pair, mine) for pair in zip(names, columns, strict=True)]
+            runs = _runs(table, time, labels, own, " and ".join(names), mine)
             flights = [Flight(t, _placed(t, p, speeds)) for t, p in runs]
             found = diagnose_ball(
-                flights, ball or Ball(), name if owner else None, tell, is_mixed_refused=not owner
+                flights,
+                ball or Ball(),
+                name if owner else None,
+                tell,
+                is_mixed_refused=not owner,
+                scale=scale,
             )
         except RefusedTableError as error:
             parts[name] = refused(str(error))
@@ -188,6 +210,13 @@ def flight_from_csv(
         if tell is not None:
             tell(f"{name}: {found.verdict.value}")
     return combined(parts)
+
+
+def _despiked(table: Table, name: str, column: Array, mine: BoolArray) -> Array:
+    """A column without the stray values among one ball's rows."""
+    out = column.copy()
+    out[mine] = without_spikes(table, name, column[mine])
+    return out
 
 
 def _placed(time_s: Array, columns: Sequence[Array], are_speeds: Sequence[bool]) -> Array:
@@ -199,15 +228,6 @@ def _placed(time_s: Array, columns: Sequence[Array], are_speeds: Sequence[bool])
         ],
         axis=1,
     )
-
-
-def _angle(time_s: Array, rate: Array) -> Array:
-    """Angle of a swing from its rate: integrated, and the line through it taken off.
-
-    A gyro's bias grows the angle along a line; a swing about rest does not.
-    """
-    angle = integrated(time_s, rate)
-    return angle - np.polyval(np.polyfit(time_s, angle, 1), time_s)
 
 
 def _runs(

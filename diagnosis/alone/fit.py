@@ -106,6 +106,8 @@ class Fit:
     """(samples,)"""
     jacobian: Array
     """(samples, parameters)"""
+    is_settled: bool = True
+    """Whether the optimiser was given time to converge."""
 
     @property
     def mean_square(self) -> float:
@@ -179,15 +181,16 @@ def fit(
         best_x = _solve(weighted, best_x, low, high, iterations).x
     residual = unweighted(best_x[None])[0]
     jacobian = _jacobian(unweighted, best_x, low, high, residual)
-    return Fit(options, names, best_x, residual, jacobian)
+    return Fit(options, names, best_x, residual, jacobian, iterations > QUICK_ITERATIONS)
 
 
 def held_out_mean_square(problem: Problem, found: Fit) -> float:
     """Mean square of each block's residual with parameters from the other blocks only.
 
     One Gauss-Newton step from the fit to all blocks, x_b = x - (A - A_b)^-1 J_b' r_b with A = J'J, then the
-    block is simulated again with x_b; exact for a linear response. With local nuisance, J and r are taken
-    beyond what the local parameters explain, and the response is taken as linear.
+    block is simulated again with x_b; exact for a linear response. Where a parameter hardly shows, that step
+    leaves the range in which it means anything: the linear response is taken where it is the smaller one.
+    With local nuisance, J and r are taken beyond what the local parameters explain, and it is taken always.
     """
     local = np.array([name in problem.local for name in found.names])
     basis, _ = np.linalg.qr(found.jacobian[:, local])
@@ -205,12 +208,16 @@ def held_out_mean_square(problem: Problem, found: Fit) -> float:
         Jb, rb = Js[inside], r[inside]
         room = ((low - values) * scale, (high - values) * scale)
         moved.append(values + _boxed_step(A - Jb.T @ Jb, -Jb.T @ rb, room) / scale)
+    rows = np.arange(len(r))
+    linear = np.bincount(place, (r - (np.stack(moved) - values) @ J.T)[place, rows] ** 2)
     if np.any(local):
-        again = r - (np.stack(moved) - values) @ J.T
-    else:
-        names = found.names
-        again = problem.residuals([dict(zip(names, x.tolist(), strict=True)) for x in moved])
-    return float(np.mean(again[place, np.arange(len(r))] ** 2))
+        return float(np.sum(linear)) / len(r)
+    names = found.names
+    again = problem.residuals([dict(zip(names, x.tolist(), strict=True)) for x in moved])
+    simulated = np.bincount(place, again[place, rows] ** 2)
+    return float(np.sum(np.minimum(simulated, np.maximum(linear, np.bincount(place, r**2))))) / len(
+        r
+    )
 
 
 def _boxed_step(matrix: Array, right: Array, room: tuple[Array, Array]) -> Array:

@@ -12,22 +12,25 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.agreement import Disagreement, disagreement
-from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.fit import FreeParameter, Option, fit
 from diagnosis.alone.flight_path import integrate, sampled
 from diagnosis.alone.reading.layout import RefusedTableError
-from diagnosis.alone.selection import every_third, select
-from diagnosis.alone.tracks import (
+from diagnosis.alone.reading.tracks import (
     MIN_FLIGHT_ROWS,
+    SCALE_SLACK_RATIO,
     Flight,
-    check_fall,
+    Scale,
     curvature_signal,
+    falls_freely,
     fastest,
     first_motion,
+    refuse_fall,
     thinned,
     track_noise,
     trimmed,
     upright,
 )
+from diagnosis.alone.selection import every_third, select
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
@@ -36,8 +39,6 @@ AIR_DENSITY_KG_PER_M3: Final = 1.204
 """20 C at sea level."""
 SPHERE_DRAG_COEFFICIENT: Final = 0.47
 """Below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965)."""
-GRAVITY_SLACK_RATIO: Final = 0.02
-"""Of the length scale, by eye: a metre stick that is read to a centimetre, a ball nearer than its scale."""
 LEAN_RAD: Final = 0.02
 """Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
 MAX_FLIGHTS_COUNT: Final = 16
@@ -46,6 +47,9 @@ STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 BLOCKS_PER_FLIGHT: Final = 5
 UNKNOWN_RATIO: Final = 0.35
+METRES: Final = Scale()
+DRAGGED_RATIO: Final = 0.1
+"""Of what bends the tracks: gravity and drag that leave less explain a fall at another rate."""
 
 
 class Ball(NamedTuple):
@@ -141,13 +145,14 @@ def diagnose_ball(
     name: str | None = None,
     progress: Callable[[str], None] | None = None,
     is_mixed_refused: bool = False,
+    scale: Scale = METRES,
 ) -> Diagnosis:
     """Diagnose the flights of one ball; `is_mixed_refused` when nothing says that they are of one.
 
     Raises:
         RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
     """
-    flights, notes = upright(flights)
+    flights, notes = upright(flights, scale)
     usable = tuple(trimmed(thinned(flight)) for flight in flights)
     usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
     if not usable:
@@ -158,10 +163,13 @@ def diagnose_ball(
         notes.append(f"{MAX_FLIGHTS_COUNT} of {len(usable)} flights used, evenly chosen")
         chosen = np.linspace(0, len(usable) - 1, MAX_FLIGHTS_COUNT).astype(int)
         usable = tuple(usable[k] for k in chosen)
-    check_fall(usable)
-    problem = make_problem(usable, ball)
+    problem = make_problem(usable, ball, scale.slack_ratio)
     noise = problem.noise
-    split = _disagreement(usable, ball, problem)
+    if not falls_freely(usable):
+        if not _is_dragged(problem):
+            refuse_fall(usable)
+        notes.append("drag or lift is as strong as gravity for part of the flight")
+    split = _disagreement(usable, ball, problem, scale.slack_ratio)
     if split is not None and split.is_mixed and is_mixed_refused:
         raise RefusedTableError(
             f"the {len(usable)} flights of this file disagree ({split.in_words()}): several balls, or other "
@@ -183,7 +191,7 @@ def diagnose_ball(
         "drag_unit": "drag coefficient (mass and diameter given)" if known else "1/m: a = -k |v| v",
         "notes": notes,
         "not_separable": [
-            "a wrong length scale and gravity (2 % are allowed for)",
+            f"a wrong length scale and gravity ({scale.slack_ratio:.0%} are allowed for)",
             "a leaning vertical and horizontal acceleration (1.1 degrees are allowed for)",
             "spin and vertical wind"
             if usable[0].position_m.shape[1] > 1
@@ -231,10 +239,19 @@ def _with_expected_drag(found: Diagnosis, is_ball_known: bool) -> Diagnosis:
     return found.model_copy(update={"sentence": f"{found.sentence} {words}"})
 
 
-def make_problem(flights: tuple[Flight, ...], ball: Ball) -> FlightProblem:
-    """Parameters and blocks of one ball's flights."""
+def _is_dragged(problem: FlightProblem) -> bool:
+    """Whether drag or spin explain what falls at another rate: a shuttlecock, a paper cone, a topspin."""
+    keys = ("air_drag", "release_delay", "release_spin")
+    found = fit(problem, tuple(option for option in problem.options if option.key in keys), {})
+    return math.sqrt(found.mean_square) < DRAGGED_RATIO * curvature_signal(problem.flights)
+
+
+def make_problem(
+    flights: tuple[Flight, ...], ball: Ball, slack_ratio: float = SCALE_SLACK_RATIO
+) -> FlightProblem:
+    """Parameters and blocks of one ball's flights; `slack_ratio` is how far the length scale may be off."""
     axes = flights[0].position_m.shape[1]
-    slack = GRAVITY_SLACK_RATIO * GRAVITY_M_PER_S2
+    slack = slack_ratio * GRAVITY_M_PER_S2
     nuisance = [
         FreeParameter(
             "gravity",
@@ -284,7 +301,7 @@ def _options(axes: int, top: float, period_s: float, ball_known: bool) -> tuple[
     drag = (
         FreeParameter("extra_drag_coefficient_ratio", "1", 0.02, 3.0, (0.1, 0.5, 1.2))
         if ball_known
-        else FreeParameter("drag_per_m", "1/m", 2e-4, 1.0, (0.002, 0.02, 0.1))
+        else FreeParameter("drag_per_m", "1/m", 2e-4, 20.0, (0.002, 0.02, 0.1, 1.0))
     )
     options = [
         Option("air_drag", "air_drag", (drag,)),
@@ -316,10 +333,13 @@ def _options(axes: int, top: float, period_s: float, ball_known: bool) -> tuple[
 
 
 def _disagreement(
-    flights: Sequence[Flight], ball: Ball, problem: FlightProblem
+    flights: Sequence[Flight], ball: Ball, problem: FlightProblem, slack_ratio: float
 ) -> Disagreement | None:
     """Whether the flights need drag, wind and spin of their own."""
-    parts = [replace(make_problem((flight,), ball), options=problem.options) for flight in flights]
+    parts = [
+        replace(make_problem((flight,), ball, slack_ratio), options=problem.options)
+        for flight in flights
+    ]
     return disagreement(problem, parts, ("air_drag", "wind", "release_spin"))
 
 

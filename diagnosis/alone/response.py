@@ -6,6 +6,7 @@ acceleration limit; then position, with backlash. An effect whose parameter is a
 
 import math
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
@@ -13,13 +14,15 @@ from scipy.signal import lfilter
 from diagnosis.alone.fit import FreeParameter, Option
 from machine.conventions import Array
 
+LEAST_TIME_PERIODS: Final = 0.5
+
 
 def actuation_options(
     period_s: float, span_s: float, top_speed: float, travel: float, unit: str, has_position: bool
 ) -> tuple[Option, ...]:
     """What may lie between a command and a joint's speed.
 
-    The lower bounds are the smallest sizes worth naming: a sample period for times, 1 % for ratios.
+    The lower bounds are the smallest sizes worth naming: half a sample period for times, 1 % for ratios.
 
     Args:
         period_s: median sample period.
@@ -31,8 +34,9 @@ def actuation_options(
     """
     longest = min(max(0.1 * span_s, 0.3), 2.0)
     step = max(period_s, 0.01)
-    dead_time = FreeParameter("extra_dead_time_s", "s", period_s, longest, (2 * step, 0.1, 0.3))
-    lag = FreeParameter("extra_lag_s", "s", period_s, max(5.0 * longest, 1.0), (0.05, 0.3, 1.0))
+    least = LEAST_TIME_PERIODS * period_s
+    dead_time = FreeParameter("extra_dead_time_s", "s", least, longest, (2 * step, 0.1, 0.3))
+    lag = FreeParameter("extra_lag_s", "s", least, max(5.0 * longest, 1.0), (0.05, 0.3, 1.0))
     options = [
         Option("valve_dead_time", "valve_dead_time", (dead_time,)),
         Option("valve_lag", "valve_lag", (lag,)),
@@ -44,7 +48,7 @@ def actuation_options(
         Option(
             "valve_lag_two_sided",
             "valve_lag",
-            (lag, FreeParameter("stopping_lag_s", "s", period_s, 5.0, (0.05, 0.3, 1.0))),
+            (lag, FreeParameter("stopping_lag_s", "s", least, 5.0, (0.05, 0.3, 1.0))),
         ),
         *_spool_options(),
         *_limit_options(period_s, top_speed, unit),

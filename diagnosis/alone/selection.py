@@ -6,7 +6,7 @@ with as many independent samples as the residual's correlation leaves, and a pen
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -43,6 +43,8 @@ IDLE_LOG_PRIOR: Final = math.log(1e-3)
 """For a set with an effect whose interval holds "nothing"."""
 FLOOR_RATIO: Final = 0.005
 """Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
+PRUNED_RATIO: Final = 1.5
+"""Of the least mean square: sets are taken apart, effect by effect, until the best one leaves more."""
 GAIN_RATIO: Final = 0.01
 """Smallest drop of the mean square that makes the search go on."""
 UNKNOWN_RATIO: Final = 0.35
@@ -108,6 +110,7 @@ def select(
     noise: float,
     progress: Progress | None = None,
     unknown_ratio: float = UNKNOWN_RATIO,
+    relevant_ratio: float = FLOOR_RATIO,
 ) -> Selection:
     """Search the structures.
 
@@ -117,6 +120,7 @@ def select(
         noise: standard deviation of its measurement noise, same unit.
         progress: told what was found at each level.
         unknown_ratio: share of the response left unexplained at which "unknown" has half odds.
+        relevant_ratio: share of the response that an effect must explain beyond the others to be named.
     """
     base = fit(problem, (), {})
     visited: dict[frozenset[str], Fit] = {frozenset(): base}
@@ -149,7 +153,10 @@ def select(
             break
     _come_down(problem, visited)
     _prune(problem, visited)
-    return _posterior(problem, list(visited.values()), signal, noise, unknown_ratio)
+    ranked, base_scored, length = _posterior(problem, visited, signal, relevant_ratio * signal)
+    left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
+    unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
+    return Selection(tuple(ranked), base_scored, length, signal, unknown)
 
 
 def _come_down(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
@@ -169,7 +176,8 @@ def _come_down(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
 def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
     """Try what the search may have passed by: one effect less, and other variants of each effect."""
     best = min(visited.values(), key=lambda found: found.mean_square)
-    for _ in range(2):
+    enough = PRUNED_RATIO * best.mean_square
+    while best.options and best.mean_square <= enough:
         shorter: list[Fit] = []
         for option in best.options:
             rest = tuple(o for o in best.options if o.key != option.key)
@@ -177,8 +185,6 @@ def _prune(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:
             for variant in problem.options:
                 if variant.effect == option.effect and variant.key != option.key:
                     _visit(problem, visited, best, (*rest, variant))
-        if not shorter:
-            return
         best = min(shorter, key=lambda found: found.mean_square)
 
 
@@ -190,27 +196,37 @@ def _visit(
 ) -> Fit:
     """The fit of a structure, from the parameters that it shares with a fit near it."""
     key = frozenset(option.key for option in options)
-    if key not in visited:
-        names = {p.name for p in problem.nuisance}
-        names |= {f"{o.key}.{p.name}" for o in options for p in o.parameters}
-        start = {name: value for name, value in near.as_mapping().items() if name in names}
+    known = visited.get(key)
+    names = {p.name for p in problem.nuisance}
+    names |= {f"{o.key}.{p.name}" for o in options for p in o.parameters}
+    start = {name: value for name, value in near.as_mapping().items() if name in names}
+    if known is None:
         visited[key] = fit(problem, options, start)
+        return visited[key]
+    # The search from nothing may have ended elsewhere: short runs, kinks of delays.
+    if len(start) == len(names):
+        here = float(np.mean(problem.residuals([start])[0] ** 2))
+        if here < known.mean_square:
+            visited[key] = fit(problem, options, start)
+            return visited[key]
+    if not known.is_settled:
+        visited[key] = fit(problem, options, known.as_mapping())
     return visited[key]
 
 
 def _posterior(
-    problem: Problem, fits: list[Fit], signal: float, noise: float, unknown_ratio: float
-) -> Selection:
-    richest = min(fits, key=lambda found: found.mean_square)
+    problem: Problem, visited: Mapping[frozenset[str], Fit], signal: float, relevant: float
+) -> tuple[list[Scored], Scored, float]:
+    """Structures, best first, the ideal stage among them, and the residual's correlation length."""
+    richest = min(visited.values(), key=lambda found: found.mean_square)
     length = correlation_length(richest.residual, problem.block)
-    count = len(problem.block)
-    independent = count / length
+    independent = len(problem.block) / length
     floor = (FLOOR_RATIO * signal) ** 2
     # Held-out scores cost simulations; structures far behind in-sample are out of the race anyway.
     limit = 12.0 + 0.5 * independent * math.log(richest.mean_square + floor)
-    scored: list[Scored] = []
-    base: Scored | None = None
-    for found in fits:
+    scored: dict[frozenset[str], Scored] = {}
+    for key in sorted(visited, key=len):
+        found = visited[key]
         size = len(found.values) - len(problem.nuisance)
         penalty = 0.5 * size * math.log(max(independent, 2.0))
         prior = sum(
@@ -224,26 +240,20 @@ def _posterior(
         score = -0.5 * independent * math.log(held_out + floor) - penalty + prior
         if _has_idle_effect(problem, found, length):
             score += IDLE_LOG_PRIOR
-        item = Scored(found, held_out, score)
-        scored.append(item)
-        if not found.options:
-            base = item
-    if base is None:
-        raise ValueError("the ideal stage was not among the structures")
-    top = max(item.score for item in scored)
-    weights = np.exp(np.array([item.score for item in scored]) - top)
-    weights /= np.sum(weights)
-    ranked = sorted(
-        (
-            Scored(item.fit, item.held_out, item.score, float(weight))
-            for item, weight in zip(scored, weights, strict=True)
-        ),
-        key=lambda item: -item.probability,
-    )
-    ranked = _merge(ranked)
-    left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
-    unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
-    return Selection(tuple(ranked), base, length, signal, unknown)
+        for option in found.options:
+            rest = tuple(sorted({o.effect for o in found.options if o.key != option.key}))
+            for less in [item for item in scored.values() if item.effects == rest]:
+                if less.fit.mean_square - found.mean_square < relevant**2:
+                    score = min(score, less.score + IDLE_LOG_PRIOR)
+        scored[key] = Scored(found, held_out, score)
+    top = max(item.score for item in scored.values())
+    weights = {key: math.exp(item.score - top) for key, item in scored.items()}
+    total = sum(weights.values())
+    ranked = [
+        replace(item, probability=weights[key] / total)
+        for key, item in sorted(scored.items(), key=lambda pair: -pair[1].score)
+    ]
+    return _merge(ranked), scored[frozenset()], length
 
 
 def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:

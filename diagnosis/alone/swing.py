@@ -6,31 +6,32 @@ told; with no reference length the frequency gives the length and is no effect.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.fit import FreeParameter, Option, fit
+from diagnosis.alone.reading.free_swings import (
+    MIN_PERIODS,
+    Swing,
+    free_part,
+    swing_noise,
+    swing_period,
+)
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.selection import every_third, select, spread_blocks
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
-MIN_PERIODS: Final = 2.0
-MAX_SAMPLES_PER_RUN: Final = 1_000
 STEPS_PER_PERIOD: Final = 24
 UNKNOWN_RATIO: Final = 0.3
-NOISE_AMPLITUDES: Final = 3.0
-"""The swing is over when its amplitude is this many standard deviations of the sensor's noise."""
-
-
-class Swing(NamedTuple):
-    """One free swing; times from its first row."""
-
-    time_s: Array
-    angle_rad: Array
+MIN_SAMPLES_PER_PERIOD: Final = 6.0
+CLEAN_NOISES: Final = 1.2
+"""A pendulum that leaves less than as many standard deviations of the noise is one."""
+SPRING_RATIO: Final = 0.5
+"""Mean square left on a spring over that left as a pendulum: below this it is a spring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,9 @@ class SwingProblem:
     block: IntArray
     step_s: float
     noise: float
-    """rad"""
+    """rad, or m on a spring."""
+    is_linear: bool = False
+    """Whether what pulls back is in proportion to the deflection: a spring, a wire; no pendulum."""
 
     @property
     def rich(self) -> tuple[str, ...]:
@@ -78,7 +81,7 @@ class SwingProblem:
         start = np.array([[one[f"angle.{k}"] for k in range(count)] for one in values]).ravel()
         rate = np.array([[one[f"rate.{k}"] for k in range(count)] for one in values]).ravel()
         shared = {name: np.repeat([one[name] for one in values], count) for name in values[0]}
-        angle, speed = _integrate(start, rate, grid_s, shared)
+        angle, speed = _integrate(start, rate, grid_s, shared, self.is_linear)
         shape = (len(grid_s), sets, count)
         angle, speed = angle.reshape(shape), speed.reshape(shape) * grid_s[1]
         return [
@@ -101,6 +104,7 @@ def diagnose_swing(
     length_m: float = math.nan,
     joint: str | None = None,
     progress: Callable[[str], None] | None = None,
+    is_length: bool = False,
 ) -> Diagnosis:
     """Diagnose free swings of one hanging body.
 
@@ -109,18 +113,25 @@ def diagnose_swing(
         length_m: of the ideal pendulum, pivot to centre of swing; nan if there is no reference.
         joint: its name in the result.
         progress: told what was found.
+        is_length: the swings are ways in m, of a mass on a spring.
 
     Raises:
-        RefusedTableError: nothing swings.
+        RefusedTableError: nothing swings, or too few samples a period.
     """
-    noise = _noise(swings)
-    usable = tuple(s for s in (_free_part(swing, noise) for swing in swings) if s is not None)
+    noise = swing_noise(swings)
+    usable = tuple(s for s in (free_part(swing, noise) for swing in swings) if s is not None)
     if not usable:
         raise RefusedTableError(
-            f"fewer than {MIN_PERIODS:g} periods of free swing above the noise ({noise:.2g} rad): record "
-            "from the release until the swing has died down"
+            f"fewer than {MIN_PERIODS:g} periods of free swing above the noise ({noise:.2g}"
+            f"{'' if is_length else ' rad'}): record from the release until the swing has died down"
         )
-    problem = make_problem(usable, length_m, noise)
+    problem = make_problem(usable, length_m, noise, is_length)
+    notes: list[str] = []
+    if not is_length and _is_on_a_spring(problem):
+        problem = replace(problem, is_linear=True)
+        notes.append(
+            "the period does not grow with the angle as a pendulum's: taken as a spring or a torsion wire"
+        )
     signal = math.sqrt(float(np.mean(np.concatenate([s.angle_rad for s in usable]) ** 2)))
     selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
     best = selection.best.fit.as_mapping()
@@ -130,9 +141,11 @@ def diagnose_swing(
         "samples": int(sum(len(s.time_s) for s in usable)),
         "span_s": float(sum(s.time_s[-1] for s in usable)),
         "rate_hz": float(np.median([1.0 / np.median(np.diff(s.time_s)) for s in usable])),
-        "noise": {"value": noise, "unit": "rad"},
+        "noise": {"value": noise, "unit": "m" if is_length else "rad"},
         "frequency_hz": frequency / (2.0 * math.pi),
+        "pulls_back": "in proportion to the deflection" if problem.is_linear else "as a pendulum",
         "length_of_equal_pendulum_m": GRAVITY_M_PER_S2 / frequency**2,
+        "notes": notes,
         "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in usable)),
         "not_separable": [
             "latency of the angle sensor or IMU: it shifts the whole record; it needs a second sensor",
@@ -144,15 +157,41 @@ def diagnose_swing(
         problem,
         selection,
         noise,
-        StageNames(Stage.SWING, joint, "rad", _SEPARATING),
+        StageNames(Stage.SWING, joint, "m" if is_length else "rad", _SEPARATING),
         evidence,
         _plots(problem, selection.base.fit.as_mapping(), best),
     )
 
 
-def make_problem(swings: tuple[Swing, ...], length_m: float, noise: float) -> SwingProblem:
-    """Parameters and blocks of the free swings."""
-    period_s = float(np.median([_period(swing, noise) for swing in swings]))
+def _is_on_a_spring(problem: SwingProblem) -> bool:
+    """Whether a linear restoring force explains the swings clearly better than gravity, frictions apart."""
+    frictions = tuple(
+        o
+        for o in problem.options
+        if o.key in ("passive_viscous_friction", "passive_coulomb_friction")
+    )
+    as_pendulum = fit(problem, frictions, {}).mean_square
+    if math.sqrt(as_pendulum) < CLEAN_NOISES * problem.noise:
+        return False
+    on_spring = fit(replace(problem, is_linear=True), frictions, {}).mean_square
+    return on_spring < SPRING_RATIO * as_pendulum
+
+
+def make_problem(
+    swings: tuple[Swing, ...], length_m: float, noise: float, is_length: bool = False
+) -> SwingProblem:
+    """Parameters and blocks of the free swings.
+
+    Raises:
+        RefusedTableError: too few samples a period.
+    """
+    period_s = float(np.median([swing_period(swing, noise) for swing in swings]))
+    sampled_s = float(np.median([np.median(np.diff(swing.time_s)) for swing in swings]))
+    if period_s < MIN_SAMPLES_PER_PERIOD * sampled_s:
+        raise RefusedTableError(
+            f"{period_s / sampled_s:.2g} samples a period of {period_s:.2g} s, at least "
+            f"{MIN_SAMPLES_PER_PERIOD:g} are needed: record faster"
+        )
     frequency = 2.0 * math.pi / period_s
     reference = math.sqrt(GRAVITY_M_PER_S2 / length_m) if math.isfinite(length_m) else math.nan
     # A reference length says what the frequency would be; what differs from it is length or stiffness.
@@ -177,14 +216,15 @@ def make_problem(swings: tuple[Swing, ...], length_m: float, noise: float) -> Sw
     return SwingProblem(
         swings=swings,
         nuisance=tuple(nuisance),
-        options=_options(frequency, reference, size),
+        options=_options(frequency, reference, size, "m" if is_length else "rad"),
         block=spread_blocks(time_s, seconds, run.astype(np.int64)),
         step_s=period_s / STEPS_PER_PERIOD,
         noise=noise,
+        is_linear=is_length,
     )
 
 
-def _options(frequency: float, reference: float, size: float) -> tuple[Option, ...]:
+def _options(frequency: float, reference: float, size: float, unit: str) -> tuple[Option, ...]:
     """Viscous: c theta'; Coulomb: f sign(theta'); air: q |theta'| theta'; the library's first two names."""
     decay = frequency / (2.0 * math.pi)
     strong = frequency**2 * size
@@ -208,7 +248,7 @@ def _options(frequency: float, reference: float, size: float) -> tuple[Option, .
             (
                 FreeParameter(
                     "extra_coulomb_rad_per_s2",
-                    "rad/s2",
+                    f"{unit}/s2",
                     1e-5 * strong,
                     0.3 * strong,
                     (1e-3 * strong, 0.02 * strong),
@@ -218,7 +258,7 @@ def _options(frequency: float, reference: float, size: float) -> tuple[Option, .
         Option(
             "air_drag",
             "air_drag",
-            (FreeParameter("quadratic_per_rad", "1/rad", 1e-4, 3.0, (0.01, 0.1)),),
+            (FreeParameter("quadratic_per_rad", f"1/{unit}", 1e-4, 3.0 / size, (0.01, 0.1)),),
         ),
     ]
     if math.isfinite(reference):
@@ -238,10 +278,11 @@ def _options(frequency: float, reference: float, size: float) -> tuple[Option, .
 
 
 def _integrate(
-    start: Array, rate: Array, grid_s: Array, values: Mapping[str, Array]
+    start: Array, rate: Array, grid_s: Array, values: Mapping[str, Array], is_linear: bool
 ) -> tuple[Array, Array]:
     """Angles and rates of particles, (steps, particles), by the classical Runge-Kutta method.
 
+    On a spring the sine is the deflection itself.
     theta'' = -w^2 sin(theta - rest) - s (theta - rest) - c theta' - f tanh(theta' / e) - q |theta'| theta'
     """
     nothing = np.zeros_like(start)
@@ -260,7 +301,7 @@ def _integrate(
 
     def acceleration(angle: Array, speed: Array) -> Array:
         away = angle - rest
-        a = -square * np.sin(away) - stiff * away - viscous * speed
+        a = -square * (away if is_linear else np.sin(away)) - stiff * away - viscous * speed
         if has_coulomb:
             a = a - coulomb * np.tanh(speed / smooth)
         return a - air * np.abs(speed) * speed if has_air else a
@@ -279,53 +320,6 @@ def _integrate(
         x = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     return angles, rates
-
-
-def _free_part(swing: Swing, noise: float) -> Swing | None:
-    """From the first large turning point until the swing is lost in the noise, about its rest angle."""
-    tail = max(len(swing.angle_rad) // 4, 10)
-    rest = _middle(swing.angle_rad[-tail:])
-    angle = swing.angle_rad - rest
-    size = float(np.quantile(np.abs(angle), 0.995))
-    if size < 5.0 * noise or size <= 0.0:
-        return None
-    # Still held: nothing moves until the largest deflection is left for good.
-    beyond = np.flatnonzero(np.abs(angle) > 0.9 * size)
-    start = int(beyond[0])
-    side = np.sign(angle[start])
-    while start + 1 < len(angle) and side * angle[start + 1] > 0.9 * size:
-        start += 1
-    clear = np.flatnonzero(np.abs(angle) > NOISE_AMPLITUDES * noise)
-    end = int(clear[-1]) + 1
-    if len(_crossings(angle[start:end], noise)) < 2 * MIN_PERIODS:
-        return None
-    stride = max(1, (end - start) // MAX_SAMPLES_PER_RUN)
-    keep = slice(start, end, stride)
-    time_s = swing.time_s[keep]
-    return Swing(time_s - time_s[0], angle[keep])
-
-
-def _middle(angle: Array) -> float:
-    """Rest angle of a swing that goes on: the mean of its typical highest and lowest."""
-    low, high = np.quantile(angle, [0.05, 0.95])
-    return 0.5 * float(low + high)
-
-
-def _crossings(angle: Array, noise: float) -> IntArray:
-    """Rows at which the angle comes out on the other side of rest, clear of the noise."""
-    clear = np.flatnonzero(np.abs(angle) > NOISE_AMPLITUDES * noise)
-    return clear[1:][np.diff(np.sign(angle[clear])) != 0.0]
-
-
-def _period(swing: Swing, noise: float) -> float:
-    """From crossings of the rest angle, s."""
-    return 2.0 * float(np.median(np.diff(swing.time_s[_crossings(swing.angle_rad, noise)])))
-
-
-def _noise(swings: Sequence[Swing]) -> float:
-    """Noise of one sample, rad: third differences over sqrt(20), robust; at least a rounding error."""
-    thirds = np.concatenate([np.diff(swing.angle_rad, n=3) for swing in swings])
-    return 1.4826 * float(np.median(np.abs(thirds - np.median(thirds)))) / math.sqrt(20.0) + 1e-9
 
 
 def _plots(

@@ -32,6 +32,8 @@ AMBIGUOUS_RATIO: Final = 0.25
 """A rival set with at least this share of the winner's probability, with other effects, is a draw."""
 
 RIVAL_RATIO: Final = 0.05
+PARTLY_RATIO: Final = 0.15
+"""Of the motion: when more is left unexplained, the sentence says so before the effects."""
 
 
 class StageNames(NamedTuple):
@@ -202,15 +204,21 @@ def _sentence(
     match verdict:
         case VerdictKind.NONE:
             could = f" These data would not show {', '.join(n.in_words() for n in limits)}."
+            if selection.left_ratio > PARTLY_RATIO:
+                return (
+                    f"No effect shows surely in the {where}, yet {left}: the record is too short, too noisy "
+                    f"or too much alike to tell what.{could} Record more: {_general_motion(names.stage)}."
+                )
             return f"The ideal {where} explains the data; no effect is needed ({left}).{could}"
         case VerdictKind.UNKNOWN:
             best = f" The best known explanation is {words}." if words else ""
             return f"Something acts on the {where} that no effect of the library explains: {left}.{best}"
         case _:
             low, high = shrink.ci90
+            share = "in part " if selection.left_ratio > PARTLY_RATIO else ""
             return (
-                f"The {where} shows {words}; on held-out data this removes {shrink.ratio:.0%} of the gap "
-                f"({low:.0%} to {high:.0%}), predicted {shrink.predicted_ratio or 0.0:.0%}; {left}."
+                f"The {where} shows {share}{words}; on held-out data this removes {shrink.ratio:.0%} of the "
+                f"gap ({low:.0%} to {high:.0%}), predicted {shrink.predicted_ratio or 0.0:.0%}; {left}."
             )
 
 

@@ -1,34 +1,42 @@
-"""Which columns hold what, and in which unit: times, commands, angles, positions, labels.
+"""Which columns hold what: commands, angles, positions, speeds, labels of bodies and runs.
 
 A column is guessed only when one alone fits, and every guess is noted.
 """
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import Final, Literal
+from collections.abc import Collection, Sequence
+from typing import Final
 
 import numpy as np
 
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.tables import Table, has_degrees, name_words
+from diagnosis.alone.reading.units import LENGTHS_M
 from machine.conventions import Array
 
-AngleUnit = Literal["auto", "rad", "deg"]
-LENGTHS_M: Final[Mapping[str, float]] = {
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "ft": 0.3048,
-    "in": 0.0254,
-}
-TIME_WORDS: Final = ("time", "t", "timestamp", "stamp", "seconds", "sec")
 COMMAND_WORDS: Final = (
     *("command", "cmd", "joystick", "joy", "lever", "valve", "input", "u", "control", "setpoint"),
+    *("pwm", "duty", "throttle", "js", "ansteuerung", "hebel", "ventil", "stellgröße"),
 )
-POSITION_WORDS: Final = ("position", "pos", "angle", "q", "theta", "extension", "encoder")
-VELOCITY_WORDS: Final = ("velocity", "vel", "speed", "omega", "qd", "rate", "gyro")
-ANGLE_WORDS: Final = ("angle", "theta", "swing", "pitch", "phi", "position", "pos", "encoder", "q")
-HEIGHT_WORDS: Final = ("z", "height", "altitude", "alt", "h")
+REFERENCE_WORDS: Final = ("reference", "ref", "desired", "target", "demand", "request", "soll")
+"""A wanted position or speed: the command of a servo, when no lever or valve was logged."""
+WEAK_COMMAND_WORDS: Final = ("current", "voltage", "signal", "spannung", "strom")
+POSITION_WORDS: Final = (
+    *("position", "pos", "angle", "q", "theta", "extension", "encoder", "stroke", "winkel", "weg"),
+    *("displacement", "counts", "hub"),
+)
+VELOCITY_WORDS: Final = (
+    *("velocity", "vel", "speed", "omega", "qd", "rate", "gyro", "rpm", "dps", "drehzahl"),
+)
+AXIS_WORDS: Final = {
+    **dict.fromkeys(("x", "px", "posx", "xpos", "east", "downrange", "carry"), "x"),
+    **dict.fromkeys(("y", "py", "posy", "ypos", "north", "side", "lateral"), "y"),
+    **dict.fromkeys(("z", "pz", "posz", "zpos", "up", "height", "altitude", "alt"), "z"),
+}
+NO_POSITION_WORDS: Final = (
+    *("acc", "accel", "acceleration", "force", "rotation", "rot", "euler", "gyro", "dot"),
+    *("error", "err", "std", "sd", "confidence", "spin"),
+)
+HEIGHT_WORDS: Final = ("z", "height", "altitude", "alt", "h", "höhe")
 RUN_WORDS: Final = (
     *(
         "run",
@@ -43,7 +51,19 @@ RUN_WORDS: Final = (
         "take",
         "track",
     ),
-    *("ball", "object", "id", "experiment", "group", "label", "set", "episode", "name"),
+    *(
+        "ball",
+        "object",
+        "id",
+        "experiment",
+        "shot",
+        "rally",
+        "group",
+        "label",
+        "set",
+        "episode",
+        "name",
+    ),
 )
 """What a column of whole numbers that tells runs apart is called."""
 _UNIT_WORDS: Final = frozenset(["rad", "deg", "m", "mm", "cm", "pct", "percent", "ratio", "norm"])
@@ -100,15 +120,45 @@ def _is_run_number(table: Table, name: str) -> bool:
     return 1 < different <= len(values) / 10 and changes < len(values) / 10
 
 
-def outputs_of(table: Table) -> tuple[list[str], bool]:
-    """The position column, or failing that the velocity column, and whether it is a velocity."""
+def command_of(table: Table, time: str, output: str | None) -> str:
+    """The column of commands: a lever or valve, else a wanted position, else a current or voltage."""
+    without = {time, *([] if output is None else [output])}
+    for words in (COMMAND_WORDS, REFERENCE_WORDS, WEAK_COMMAND_WORDS):
+        if any(w in words for n in table.columns if n not in without for w in name_words(n)):
+            return table.guess("command", "--command", words, without)
+    return table.guess("command", "--command", COMMAND_WORDS, without)
+
+
+def outputs_of(table: Table, used: Collection[str]) -> tuple[list[str], bool]:
+    """The position column, or failing that the velocity column, and whether it is a velocity.
+
+    Without a telling name: the only other column with a unit of motion, or the only other one that shares a
+    word with the command.
+    """
+    words = {*COMMAND_WORDS, *REFERENCE_WORDS}
+    commands = [n for n in table.columns if any(w in words for w in name_words(n))]
+    without = {*used, *commands}
     try:
-        return [table.guess("position", "--position or --velocity", POSITION_WORDS)], False
+        return [table.guess("position", "--position or --velocity", POSITION_WORDS, without)], False
     except RefusedTableError as error:
         try:
-            return [table.guess("velocity", "--velocity", VELOCITY_WORDS)], True
+            return [table.guess("velocity", "--velocity", VELOCITY_WORDS, without)], True
         except RefusedTableError:
+            others = [n for n in table.columns if n not in without and table.is_numeric(n)]
+            moving = [n for n in others if _has_motion_unit(table, n)]
+            mine = {w for n in used for w in name_words(n)} - words
+            alike = [n for n in others if mine & set(name_words(n))]
+            for found in (others, moving, alike):
+                if len(found) == 1:
+                    what = "velocity" if is_velocity(table, found[0]) else "position"
+                    table.notes.append(f"column {found[0]!r} taken as the {what}: no other fits")
+                    return found, what == "velocity"
             raise error from None
+
+
+def _has_motion_unit(table: Table, name: str) -> bool:
+    words = table.words(name)
+    return has_degrees(words) is not None or any(word in LENGTHS_M for word in words[1:])
 
 
 def axes_of(table: Table) -> list[str]:
@@ -116,9 +166,9 @@ def axes_of(table: Table) -> list[str]:
     by_name: dict[str, str] = {}
     for name in table.columns:
         words = name_words(name)
-        first = next((w for w in words if w not in ("pos", "position", "ball", "com")), "")
-        if not is_velocity(table, name):
-            by_name.setdefault(first, name)
+        letter = next((AXIS_WORDS[w] for w in words if w in AXIS_WORDS), "")
+        if not is_velocity(table, name) and not any(w in NO_POSITION_WORDS for w in words):
+            by_name.setdefault(letter, name)
     for wanted in (("x", "y", "z"), ("x", "z"), ("x", "y")):
         if all(letter in by_name for letter in wanted):
             names = [by_name[letter] for letter in wanted]
@@ -172,23 +222,13 @@ def _letters_and_digits(word: str) -> list[str]:
     return [w for w in (word[: len(word) - len(digits)], digits) if w]
 
 
-def angle_of(table: Table) -> str:
-    """The angle column, or failing that a rate of turn."""
-    try:
-        return table.guess("angle", "--angle", ANGLE_WORDS)
-    except RefusedTableError:
-        rates = [name for name in table.columns if is_turn_rate(table, name)]
-        if len(rates) == 1:
-            return rates[0]
-        raise
-
-
 def is_turn_rate(table: Table, name: str) -> bool:
     """Whether a column's name or unit says that it is an angular velocity."""
     words = table.words(name)
     units = (["rad", "per", "s"], ["deg", "per", "s"])
+    rates = ("omega", "gyro", "gyroscope", "rate", "velocity", "vel", "qd", "dps", "wx", "wy", "wz")
     return (
-        any(word in ("omega", "gyro", "rate", "velocity", "vel", "qd", "dps") for word in words)
+        any(word in rates for word in words)
         or words[-2:] in (["rad", "s"], ["deg", "s"])
         or words[-3:] in units
     )
@@ -199,37 +239,11 @@ def is_velocity(table: Table, name: str) -> bool:
     words = table.words(name)
     text = "".join(words)
     return (
-        any(word in ("velocity", "vel", "speed", "vx", "vy", "vz") for word in words)
+        any(word in ("velocity", "vel", "speed", "vx", "vy", "vz", "rpm") for word in words)
         or words[-3:] in (["m", "per", "s"], ["mm", "per", "s"], ["cm", "per", "s"])
         or (len(words) > 2 and words[-2:] in (["m", "s"], ["cm", "s"], ["mm", "s"]))
         or text.endswith(("mps", "ms1"))
     )
-
-
-def metres(table: Table, name: str, unit: str) -> float:
-    """Metres in a column's unit."""
-    if unit != "auto":
-        return LENGTHS_M[unit]
-    words = table.words(name)
-    named = [word for word in words[1:] if word in LENGTHS_M]
-    if any(word in ("px", "pixel", "pixels") for word in words):
-        raise RefusedTableError(
-            f"column {name!r} is in pixels: the scale decides how fast things fall. Convert it to metres "
-            "with a known length in the plane of flight"
-        )
-    if named and named[-1] != "m":
-        table.notes.append(f"{name!r} converted from {named[-1]} to m")
-    return LENGTHS_M[named[-1]] if named else 1.0
-
-
-def in_radians(table: Table, name: str, values: Array, unit: AngleUnit) -> Array:
-    """An angle column in rad; without a unit in its name, more than one turn means degrees."""
-    degrees = has_degrees(table.words(name)) if unit == "auto" else unit == "deg"
-    if degrees is None:
-        degrees = bool(np.nanmax(np.abs(values)) > 2.0 * math.pi + 0.1)
-        seen = "degrees: it exceeds 2 pi" if degrees else "rad"
-        table.notes.append(f"{name!r} taken as {seen}; --angle-unit says otherwise")
-    return np.radians(values) if degrees else values
 
 
 def integrated(time_s: Array, speed: Array) -> Array:

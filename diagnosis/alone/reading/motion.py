@@ -3,7 +3,6 @@
 Between two runs the command rests and nothing is compared; a clock that was set back is refused.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -11,7 +10,8 @@ import numpy as np
 
 from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
 from diagnosis.alone.reading.runs import audit_times, clean_series, split_runs, time_seconds
-from diagnosis.alone.reading.tables import Table, has_degrees
+from diagnosis.alone.reading.tables import Table
+from diagnosis.alone.reading.units import motion_in_si
 from diagnosis.loading.clock_audit import ClockAudit
 from machine.conventions import Array, IntArray
 
@@ -43,7 +43,8 @@ def read_motion(
         RefusedTableError: unusable columns.
     """
     raw_s = time_seconds(table, time)
-    values, commands = table.numbers(output), table.numbers(command)
+    values, unit = motion_in_si(table, output, table.numbers(output), is_speed)
+    commands = table.numbers(command)
     runs = _runs_of(raw_s, labels, time)
     parts: list[tuple[Array, Array, Array]] = []
     start_s = 0.0
@@ -73,7 +74,6 @@ def read_motion(
         table.notes.append(f"{len(parts)} runs, taken one after the other with rest between")
     run = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
     _check_changes(command, output, u, position)
-    position, unit = _in_si(table, output, position, is_speed)
     return Motion(time_s, u, position, run, is_speed, unit), audit
 
 
@@ -117,31 +117,3 @@ def _runs_of(time_s: Array, labels: Sequence[str], time: str) -> IntArray:
             "Sort by run and time"
         )
     return runs
-
-
-def _in_si(table: Table, name: str, values: Array, is_speed: bool) -> tuple[Array, str]:
-    """Degrees to radians, millimetres to metres, wrapped angles unwrapped; the unit that results."""
-    words = table.words(name)
-    unit = "unit"
-    if has_degrees(words):
-        values, unit = np.radians(values), "rad"
-        table.notes.append(f"{name!r} converted from degrees to rad")
-    elif has_degrees(words) is False:
-        unit = "rad"
-    elif "mm" in words:
-        values, unit = values * 1e-3, "m"
-        table.notes.append(f"{name!r} converted from mm to m")
-    elif "cm" in words:
-        values, unit = values * 1e-2, "m"
-        table.notes.append(f"{name!r} converted from cm to m")
-    elif "m" in words:
-        unit = "m"
-    if is_speed:
-        return values, unit
-    for period, label in ((2.0 * math.pi, "2 pi"), (360.0, "360")):
-        jumps = np.abs(np.diff(values)) > 0.8 * period
-        if np.any(jumps) and float(np.ptp(values)) <= 1.02 * period:
-            values = np.unwrap(values, period=period)
-            table.notes.append(f"{name!r}: {int(np.sum(jumps))} jumps of {label} unwrapped")
-            break
-    return values, unit

@@ -13,13 +13,19 @@ from diagnosis.alone.reading.tables import Table
 from diagnosis.loading.clock_audit import ClockAudit, audit_clock
 from machine.conventions import Array, IntArray
 
-MIN_TABLE_RATE_HZ: Final = 12.0
-"""Below this a table hides dead times, and friction within a swing; tracked balls come at 15 Hz."""
+MIN_TABLE_RATE_HZ: Final = 8.0
+"""Below this a table hides dead times, and friction within a swing; loggers of machines come at 10 Hz."""
 RUN_GAP_S: Final = 1.0
 RUN_GAP_PERIODS: Final = 12.0
 """A pause of this many periods (and of 1 s) begins a new run."""
 MAX_MISSING_RATIO: Final = 0.3
-TIME_UNITS: Final[Mapping[str, float]] = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+TIME_UNITS: Final[Mapping[str, float]] = {
+    **dict.fromkeys(("ns", "nanosec", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "micros", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("min", "minutes"), 60.0),
+}
 
 
 def time_seconds(table: Table, name: str) -> Array:

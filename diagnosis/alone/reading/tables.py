@@ -3,9 +3,10 @@
 A column that is not there, or holds hardly a number, is refused with what there is instead.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,8 @@ from diagnosis.alone.reading.layout import RefusedTableError, number, read_layou
 from machine.conventions import Array
 
 NUMBERS_RATIO: Final = 0.5
-ANGLE_DEGREES: Final = ("deg", "degrees", "degree")
+ANGLE_DEGREES: Final = ("deg", "degs", "degrees", "degree", "grad")
+"""``grad`` as German tables have it; gradians are not measured in."""
 LARGEST: Final = 1e20
 """No measurement is larger in any unit; nanoseconds since 1970 come near 2e18."""
 FEW_LABELS_COUNT: Final = 60
@@ -31,6 +33,8 @@ class Table:
     notes: list[str] = field(default_factory=list[str])
     units: dict[str, str] = field(default_factory=dict[str, str])
     """From a row of units below the header."""
+    derived: dict[str, Array] = field(default_factory=dict[str, Array])
+    """Columns that were made of others, (rows,) each."""
 
     @property
     def row_count(self) -> int:
@@ -43,6 +47,8 @@ class Table:
         Raises:
             RefusedTableError: no such column, or hardly a number in it.
         """
+        if name in self.derived:
+            return self.derived[name].copy()
         cells = self.columns[self.column(name)]
         try:
             values = np.array(cells, dtype=np.float64)
@@ -68,8 +74,18 @@ class Table:
             self.notes.append(f"{name!r} read as dates or times of day")
             return values - values[np.isfinite(values)][0]
 
+    def is_numeric(self, name: str) -> bool:
+        """Whether a column holds numbers that change."""
+        try:
+            values = self.numbers(name)
+        except RefusedTableError:
+            return False
+        return bool(np.nanmax(values) > np.nanmin(values))
+
     def words(self, name: str) -> list[str]:
         """Words of a column's name, its unit from a row of units last."""
+        if name in self.derived:
+            return name_words(name)
         unit = self.units.get(self.column(name), "")
         return name_words(name) + name_words(unit)
 
@@ -93,7 +109,7 @@ class Table:
         Raises:
             RefusedTableError: no such column.
         """
-        if name in self.columns:
+        if name in self.columns or name in self.derived:
             return name
         matches = [own for own in self.columns if own.strip().lower() == name.strip().lower()]
         if len(matches) != 1:
@@ -102,8 +118,16 @@ class Table:
             )
         return matches[0]
 
-    def guess(self, what: str, option: str, words: Sequence[str]) -> str:
-        """The only column whose name begins with or holds one of `words`, noted as a guess.
+    def guess(
+        self, what: str, option: str, words: Sequence[str], without: Collection[str] = ()
+    ) -> str:
+        """The only column whose name holds one of `words`, noted as a guess.
+
+        Args:
+            what: that is looked for, for the text.
+            option: that gives the column.
+            words: of which one is in its name.
+            without: columns that are something else.
 
         Raises:
             RefusedTableError: none or several; the text names the columns and the option to give.
@@ -111,8 +135,11 @@ class Table:
         found = [
             name
             for name in self.columns
-            if any(part in words for part in name_words(name)) or name.strip().lower() in words
+            if name not in without
+            and (any(part in words for part in name_words(name)) or name.strip().lower() in words)
         ]
+        if len(found) > 1:
+            found = [name for name in found if self.is_numeric(name)] or found
         exact = [name for name in found if name.strip().lower() in words]
         found = exact if len(exact) == 1 else found
         if len(found) != 1:
@@ -147,21 +174,29 @@ def has_degrees(words: Sequence[str]) -> bool | None:
 
 
 def name_words(name: str) -> list[str]:
-    """Lower-case words of a column name: ``Boom pos [deg]`` is boom, pos, deg."""
-    text = "".join(c.lower() if c.isalnum() else " " for c in name.replace("°", " deg "))
-    return text.split()
+    """Lower-case words of a column name: ``Boom pos [deg]`` and ``BoomPos_deg`` are boom, pos, deg."""
+    text = re.sub(r"([a-z]{2,})([A-Z])", r"\1 \2", name.replace("°", " deg ").replace("%", " pct "))
+    return "".join(c.lower() if c.isalnum() else " " for c in text).split()
+
+
+_CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)\s*([AaPp][Mm])?")
+_DAY = re.compile(r"^\D*(\d{1,2})[./](\d{1,2})[./](\d{4})")
 
 
 def _time_of_day_s(text: str) -> float:
-    """Seconds of an ISO date and time or of a time of day; nan if it is none."""
+    """Seconds of a date and time, or of a time of day; nan if it is none."""
     try:
         # Differences alone are used: a time without a zone may be taken as UTC.
         stamp = datetime.fromisoformat(text.strip())
         return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
     except ValueError:
         pass
-    try:
-        moment = time.fromisoformat(text.strip())
-    except ValueError:
+    found = _CLOCK.search(text)
+    if found is None:
         return float("nan")
-    return 3600.0 * moment.hour + 60.0 * moment.minute + moment.second + 1e-6 * moment.microsecond
+    hours, minutes, seconds, half = found.groups()
+    hour = int(hours or 0) % 12 + 12 * (half.lower() == "pm") if half else int(hours or 0)
+    day = _DAY.match(text)
+    # Which of the two numbers is the month does not matter within one record.
+    days = 0 if day is None else int(day.group(1)) + int(day.group(2))
+    return 86400.0 * days + 3600.0 * hour + 60.0 * int(minutes) + float(seconds.replace(",", "."))

@@ -83,12 +83,14 @@ def test_a_bounce_ends_the_flight(tmp_path: Path) -> None:
     assert found.evidence["samples"] <= 50
 
 
-def test_other_units_and_axes_are_refused_with_the_remedy(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", [1000.0 * thrown(v) for v in VELOCITIES], noise_m=1.0)
+def test_millimetres_show_by_gravity_and_wrong_axes_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", [1000.0 * thrown(VELOCITIES[0])], noise_m=1.0)
     found = flight_from_csv(path)
-    assert found.verdict is VerdictKind.BAD_DATA
-    assert "--length-unit mm" in found.sentence
-    assert flight_from_csv(path, length_unit="mm").verdict is VerdictKind.NONE
+    assert found.verdict is VerdictKind.NONE
+    assert any("taken as mm" in note for note in found.evidence["notes"])
+    wrong = flight_from_csv(path, length_unit="m")
+    assert wrong.verdict is VerdictKind.BAD_DATA
+    assert "--length-unit mm" in wrong.sentence
     sideways = flight_from_csv(path, axes=["z", "y", "x"], length_unit="mm")
     assert sideways.verdict is VerdictKind.BAD_DATA
     assert "wrong axis" in sideways.sentence

@@ -35,7 +35,7 @@ def diagnose(tmp_path: Path, stage: str, path: Path, *more: str) -> tuple[int, D
     [
         ((TIME_S, STEPS * 0.0, MOVED), "constant channel"),
         ((TIME_S, STEPS, MOVED * 0.0 + 0.3), "constant channel"),
-        ((TIME_S[::5], STEPS[::5], MOVED[::5]), "10 Hz"),
+        ((TIME_S[::10], STEPS[::10], MOVED[::10]), "5 Hz"),
         ((np.where(TIME_S > 6.0, TIME_S - 3.0, TIME_S), STEPS, MOVED), "go back"),
         ((TIME_S, STEPS, np.where(TIME_S % 1.0 < 0.5, np.nan, MOVED)), "NaN"),
         ((TIME_S[40:130], STEPS[40:130], MOVED[40:130]), "at least 2 s"),
