@@ -42,9 +42,8 @@ def run(
 ) -> int:
     """Throw on a simulated plant and write one throw log (MCAP) a throw.
 
-    The throws go round the targets, each from a random start pose. The logs hold what a machine's
-    sensors and its survey say, no truth of the simulator; `downrange diagnose` reads them. They carry the
-    machine's twin profile, so that one can be diagnosed with nothing else.
+    The throws go round the targets, each from a random start pose. The logs hold what sensors and survey
+    say, no truth of the simulator, and the machine's twin profile; `downrange diagnose` reads them.
 
     Examples: downrange record --plant virtual --unit-seed 7 --mode 3d --throws 12 --out logs
     downrange record --test release --plant virtual --unit-seed 7 --out logs
@@ -102,8 +101,8 @@ def run(
     for stored in recorder.stored:
         print(stored.path)
     kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(results).items())
-    size_mb = sum(stored.size_bytes for stored in recorder.stored) / 1e6
-    print(f"{len(recorder.stored)} logs, {size_mb:.1f} MB; throws: {kinds}")
+    size = sum(stored.size_bytes for stored in recorder.stored) / 1e6
+    print(f"{len(recorder.stored)} logs, {size:.1f} MB; throws: {kinds}")
     return 0
 
 
