@@ -52,6 +52,8 @@ class PolicyCard(BaseModel):
     target_range_max_m: float
     target_height_min_m: float = 0.0
     target_height_max_m: float = 0.0
+    reach_at_height_m: tuple[tuple[float, float], ...] = ()
+    """Height and farthest target there, heights increasing, straight between; empty: the same everywhere."""
     training: TrainingRecord
     evaluation: list[dict[str, Any]] = []
     """Results of ``downrange evaluate``, appended after training."""

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from machine.conventions import Mode
 from machine.errors import RefusedError, UsageError
 from machine.messages import RejectReason, Target
@@ -9,6 +11,14 @@ from machine.policy_card import PolicyCard
 
 MIN_RANGE_M = {Mode.PLANAR: 5.5, Mode.SPATIAL: 5.0}
 """Nearer targets would bring the load over the machine's own legs and wheels."""
+
+
+def reach_m(card: PolicyCard, height_m: float) -> float:
+    """The farthest target of a policy at a height, m."""
+    if not card.reach_at_height_m:
+        return card.target_range_max_m
+    heights, ranges = zip(*card.reach_at_height_m, strict=True)
+    return min(card.target_range_max_m, float(np.interp(height_m, heights, ranges)))
 
 
 def check_pace(pace_ratio: float) -> None:
@@ -36,10 +46,12 @@ def check_target(card: PolicyCard, target: Target) -> None:
             f"Refused: target {range_m:.2f} m, {label} throws from {nearest:.2f} m on. "
             "Move the target outward.",
         )
-    if range_m > card.target_range_max_m:
+    farthest = reach_m(card, target.z_m)
+    if range_m > farthest + 1e-9:
+        raised = f" at height {target.z_m:+.2f} m" if target.z_m else ""
         raise RefusedError(
             RejectReason.TARGET_OUT_OF_REACH,
-            f"Refused: target {range_m:.2f} m, {label} reaches {card.target_range_max_m:.2f} m. "
+            f"Refused: target {range_m:.2f} m, {label} reaches {farthest:.2f} m{raised}. "
             "Move the target closer or the machine nearer.",
         )
     if not card.target_height_min_m - 1e-9 <= target.z_m <= card.target_height_max_m + 1e-9:

@@ -24,7 +24,7 @@ from machine.policy_card import (
     file_sha256,
 )
 from machine.spec import MachineSpec
-from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, observation_names
 from training.environment.task import TaskConfig
 from training.measure import act
 from training.networks import NORMALISED_LIMIT, Layers, Normaliser
@@ -123,7 +123,7 @@ def export_policy(
         mode=task.mode,
         policy_sha256=file_sha256(path),
         model_sha256=spec.sha256,
-        observation_names=OBSERVATION_NAMES[task.mode],
+        observation_names=observation_names(task.mode, task.episode.pace_ratio is not None),
         action_names=ACTION_NAMES[task.mode],
         action_scale_rad_m_per_s=tuple(float(v) for v in action_scale(spec, task.mode)),
         # The last targets of the training range have neighbours on one side only: keep 5 cm inside.
@@ -131,12 +131,18 @@ def export_policy(
         target_range_max_m=math.floor(10.0 * farthest) / 10.0,
         target_height_min_m=task.episode.target_height_m[0],
         target_height_max_m=task.episode.target_height_m[1],
+        reach_at_height_m=_reach_inside(task.episode.reach_at_height_m),
         training=training,
         evaluation=list(evaluation),
     )
     text = card.model_dump_json(indent=2)
     (folder / CARD_FILE).write_text(text + "\n", encoding="utf-8")
     return card
+
+
+def _reach_inside(reach_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """Whole tenths of a metre, at least 5 cm inside of what was trained where that ends on a half."""
+    return tuple((height_m, math.floor(10.0 * far_m) / 10.0) for height_m, far_m in reach_m)
 
 
 def action_scale(spec: MachineSpec, mode: Mode) -> Array:

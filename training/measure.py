@@ -1,13 +1,14 @@
 """Accuracy of a policy in the training environment: one deterministic throw an environment, by distance."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.spec import MachineSpec
 from training.environment.environment import StartTable, ThrowEnvironment, start_table
 from training.environment.episode import Failure, StepInfo
@@ -81,7 +82,13 @@ def measure(
     throw_count: int,
     seed: int,
 ) -> list[Accuracy]:
-    """Throw `throw_count` times at every distance, everything randomised as in training."""
+    """Throw `throw_count` times at every distance on the ground, at the usual pace.
+
+    Everything else is randomised as in training.
+    """
+    if task.episode.pace_ratio is not None:
+        usual = replace(task.episode, pace_ratio=(DEFAULT_PACE_RATIO, DEFAULT_PACE_RATIO))
+        task = replace(task, episode=usual)
     env = ThrowEnvironment(spec, task)
     rng = np.random.default_rng(seed)
     distance = np.repeat(np.asarray(ranges_m, dtype=np.float64), throw_count)

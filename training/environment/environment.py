@@ -27,8 +27,8 @@ from machine.spec import MachineSpec
 from machine.starts import sample_starts
 from runtime.control.observation import (
     ACTION_NAMES,
-    OBSERVATION_NAMES,
     build,
+    observation_names,
     policy_frame,
     push_history,
     start_history,
@@ -49,7 +49,7 @@ from training.environment.episode import (
     draw_episode,
     privileged_values,
 )
-from training.environment.flight import flight_step, landing
+from training.environment.flight import flight_step, landing, shortfall
 from training.environment.reward import RewardInputs, step_reward
 from training.environment.settling import settle_request
 from training.environment.task import TaskConfig
@@ -84,9 +84,14 @@ def start_table(
 
 def random_table(spec: MachineSpec, task: TaskConfig, seed: int) -> StartTable:
     """The table a training run draws its episodes from."""
-    rng, count = np.random.default_rng(seed), task.episode.start_count
-    range_m = rng.uniform(*task.episode.target_range_m, count)
-    height_m = rng.uniform(*task.episode.target_height_m, count)
+    rng, episode = np.random.default_rng(seed), task.episode
+    count, (near, far) = episode.start_count, episode.target_range_m
+    height_m = rng.uniform(*episode.target_height_m, count)
+    height_m[: round(episode.ground_share_ratio * count)] = 0.0
+    reach_m = np.full(count, far)
+    if episode.reach_at_height_m:
+        reach_m = np.minimum(far, np.interp(height_m, *np.transpose(episode.reach_at_height_m)))
+    range_m = rng.uniform(near, reach_m)
     return start_table(spec, task.mode, range_m, height_m, rng)
 
 
@@ -129,6 +134,8 @@ class EnvironmentState(NamedTuple):
     """(N,) time of flight of the present (or hypothetical) throw."""
     landing_m: Field
     """(N, 2) where it will land."""
+    shortfall_m: Field
+    """(N,) by how much it stays below the target's height at its highest."""
     draw: EpisodeDraw
     """What was drawn for this episode."""
 
@@ -142,7 +149,8 @@ class ThrowEnvironment:
         self.task = task
         self._shapes = clearance_shapes(spec)
         self._drag = drag_per_m(spec.ball)
-        self.observation_count = len(OBSERVATION_NAMES[task.mode])
+        self.is_paced = task.episode.pace_ratio is not None
+        self.observation_count = len(observation_names(task.mode, self.is_paced))
         self.action_count = len(ACTION_NAMES[task.mode])
         limits = spec.limits
         scale = np.maximum(limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s)
@@ -170,6 +178,7 @@ class ThrowEnvironment:
         grip = grip_centre(self._built(draw), _untyped(position), _untyped(velocity))
         offset = grip.position_m - target
         horizontal = jnp.hypot(offset[:, 0], offset[:, 1])
+        below = shortfall(grip.position_m, jnp.zeros_like(offset), draw.plane_m)
         return EnvironmentState(
             position=position,
             velocity=velocity,
@@ -184,12 +193,13 @@ class ThrowEnvironment:
             leave_in_s=zeros + draw.release_delay_s,
             time_s=zeros,
             # At rest the load would fall straight down.
-            impact_distance_m=horizontal,
+            impact_distance_m=jnp.hypot(horizontal, below),
             best_error_m=jnp.stack([horizontal, jnp.linalg.norm(offset, axis=-1)], axis=-1),
             ball=jnp.zeros((count, 6)),
             gone_s=zeros - 1.0,
             flight_s=zeros,
             landing_m=grip.position_m[:, :2],
+            shortfall_m=below,
             draw=draw,
         )
 
@@ -210,6 +220,7 @@ class ThrowEnvironment:
             state.v_history,
             state.previous_action,
             state.opened > 0.0,
+            state.draw.pace_ratio if self.is_paced else None,
         )
         hidden = privileged_values(state)
         return observation.astype(jnp.float32), hidden
@@ -340,7 +351,9 @@ class ThrowEnvironment:
         # The claws' push is not foreseen: it belongs to the throw, not to the hypothesis.
         velocity = velocity + jnp.where(leaves[:, None], draw.slip_m_per_s, 0.0)
         x, y, flight = landing(position, velocity, draw.plane_m, draw.drag_per_m)
+        below = shortfall(position, velocity, draw.plane_m)
         gone = before.gone_s >= 0.0
+        below = jnp.where(gone, before.shortfall_m, below)
         point = jnp.where(gone[:, None], before.landing_m, jnp.stack([x, y], axis=-1))
         miss = point - draw.target_m[:, :2]
         fresh = jnp.concatenate([position, velocity], axis=-1)
@@ -351,7 +364,8 @@ class ThrowEnvironment:
             ball = jnp.stack(old, axis=-1)
         return after._replace(
             landing_m=point,
-            impact_distance_m=jnp.hypot(miss[:, 0], miss[:, 1]),
+            impact_distance_m=jnp.hypot(jnp.hypot(miss[:, 0], miss[:, 1]), below),
+            shortfall_m=below,
             ball=jnp.where(gone[:, None], ball, fresh),
             flight_s=jnp.where(gone, before.flight_s, flight),
         )
@@ -412,6 +426,8 @@ class ThrowEnvironment:
         error = jnp.stack(
             [jnp.hypot(ball[:, 0], ball[:, 1]), jnp.linalg.norm(ball, axis=-1)], axis=-1
         )
+        leaves = gone & (before.gone_s < 0.0)
+        speed = jnp.linalg.norm(after.ball[:, 3:], axis=-1)
         reward = step_reward(
             self.task.reward,
             RewardInputs(
@@ -424,14 +440,19 @@ class ThrowEnvironment:
                 landed=landed,
                 landing_error_m=after.impact_distance_m,
                 failed=failure > 0,
+                pace_ratio=before.draw.pace_ratio,
+                holds=before.gone_s < 0.0,
+                left_m_per_s=jnp.where(leaves, speed, 0.0),
             ),
+            is_paced=self.is_paced,
         )
         reward = jnp.where(sane, reward, -self.task.reward.failure_ratio)
         after = after._replace(best_error_m=jnp.minimum(after.best_error_m, error))
+        short = landed & (after.shortfall_m > 0.0)
         info = StepInfo(
             done=done,
-            landed=landed,
-            failure=failure,
+            landed=landed & ~short,
+            failure=jnp.where(short, int(Failure.SHORT), failure),
             miss_m=after.landing_m - target[:, :2],
             duration_s=after.time_s,
             closest_m=closest,

@@ -26,6 +26,8 @@ class Failure(IntEnum):
     LIMIT = 3
     SWING = 4
     TIMEOUT = 5
+    SHORT = 6
+    """The load never rose to the target's height. Paid as a landing that far off."""
 
 
 class StepInfo(NamedTuple):
@@ -77,6 +79,8 @@ class EpisodeDraw(NamedTuple):
     """(N, 3) load less grip centre, frame `machine`."""
     slip_m_per_s: Field
     """(N, 3) velocity the claws give."""
+    pace_ratio: Field
+    """(N,) 0 careful .. 1 fast; 0 where the task has none."""
 
 
 def draw_episode(
@@ -97,6 +101,7 @@ def draw_episode(
     delay_mean = scalar(5, passive.release_delay_mean_s)
     delay = delay_mean + passive.release_delay_sd_s * jnp.clip(normals[0], -3.0, 3.0)
     direction = toss[0] / jnp.linalg.norm(toss[0], axis=-1, keepdims=True)
+    low, high = task.episode.pace_ratio or (0.0, 0.0)
     grasp = passive.grasp_error_m * (0.5 + 0.5 * scalars[11])
     return EpisodeDraw(
         target_m=target_m,
@@ -119,6 +124,9 @@ def draw_episode(
         latency_s=scalar(6, sensor.latency_s),
         grasp_m=grasp[:, None] * direction,
         slip_m_per_s=passive.slip_sd_m_per_s * toss[1],
+        pace_ratio=jax.random.uniform(
+            jax.random.fold_in(key, 4), (count,), minval=low, maxval=high
+        ),
     )
 
 
@@ -161,6 +169,7 @@ def privileged_values(state: "EnvironmentState") -> Field:
         state.position,
         state.velocity,
         state.landing_m - draw.target_m[:, :2],
+        state.shortfall_m[:, None],
         10.0 * draw.swing_bias_rad,
         10.0 * draw.grasp_m,
         10.0 * draw.slip_m_per_s,

@@ -19,28 +19,38 @@ def landing(
     """Where and when loads come down through a plane.
 
     Args:
-        position_m: (N, 3), above the plane.
+        position_m: (N, 3).
         velocity_m_per_s: (N, 3).
         plane_height_m: (N,) target height plus the load's radius.
         drag_per_m: (N,) k of machine.ballistics.
 
     Returns:
-        x (N,), y (N,) in metres and the flight time (N,) in seconds; a load below the plane lands at once.
+        x (N,), y (N,) in metres and the flight time (N,) in seconds; of a load that never rises to the plane
+        those of its highest point.
     """
     xp = namespace(position_m)
     x, y, z = position_m[..., 0], position_m[..., 1], position_m[..., 2]
     vx, vy, vz = velocity_m_per_s[..., 0], velocity_m_per_s[..., 1], velocity_m_per_s[..., 2]
-    height = xp.maximum(z - plane_height_m, 0.0)
-    flight = (vz + xp.sqrt(vz * vz + 2.0 * GRAVITY_M_PER_S2 * height)) / GRAVITY_M_PER_S2
+    square = vz * vz + 2.0 * GRAVITY_M_PER_S2 * (z - plane_height_m)
+    # 0 for a load that falls below the plane: it lands at once.
+    flight = xp.maximum(vz + xp.sqrt(xp.maximum(square, 0.0)), 0.0) / GRAVITY_M_PER_S2
     h = flight / FLIGHT_STEPS
     for _ in range(FLIGHT_STEPS):
         x, y, z, vx, vy, vz = flight_step(x, y, z, vx, vy, vz, drag_per_m, h)
     _, _, az = _acceleration(vx, vy, vz, drag_per_m)
     root = xp.sqrt(xp.maximum(vz * vz - 2.0 * az * (z - plane_height_m), 0.0))
-    rest = (-vz - root) / az
+    rest = xp.where(square < 0.0, 0.0, (-vz - root) / az)
     # Drag lengthens the descent by a few hundredths of a second; more would be a fault of the input.
     rest = xp.clip(rest, -0.2, 0.2)
     return x + rest * vx, y + rest * vy, flight + rest
+
+
+def shortfall(position_m: Any, velocity_m_per_s: Any, plane_height_m: Any) -> Any:
+    """By how much loads (N, 3) stay below a plane (N,) at their highest, m (N,); without drag."""
+    xp = namespace(position_m)
+    climb = xp.maximum(velocity_m_per_s[..., 2], 0.0)
+    highest = position_m[..., 2] + climb * climb / (2.0 * GRAVITY_M_PER_S2)
+    return xp.maximum(plane_height_m - highest, 0.0)
 
 
 def _acceleration(vx: Any, vy: Any, vz: Any, drag_per_m: Any) -> tuple[Any, Any, Any]:

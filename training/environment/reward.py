@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from machine.conventions import POLICY_PERIOD_S
 from training.environment.task import RewardConfig
 
 Field = Any
@@ -30,13 +31,27 @@ class RewardInputs(NamedTuple):
     """(N,) distance of the landing to the target."""
     failed: Field
     """(N,) bool: the throw ended badly in this step."""
+    pace_ratio: Field
+    """(N,) 0 careful .. 1 fast."""
+    holds: Field
+    """(N,) bool: the load was held at the beginning of this step."""
+    left_m_per_s: Field
+    """(N,) speed of the load where it left in this step, else 0."""
 
 
-def step_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
-    """Reward (N,) of one step under either configuration."""
-    if config.kind == "paper":
-        return paper_reward(config, inputs)
-    return impact_reward(config, inputs)
+def step_reward(config: RewardConfig, inputs: RewardInputs, *, is_paced: bool = False) -> Field:
+    """Reward (N,) of one step under either configuration, at a pace or without one."""
+    reward = paper_reward if config.kind == "paper" else impact_reward
+    return reward(config, inputs) - (pace_loss(config, inputs) if is_paced else 0.0)
+
+
+def pace_loss(config: RewardConfig, inputs: RewardInputs) -> Field:
+    """What a fast throw pays for time and a careful one for what moves the machine much (N,)."""
+    careful = 1.0 - inputs.pace_ratio
+    hurry = config.hurry_per_s_ratio * POLICY_PERIOD_S * inputs.pace_ratio
+    care = config.care_action_ratio * careful * _squared(inputs.action[:, :-1])
+    release = config.care_release_ratio * careful * jnp.square(inputs.left_m_per_s)
+    return jnp.where(inputs.holds, hurry + care + release, 0.0)
 
 
 def impact_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
