@@ -13,6 +13,7 @@ import optax
 
 from training.environment.environment import EnvironmentState, StartTable, ThrowEnvironment
 from training.environment.episode import Failure, StepInfo
+from training.environment.reward import hurry_share
 from training.environment.task import PpoConfig
 from training.networks import (
     Networks,
@@ -145,6 +146,7 @@ class Trainer:
         env, config = self.environment, self.config
         networks, normaliser = learner.networks, learner.normaliser
         deviation = jnp.exp(networks.log_deviation)
+        hurry = hurry_share(env.task.reward, learner.iteration / config.iteration_count)
 
         def step(state: EnvironmentState, step_key: Field) -> tuple[EnvironmentState, Any]:
             keys = jax.random.split(step_key, 4)
@@ -155,7 +157,7 @@ class Trainer:
             mean = apply_layers(networks.actor, scaled[:, : seen.shape[1]])
             value = apply_layers(networks.critic, scaled)[:, 0]
             action = mean + deviation * jax.random.normal(keys[0], mean.shape)
-            after, reward, info = env.step(keys[1], state, action)
+            after, reward, info = env.step(keys[1], state, action, hurry)
             rows = jax.random.randint(keys[2], info.done.shape, 0, self.table.start_rad_m.shape[0])
             fresh = env.reset(keys[3], self.table, rows)
             after = _select(info.done, fresh, after)

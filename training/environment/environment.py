@@ -232,7 +232,7 @@ class ThrowEnvironment:
         return state.gone_s < 0.0
 
     def step(
-        self, key: Field, state: EnvironmentState, action: Field
+        self, key: Field, state: EnvironmentState, action: Field, hurry_ratio: Field = 1.0
     ) -> tuple[EnvironmentState, Field, StepInfo]:
         """One control step (80 ms); returns state, reward (N,) and what ended. Does not reset."""
         keys = jax.random.split(key, 3)
@@ -250,7 +250,7 @@ class ThrowEnvironment:
         after = self._fly(state, after, leaving)
         after = after._replace(time_s=state.time_s + POLICY_PERIOD_S)
         after = self._remember(keys[2], after, clipped)
-        return self._judge(state, after, clipped, touched)
+        return self._judge(state, after, clipped, touched, hurry_ratio)
 
     def _release(self, key: Field, state: EnvironmentState, action: Field) -> Field:
         """Latch the release command; near the target at low speed it is sometimes forced (paper)."""
@@ -393,7 +393,12 @@ class ThrowEnvironment:
         return q, velocity + noise[1] * v_sd
 
     def _judge(
-        self, before: EnvironmentState, after: EnvironmentState, action: Field, closest: Field
+        self,
+        before: EnvironmentState,
+        after: EnvironmentState,
+        action: Field,
+        closest: Field,
+        hurry_ratio: Field,
     ) -> tuple[EnvironmentState, Field, StepInfo]:
         """End what has ended, and pay."""
         episode = self.task.episode
@@ -443,6 +448,7 @@ class ThrowEnvironment:
                 pace_ratio=before.draw.pace_ratio,
                 holds=before.gone_s < 0.0,
                 left_m_per_s=jnp.where(leaves, speed, 0.0),
+                hurry_ratio=hurry_ratio,
             ),
             is_paced=self.is_paced,
         )

@@ -37,6 +37,8 @@ class RewardInputs(NamedTuple):
     """(N,) bool: the load was held at the beginning of this step."""
     left_m_per_s: Field
     """(N,) speed of the load where it left in this step, else 0."""
+    hurry_ratio: Field
+    """() share of the loss for time that counts so far."""
 
 
 def step_reward(config: RewardConfig, inputs: RewardInputs, *, is_paced: bool = False) -> Field:
@@ -48,10 +50,16 @@ def step_reward(config: RewardConfig, inputs: RewardInputs, *, is_paced: bool = 
 def pace_loss(config: RewardConfig, inputs: RewardInputs) -> Field:
     """What a fast throw pays for time and a careful one for what moves the machine much (N,)."""
     careful = 1.0 - inputs.pace_ratio
-    hurry = config.hurry_per_s_ratio * POLICY_PERIOD_S * inputs.pace_ratio
+    hurry = inputs.hurry_ratio * config.hurry_per_s_ratio * POLICY_PERIOD_S * inputs.pace_ratio
     care = config.care_action_ratio * careful * _squared(inputs.action[:, :-1])
     release = config.care_release_ratio * careful * jnp.square(inputs.left_m_per_s)
     return jnp.where(inputs.holds, hurry + care + release, 0.0)
+
+
+def hurry_share(config: RewardConfig, training_ratio: Field) -> Field:
+    """Share () of the loss for time that counts after this share () of the training."""
+    first, last = config.hurry_from_ratio
+    return jnp.clip((training_ratio - first) / (last - first), 0.0, 1.0)
 
 
 def impact_reward(config: RewardConfig, inputs: RewardInputs) -> Field:

@@ -160,9 +160,12 @@ class RewardConfig:
     """Loss a squared change of the action (paper: c3)."""
     action_ratio: float = 0.002
     """Loss a squared action (paper: c4, there only after the release)."""
-    hurry_per_s_ratio: float = 2.0
+    hurry_per_s_ratio: float = 1.2
     """impact, with a pace: loss a second until the load has left, times the pace. The discount alone is
     worth 1.2 a second of a good landing."""
+    hurry_from_ratio: Range = (0.35, 0.65)
+    """Share of the training from which that loss grows, and from which it is whole. From the start on it
+    taught policies to let go before they had swung far enough (docs/training.md)."""
     care_action_ratio: float = 0.02
     """impact, with a pace: further loss a squared action while the load is held, times 1 - pace: small
     valve motions are the ones that machines follow alike. A centimetre of landing error costs 0.4."""
