@@ -160,9 +160,9 @@ class RewardConfig:
     """Loss a squared change of the action (paper: c3)."""
     action_ratio: float = 0.002
     """Loss a squared action (paper: c4, there only after the release)."""
-    hurry_per_s_ratio: float = 1.2
-    """impact, with a pace: loss a second until the load has left, times the pace. The discount alone is
-    worth 1.2 a second of a good landing."""
+    hurry_per_s_ratio: float = 3.0
+    """impact, with a pace: loss a second until the load has left, times the pace squared. The discount alone
+    is worth 1.2 a second of a good landing."""
     hurry_from_ratio: Range = (0.35, 0.65)
     """Share of the training from which that loss grows, and from which it is whole. From the start on it
     taught policies to let go before they had swung far enough (docs/training.md)."""
