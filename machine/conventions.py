@@ -32,8 +32,8 @@ POLICY_PERIOD_S: Final = CONTROL_PERIOD_S * POLICY_DECIMATION
 RELEASE_THRESHOLD_RATIO: Final = 0.9
 """The last action opens the gripper when it exceeds this (paper, section III-C)."""
 
-DEFAULT_PACE_RATIO: Final = 0.25
-"""How a throw is paced where nobody says: on the careful side of 0 (careful) .. 1 (fast)."""
+DEFAULT_PACE_RATIO: Final = 0.0
+"""How a throw is paced where nobody says: 0, careful, the most accurate (1 is fast; docs/training.md)."""
 
 GRAVITY_M_PER_S2: Final = 9.81
 

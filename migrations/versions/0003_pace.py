@@ -14,7 +14,7 @@ TABLES = ("plans", "throws")
 def upgrade() -> None:
     for table in TABLES:
         op.add_column(
-            table, sa.Column("pace_ratio", sa.Double(), nullable=False, server_default="0.25")
+            table, sa.Column("pace_ratio", sa.Double(), nullable=False, server_default="0.0")
         )
 
 

@@ -150,7 +150,7 @@ class Plan(Base):
     target_x_m: Mapped[float]
     target_y_m: Mapped[float]
     target_z_m: Mapped[float]
-    pace_ratio: Mapped[float] = mapped_column(default=DEFAULT_PACE_RATIO, server_default="0.25")
+    pace_ratio: Mapped[float] = mapped_column(default=DEFAULT_PACE_RATIO, server_default="0.0")
     policy_id: Mapped[str | None] = mapped_column(String(64))
     policy_sha256: Mapped[str | None] = mapped_column(String(64))
     model_sha256: Mapped[str] = mapped_column(String(64))
@@ -185,7 +185,7 @@ class Throw(Base):
     target_y_m: Mapped[float]
     target_z_m: Mapped[float]
     range_m: Mapped[float]
-    pace_ratio: Mapped[float] = mapped_column(default=DEFAULT_PACE_RATIO, server_default="0.25")
+    pace_ratio: Mapped[float] = mapped_column(default=DEFAULT_PACE_RATIO, server_default="0.0")
     policy_id: Mapped[str] = mapped_column(String(64))
     policy_sha256: Mapped[str] = mapped_column(String(64))
     phase: Mapped[str] = mapped_column(String(16))

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from machine.conventions import Mode
-from machine.errors import PolicyError, RefusedError
+from machine.errors import PolicyError, RefusedError, UsageError
 from machine.messages import RejectReason, Target
 from machine.policy_card import (
     CARD_FILE,
@@ -15,7 +15,7 @@ from machine.policy_card import (
     file_sha256,
     load_card,
 )
-from machine.reach import check_target
+from machine.reach import check_pace, check_target
 
 
 def make_card(sha: str, **changes) -> PolicyCard:
@@ -89,6 +89,27 @@ def test_targets_the_policy_was_not_made_for_are_refused(target, reason):
     with pytest.raises(RefusedError, match=r"\d") as refused:
         check_target(make_card("a"), target)
     assert refused.value.reason is reason
+
+
+def test_the_reach_falls_with_the_height():
+    card = make_card(
+        "a",
+        target_height_min_m=-1.0,
+        target_height_max_m=3.0,
+        reach_at_height_m=((-1.0, 10.9), (1.0, 10.4), (3.0, 8.2)),
+    )
+    check_target(card, Target(x_m=10.87, y_m=0.0, z_m=-1.0))
+    check_target(card, Target(x_m=9.3, y_m=0.0, z_m=2.0))
+    with pytest.raises(RefusedError, match=r"9\.40 m.*reaches 9\.30 m at height \+2\.00 m"):
+        check_target(card, Target(x_m=9.4, y_m=0.0, z_m=2.0))
+    with pytest.raises(RefusedError, match=r"heights -1\.00 to \+3\.00"):
+        check_target(card, Target(x_m=7.0, y_m=0.0, z_m=3.1))
+
+
+@pytest.mark.parametrize("pace", [-0.1, 1.1, float("nan")])
+def test_a_pace_beyond_careful_and_fast_is_refused(pace):
+    with pytest.raises(UsageError, match=r"between 0 \(careful\) and 1 \(fast\)"):
+        check_pace(pace)
 
 
 @pytest.mark.parametrize(("x_m", "y_m"), [(-9.0, 0.0), (6.0, 0.0), (10.87, 0.0), (0.0, -8.0)])

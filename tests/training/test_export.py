@@ -13,7 +13,7 @@ import pytest
 from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
-from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.observation import ACTION_NAMES, observation_names
 from runtime.control.policy import PolicyRunner
 from tests.training.tiny_training import SPEC, host
 from training import export
@@ -33,7 +33,7 @@ class Exported(NamedTuple):
 
 def _network(mode: Mode) -> tuple[Layers, Normaliser]:
     """The shipped sizes, random, with a normaliser as uneven as a trained one."""
-    width, actions = len(OBSERVATION_NAMES[mode]), len(ACTION_NAMES[mode])
+    width, actions = len(observation_names(mode, True)), len(ACTION_NAMES[mode])
     actor = make_layers(jax.random.key(1), (width, 256, 128, actions), 1.0)
     rng = np.random.default_rng(2)
     # The critic's privileged inputs are normalised by the same moments: the file must leave them out.
@@ -98,7 +98,7 @@ def test_the_card_says_what_the_file_is(exported: Exported):
     assert card.policy_sha256 == file_sha256(exported.folder / POLICY_FILE)
     assert card.model_sha256 == SPEC.sha256
     assert card.policy_id == exported.folder.name
-    assert card.observation_names == OBSERVATION_NAMES[card.mode]
+    assert card.observation_names == observation_names(card.mode, True)
     assert card.action_names == ACTION_NAMES[card.mode]
     limits = SPEC.limits
     fastest = np.maximum(limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s)

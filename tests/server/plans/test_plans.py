@@ -39,7 +39,7 @@ def test_a_plan_has_numbers_path_frames_and_a_hash(machine, ada):
     assert names["gripper to ground"]["value_m"] > 0.0
     assert names["boom to its limit"]["value_rad"] is not None
     assert len(plan["plan_hash"]) == 64
-    assert plan["pace_ratio"] == 0.25
+    assert plan["pace_ratio"] == 0.0
     frames = ada.get(f"/plans/{plan['plan_id']}/frames").json()
     assert frames["frame_period_s"] == pytest.approx(0.02)
     assert frames["frames_rad_m"][0][1] == pytest.approx(machine.joints[1], abs=1e-3)

@@ -15,7 +15,7 @@ from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
 from training.environment.environment import DELAY_TICKS, EnvironmentState
 from training.environment.episode import Failure
-from training.environment.task import ResponseConfig
+from training.environment.task import GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M, ResponseConfig
 
 KEY = jax.random.key(11)
 
@@ -61,7 +61,13 @@ def test_targets_lie_within_the_range_and_starts_are_valid(throws: Throws):
     assert (target[:, 0] <= far).all()
     assert target[:, 0].min() < near + 0.1
     assert target[:, 0].max() > far - 0.1
-    np.testing.assert_array_equal(target[:, 1:], 0.0)
+    np.testing.assert_array_equal(target[:, 1], 0.0)
+    low, high = throws.env.task.episode.target_height_m
+    height = target[:, 2]
+    assert low <= height.min() < low + 0.1 and high - 0.1 < height.max() <= high
+    assert np.mean(height == 0.0) == pytest.approx(GROUND_SHARE_RATIO, abs=0.01)
+    reach = np.interp(height, *np.transpose(REACH_AT_HEIGHT_M))
+    assert (target[:, 0] <= reach + 1e-5).all() and reach.min() < 9.0
     assert is_valid_start(SPEC, start.astype(np.float64)).all()
 
 
@@ -351,6 +357,8 @@ def test_the_observation_is_the_runtimes(throws: Throws, bearing: float):
     turns = observation.start_turns(
         np.asarray(state.position, np.float64)[:, 0] + turned[0], target
     )
+    pace = np.asarray(state.draw.pace_ratio, np.float64)
+    assert pace.min() < 0.05 and pace.max() > 0.95
     positions = velocities = np.zeros((COUNT, 4, 6))
     previous, opened = np.zeros((COUNT, throws.env.action_count)), np.zeros(COUNT, bool)
     for index, key in enumerate(jax.random.split(KEY, 6)):
@@ -360,9 +368,9 @@ def test_the_observation_is_the_runtimes(throws: Throws, bearing: float):
         push = observation.push_history if index else lambda _, x: observation.start_history(x)
         positions = push(positions, frame.joint_position_rad_m)
         velocities = push(velocities, frame.joint_velocity_rad_m_per_s)
-        theirs = observation.build(mode, frame, positions, velocities, previous, opened)
+        theirs = observation.build(mode, frame, positions, velocities, previous, opened, pace)
         ours = np.asarray(throws.observe(state)[0])
-        assert ours.shape == (COUNT, 65 if mode is Mode.SPATIAL else 56)
+        assert ours.shape == (COUNT, 66 if mode is Mode.SPATIAL else 57)
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=4e-6)
         previous = rng.uniform(-1.5, 1.5, previous.shape)
         previous[:, -1] = np.where(rng.random(COUNT) < 0.1, 1.0, -1.0)

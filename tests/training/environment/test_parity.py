@@ -149,15 +149,15 @@ def test_a_batch_in_the_trainers_arithmetic_is_the_runtimes_machine_by_machine(m
     opened = rng.random(COUNT) < 0.5
     older = q - rng.uniform(0.0, 0.1, q.shape)
 
-    def observe(q, v, older, target, previous, opened):
+    def observe(q, v, older, target, previous, opened, pace):
         turns = observation.start_turns(q[..., 0], target)
         frames = [observation.policy_frame(SPEC, mode, x, v, target, turns) for x in (older, q)]
         positions = observation.start_history(frames[0].joint_position_rad_m)
         positions = observation.push_history(positions, frames[1].joint_position_rad_m)
         velocities = observation.start_history(v)
-        return observation.build(mode, frames[1], positions, velocities, previous, opened)
+        return observation.build(mode, frames[1], positions, velocities, previous, opened, pace)
 
-    given = (q, v, older, target, previous, opened)
+    given = (q, v, older, target, previous, opened, rng.random(COUNT))
     with jax.enable_x64(True):
         batch = np.asarray(jax.jit(observe)(*(jnp.asarray(x) for x in given)))
     assert batch.dtype == np.float64

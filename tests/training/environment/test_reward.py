@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from training.environment.reward import RewardInputs, impact_reward, paper_reward, step_reward
+from training.environment.reward import (
+    RewardInputs,
+    hurry_share,
+    impact_reward,
+    pace_loss,
+    paper_reward,
+    step_reward,
+)
 from training.environment.task import RewardConfig
 
 IMPACT = RewardConfig()
@@ -27,6 +34,10 @@ def _inputs(**changed: object) -> RewardInputs:
         landed=np.zeros(COUNT, bool),
         landing_error_m=np.full(COUNT, 100.0),
         failed=np.zeros(COUNT, bool),
+        pace_ratio=zeros,
+        holds=np.zeros(COUNT, bool),
+        left_m_per_s=zeros,
+        hurry_ratio=np.asarray(1.0),
     )
     shape = {name: np.shape(value) for name, value in still._asdict().items()}
     # One shape for all tests: JAX compiles an operation once for each.
@@ -114,6 +125,34 @@ def test_no_landing_is_so_bad_that_failing_would_pay(config: RewardConfig):
     landing = step_reward(config, _inputs(landed=[True], landing_error_m=[30.0]))
     failing = step_reward(config, _inputs(failed=[True]))
     assert float(failing[0]) < float(landing[0]) - 2.0
+
+
+@pytest.mark.parametrize(
+    ("changed", "loss"),
+    [
+        # fast: 3 a second, 80 ms a step; nothing for the action
+        ({"pace_ratio": 1.0, "action": [[0.5, 0.0, 0.0, 1.0]]}, 0.24),
+        # the square of the pace; half of the way into it
+        ({"pace_ratio": 0.5, "hurry_ratio": 0.5}, 0.5 * 0.25 * 0.24),
+        # careful: 0.02 a squared action, the release is free; 0.03 a squared m/s of the load that leaves
+        ({"action": [[0.5, 0.0, 0.0, 1.0]]}, 0.02 * 0.25),
+        ({"left_m_per_s": 4.0}, 0.03 * 16.0),
+        ({"pace_ratio": 0.5, "left_m_per_s": 4.0}, 0.5 * 0.03 * 16.0 + 0.25 * 0.24),
+        # the load is gone
+        ({"pace_ratio": 1.0, "holds": False}, 0.0),
+    ],
+)  # fmt: skip
+def test_loss_of_a_pace_by_hand(changed: dict[str, object], loss: float):
+    inputs = _inputs(**{"holds": True, **changed})
+    assert float(pace_loss(IMPACT, inputs)[0]) == pytest.approx(loss, abs=1e-6)
+    without = float(step_reward(IMPACT, inputs)[0])
+    paced = float(step_reward(IMPACT, inputs, is_paced=True)[0])
+    assert paced == pytest.approx(without - loss, abs=1e-6)
+
+
+def test_time_costs_nothing_until_throwing_is_learned():
+    share = hurry_share(IMPACT, np.array([0.0, 0.35, 0.5, 0.65, 1.0]))
+    np.testing.assert_allclose(share, [0.0, 0.0, 0.5, 1.0, 1.0], atol=1e-6)
 
 
 def test_the_kind_chooses_the_terms():
