@@ -32,7 +32,7 @@ def test_the_default_training_is_the_papers_experience():
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_both_policies_are_perceptrons_of_256_and_128(mode: Mode):
-    env = ThrowEnvironment(SPEC, task_for(mode))
+    env = ThrowEnvironment(SPEC, task_for(mode, "paper"))
     made = make_networks(
         jax.random.key(0),
         env.observation_count,
@@ -72,11 +72,18 @@ def test_the_observation_has_the_rows_of_the_papers_table():
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_papers_reward_is_a_configuration_beside_ours(mode: Mode):
-    """Same machine, sensors, targets; other pay, and what the paper says of release and end."""
+    """Same machine and sensors; other pay, targets on the ground, and the paper's release and end."""
     ours, theirs = task_for(mode, "impact"), task_for(mode, "paper")
     assert (ours.reward.kind, theirs.reward.kind) == ("impact", "paper")
     differs = {k for k, v in asdict(theirs.episode).items() if v != asdict(ours.episode)[k]}
-    assert differs == {"after_release", "override_probability_ratio"}
+    assert differs == {
+        "after_release",
+        "override_probability_ratio",
+        "target_height_m",
+        "reach_at_height_m",
+        "pace_ratio",
+    }
+    assert theirs.episode.target_height_m == (0.0, 0.0) and theirs.episode.pace_ratio is None
     assert theirs.episode.after_release == "policy"
     assert theirs.episode.override_probability_ratio == 0.05
     assert replace(theirs, reward=ours.reward, episode=ours.episode) == ours

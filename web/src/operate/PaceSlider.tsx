@@ -6,8 +6,7 @@ import { DEFAULT_PACE_RATIO, PACE_STEP, paceWords } from "./pace";
 type Props = { pace_ratio: number; isHeeded: boolean; onPace: (pace_ratio: number) => void };
 
 const MARKS = [
-  { value: 0, label: "careful" },
-  { value: DEFAULT_PACE_RATIO },
+  { value: DEFAULT_PACE_RATIO, label: "careful" },
   { value: 1, label: "fast" },
 ];
 

@@ -1,7 +1,7 @@
 /** How fast a throw is made, from 0, careful, to 1, fast; only policies trained for it heed it. */
 
-/** The server's own default (machine/conventions.py). */
-export const DEFAULT_PACE_RATIO = 0.25;
+/** The server's own default (machine/conventions.py): careful. */
+export const DEFAULT_PACE_RATIO = 0;
 export const PACE_STEP = 0.05;
 
 /** "0.25, careful": the number with a word for it. */
