@@ -1,5 +1,6 @@
 """Ground, light and haze of the 3D view, and what stands around the machine."""
 
+import math
 from collections.abc import Sequence
 
 import viser
@@ -12,7 +13,7 @@ GROUND_RADIUS_M = 400.0
 GRID_RADIUS_M = 60.0
 GROUND_LIFT_M = -0.02
 """The ground is drawn a little below its marks."""
-LABEL_LIFT_M = 0.15
+LABEL_AWAY_M = 0.5
 HAZE_NEAR_M = 45.0
 HAZE_FAR_M = 190.0
 
@@ -81,15 +82,19 @@ class GroundNodes:
     def _add(self, name: str, item: SiteObject) -> None:
         theme, is_pit = self._theme, item.kind is SiteKind.PIT
         top_m = 0.0 if is_pit else item.base_height_m + item.height_m
+        # Beyond an end of it: over its middle the marks of targets and impacts have their labels.
+        away_m = 0.5 * item.length_m + LABEL_AWAY_M
+        x_m = item.x_m + away_m * math.cos(item.turn_rad)
+        y_m = item.y_m + away_m * math.sin(item.turn_rad)
         self._site += [
             self._scene.add_mesh_simple(
                 name,
                 *site_shapes.mesh(item),
                 color=theme.pit if is_pit else theme.site,
                 flat_shading=True,
-                side="double",
+                side="double" if is_pit else "front",
                 cast_shadow=self._shadows and not is_pit,
-                receive_shadow=theme.shadow_ratio if self._shadows else False,
+                receive_shadow=False,  # its own shadow would streak it
             ),
             self._scene.add_line_segments(
                 f"{name}/edges",
@@ -101,7 +106,7 @@ class GroundNodes:
             self._scene.add_label(
                 f"{name}/label",
                 item.name,
-                position=(item.x_m, item.y_m, top_m + LABEL_LIFT_M),
+                position=(x_m, y_m, top_m),
                 font_screen_scale=1.0,
                 anchor="bottom-center",
             ),

@@ -7,10 +7,11 @@ import numpy as np
 
 from machine.conventions import Array, IntArray
 from machine.site.objects import SiteKind, SiteObject
-from server.viewer.shapes import Mesh, circle, polyline
+from server.viewer.shapes import Mesh, annulus, circle, polyline
 
 ROUND_COUNT = 48
 GROUND_SECTORS = 96
+NEAR_GROUND_M = 20.0
 
 
 def outline(item: SiteObject, ratio: float = 1.0) -> Array:
@@ -55,12 +56,16 @@ def edges(item: SiteObject) -> Array:
 
 def ground(radius_m: float, pits: Sequence[SiteObject]) -> Mesh:
     """A disc of ground with a hole for every pit."""
-    pieces = [circle(radius_m, GROUND_SECTORS)[:-1, :2]]
+    corners = np.concatenate([outline(pit) for pit in pits]) if pits else np.zeros((1, 2))
+    # Only the ground near the pits is cut: triangles that are long and narrow flicker at the horizon.
+    inner_m = max(NEAR_GROUND_M, 5.0 + float(np.linalg.norm(corners, axis=1).max()))
+    pieces = [circle(inner_m, GROUND_SECTORS)[:-1, :2]]
     for pit in pits:
         pieces = [rest for piece in pieces for rest in _without(piece, outline(pit))]
-    vertices: list[Array] = []
-    faces: list[IntArray] = []
-    first = 0
+    far_vertices, far_faces = annulus(inner_m, radius_m, GROUND_SECTORS)
+    vertices: list[Array] = [far_vertices.astype(np.float64)]
+    faces: list[IntArray] = [far_faces.astype(np.int64)]
+    first = len(far_vertices)
     for piece in pieces:
         i = np.arange(1, len(piece) - 1)
         faces.append(first + np.stack([np.zeros_like(i), i, i + 1], -1))

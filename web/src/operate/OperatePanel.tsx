@@ -96,7 +96,7 @@ function summariesOf({ mode, target, plan, result }: Operate): Record<StepName, 
     : (plan?.state ?? "");
   return {
     target: target
-      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}${heightWords(target.z_m)}`
+      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}${heightWords(target.z_m, " · ")}`
       : mode.toUpperCase(),
     preview,
     throw: "",

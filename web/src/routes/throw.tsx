@@ -9,7 +9,7 @@ import { api, take } from "../session/client";
 import { useMay } from "../session/useSession";
 import { useViewSlot } from "../view/slot";
 import { errorWords } from "../words/errors";
-import { bearingWords, metres } from "../words/format";
+import { bearingWords, heightWords, metres } from "../words/format";
 import { localStamp } from "../words/time";
 import classes from "./throw.module.css";
 
@@ -41,6 +41,7 @@ export function ThrowPage() {
         <h1>
           {row.mode.toUpperCase()}, {metres(row.target.range_m)},{" "}
           {bearingWords(row.target.azimuth_rad)}
+          {heightWords(row.target.z_m)}
         </h1>
         <span>
           {row.machine_id}, {localStamp(row.created_utc)}

@@ -50,7 +50,7 @@ describe("numbers", () => {
     expect(degrees(Math.PI / 2)).toBe("90.0°");
     expect(bearingWords(-Math.PI / 6)).toBe("30.0° right");
     expect(bearingWords(0)).toBe("0.0° ahead");
-    expect(heightWords(1.2)).toBe(" · +1.20 m high");
+    expect(heightWords(1.2)).toBe(", +1.20 m high");
     expect(heightWords(0)).toBe("");
   });
 

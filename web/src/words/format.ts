@@ -61,9 +61,9 @@ export function bearingWords(azimuth_rad: Maybe): string {
   return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "left" : "right"}`;
 }
 
-/** Height of a target off the ground, to follow its range: " · +1.20 m high"; nothing on the ground. */
-export function heightWords(z_m: Maybe): string {
-  return missing(z_m) || Math.abs(z_m) < 0.005 ? "" : ` · ${signed(z_m)} m high`;
+/** Height of a target off the ground, to follow its range: ", +1.20 m high"; nothing on the ground. */
+export function heightWords(z_m: Maybe, before = ", "): string {
+  return missing(z_m) || Math.abs(z_m) < 0.005 ? "" : `${before}${signed(z_m)} m high`;
 }
 
 /** How long ago, coarse enough not to flicker: "3 s", "14 min", "2 h", "5 d". */
