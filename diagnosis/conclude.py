@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.hypotheses import Hypothesis, Problem
+from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JITTER, PARAMETER
 from diagnosis.causes.parameters import library
+from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
@@ -35,6 +36,8 @@ development challenge held; the median error was 22 %."""
 LEAST_GAIN_RATIO = 0.05
 """An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
 eye)."""
+PLAIN_PROBABILITY = 0.01
+"""Where "none" is less probable than this, a gain must be possible, and need not be certain."""
 CAUSE_COUNT = 8
 RULED_OUT_COUNT = 12
 
@@ -111,6 +114,8 @@ def _demoted(found: Findings) -> str | None:
     gain = found.shrink[0]
     if gain.ratio > LEAST_GAIN_RATIO and gain.ci90[0] > 0.0:
         return None
+    if gain.ci90[1] > LEAST_GAIN_RATIO and found.ranked.none_probability < PLAIN_PROBABILITY:
+        return None
     return (
         f"{_names(found.ranked.best.effects)} closes {gain.ratio:.0%} of the removable gap on held-out "
         f"throws ({gain.ci90[0]:.0%} to {gain.ci90[1]:.0%}): no gain that can be shown"
@@ -184,14 +189,13 @@ def _jitter(ranked: Ranked) -> FittedEffect:
 def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
     """Sizes with 90 % intervals, clipped to the bounds.
 
-    What was estimated is the effect plus the machine's own scatter in its direction; the scatter and a share
-    for the effect's form widen the interval.
+    The posterior has the machine's own scatter taken off; a share for the effect's form widens the interval.
     """
     priors = problem.layout.priors
     index = members_index(priors, hypothesis.members)
     variance = np.maximum(np.diag(hypothesis.evidence.covariance), 0.0)
     form = SIZE_ERROR_RATIO * np.abs(hypothesis.evidence.mean)
-    sd = np.sqrt(variance + priors.spike_sd[index] ** 2 + form**2)
+    sd = np.sqrt(variance + form**2)
     effects: list[FittedEffect] = []
     at = 0
     for effect, group in zip(hypothesis.effects, hypothesis.members, strict=True):

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.causes.healthy import HealthyModel, load_healthy
-from diagnosis.causes.hypotheses import explore, pose
+from diagnosis.causes.hypotheses import explore
 from diagnosis.causes.jitter import fit_jitter
-from diagnosis.causes.noise import NoiseModel, load_noise
 from diagnosis.causes.parameters import layout
+from diagnosis.causes.problem import pose
 from diagnosis.causes.ranking import rank
-from diagnosis.causes.whitening import set_nuisance_sd
 from diagnosis.conclude import Findings, conclude
+from diagnosis.healthy.filters import HealthyModel, load_healthy
+from diagnosis.healthy.noise import NoiseModel, load_noise
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
@@ -90,7 +90,7 @@ def _diagnose(
     terms = swap_stages(prepared, profile, calibration)
     tell(0.15, "which: sensitivities")
     jitter = fit_jitter(prepared, profile, model)
-    plan = layout(model.tolerance, set_nuisance_sd(model))
+    plan = layout(model)
     if jitter.log_odds > 0.0:
         model = model.with_jitter(jitter.size_s)
     problem = pose(prepared, profile, calibration, health.filters, model, plan)

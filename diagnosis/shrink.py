@@ -12,12 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.causes.healthy import HealthyModel, correction
-from diagnosis.causes.hypotheses import Hypothesis, Problem, fitted_effects
+from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import View, library
+from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import ALL, relinearise
 from diagnosis.causes.selection import members_index, screen, total, weigh
+from diagnosis.causes.trials import fitted_effects
 from diagnosis.causes.whitening import DEAF_BLOCKS, leftovers, whiten_throw
+from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.simulate import joint_latency_s, late, sliced
 from diagnosis.verdict import Shrink

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from diagnosis.causes.noise import NoiseModel
+from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import PreparedThrow
 from machine.conventions import Array
 from sim_twin.effects.effect import EFFECTS, Effect
@@ -21,6 +21,8 @@ PARAMETER = "extra_sd_s"
 LOG_PRIOR = -5.0
 GRID_COUNT = 61
 MIN_COUNT = 5
+OPENING_NUISANCES = ("release_delay_s", "switch_lag_s")
+"""What moves the opening of a healthy machine from throw to throw."""
 
 
 class JitterFit(NamedTuple):
@@ -53,7 +55,7 @@ def fit_jitter(
         return NOTHING
     command, opening, progress = np.array(rows).T
     late = opening - command - profile.release_delay_s
-    healthy = np.hypot(model.nuisance_sd["release_delay_s"], model.nuisance_sd["switch_lag_s"])
+    healthy = np.linalg.norm([model.throw_scatter.sd_of(name) for name in OPENING_NUISANCES])
     spec = EFFECTS[JITTER].parameters[0]
     sizes = np.linspace(spec.low, spec.high, GRID_COUNT)
     logs = np.array([_log_density(late, progress, np.hypot(healthy, s)) for s in sizes])

@@ -1,6 +1,6 @@
 """The effect library as one vector of parameters, and which simulations each of them moves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from diagnosis.causes.selection import Priors
+from diagnosis.healthy.noise import NoiseModel
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
 
@@ -42,6 +43,20 @@ _BY_EFFECT: Mapping[str, tuple[View, ...]] = {
     "base_height": (View.FLIGHT,),
 }
 """Where it differs from the stage's. Release times are compared with the switch, without a simulation."""
+
+SET_NUISANCES = (
+    "gyro_bias_x_rad_per_s",
+    "gyro_bias_y_rad_per_s",
+    "gyro_bias_z_rad_per_s",
+    "accel_bias_x_m_per_s2",
+    "accel_bias_y_m_per_s2",
+    "accel_bias_z_m_per_s2",
+    "switch_lag_s",
+    "grip_radial_m",
+    "grip_lateral_m",
+    "grip_vertical_m",
+)
+"""Sensor offsets and the like of a set of throws: behind the parameters in the vector, never a cause."""
 
 NOT_LINEAR = ("release_jitter",)
 """Moves a spread, not a mean; weighed by itself."""
@@ -134,7 +149,7 @@ class Layout:
     @property
     def size_count(self) -> int:
         """Length of the vector."""
-        return int(self.priors.spike_sd.size)
+        return int(self.priors.slab_sd.size)
 
 
 DRIFTING = (
@@ -153,21 +168,21 @@ DRIFTING = (
     "base_yaw_drift",
 )
 """What warms up, wears in, blows or creeps within an hour; lengths, masses and clocks do not."""
-GROUP_LOG_PRIOR = -6.0
-"""About one effect in two data sets, of some seventy that could be."""
-SPIKE_WIDENING_RATIO = 1.2
-"""The scatter was measured on few machines."""
-DRIFT_LOG_PRIOR = -10.0
+GROUP_LOG_PRIOR = -5.0
+"""About one effect in three data sets, of some seventy that could be."""
+SPIKE_WIDENING_RATIO = 1.1
+"""The scatter was measured on a finite number of machines."""
+DRIFT_LOG_PRIOR = -7.0
 """A slow change is rarer than a constant effect, and there are as many."""
 
 
-def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layout:
-    """Priors of the whole vector.
+def scatter_names() -> tuple[str, ...]:
+    """Of what a healthy machine may be off: parameters, then nuisances of the set."""
+    return (*(p.key for p in library()), *SET_NUISANCES)
 
-    Args:
-        tolerance: spike by parameter key; the library's own where it is missing.
-        nuisance_sd: standard deviations of the set's nuisances (sensor offsets), never a cause.
-    """
+
+def layout(model: NoiseModel) -> Layout:
+    """Priors of the whole vector, with the scatter of healthy machines."""
     constants = library()
     groups: dict[Group, list[int]] = {}
     for i, p in enumerate(constants):
@@ -178,18 +193,17 @@ def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layo
             continue
         groups[(f"{DRIFT}:{p.effect}.{p.name}", p.joint)] = [len(constants) + i]
         logs.append(DRIFT_LOG_PRIOR)
-    spike = np.array([SPIKE_WIDENING_RATIO * tolerance.get(p.key, p.tolerance) for p in constants])
     slab = np.array([p.prior_sd for p in constants])
     low, high = np.array([p.low for p in constants]), np.array([p.high for p in constants])
-    extra = np.asarray(nuisance_sd, dtype=np.float64)
-    free = np.full(extra.size, np.inf)
-    # A drift has the scatter and half the size of its effect, in either direction.
+    nuisances = np.ones(len(SET_NUISANCES))
+    free = np.full(nuisances.size, np.inf)
+    # A drift has half the size of its effect, in either direction.
     reach = high - low
     return Layout(
         groups=tuple(groups),
         priors=Priors(
-            spike_sd=np.concatenate([spike, spike, extra]),
-            slab_sd=np.concatenate([slab, 0.5 * slab, extra]),
+            scatter=SPIKE_WIDENING_RATIO**2 * _scatter(model),
+            slab_sd=np.concatenate([slab, 0.5 * slab, nuisances]),
             low=np.concatenate([low, -reach, -free]),
             high=np.concatenate([high, reach, free]),
             groups=tuple(np.asarray(g, dtype=np.int64) for g in groups.values()),
@@ -198,6 +212,19 @@ def layout(tolerance: Mapping[str, float], nuisance_sd: Sequence[float]) -> Layo
         parameter_count=len(constants),
         drift_count=len(constants),
     )
+
+
+def _scatter(model: NoiseModel) -> Array:
+    """Covariance of the whole vector; drifts are independent of each other and of the rest."""
+    count = len(library())
+    shared = model.scatter.covariance(scatter_names())
+    size = shared.shape[0] + count
+    whole = np.zeros((size, size))
+    fixed = np.r_[:count, 2 * count : size]
+    whole[np.ix_(fixed, fixed)] = shared
+    drifts = np.arange(count, 2 * count)
+    whole[drifts, drifts] = np.square([model.drift_sd[p.key] for p in library()])
+    return whole
 
 
 def effects_of(found: Layout, group: int, sizes: Array) -> Effect:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from diagnosis.causes.hypotheses import Hypothesis, Problem
+from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JitterFit
+from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
 from diagnosis.causes.whitening import DEAF_BLOCKS
 from machine.conventions import Array
@@ -20,9 +21,9 @@ SURE_PROBABILITY = 0.8
 """Above this a cause is claimed alone."""
 RIVAL_PROBABILITY = 0.15
 """Another cause as probable as this is not ruled out (by eye)."""
-DOUBT_PROBABILITY = 0.03
-"""As long as "none" is as probable as this, no effect is claimed: 0.06 on a healthy development set that was
-called an effect, below 0.01 on the sets whose strong effect was named rightly."""
+DOUBT_PROBABILITY = 0.15
+"""As long as "none" is as probable as this, no effect is claimed: 0.76 and more on healthy development sets,
+up to 0.07 on those whose strong effect was named rightly."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.causes.healthy import HealthyModel, correction
 from diagnosis.causes.parameters import Parameter, View, index_of, joint_index, library
+from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.loading.prepared import AXES, Block, PreparedThrow
 from diagnosis.simulate import Simulated, late, simulate
 from machine.ballistics import drag_per_m, landing

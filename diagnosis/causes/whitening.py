@@ -10,38 +10,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.causes.noise import NoiseModel, whiten, whitener
-from diagnosis.causes.parameters import index_of, library
+from diagnosis.causes.parameters import SET_NUISANCES, index_of, library
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Information, inform_gram
+from diagnosis.healthy.noise import NoiseModel, whiten, whitener
 from diagnosis.loading.prepared import PreparedThrow
 from machine.conventions import ACTIVE_JOINTS, Array, IntArray
 from machine.kinematics import rotate_z
 from sim_twin.effects.effect import Effect
 
-SET_NUISANCES = (
-    "gyro_bias_x_rad_per_s",
-    "gyro_bias_y_rad_per_s",
-    "gyro_bias_z_rad_per_s",
-    "accel_bias_x_m_per_s2",
-    "accel_bias_y_m_per_s2",
-    "accel_bias_z_m_per_s2",
-    "switch_lag_s",
-    "grip_radial_m",
-    "grip_lateral_m",
-    "grip_vertical_m",
-)
 THROW_NUISANCES = (
     "oil_flow_ratio",
-    *("start_swing_rad",) * 2,
-    *("start_swing_rate_rad_per_s",) * 2,
+    "start_pitch_rad",
+    "start_roll_rad",
+    "start_pitch_rate_rad_per_s",
+    "start_roll_rate_rad_per_s",
     "release_delay_s",
     "switch_lag_s",
-    *("grasp_m",) * 3,
-    *("slip_m_per_s",) * 3,
+    "grasp_x_m",
+    "grasp_y_m",
+    "grasp_z_m",
+    "slip_x_m_per_s",
+    "slip_y_m_per_s",
+    "slip_z_m_per_s",
 )
-"""Names of the columns of `Whitened.nuisance`; behind them come all parameters of the library: each varies a
-little from throw to throw on any machine."""
+"""What differs from throw to throw on any machine, beside all parameters of the library, which follow."""
 FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
 """Discrepancy of a real effect from the library's by stage, as a share of what it changes there: what true
 effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives: 0.15,
@@ -65,7 +58,7 @@ def slope_count() -> int:
 
 
 def throw_nuisances() -> tuple[str, ...]:
-    """Names of all columns of `Whitened.nuisance`."""
+    """Names of what differs from throw to throw, in the order of the throw's scatter."""
     return (*THROW_NUISANCES, *(p.key for p in library()))
 
 
@@ -75,7 +68,7 @@ class Whitened:
 
     table: Array
     """(n, 1 + p + s + q): residual; slopes by the library's parameters, then by the set's nuisances; and by
-    what differs from throw to throw, each column times its standard deviation."""
+    what differs from throw to throw, in independent directions of unit spread."""
     progress_ratio: float
     """Share of a drift that acts in this throw."""
     rows: Mapping[str, slice]
@@ -108,11 +101,6 @@ class Basis:
     linear: Linear
     factor: Sequence[Array]
     whitened: Whitened
-
-
-def set_nuisance_sd(model: NoiseModel) -> list[float]:
-    """Standard deviations in the order of `SET_NUISANCES`."""
-    return [model.set_nuisance_sd[name] for name in SET_NUISANCES]
 
 
 def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
@@ -215,15 +203,15 @@ def _columns(
     of_set = _set_columns(prepared, linear)[rows]
     middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
     middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
-    sd = np.array([model.nuisance_sd[p.key] for p in library()])
     jacobian = linear.jacobian[rows]
+    of_throw = np.column_stack([_throw_columns(prepared, own)[rows], own.jacobian[rows]])
+    root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
     columns = np.column_stack(
         [
             linear.residual[rows] - jacobian @ middle - of_set @ middle_of_set,
             jacobian,
             of_set,
-            _throw_columns(prepared, own, model)[rows],
-            own.jacobian[rows] * sd,
+            of_throw @ root,
         ]
     )
     # Only the ball and the impact can be missing, and their noise is white.
@@ -310,35 +298,28 @@ def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Ar
         out[impact.rows] = linear.landing_slope @ state
 
 
-def _throw_columns(prepared: PreparedThrow, linear: Linear, model: NoiseModel) -> Array:
-    """Slopes (n, q) by the throw's own nuisances (`THROW_NUISANCES`), times their standard deviations."""
-    sd, index, slopes = model.nuisance_sd, index_of(), linear.jacobian
+def _throw_columns(prepared: PreparedThrow, linear: Linear) -> Array:
+    """Slopes (n, q) by the throw's own nuisances (`THROW_NUISANCES`)."""
+    index, slopes = index_of(), linear.jacobian
     n = linear.residual.size
-    found: list[Array] = []
     gains = [
         slopes[:, index[f"valve_gain.{joint}.positive_ratio"]]
         + slopes[:, index[f"valve_gain.{joint}.negative_ratio"]]
         for joint in ACTIVE_JOINTS
     ]
     lags = [slopes[:, index[f"valve_lag.{joint}.extra_lag_s"]] for joint in ACTIVE_JOINTS]
-    oil = sd["oil_flow_ratio"] * np.sum(gains, axis=0) - sd["oil_flow_ratio"] / 0.01 * (
-        OIL_LAG_S * np.sum(lags, axis=0)
-    )
-    found.append(oil)
-    found += [sd["start_swing_rad"] * linear.start[:, axis] for axis in (0, 1)]
-    found += [sd["start_swing_rate_rad_per_s"] * linear.start[:, axis] for axis in (2, 3)]
+    # Warm oil is faster, too.
+    found = [np.sum(gains, axis=0) - OIL_LAG_S / 0.01 * np.sum(lags, axis=0)]
+    found += list(linear.start.T)
     jitter = np.zeros(n)
     switch = prepared.block("release.switch")
     if switch is not None:
-        jitter[switch.rows] = sd["release_delay_s"]
-    found.append(jitter)
+        jitter[switch.rows] = 1.0
     late = np.zeros(n)
     _switch_and_flight(prepared, linear, late)
-    found.append(sd["switch_lag_s"] * late)
+    found += [jitter, late]
     for axis in range(6):
         shift = np.zeros(n)
-        state = np.zeros(6)
-        state[axis] = 1.0
-        _flight_shift(prepared, linear, shift, state)
-        found.append(sd["grasp_m" if axis < 3 else "slip_m_per_s"] * shift)
+        _flight_shift(prepared, linear, shift, np.eye(6)[axis])
+        found.append(shift)
     return np.column_stack(found)

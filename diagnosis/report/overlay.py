@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.hypotheses import Problem
+from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import ALL
 from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.shrink import corrected_input

@@ -97,8 +97,10 @@ def _measure(plant: SimulatedDriver, spec: MachineSpec, steps: list[_Step], seed
 def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
     """Increasing table from the measured points; the dead band stays as two points just off zero speed."""
     order = np.argsort(valve)
-    valve, speed = valve[order], np.maximum.accumulate(speed[order])
-    moving = np.abs(speed) > SLOWEST_RAD_M_PER_S
+    valve, speed = valve[order], speed[order]
+    # Within the dead band a joint may creep against its command: that is no speed of the valve's.
+    moving = speed * np.sign(valve) > SLOWEST_RAD_M_PER_S
+    speed = np.maximum.accumulate(np.where(moving, speed, 0.0))
     if min(np.sum(moving & (valve > 0)), np.sum(moving & (valve < 0))) < 2:
         raise PlantError(
             f"calibration: {ACTIVE_JOINTS[joint]} does not move in both directions at full valve; "

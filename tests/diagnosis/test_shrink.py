@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from diagnosis.causes.hypotheses import Hypothesis, Problem, pose
+from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import layout
+from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.selection import SetEvidence
-from diagnosis.causes.whitening import set_nuisance_sd
 from diagnosis.loading.prepared import prepare
 from diagnosis.shrink import Ends, _closed, impacts, shrink, with_effects
 from sim_twin.effects.effect import Effect
@@ -20,7 +20,7 @@ EFFECT = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.1
 def problem() -> Problem:
     known = health()
     loaded = throws((EFFECT,), 6)
-    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     return pose(prepared, profile(), loaded.throws[0].calibration, known.filters, known.noise, plan)
 
@@ -87,7 +87,7 @@ def test_a_late_release_is_a_gap_that_closes() -> None:
     known = health()
     late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.08})
     loaded = throws((late,), 6)
-    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
     one = pose(prepared, profile(), calibration, known.filters, known.noise, plan)

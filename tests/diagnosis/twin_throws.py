@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.causes.healthy import nothing
-from diagnosis.causes.noise import ChannelNoise, NoiseModel
-from diagnosis.causes.parameters import library
-from diagnosis.causes.whitening import SET_NUISANCES, THROW_NUISANCES
+from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
+from diagnosis.causes.whitening import THROW_NUISANCES, throw_nuisances
 from diagnosis.diagnose import Health
+from diagnosis.healthy.filters import nothing
+from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import LoadedSet, ThrowData
 from machine.calibration import nominal_calibration
 from machine.conventions import ACTIVE_JOINTS, Array
@@ -124,6 +124,9 @@ def _throw(
     )
 
 
+THROW_SD = {"release_delay_s": 0.015} | dict.fromkeys(("grasp_x_m", "grasp_y_m", "grasp_z_m"), 0.01)
+
+
 def health() -> Health:
     """A type of machine whose twin is nearly exact: noise, and a little of everything."""
     blocks = {
@@ -140,15 +143,18 @@ def health() -> Health:
         )
         for name, (noise, floor) in blocks.items()
     }
-    nuisance = dict.fromkeys(THROW_NUISANCES, 0.003) | {p.key: 0.2 * p.tolerance for p in library()}
+    tolerance = [p.tolerance for p in library()]
+    of_throw = [THROW_SD.get(name, 0.003) for name in THROW_NUISANCES]
+    of_throw += [0.2 * sd for sd in tolerance]
+    of_set = [*tolerance, *(0.003 for _ in SET_NUISANCES)]
     return Health(
         nothing(),
         NoiseModel(
             note="test",
             channels=channels,
-            nuisance_sd={**nuisance, "release_delay_s": 0.015, "grasp_m": 0.01},
-            set_nuisance_sd=dict.fromkeys(SET_NUISANCES, 0.003),
-            tolerance={p.key: p.tolerance for p in library()},
+            throw_scatter=Scatter.of(throw_nuisances(), np.diag(np.square(of_throw))),
+            scatter=Scatter.of(scatter_names(), np.diag(np.square(of_set))),
+            drift_sd={p.key: p.tolerance for p in library()},
             # The smoother of the joints leads by a few ms; calibrated machines have it here.
             healthy_mean={"imu_latency.extra_latency_s": 0.013},
             healthy_gap_m={"3d": 0.03},

@@ -17,8 +17,8 @@ FOREIGN = {
     "diagnosis.verdict",  # a published shape: the unit stands beside the value or in the name around it
     "diagnosis.identify.quantity",  # likewise
     "diagnosis.evaluation.measures",  # the published names of `downrange evaluate --json`, with intervals
-    "diagnosis.causes.noise",  # numbers of a channel, each in that channel's unit
-    "diagnosis.causes.healthy",  # learned weights over inputs of many units
+    "diagnosis.healthy.noise",  # numbers of a channel, each in that channel's unit
+    "diagnosis.healthy.filters",  # learned weights over inputs of many units
 }
 """Modules whose field names are not ours to choose, or have no one unit."""
 SEEDS = {"seed", "unit_seed"}

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 
 from diagnosis.causes.selection import (
     MIN_SLAB_OVER_SPIKE_RATIO,
+    PARTNER_LOG_PRIOR,
     Information,
     Priors,
     SetEvidence,
@@ -28,7 +29,7 @@ FREE = 1e9
 
 def priors(count: int, slab: float = 1.0, spike: float = 0.01) -> Priors:
     return Priors(
-        spike_sd=np.full(count, spike),
+        scatter=spike**2 * np.eye(count),
         slab_sd=np.full(count, slab),
         low=np.full(count, -FREE),
         high=np.full(count, FREE),
@@ -69,8 +70,7 @@ def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
     assert found.square == pytest.approx(float(residual @ inverse @ residual))
 
 
-def test_evidence_equals_the_dense_gaussian(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diagnosis.causes.selection.TAIL_SHARE_RATIO", 1e-12)
+def test_evidence_equals_the_dense_gaussian() -> None:
     rng = np.random.default_rng(1)
     jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
     prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
@@ -78,14 +78,14 @@ def test_evidence_equals_the_dense_gaussian(monkeypatch: pytest.MonkeyPatch) -> 
 
     def log_density(sd: Array) -> float:
         covariance = np.eye(30) + jacobian @ np.diag(sd**2) @ jacobian.T
-        density: Any = multivariate_normal(cov=covariance)
-        return float(density.logpdf(residual))
+        density: Any = multivariate_normal
+        return float(density.logpdf(residual, cov=covariance))
 
-    sd = prior.spike_sd.copy()
+    sd = np.sqrt(np.diag(prior.scatter))
     none = log_density(sd)
     # The mixture's smaller scales are lifted to the same least width here.
-    sd[[0, 2]] = MIN_SLAB_OVER_SPIKE_RATIO * 0.5
-    assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0)
+    sd[[0, 2]] = np.hypot(MIN_SLAB_OVER_SPIKE_RATIO * 0.5, 0.5)
+    assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0 + PARTNER_LOG_PRIOR)
 
 
 def test_true_pair_is_found_and_nothing_else() -> None:
@@ -105,6 +105,24 @@ def test_scatter_within_the_spike_is_no_effect() -> None:
     truth = 0.1 * rng.standard_normal(20)
     base = screen(total(throws(truth, rng).information), prior)
     assert search(base, prior)[0].members == ()
+
+
+def test_what_healthy_machines_do_together_is_no_effect() -> None:
+    rng = np.random.default_rng(6)
+    prior = priors(6)
+    scatter = prior.scatter.copy()
+    # Parameters 1 and 2 are off by 0.4, always together.
+    scatter[1:3, 1:3] += 0.16
+    correlated = prior._replace(scatter=scatter)
+    together, apart = np.zeros(6), np.zeros(6)
+    together[1:3], apart[1:3] = 0.4, (0.4, -0.4)
+    bases = [
+        screen(total(throws(truth, rng, rows=200).information), correlated)
+        for truth in (together, apart)
+    ]
+    assert search(bases[0], correlated)[0].members == ()
+    # Either of them is off: the other is then scatter.
+    assert search(bases[1], correlated)[0].members in {(1,), (2,)}
 
 
 def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:

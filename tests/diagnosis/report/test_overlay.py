@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis.causes.hypotheses import pose
 from diagnosis.causes.parameters import layout
-from diagnosis.causes.whitening import set_nuisance_sd
+from diagnosis.causes.problem import pose
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
 from sim_twin.effects.effect import Effect
@@ -18,7 +17,7 @@ LATE = Effect(effect="valve_dead_time", joint="dipper", parameters={"extra_dead_
 def problem():
     loaded = throws((LATE,), 4)
     known = health()
-    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
     return pose(prepared, profile(), calibration, known.filters, known.noise, plan)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.causes.healthy import HealthyModel, correction, inputs, learn, nothing
 from diagnosis.causes.jitter import fit_jitter
-from diagnosis.causes.noise import ChannelNoise, load_noise, whiten, whitener
-from diagnosis.causes.parameters import layout, library
+from diagnosis.causes.parameters import layout, library, scatter_names
 from diagnosis.causes.separating import separating_motion
-from diagnosis.causes.whitening import set_nuisance_sd
+from diagnosis.causes.whitening import throw_nuisances
+from diagnosis.healthy.filters import HealthyModel, correction, inputs, learn, nothing
+from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, whiten, whitener
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -48,12 +48,21 @@ def test_whitened_discrepancy_has_unit_power() -> None:
 
 def test_calibrated_files_fit_the_library() -> None:
     noise = load_noise()
-    keys = {p.key for p in library()}
-    assert keys <= set(noise.tolerance)
-    assert keys <= set(noise.nuisance_sd)
-    plan = layout(noise.tolerance, set_nuisance_sd(noise))
+    assert noise.scatter.names == scatter_names()
+    assert noise.throw_scatter.names == throw_nuisances()
+    plan = layout(noise)
     assert len(plan.groups) == len(plan.priors.groups) == plan.priors.log_prior.size
-    assert (plan.priors.spike_sd > 0.0).all()
+    assert np.linalg.eigvalsh(plan.priors.scatter).min() > 0.0
+    assert np.linalg.eigvalsh(noise.throw_scatter.covariance(throw_nuisances())).min() > 0.0
+
+
+def test_scatter_keeps_its_covariance_through_a_file() -> None:
+    root = np.random.default_rng(0).standard_normal((4, 6))
+    covariance = root @ root.T
+    kept = Scatter.model_validate_json(Scatter.of("abcd", covariance).model_dump_json())
+    np.testing.assert_allclose(kept.covariance("abcd"), covariance, rtol=2e-3, atol=1e-3)
+    np.testing.assert_allclose(kept.covariance("db"), covariance[np.ix_([3, 1], [3, 1])], rtol=2e-3)
+    assert kept.with_sd("b", 2.0).covariance("b")[0, 0] == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize(("extra_s", "is_found"), [(0.0, False), (0.08, True)])

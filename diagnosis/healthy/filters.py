@@ -7,7 +7,7 @@ prediction, the other joints' motion and the swing, with delays up to 0.2 s. The
 is no input, so that an effect at this joint cannot be taken for health; and no valve command is, so that
 the correction moves with what an effect makes of the command (with commands among the inputs, a dead time
 of 0.069 s was sized at 0.119 s).
-The weights stand in healthy.json; diagnosis/causes/noise_calibration.py made them.
+The weights stand in filters.json; diagnosis/healthy/calibration.py made them.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from diagnosis.loading.measured import MeasuredMotion
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 
-HEALTHY_PATH = Path(__file__).with_name("healthy.json")
+HEALTHY_PATH = Path(__file__).with_name("filters.json")
 DELAYS_COUNT = (0, 4, 8, 14, 22)
 """Of the inputs, control ticks."""
 BREAKAWAY_RAD_M_PER_S = 0.02

@@ -4,10 +4,10 @@ The twin is never the machine: behind the sensor noise lies a discrepancy that g
 about 0.2 s. For a channel sampled at t with motion levels m1, m2 (speed and acceleration):
 cov = noise^2 I + D exp(-|t - t'| / tau) D, D = diag(floor + rate m1 + push m2).
 The numbers stand in noise.json, measured on throws of virtual machines without any effect, each
-against its own identified profile; scripts/calibrate_diagnosis.py made it.
+against its own identified profile; diagnosis/healthy/calibration.py made it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -35,6 +35,46 @@ class ChannelNoise(BaseModel):
     memory_s: float = Field(gt=0.0)
 
 
+class Scatter(BaseModel):
+    """How far healthy machines, or throws of one, are off in many directions together."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    names: tuple[str, ...]
+    sd: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    """Lower triangle, row by row, without the diagonal of ones."""
+
+    def covariance(self, names: Sequence[str]) -> Array:
+        """Covariance (n, n) of these names, in their order."""
+        place = {name: i for i, name in enumerate(self.names)}
+        order = np.array([place[name] for name in names])
+        full = np.eye(len(self.names))
+        for row, values in enumerate(self.correlation):
+            full[row, : len(values)] = values
+            full[: len(values), row] = values
+        sd = np.asarray(self.sd)[order]
+        return sd[:, None] * full[np.ix_(order, order)] * sd
+
+    def sd_of(self, name: str) -> float:
+        """Standard deviation of one of them."""
+        return self.sd[self.names.index(name)]
+
+    def with_sd(self, name: str, sd: float) -> "Scatter":
+        """The same with another standard deviation of one of them."""
+        changed = tuple(
+            sd if n == name else old for n, old in zip(self.names, self.sd, strict=True)
+        )
+        return self.model_copy(update={"sd": changed})
+
+    @classmethod
+    def of(cls, names: Sequence[str], covariance: Array) -> "Scatter":
+        """From a covariance (n, n)."""
+        sd = np.sqrt(np.diag(covariance))
+        ratio = covariance / sd[:, None] / sd
+        rows = tuple(tuple(round(float(v), 4) for v in ratio[i, :i]) for i in range(sd.size))
+        return cls(names=tuple(names), sd=tuple(float(f"{v:.4g}") for v in sd), correlation=rows)
+
+
 class NoiseModel(BaseModel):
     """All that was measured on machines without an effect."""
 
@@ -42,12 +82,12 @@ class NoiseModel(BaseModel):
     note: str
     channels: Mapping[str, ChannelNoise]
     """By block name."""
-    nuisance_sd: Mapping[str, float]
-    """Of a throw: what differs from throw to throw on a healthy machine."""
-    set_nuisance_sd: Mapping[str, float]
-    """Of a set of throws: sensor offsets and the like."""
-    tolerance: Mapping[str, float]
-    """Spike by parameter key: what healthy machines scatter in the direction of an effect."""
+    throw_scatter: Scatter
+    """What differs from throw to throw on a healthy machine."""
+    scatter: Scatter
+    """What healthy machines are off in the direction of every parameter and nuisance of the set."""
+    drift_sd: Mapping[str, float]
+    """By parameter key: what healthy machines drift within a set."""
     healthy_mean: Mapping[str, float]
     """Middle of that scatter, by parameter key and nuisance: what is off on every machine. Effects are
     deviations from it."""
@@ -58,10 +98,9 @@ class NoiseModel(BaseModel):
 
     def with_jitter(self, extra_sd_s: float) -> "NoiseModel":
         """The model of a machine whose opening scatters by this much more."""
-        release = float(np.hypot(self.nuisance_sd["release_delay_s"], extra_sd_s))
-        return self.model_copy(
-            update={"nuisance_sd": {**self.nuisance_sd, "release_delay_s": release}}
-        )
+        release = float(np.hypot(self.throw_scatter.sd_of("release_delay_s"), extra_sd_s))
+        wider = self.throw_scatter.with_sd("release_delay_s", release)
+        return self.model_copy(update={"throw_scatter": wider})
 
 
 @cache

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.causes.healthy import HealthyModel, correction
-from diagnosis.causes.noise import NoiseModel
 from diagnosis.causes.parameters import joint_index
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Priors, screen, total
 from diagnosis.causes.whitening import Whitened, information, leftovers
+from diagnosis.healthy.filters import HealthyModel, correction
+from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import AXES, PreparedThrow
 from machine.conventions import ACTIVE_JOINTS
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.causes.adapt import filters_help, inflated, misfit
-from diagnosis.causes.healthy import HealthyModel, nothing
-from diagnosis.causes.hypotheses import Problem, pose
 from diagnosis.causes.parameters import layout
-from diagnosis.causes.whitening import set_nuisance_sd, whiten_throw
+from diagnosis.causes.problem import Problem, pose
+from diagnosis.causes.whitening import whiten_throw
+from diagnosis.healthy.adapt import filters_help, inflated, misfit
+from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.loading.prepared import prepare
 from machine.conventions import ACTIVE_JOINTS
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -18,7 +18,7 @@ from tests.diagnosis.twin_throws import health, profile, throws
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     loaded, known = throws(count=3), health()
-    plan = layout(known.noise.tolerance, set_nuisance_sd(known.noise))
+    plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
     return pose(prepared, profile(), calibration, known.filters, known.noise, plan)

@@ -1,6 +1,6 @@
-"""Makes healthy.json and noise.json from throws of healthy machines: what is noise, scatter and known misfit.
+"""Makes filters.json and noise.json from throws of healthy machines: what is noise, scatter and known misfit.
 
-    python -m diagnosis.causes.noise_calibration FOLDER...
+    python -m diagnosis.healthy.calibration FOLDER...
 
 Each folder is one set: throw logs (*.mcap) and the machine's own identified profile (profile.json). Use sets
 of several machines of the type, none of which is diagnosed later. The healthy filters are learned on all
@@ -11,71 +11,47 @@ probable.
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
-from diagnosis.causes.healthy import HEALTHY_PATH, HealthyModel, correction, inputs, learn, nothing
-from diagnosis.causes.noise import NOISE_PATH, ChannelNoise, NoiseModel
-from diagnosis.causes.parameters import layout, library
+from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
 from diagnosis.causes.residuals import Linear, linearise
-from diagnosis.causes.selection import inform_gram, screen, total
-from diagnosis.causes.whitening import (
-    SET_NUISANCES,
-    explained,
-    factors,
-    set_nuisance_sd,
-    slope_count,
-    throw_nuisances,
-    whiten_throw,
-)
+from diagnosis.causes.whitening import THROW_NUISANCES, factors, throw_nuisances
+from diagnosis.healthy.expectation import HealthySet, fit, improve
+from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, correction, inputs, learn, nothing
+from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import load_throws
-from diagnosis.loading.prepared import PreparedThrow, prepare
+from diagnosis.loading.prepared import prepare
 from diagnosis.shrink import impacts
-from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
-from sim_twin.twin.profile import TwinProfile, load_profile
+from sim_twin.twin.profile import load_profile
 
 FOLD_COUNT = 5
-ROUND_COUNT = 4
+ROUND_COUNT = 6
 JOINT_NOISE = 0.0055
 GYRO_NOISE_RAD_PER_S = 6e-4
 ACCEL_NOISE_M_PER_S2 = 4e-3
 SURVEY_NOISE_M = 0.02
 SWITCH_NOISE_S = 0.003
-FIRST_NUISANCE_SD = {
+FIRST_THROW_SD = {
     "oil_flow_ratio": 0.01,
-    "start_swing_rad": 0.006,
-    "start_swing_rate_rad_per_s": 0.01,
+    "start_pitch_rad": 0.006,
+    "start_roll_rad": 0.006,
+    "start_pitch_rate_rad_per_s": 0.01,
+    "start_roll_rate_rad_per_s": 0.01,
     "release_delay_s": 0.015,
     "switch_lag_s": 0.0078,
-    "grasp_m": 0.01,
-    "slip_m_per_s": 0.03,
+    **{f"grasp_{axis}_m": 0.01 for axis in "xyz"},
+    **{f"slip_{axis}_m_per_s": 0.03 for axis in "xyz"},
 }
-KEPT_NUISANCE = ("release_delay_s", "switch_lag_s")
-"""Not separable in healthy data; jitter of the opening is in the machine's profile."""
-WITHOUT_MEAN = (
-    *(f"valve_{name}" for name in ("lag", "dead_band", "gain", "hysteresis")),
-    *("speed_limit", "load_dependent_speed", "backlash", "stiction", "pump_flow_sharing"),
-)
-"""What is off there on every machine is taken away by the filters; a mean of their own would drift against
-that of the dead time, which the identification sees with the joint sensor in it."""
+FIRST_SPIKE_RATIO = 4.0
+"""Of the library's tolerances: where the rounds begin."""
 MIN_LEVEL_SD = 0.08
 LEVEL_WIDENING_RATIO = 1.3
 """Few sets show less than their true spread."""
-
-
-@dataclass(frozen=True, slots=True)
-class HealthySet:
-    """One set of throws without an effect."""
-
-    prepared: Sequence[PreparedThrow]
-    linear: Sequence[Linear]
-    profile: TwinProfile
-    calibration: ValveCalibration
 
 
 def load_set(folder: Path) -> HealthySet:
@@ -138,24 +114,21 @@ def cross_corrected(sets: Sequence[HealthySet]) -> list[HealthySet]:
     return [one for one in out if one is not None]
 
 
-# --- expectation maximisation ----------------------------------------------------------------------
-
-
 def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
     """Where the rounds begin."""
+    tolerance = [p.tolerance for p in library()]
+    offsets = [
+        0.03 if "accel" in name else 0.003 if "gyro" in name or name.endswith("_s") else 0.01
+        for name in SET_NUISANCES
+    ]
+    of_set = np.array([*(FIRST_SPIKE_RATIO * t for t in tolerance), *offsets])
+    of_throw = np.array([*(FIRST_THROW_SD[name] for name in THROW_NUISANCES), *tolerance])
     return NoiseModel(
         note=note,
         channels={name: _first_channel(name) for name in block_names},
-        nuisance_sd={**FIRST_NUISANCE_SD, **{p.key: p.tolerance for p in library()}},
-        set_nuisance_sd={
-            name: 0.03
-            if "accel" in name
-            else 0.003
-            if "gyro" in name or name.endswith("_s")
-            else 0.01
-            for name in SET_NUISANCES
-        },
-        tolerance={p.key: 4.0 * p.tolerance for p in library()},
+        throw_scatter=Scatter.of(throw_nuisances(), np.diag(of_throw**2)),
+        scatter=Scatter.of(scatter_names(), np.diag(of_set**2)),
+        drift_sd={p.key: p.tolerance for p in library()},
         healthy_mean={},
         healthy_gap_m={},
         unknown_level=dict.fromkeys(block_names, (0.0, 0.3)),
@@ -182,127 +155,14 @@ def _first_channel(name: str) -> ChannelNoise:
     return ChannelNoise(**{**white, "noise_sd": sd})
 
 
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    mean: Array
-    variance: Array
-    """Of the whole vector."""
-    nuisance_square: Array
-    """(q,) posterior second moment of the throws' unit nuisances, mean over throws."""
-    left: Sequence[Array]
-    """By throw, in the channels' own units, nuisances and parameters taken off."""
-
-
-def _fit(one: HealthySet, model: NoiseModel) -> _Fit:
-    plan = layout(model.tolerance, set_nuisance_sd(model))
-    factor = [factors(p, model) for p in one.prepared]
-    white = [
-        whiten_throw(p, linear, model, f)
-        for p, linear, f in zip(one.prepared, one.linear, factor, strict=True)
-    ]
-    kept = np.r_[: plan.parameter_count, plan.parameter_count + plan.drift_count : plan.size_count]
-    data = total([inform_gram(w.gram, slope_count()) for w in white])
-    priors = plan.priors
-    base = screen(data, priors._replace(spike_sd=priors.spike_sd[kept]))
-    mean, variance = np.zeros(plan.size_count), np.zeros(plan.size_count)
-    mean[kept], variance[kept] = base.mean, np.diag(base.covariance)
-    squares: list[Array] = []
-    left: list[Array] = []
-    for w, p, lower in zip(white, one.prepared, factor, strict=True):
-        rest = w.residual - explained(w, mean)
-        covariance = np.linalg.inv(np.eye(w.nuisance.shape[1]) + w.nuisance.T @ w.nuisance)
-        eta = covariance @ (w.nuisance.T @ rest)
-        squares.append(eta**2 + np.diag(covariance))
-        rest = rest - w.nuisance @ eta
-        raw = np.zeros_like(rest)
-        for block, one_factor in zip(p.blocks, lower, strict=True):
-            raw[block.rows] = one_factor @ rest[block.rows]
-        left.append(raw)
-    return _Fit(mean, variance, np.mean(squares, axis=0), left)
-
-
-def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
-    """One round: fit every set under the model, then the variances that would have made the fits probable."""
-    fits = [_fit(one, model) for one in sets]
-    middle = np.mean([fit.mean for fit in fits], axis=0)
-    constants = library()
-    names = [*[p.key for p in constants], *SET_NUISANCES]
-    # The mean moves in steps; what is left of it this round does not count as scatter.
-    moves = np.ones(middle.size)
-    moves[[i for i, p in enumerate(constants) if p.key.startswith(WITHOUT_MEAN)]] = 0.0
-    square = np.mean([(fit.mean - moves * middle) ** 2 + fit.variance for fit in fits], axis=0)
-    places = [*range(len(constants)), *range(2 * len(constants), square.size)]
-    mean = {
-        name: model.healthy_mean.get(name, 0.0) + float(middle[place])
-        for name, place in zip(names, places, strict=True)
-        if not name.startswith(WITHOUT_MEAN)
-    }
-    tolerance = {p.key: float(np.sqrt(square[i])) for i, p in enumerate(constants)}
-    offset = 2 * len(constants)
-    set_sd = {name: float(np.sqrt(square[offset + i])) for i, name in enumerate(SET_NUISANCES)}
-    moment = np.mean([fit.nuisance_square for fit in fits], axis=0)
-    nuisance: dict[str, float] = {}
-    for name, old in model.nuisance_sd.items():
-        columns = [i for i, n in enumerate(throw_nuisances()) if n == name]
-        nuisance[name] = (
-            old if name in KEPT_NUISANCE else old * float(np.sqrt(moment[columns].mean()))
-        )
-    return model.model_copy(
-        update={
-            "tolerance": tolerance,
-            "healthy_mean": mean,
-            "set_nuisance_sd": set_sd,
-            "nuisance_sd": nuisance,
-            "channels": {
-                name: _channel(name, old, sets, fits) for name, old in model.channels.items()
-            },
-        }
-    )
-
-
-def _channel(
-    name: str, old: ChannelNoise, sets: Sequence[HealthySet], fits: Sequence[_Fit]
-) -> ChannelNoise:
-    """Discrepancy from the size and the memory of what is left."""
-    if not name.startswith(("actuation", "swing")):
-        return old
-    size: list[Array] = []
-    level: list[Array] = []
-    for one, fit in zip(sets, fits, strict=True):
-        for p, left in zip(one.prepared, fit.left, strict=True):
-            block = p.block(name)
-            if block is not None:
-                size.append(left[block.rows])
-                level.append(np.column_stack([np.ones(block.t_s.size), block.rate, block.push]))
-    x, y = np.vstack(level), np.abs(np.concatenate(size)) * np.sqrt(np.pi / 2.0)
-    scale = x.std(axis=0) + x.mean(axis=0)
-    found = nnls(x / scale, y)[0] / scale
-    floor = float(np.sqrt(max(found[0] ** 2 - old.noise_sd**2, (0.3 * old.noise_sd) ** 2)))
-    step_s, product, square = 0.0, 0.0, 0.0
-    for part, lev in zip(size, level, strict=True):
-        unit = part / (lev @ found)
-        product += float(unit[3:] @ unit[:-3])
-        square += float(unit[3:] @ unit[3:])
-        step_s = 0.06
-    share = np.clip(product / max(square, 1e-12), 0.05, 0.95)
-    return old.model_copy(
-        update={
-            "floor_sd": floor,
-            "rate_ratio": float(found[1]),
-            "push_ratio": float(found[2]),
-            "memory_s": float(-step_s / np.log(share)),
-        }
-    )
-
-
 def with_levels(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     """Power that a healthy set leaves in each block, over sets."""
     levels: dict[str, list[float]] = {name: [] for name in model.channels}
     for one in sets:
-        fit = _fit(one, model)
+        found = fit(one, model)
         power = dict.fromkeys(levels, 0.0)
         rows = dict.fromkeys(levels, 0)
-        for p, left in zip(one.prepared, fit.left, strict=True):
+        for p, left in zip(one.prepared, found.left, strict=True):
             for block, factor in zip(p.blocks, factors(p, model), strict=True):
                 unit = np.linalg.solve(factor, left[block.rows])
                 power[block.name] += float(unit @ unit)

@@ -1,0 +1,94 @@
+"""One set of throws against one twin, linearised at "no effect"."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnosis.causes.parameters import Layout
+from diagnosis.causes.residuals import Linear, linearise
+from diagnosis.causes.selection import (
+    Information,
+)
+from diagnosis.causes.whitening import (
+    Basis,
+    Whitened,
+    factors,
+    information,
+    whiten_throw,
+)
+from diagnosis.healthy.adapt import filters_help, inflated, misfit
+from diagnosis.healthy.filters import HealthyModel, nothing
+from diagnosis.healthy.noise import NoiseModel
+from diagnosis.loading.prepared import PreparedThrow
+from machine.calibration import ValveCalibration
+from machine.conventions import Array
+from sim_twin.twin.profile import TwinProfile
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One set of throws against one twin."""
+
+    prepared: Sequence[PreparedThrow]
+    profile: TwinProfile
+    calibration: ValveCalibration
+    healthy: HealthyModel
+    model: NoiseModel
+    layout: Layout
+    factor: Sequence[Sequence[Array]]
+    """Of every throw's blocks."""
+    linear: Sequence[Linear]
+    """At "no effect"."""
+    whitened: Sequence[Whitened]
+    information: Sequence[Information]
+
+    def basis(self, throw: int) -> Basis:
+        """A throw at "no effect", whitened."""
+        return Basis(self.linear[throw], self.factor[throw], self.whitened[throw])
+
+
+def pose(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+    model: NoiseModel,
+    layout: Layout,
+) -> Problem:
+    """Linearise at "no effect", with as much of the healthy machines' model as suits this one."""
+    linear = linearise(prepared, profile, calibration, healthy)
+    if not filters_help(prepared, linear, healthy):
+        healthy = nothing()
+        linear = linearise(prepared, profile, calibration, healthy)
+    first = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    excess = misfit(first.whitened, layout.priors, model)
+    if max(excess.values()) <= 1.0:
+        return first
+    wider = inflated(model, excess)
+    return _whitened(prepared, profile, calibration, healthy, wider, layout, linear)
+
+
+def _whitened(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+    model: NoiseModel,
+    layout: Layout,
+    linear: Sequence[Linear],
+) -> Problem:
+    factor = [factors(p, model) for p in prepared]
+    whitened = [
+        whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
+    ]
+    return Problem(
+        prepared,
+        profile,
+        calibration,
+        healthy,
+        model,
+        layout,
+        factor,
+        linear,
+        whitened,
+        information(whitened),
+    )
