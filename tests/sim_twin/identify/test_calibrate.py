@@ -9,7 +9,7 @@ from machine.errors import PlantError
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, _table, calibrate
 from sim_twin.virtual.virtual_machine import VirtualMachine
 
 SPEC = load_spec()
@@ -59,6 +59,20 @@ def test_the_inverse_table_gives_the_wanted_speed(calibration, joint, share):
         assert np.mean(seen[-40:]) == pytest.approx(wanted, rel=0.2)
     finally:
         plant.close()
+
+
+def test_creep_against_a_small_command_is_no_speed_of_the_valve():
+    """Telescope of unit 4336: 2 mm/s out at 3 % in, because the arm hangs on it."""
+    valve = np.array([-1.0, -0.8, -0.1, -0.07, -0.05, -0.03, 0.03, 0.05, 0.07, 0.1, 0.8, 1.0])
+    speed = np.array(
+        [-0.43, -0.33, -0.025, -0.011, -1e-4, 2.2e-3, -5e-4, 2.4e-3, 0.010, 0.021, 0.29, 0.39]
+    )
+    table = _table(3, valve, speed)
+    commands = np.array(table.valve_ratio)
+    speeds = np.array(table.actuator_speed_rad_m_per_s)
+    assert np.all(np.diff(speeds) > 0.0)
+    assert np.all(speeds[commands < 0.0] < 0.0)
+    np.testing.assert_allclose(speeds[[0, -1]], [-0.43, 0.39], atol=1e-6)
 
 
 def test_a_machine_that_does_not_move_is_refused():
