@@ -66,7 +66,7 @@ def conclude(found: Findings) -> Diagnosis:
     shrunk = None if found.shrink is None else found.shrink[0]
     demoted = _demoted(found)
     ambiguity: Ambiguity | None = None
-    if ranked.unknown > 0.5:
+    if ranked.is_unknown:
         verdict = VerdictKind.UNKNOWN
     elif not best.members:
         verdict = VerdictKind.EXPLAINED if jitter else VerdictKind.NONE

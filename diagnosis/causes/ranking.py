@@ -13,10 +13,11 @@ from diagnosis.causes.selection import bagged_probability, expected_log_odds, to
 from diagnosis.causes.whitening import DEAF_BLOCKS
 from machine.conventions import Array
 
-UNKNOWN_LEVEL_SD = 8.0
+UNKNOWN_LEVEL_SD = 5.0
 UNKNOWN_WIDTH_SD = 1.0
 """Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. On
-development sets unknown effects left 5.3 to 32, and known ones that were named rightly up to 7.9."""
+development sets unknown effects left 6.2 to 16, known ones that were named rightly up to 3.3, healthy
+machines up to 2.4."""
 SURE_PROBABILITY = 0.8
 """Above this a cause is claimed alone."""
 RIVAL_PROBABILITY = 0.15
@@ -55,6 +56,11 @@ class Ranked:
         return self.none_probability >= DOUBT_PROBABILITY
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether something unknown is more probable than every hypothesis."""
+        return self.unknown > float(self.probability[0])
+
+    @property
     def best(self) -> Hypothesis:
         """The most probable one."""
         return self.hypotheses[0]
@@ -63,7 +69,8 @@ class Ranked:
 def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) -> Ranked:
     """Weigh the hypotheses against each other and against "unknown"."""
     logs = np.stack([h.log_evidence for h in hypotheses], axis=1)
-    probability = bagged_probability(logs)
+    none = next(i for i, h in enumerate(hypotheses) if not h.members)
+    probability = bagged_probability(logs, none)
     order = np.argsort(-probability, kind="stable")
     ordered = [hypotheses[int(i)] for i in order]
     levels = unknown_levels(problem, ordered[0])

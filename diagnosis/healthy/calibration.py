@@ -20,7 +20,7 @@ import numpy as np
 from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
 from diagnosis.causes.residuals import Linear, linearise
 from diagnosis.causes.whitening import THROW_NUISANCES, factors, throw_nuisances
-from diagnosis.healthy.expectation import HealthySet, fit, improve
+from diagnosis.healthy.expectation import HealthySet, capped, fit, improve
 from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, correction, inputs, learn, nothing
 from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import load_throws
@@ -197,7 +197,7 @@ def calibrate_noise(
         model = improve(clean, model)
         say(f"round {number + 1} of {ROUND_COUNT}")
     gap_m = healthy_gaps(sets, healthy)
-    return healthy, with_levels(clean, model).model_copy(update={"healthy_gap_m": gap_m})
+    return healthy, capped(with_levels(clean, model).model_copy(update={"healthy_gap_m": gap_m}))
 
 
 def healthy_gaps(sets: Sequence[HealthySet], healthy: HealthyModel) -> dict[str, float]:
@@ -225,7 +225,7 @@ def main(arguments: Sequence[str]) -> int:
     note = f"{len(folders)} healthy sets, {sum(len(s.prepared) for s in sets)} throws"
     healthy, model = calibrate_noise(sets, note)
     HEALTHY_PATH.write_text(healthy.model_dump_json() + "\n", encoding="utf-8")
-    NOISE_PATH.write_text(model.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    NOISE_PATH.write_text(model.model_dump_json() + "\n", encoding="utf-8")
     return 0
 
 

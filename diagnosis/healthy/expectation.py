@@ -126,7 +126,7 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
                 for place, name in enumerate(names)
                 if moves[place]
             },
-            "scatter": _capped(Scatter.of(names, _shrunk(seen, len(fits), SET_SHRINKING_COUNT))),
+            "scatter": Scatter.of(names, _shrunk(seen, len(fits), SET_SHRINKING_COUNT)),
             "drift_sd": {
                 p.key: float(f"{max(np.sqrt(v), LEAST_SD_RATIO * p.tolerance):.4g}")
                 for p, v in zip(library(), drift, strict=True)
@@ -149,11 +149,13 @@ def _shrunk(covariance: Array, count: int, shrinking_count: float) -> Array:
     return (1.0 - share) * covariance + share * np.diag(np.diag(covariance))
 
 
-def _capped(scatter: Scatter) -> Scatter:
+def capped(model: NoiseModel) -> NoiseModel:
+    """The model with as much scatter of effects without a slope at 0 as can be believed."""
+    scatter = model.scatter
     most = {p.key: MOST_SD_RATIO * p.tolerance for p in library() if p.effect in NO_SLOPE}
     for name, sd in most.items():
         scatter = scatter.with_sd(name, min(sd, scatter.sd_of(name)))
-    return scatter
+    return model.model_copy(update={"scatter": scatter})
 
 
 def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel) -> Scatter:
