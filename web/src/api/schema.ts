@@ -1822,7 +1822,7 @@ export interface components {
             mode: components["schemas"]["Mode"];
             /**
              * Pace Ratio
-             * @default 0.25
+             * @default 0
              */
             pace_ratio: number;
             /**
@@ -1931,6 +1931,14 @@ export interface components {
             policy_rate_hz: number;
             /** Policy Sha256 */
             policy_sha256: string;
+            /**
+             * Reach At Height M
+             * @default []
+             */
+            reach_at_height_m: [
+                number,
+                number
+            ][];
             /**
              * Schema Version
              * @default 1

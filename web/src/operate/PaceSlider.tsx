@@ -1,12 +1,12 @@
 import { Slider } from "@mantine/core";
 import { useEffect, useState } from "react";
 import classes from "./PaceSlider.module.css";
-import { DEFAULT_PACE_RATIO, PACE_STEP, paceWords } from "./pace";
+import { PACE_STEP, paceWords } from "./pace";
 
 type Props = { pace_ratio: number; isHeeded: boolean; onPace: (pace_ratio: number) => void };
 
 const MARKS = [
-  { value: DEFAULT_PACE_RATIO, label: "careful" },
+  { value: 0, label: "careful" },
   { value: 1, label: "fast" },
 ];
 

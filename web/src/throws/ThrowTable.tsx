@@ -64,14 +64,14 @@ export function ThrowTable({ rows, selected, onSelect }: Props) {
             <th scope="col" className={classes.right}>
               Height, m
             </th>
-            <th scope="col" className={classes.right} title="0 careful, 1 fast">
-              Pace
-            </th>
             <th scope="col">Along, m</th>
             <th scope="col">Across, m</th>
             <th scope="col">Outcome</th>
             <th scope="col">Policy</th>
             <th scope="col">Person</th>
+            <th scope="col" className={classes.right} title="0 careful, 1 fast">
+              Pace
+            </th>
           </tr>
         </thead>
         <tbody ref={body}>

@@ -40,7 +40,6 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
       <td>{row.mode.toUpperCase()}</td>
       <td className={classes.right}>{fixed(row.target.range_m)}</td>
       <td className={classes.right}>{signed(row.target.z_m)}</td>
-      <td className={classes.right}>{fixed(row.pace_ratio)}</td>
       <td>
         <Miss
           measured_m={row.measured_downrange_error_m}
@@ -68,6 +67,7 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
         {row.policy_id}
       </td>
       <td>{row.operator}</td>
+      <td className={classes.right}>{fixed(row.pace_ratio)}</td>
     </tr>
   );
 });
