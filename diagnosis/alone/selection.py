@@ -43,6 +43,8 @@ IDLE_LOG_PRIOR: Final = math.log(1e-3)
 """For a set with an effect whose interval holds "nothing"."""
 FLOOR_RATIO: Final = 0.005
 """Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
+RELEVANT_RATIO: Final = 0.002
+"""Of the response, by eye: an effect that explains less beyond the others is not named."""
 PRUNED_RATIO: Final = 1.5
 """Of the least mean square: sets are taken apart, effect by effect, until the best one leaves more."""
 GAIN_RATIO: Final = 0.01
@@ -110,7 +112,7 @@ def select(
     noise: float,
     progress: Progress | None = None,
     unknown_ratio: float = UNKNOWN_RATIO,
-    relevant_ratio: float = FLOOR_RATIO,
+    relevant_ratio: float = RELEVANT_RATIO,
 ) -> Selection:
     """Search the structures.
 

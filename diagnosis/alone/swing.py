@@ -319,6 +319,11 @@ def _integrate(
         a4 = acceleration(x + h * v3, v4)
         x = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        if has_coulomb:
+            # Slower than a step of friction, and nothing pulls harder than it: it stays where it is.
+            pull = np.abs(square * (x - rest) + stiff * (x - rest))
+            stuck = (np.abs(v) < coulomb * h) & (pull < coulomb)
+            x, v = np.where(stuck, angles[index], x), np.where(stuck, 0.0, v)
     return angles, rates
 
 

@@ -25,8 +25,9 @@ from diagnosis.loading.log_checks import (
     check_stuck,
     check_valve_and_supply,
 )
+from diagnosis.loading.log_context import calibration_of, impact_of, profile_of, target_of
 from diagnosis.loading.log_grid import ControlGrid, grid_control
-from diagnosis.loading.throw_csv import LOG_SUFFIXES, read_log
+from diagnosis.loading.throw_csv import LOG_SUFFIXES, WITHOUT_IMU, read_logs
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.calibration import ValveCalibration
 from machine.conventions import Array, BoolArray
@@ -67,7 +68,7 @@ class ThrowData:
     joint_velocity_rad_m_per_s: Array
     """(T, 6)"""
     imu_t_s: Array
-    """(K,) sample times."""
+    """(K,) sample times; K is 0 for a CSV without IMU."""
     gyro_rad_per_s: Array
     """(K, 3) gripper frame."""
     accel_m_per_s2: Array
@@ -136,7 +137,7 @@ def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> Loade
     """Load throw logs.
 
     Args:
-        paths: MCAP or CSV files, one a throw, or folders of them.
+        paths: MCAP files, one a throw, CSV files, or folders of them.
         spec: the machine type that the logs must come from; the twin's own if left out.
     """
     machine = load_spec() if spec is None else spec
@@ -145,16 +146,23 @@ def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> Loade
     seen: dict[str, Path] = {}
     for path in _files(paths, refused):
         try:
-            throw, clocks = _load(path, machine)
+            logs = read_logs(path)
         except LogError as error:
             refused.append((path, str(error)))
             continue
-        if throw.throw_id in seen:
-            reason = f"throw {throw.throw_id} was already read from {seen[throw.throw_id]}"
-            refused.append((path, reason))
-            continue
-        seen[throw.throw_id] = path
-        found.append((throw, clocks))
+        for log in logs:
+            name = f"throw {log.metadata['throw_id']}: " if len(logs) > 1 else ""
+            try:
+                throw, clocks = _load(path, log, machine)
+            except LogError as error:
+                refused.append((path, f"{name}{error}"))
+                continue
+            if throw.throw_id in seen:
+                reason = f"throw {throw.throw_id} was already read from {seen[throw.throw_id]}"
+                refused.append((path, reason))
+                continue
+            seen[throw.throw_id] = path
+            found.append((throw, clocks))
     found = _of_one_machine(found, refused)
     return LoadedSet(
         throws=tuple(throw for throw, _ in found),
@@ -201,8 +209,7 @@ def _of_one_machine(
     return [item for item in found if item[0].machine_id == majority]
 
 
-def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
-    log = read_log(path)
+def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
     check_machine(log.metadata, spec)
     _check_outcome(log)
     grid = grid_control(log.control)
@@ -219,13 +226,19 @@ def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
         "imu", log.imu, ("gyro_rad_per_s", "accel_m_per_s2"), grid.start_ns, notes
     )
     gyro, accel = imu[:, :3], imu[:, 3:]
-    _check_imu(imu_t_s, gyro, accel, imu_audit, open_s)
+    if log.metadata.get(WITHOUT_IMU):
+        notes.append(
+            "no IMU: how the gripper swung is taken from the pitch and roll that the machine estimated; "
+            "effects of the swing cannot be told apart and are not claimed"
+        )
+    else:
+        _check_imu(imu_t_s, gyro, accel, imu_audit, open_s)
     ball_t_s, ball_m, ball_audit = _samples("ball", log.ball, ("position_m",), grid.start_ns, notes)
     after = ball_t_s >= open_s
     ball_t_s, ball_m = ball_t_s[after], ball_m[after]
     check_constant("the tracked ball", ball_m)
-    impact_m, impact_sd_m, impact_s = _impact(log, grid.start_ns, notes)
-    target_m = _target(log.metadata)
+    impact_m, impact_sd_m, impact_s = impact_of(log, grid.start_ns, notes)
+    target_m = target_of(log.metadata)
     check_places(target=target_m, ball=ball_m, impact=impact_m)
     if not np.all(np.isfinite(impact_m)) and len(ball_m) < MIN_BALL_SAMPLES_COUNT:
         raise RefusedLogError(
@@ -265,9 +278,9 @@ def _load(path: Path, spec: MachineSpec) -> tuple[ThrowData, Mapping[str, Any]]:
         impact_sd_m=impact_sd_m,
         impact_t_s=impact_s,
         supply_pressure_pa=grid.supply_pressure_pa,
-        calibration=_calibration(log.metadata),
+        calibration=calibration_of(log.metadata),
         spec_sha256=str(log.metadata.get("model_sha256") or spec.sha256),
-        twin_profile=_profile(log.metadata),
+        twin_profile=profile_of(log.metadata),
         recorded_at_ns=grid.start_ns,
         path=path,
         notes=tuple(notes),
@@ -342,56 +355,6 @@ def _check_imu(t_s: Array, gyro: Array, accel: Array, audit: ClockAudit, open_s:
     check_constant("the gyro", gyro)
     check_constant("the accelerometer", accel)
     check_imu_units(gyro, accel)
-
-
-def _impact(log: ThrowLog, start_ns: int, notes: list[str]) -> tuple[Array, float, float]:
-    """Impact (3,) m, its standard deviation m and its time s; nan when it was not surveyed."""
-    if log.impact is None:
-        return np.full(3, math.nan), math.nan, math.nan
-    position = np.asarray(log.impact.position_m, dtype=np.float64)
-    if not np.all(np.isfinite(position)):
-        notes.append("the impact's survey is not a number and was left out")
-        return np.full(3, math.nan), math.nan, math.nan
-    time_s = (log.impact_t_mono_ns - start_ns) * 1e-9 if log.impact_t_mono_ns else math.nan
-    if not math.isnan(time_s) and not 0.0 < time_s < 60.0:
-        raise RefusedLogError(
-            f"the impact lies {time_s:.3g} s after the throw's start: the survey has another clock, or "
-            "the clock jumped. Record with the machine's monotonic clock"
-        )
-    return position, float(log.impact.sd_m), time_s
-
-
-def _target(metadata: Mapping[str, Any]) -> Array:
-    target = metadata.get("target") or {}
-    try:
-        values = [float(target[name]) for name in ("x_m", "y_m", "z_m")]
-    except (KeyError, TypeError, ValueError):
-        values = [math.nan]
-    if not all(math.isfinite(value) for value in values):
-        raise RefusedLogError(
-            f"its target is {target!r}; {{x_m, y_m, z_m}} in frame machine is needed"
-        )
-    return np.asarray(values)
-
-
-def _calibration(metadata: Mapping[str, Any]) -> ValveCalibration:
-    try:
-        return ValveCalibration.model_validate(metadata.get("calibration"))
-    except ValueError as error:
-        raise RefusedLogError(
-            "it carries no valve calibration, without which commands mean nothing; record with a "
-            "calibrated machine (`downrange calibrate`)"
-        ) from error
-
-
-def _profile(metadata: Mapping[str, Any]) -> TwinProfile | None:
-    profile = metadata.get("twin_profile")
-    if profile is None:
-        return None
-    try:
-        return TwinProfile.model_validate(profile)
-    except ValueError as error:
-        raise RefusedLogError(f"its twin profile cannot be read: {error}") from error
 
 
 def _rates(clocks: Sequence[Mapping[str, Any]]) -> dict[str, float]:

@@ -104,10 +104,15 @@ def rows_of_interest(throw: ThrowData) -> BoolArray:
 def measured_motion(throw: ThrowData) -> MeasuredMotion:
     """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
 
+    Without an IMU the machine's own estimate of pitch and roll stands in.
     In the swing frame the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
     """
     t_s = throw.t_s[rows_of_interest(throw)]
     position, velocity, acceleration = smooth_joints(throw, t_s)
+    if throw.imu_t_s.size == 0:
+        rows, free = rows_of_interest(throw), slice(ACTIVE_COUNT, None)
+        swung, rates = throw.joint_position_rad_m[rows, free], throw.joint_velocity_rad_m_per_s
+        return MeasuredMotion(t_s, position, velocity, acceleration, swung, rates[rows, free])
     start = int(np.flatnonzero(throw.t_s >= -1e-9)[0])
     gyro = throw.gyro_rad_per_s
     calm = (throw.imu_t_s <= REST_S) & (np.abs(gyro).max(axis=1) < REST_RATE_RAD_PER_S)

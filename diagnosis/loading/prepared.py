@@ -129,7 +129,8 @@ def _layout(prepared: PreparedThrow) -> tuple[list[Block], Array]:
     turning = _recent(np.abs(motion.swing_rate_rad_per_s + 0.0).sum(axis=1))
     driving = _recent(np.abs(motion.acceleration_rad_m_per_s2).sum(axis=1))
     levels = [np.interp(imu_t, motion.t_s, level) for level in (turning, driving)]
-    for kind, samples in (("gyro", throw.gyro_rad_per_s), ("accel", throw.accel_m_per_s2)):
+    imu = (("gyro", throw.gyro_rad_per_s), ("accel", throw.accel_m_per_s2))
+    for kind, samples in imu if throw.imu_t_s.size else ():
         for axis, letter in enumerate(AXES):
             add(
                 f"swing.{kind}.{letter}",

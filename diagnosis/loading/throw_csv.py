@@ -1,6 +1,7 @@
-"""A whole throw as one CSV file, written and read: a throw log's channels (docs/throw_log.md) as columns.
+"""Whole throws as CSV, written and read: a throw log's channels (docs/throw_log.md) as columns.
 
-Control, IMU and load tracker keep their own times, so their columns differ in length and end in empty cells.
+A file holds one throw, or several with a column of throw ids. Control, IMU and load tracker keep their own
+times, so their columns differ in length and end in empty cells.
 A file without what a diagnosis needs is refused with the columns that are missing.
 """
 
@@ -23,6 +24,12 @@ from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
 
 LOG_SUFFIXES: Final = (".mcap", ".csv")
+THROW_COLUMN: Final = "throw_id"
+"""Tells the throws of a file apart."""
+THROWS_KEY: Final = "throws"
+"""Of the line that holds what is each throw's own: target, impact and so on, by throw id."""
+WITHOUT_IMU: Final = "without_imu"
+"""Metadata of a throw whose file has no columns of an IMU."""
 MAX_BYTES: Final = 200_000_000
 """A throw has about 2 MB; beyond this the file is another thing."""
 CONTEXT_KEYS: Final = (
@@ -69,13 +76,13 @@ OPTIONAL_FIELDS: Final = frozenset(
 )
 
 
-def read_log(path: Path) -> ThrowLog:
-    """Read a throw log of either kind, by its suffix.
+def read_logs(path: Path) -> list[ThrowLog]:
+    """Read the throws of a file of either kind, by its suffix; MCAP holds one.
 
     Raises:
         LogError: it cannot be used.
     """
-    return read_throw_csv(path) if path.suffix.lower() == ".csv" else read_throw_log(path)
+    return read_throw_csv(path) if path.suffix.lower() == ".csv" else [read_throw_log(path)]
 
 
 def throw_csv(log: ThrowLog) -> str:
@@ -94,7 +101,7 @@ def throw_csv(log: ThrowLog) -> str:
     groups = ((log.control, CONTROL_COLUMNS), (log.imu, IMU_COLUMNS), (log.ball, BALL_COLUMNS))
     for rows, fields in groups:
         for field, names in fields.items():
-            values = rows[field].astype(np.float64).reshape(len(rows), -1)
+            values = rows[field].astype(np.float64).reshape(len(rows), len(names))
             for index, name in enumerate(names):
                 columns[name] = [
                     repr(v) if np.isfinite(v) else "" for v in values[:, index].tolist()
@@ -110,8 +117,8 @@ def throw_csv(log: ThrowLog) -> str:
     return text.getvalue()
 
 
-def read_throw_csv(path: Path) -> ThrowLog:
-    """Read a throw from CSV.
+def read_throw_csv(path: Path) -> list[ThrowLog]:
+    """Read the throws of a CSV file, in the order of their first rows.
 
     Raises:
         LogError: not such a file, or columns are missing.
@@ -124,9 +131,26 @@ def read_throw_csv(path: Path) -> ThrowLog:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise LogError(f"cannot open {path}: {error.strerror}") from error
-    context = _context(path, [line for line in lines if line.startswith("#")])
+    shared = _context(path, [line for line in lines if line.startswith("#")])
+    own = shared.pop(THROWS_KEY, {})
     body = [line for line in lines if line.strip() and not line.startswith("#")]
-    columns = _columns(path, body)
+    throws = _columns(path, body)
+    unknown = ", ".join(sorted(set(own) - set(throws) if isinstance(own, dict) else {repr(own)}))
+    if unknown:
+        raise LogError(
+            f"the line '# {THROWS_KEY}' of {path.name} names throws without rows: {unknown}; its throws "
+            f"are {', '.join(throws)}"
+        )
+    return [
+        _throw(path, name or path.stem, columns, {**shared, **own.get(name, {})})
+        for name, columns in throws.items()
+    ]
+
+
+def _throw(
+    path: Path, name: str, columns: Mapping[str, Array], context: dict[str, Any]
+) -> ThrowLog:
+    """One throw from its columns and what the lines above them say."""
     start_ns = int(context.pop("start_t_mono_ns", 0))
     control = _rows(CONTROL_ROW, columns, "t_s", CONTROL_COLUMNS, start_ns, path)
     sensed = columns.get("sensor_t_s", columns["t_s"])[: len(control)]
@@ -140,8 +164,9 @@ def read_throw_csv(path: Path) -> ThrowLog:
     except ValidationError as error:
         raise LogError(f"the impact of {path.name} cannot be read: {impact!r}") from error
     ended = {"is_complete": True, **context.pop(RESULT_RECORD, {})}
+    has_imu = {WITHOUT_IMU: True} if "imu_t_s" not in columns else {}
     return ThrowLog(
-        metadata={"throw_id": path.stem, **context, RESULT_RECORD: ended},
+        metadata={"throw_id": name, **context, **has_imu, RESULT_RECORD: ended},
         control=control,
         imu=_rows(IMU_ROW, columns, "imu_t_s", IMU_COLUMNS, start_ns, path),
         ball=_rows(BALL_ROW, columns, "ball_t_s", BALL_COLUMNS, start_ns, path),
@@ -168,7 +193,8 @@ def _context(path: Path, lines: Sequence[str]) -> dict[str, Any]:
     return context
 
 
-def _columns(path: Path, body: Sequence[str]) -> dict[str, Array]:
+def _columns(path: Path, body: Sequence[str]) -> dict[str, dict[str, Array]]:
+    """Columns of each throw, by its id; one throw without a column of ids has the id ""."""
     if len(body) < 2:
         raise LogError(f"{path.name} holds no rows: empty or cut off")
     header, *rows = csv.reader(body)
@@ -177,7 +203,8 @@ def _columns(path: Path, body: Sequence[str]) -> dict[str, Array]:
         "t_s",
         *(n for f, ns in CONTROL_COLUMNS.items() if f not in OPTIONAL_FIELDS for n in ns),
     ]
-    needed += ["imu_t_s", *(n for ns in IMU_COLUMNS.values() for n in ns)]
+    imu = ["imu_t_s", *(n for ns in IMU_COLUMNS.values() for n in ns)]
+    needed += imu if any(name in names for name in imu) else []
     missing = [name for name in needed if name not in names]
     if missing:
         shown = ", ".join(missing[:6]) + (f" and {len(missing) - 6} more" if missing[6:] else "")
@@ -186,10 +213,18 @@ def _columns(path: Path, body: Sequence[str]) -> dict[str, Array]:
             "docs/throw_log.md lists them; one stage alone needs less (`downrange diagnose actuation`)"
         )
     padded = [(row + [""] * len(names))[: len(names)] for row in rows]
-    cells = zip(*padded, strict=True)
-    return {
-        n: np.array([_number(t) for t in column]) for n, column in zip(names, cells, strict=True)
-    }
+    place = names.index(THROW_COLUMN) if THROW_COLUMN in names else None
+    labels = ["" if place is None else row[place].strip() for row in padded]
+    throws: dict[str, dict[str, Array]] = {}
+    for label in dict.fromkeys(labels):
+        mine = [row for row, own in zip(padded, labels, strict=True) if own == label]
+        cells = zip(*mine, strict=True)
+        throws[label] = {
+            n: np.array([_number(t) for t in column])
+            for n, column in zip(names, cells, strict=True)
+            if n != THROW_COLUMN
+        }
+    return throws
 
 
 def _rows(

@@ -80,7 +80,7 @@ def figure(name: str, plot: Any) -> str:
         ]
         if left:
             parts.append('<p class="dim">Measured minus twin</p>')
-            parts.append(_panel(x, left, unit, x_unit, 120.0))
+            parts.append(_panel(x, left, unit, x_unit, 120.0, is_about_zero=True))
     for other in others:
         parts.append(f'<p class="dim">{escape(other.words)}</p>')
         parts.append(_panel(x, [other], "", x_unit, 90.0))
@@ -106,14 +106,22 @@ def _legend(curves: Sequence[Curve]) -> str:
     return f'<p class="legend">{items}</p>'
 
 
-def _panel(x: Series, curves: Sequence[Curve], unit: str, x_unit: str, height: float) -> str:
-    """Axes with round ticks and the lines."""
+def _panel(
+    x: Series,
+    curves: Sequence[Curve],
+    unit: str,
+    x_unit: str,
+    height: float,
+    is_about_zero: bool = False,
+) -> str:
+    """Axes with round ticks and the lines; `is_about_zero` keeps the line of zero in the picture."""
     left, right, top, bottom, width = 62.0, 8.0, 6.0, 20.0, 1000.0
     xs = [v for v in x if math.isfinite(v)]
     ys = [v for curve in curves for v in curve.y if math.isfinite(v)]
     if not xs or not ys:
         return '<p class="dim">No finite values.</p>'
     x_low, x_high = _span(min(xs), max(xs))
+    ys += [0.0] if is_about_zero else []
     y_low, y_high = _span(min(ys), max(ys))
     across = (width - left - right) / (x_high - x_low)
     up = (height - top - bottom) / (y_high - y_low)

@@ -4,8 +4,9 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
-from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
+from diagnosis.loading.throw_csv import throw_csv
 from machine.conventions import Mode
 from server.accounts.access import ImpactMarker, Viewer
 from server.accounts.audit import Entry
@@ -118,6 +119,16 @@ def read_throw_log(throw_id: str, session: Viewer, services: ServicesDep) -> Fil
         services.logs.path(throw_id),
         media_type="application/octet-stream",
         filename=f"{throw_id}.mcap",
+    )
+
+
+@router.get("/throws/{throw_id}/csv", response_class=PlainTextResponse)
+def read_throw_csv(throw_id: str, session: Viewer, services: ServicesDep) -> PlainTextResponse:
+    """The throw's log as CSV."""
+    return PlainTextResponse(
+        throw_csv(services.logs.read(throw_id)),
+        media_type="text/csv; charset=utf-8",
+        headers={"Content-Disposition": f'attachment; filename="{throw_id}.csv"'},
     )
 
 

@@ -1,5 +1,6 @@
 """A throw as CSV: the same data as from its MCAP, what may be missing, what is refused."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -7,8 +8,12 @@ import numpy as np
 import pytest
 
 from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.loading.measured import measured_motion, rows_of_interest
+from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_csv import throw_csv
+from machine.spec import load_spec
 from runtime.records.recorder import write_throw_log
+from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.loading.test_logs import make_log
 
 
@@ -52,7 +57,12 @@ def test_ball_switch_and_pressure_may_be_missing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda text: without(text, "gyro_", "accel_", "imu_"), "gyro_x_rad_per_s"),
+        (lambda text: without(text, "gyro_"), "gyro_x_rad_per_s"),
+        (lambda text: without(text, "gyro_", "accel_", "imu_", "pitch_"), "pitch_position_rad"),
+        (
+            lambda text: text.replace("# impact:", '# throws: {"b": {}}\n# impact:'),
+            "without rows: b",
+        ),
         (lambda text: without(text, "motion_code"), "motion_code_count"),
         (lambda text: text.replace("# calibration:", "# c:"), "no valve calibration"),
         (lambda text: text.replace("# target: {", "# target: {,"), "holds no JSON"),
@@ -68,3 +78,67 @@ def test_what_cannot_be_used_is_refused_with_the_reason(
     _, loaded = both(tmp_path, str(change(throw_csv(make_log()))))
     assert loaded.throws == ()
     assert words in loaded.refused[0][1]
+
+
+def several(texts: dict[str, str]) -> str:
+    """One file of several throws: a column of ids, and one line with what is each throw's own."""
+    own = {
+        name: {
+            line[2:].split(":", 1)[0]: json.loads(line.split(":", 1)[1])
+            for line in text.splitlines()
+            if line.startswith("#")
+        }
+        for name, text in texts.items()
+    }
+    bodies = {
+        name: [line for line in text.splitlines() if not line.startswith("#")]
+        for name, text in texts.items()
+    }
+    for context in own.values():
+        del context["throw_id"]
+    head = next(iter(bodies.values()))[0]
+    rows = [f"{name},{line}" for name, lines in bodies.items() for line in lines[1:]]
+    return "\n".join([f"# throws: {json.dumps(own)}", f"throw_id,{head}", *rows])
+
+
+def test_several_throws_in_one_file(tmp_path: Path) -> None:
+    text = throw_csv(make_log())
+    _, loaded = both(tmp_path, several({"t1": text, "t2": text.replace('"x_m": 1', '"x_m": 2', 1)}))
+    assert [throw.throw_id for throw in loaded.throws] == ["t1", "t2"]
+    first, second = loaded.throws
+    np.testing.assert_allclose(second.valve_ratio, first.valve_ratio)
+    assert len(first.imu_t_s) == len(second.imu_t_s) > 0
+    # What is wrong with one throw does not cost the others.
+    broken = several({"t1": text, "t2": text.replace("# calibration:", "# c:")})
+    (tmp_path / "csv" / "a.csv").write_text(broken)
+    loaded = load_throws([tmp_path / "csv"])
+    assert [throw.throw_id for throw in loaded.throws] == ["t1"]
+    assert "throw t2: it carries no valve calibration" in loaded.refused[0][1]
+
+
+def test_without_an_imu_the_swing_is_the_machines_own_estimate(tmp_path: Path) -> None:
+    log = make_log()
+    _, loaded = both(tmp_path, without(throw_csv(log), "gyro_", "accel_", "imu_"))
+    (throw,) = loaded.throws
+    assert any("no IMU" in note for note in throw.notes)
+    motion = measured_motion(throw)
+    rows = rows_of_interest(throw)
+    np.testing.assert_allclose(motion.swing_rad, throw.joint_position_rad_m[rows, 4:])
+    (prepared,) = prepare([throw], nominal_profile(load_spec()))
+    assert not [block.name for block in prepared.blocks if block.name.startswith("swing.")]
+    # Columns of an IMU without a sample are an IMU that hung.
+    (tmp_path / "csv" / "a.csv").write_text(
+        "\n".join(
+            line if line.startswith(("#", "t_s")) else emptied(line, throw_csv(log))
+            for line in throw_csv(log).splitlines()
+        )
+    )
+    assert "it hung" in load_throws([tmp_path / "csv"]).refused[0][1]
+
+
+def emptied(row: str, text: str) -> str:
+    """A row without the cells of the IMU."""
+    names = next(line for line in text.splitlines() if not line.startswith("#")).split(",")
+    cells = row.split(",")
+    imu = ("imu_", "gyro_", "accel_")
+    return ",".join("" if n.startswith(imu) else c for n, c in zip(names, cells, strict=True))

@@ -237,6 +237,9 @@ def test_figures_leave_out_what_does_not_fit() -> None:
     assert drawn.count('<polyline class="measured"') == 3  # legend and two pieces
     assert "other" not in drawn
     assert "nan" not in drawn
+    # What measurement and twin differ by is drawn with the line of zero, even where they never meet.
+    apart = figure("apart", {"x": [0, 1, 2], "measured": [5, 6, 7], "twin": [1, 1, 2]})
+    assert apart.count('class="axis"') == 1
     assert "No finite values" in figure("nan", {"x": [0, 1], "measured": [math.nan, None]})
 
 

@@ -93,6 +93,9 @@ def test_an_upload_is_kept_once_and_can_be_read(running, ada, content, throw_id,
     assert detail["log"]["log_sha256"] == hashlib.sha256(content).hexdigest()
     assert detail["log"]["size_bytes"] == len(content)
     assert ada.get(f"/throws/{throw_id}/log").content == content
+    table = ada.get(f"/throws/{throw_id}/csv")
+    assert table.headers["content-type"].startswith("text/csv")
+    assert "boom_valve_applied_ratio" in table.text
     assert not [name for name in stored_files(running) if name.endswith(".part")]
 
 

@@ -1,4 +1,4 @@
-import { Button } from "@mantine/core";
+import { Anchor, Button } from "@mantine/core";
 import { IconDownload } from "@tabler/icons-react";
 import { paceWords } from "../operate/pace";
 import type { Schema } from "../session/client";
@@ -59,6 +59,9 @@ export function Files({ detail }: { detail: Detail }) {
       >
         Throw log, MCAP, {bytes(log.size_bytes)}
       </Button>
+      <Anchor size="sm" href={`/api/v1/throws/${encodeURIComponent(row.throw_id)}/csv`} download>
+        The same as CSV
+      </Anchor>
       <p className={classes.note} title={log.log_sha256}>
         sha256 {shortHash(log.log_sha256)}, received {localStamp(log.received_utc)}
       </p>
