@@ -40,6 +40,10 @@ MIN_THROWS_COUNT: Final = 3
 """Fewer cannot tell the machine's scatter from an effect."""
 MIN_BALL_SAMPLES_COUNT: Final = 5
 IMU_GAP_S: Final = 0.2
+NO_IMU_NOTE: Final = (
+    "no IMU: how the gripper swung is taken from the pitch and roll that the machine estimated; effects of "
+    "the swing cannot be told apart and are not claimed, nor a late valve from a late sensor"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,10 +231,7 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
     )
     gyro, accel = imu[:, :3], imu[:, 3:]
     if log.metadata.get(WITHOUT_IMU):
-        notes.append(
-            "no IMU: how the gripper swung is taken from the pitch and roll that the machine estimated; "
-            "effects of the swing cannot be told apart and are not claimed"
-        )
+        notes.append(NO_IMU_NOTE)
     else:
         _check_imu(imu_t_s, gyro, accel, imu_audit, open_s)
     ball_t_s, ball_m, ball_audit = _samples("ball", log.ball, ("position_m",), grid.start_ns, notes)
