@@ -155,8 +155,11 @@ def health() -> Health:
             throw_scatter=Scatter.of(throw_nuisances(), np.diag(np.square(of_throw))),
             scatter=Scatter.of(scatter_names(), np.diag(np.square(of_set))),
             drift_sd={p.key: p.tolerance for p in library()},
-            # The smoother of the joints leads by a few ms; calibrated machines have it here.
-            healthy_mean={"imu_latency.extra_latency_s": 0.013},
+            # The smoother of the joints leads by a tick; calibrated machines have it here.
+            healthy_mean={
+                "imu_latency.extra_latency_s": 0.011,
+                **{f"joint_sensor_latency.{j}.extra_latency_s": 0.010 for j in ACTIVE_JOINTS},
+            },
             healthy_gap_m={"3d": 0.03},
             unknown_level={name: (0.0, 0.3) for name in blocks if name != "release.switch"},
         ),
