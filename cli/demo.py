@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import IO
 
 import httpx
-from pydantic import TypeAdapter
 
 from cli.calibrate import run as calibrate_machine
 from machine.errors import UsageError
-from machine.site.objects import SiteKind, SiteObject, SiteObjects
+from machine.site.files import SITE
+from machine.site.objects import SiteKind, SiteObject
 from server.accounts.auth import FIRST_LOGIN_FILE
 from server.serve import open_socket
 
 MACHINE_ID = "m001"
-SITE = (
+DEMO_SITE = (
     SiteObject(
         name="truck bed",
         kind=SiteKind.BOX,
@@ -208,7 +208,7 @@ def run(
                 machine_id=MACHINE_ID,
                 policies=policies,
             )
-            site = TypeAdapter(SiteObjects).dump_json(SITE, indent=2)
+            site = SITE.dump_json(DEMO_SITE, indent=2)
             (data / "machines" / f"{MACHINE_ID}.site.json").write_bytes(site)
         server.start()
         password = data / "machines" / f"{MACHINE_ID}.password"

@@ -12,6 +12,7 @@ from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.messages import Target
 from machine.reach import check_pace
+from machine.site.files import load_site
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
@@ -33,6 +34,7 @@ def run(
     policy: Path | None = None,
     calibration: Path | None = None,
     profile: Path | None = None,
+    site: Path | None = None,
 ) -> int:
     """Predict one throw from the safe pose: where it lands, how far landings scatter, why not to throw.
 
@@ -53,6 +55,7 @@ def run(
         policy: folder of one policy version (policy.onnx and card.json), instead of the active one.
         calibration: valve calibration of the machine; nominal if left out.
         profile: twin profile of the machine; nominal if left out.
+        site: what stands around the machine (docs/site.md), as JSON; nothing if left out.
     """
     point = parse_target(target, height)
     if rollouts < 0 or seed < 0 or not math.isfinite(slew):
@@ -76,6 +79,7 @@ def run(
             rollout_count=rollouts,
             seed=seed,
             pace_ratio=pace,
+            site=() if site is None else load_site(site),
         ),
         _show_progress if sys.stderr.isatty() else None,
     )
@@ -120,6 +124,7 @@ def _json(shown: ThrowPreview) -> str:
             else {"x_m": impact[0], "y_m": impact[1], "z_m": impact[2]},
             "ellipse": None if shown.ellipse is None else shown.ellipse.model_dump(mode="json"),
             "seconds": shown.wall_s,
+            "lands_on": shown.lands_on,
             "refused": [refusal.detail for refusal in shown.refused],
         },
         indent=2,
@@ -132,8 +137,9 @@ def _words(shown: ThrowPreview) -> str:
     if shown.impact_m is not None:
         x, y, z = shown.impact_m
         lines.append(
-            f"impact x {x:.2f} m, y {y:.2f} m, z {z:.2f} m; release {shown.release_s:.2f} s after the "
-            f"start at {shown.release_speed_m_per_s:.2f} m/s, {shown.flight_s:.2f} s in the air"
+            f"impact on {shown.lands_on} at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m; release "
+            f"{shown.release_s:.2f} s after the start at {shown.release_speed_m_per_s:.2f} m/s, "
+            f"{shown.flight_s:.2f} s in the air"
         )
     if shown.ellipse is not None:
         e = shown.ellipse

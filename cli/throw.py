@@ -22,6 +22,7 @@ def run(
     server: str = "http://127.0.0.1:8000",
     machine: str = "m001",
     mode: Literal["2d", "3d"] = "2d",
+    height: float = 0.0,
     pace: float = DEFAULT_PACE_RATIO,
     user: str | None = None,
     password_file: Path | None = None,
@@ -38,6 +39,7 @@ def run(
         server: address of the server.
         machine: machine id.
         mode: 2d (arm plane) or 3d (with the cabin turning).
+        height: of the target above ground, m; what lies there is described as the machine's site.
         pace: 0 careful .. 1 fast, for policies that were trained with a pace.
         user: account name.
         password_file: file with the password alone, or with lines `name password`.
@@ -46,12 +48,14 @@ def run(
     """
     x_m, y_m = parse_target(target)
     check_pace(pace)
+    if not -5.0 <= height <= 10.0:
+        raise UsageError(f"--height {height:g}: targets lie between -5 and 10 m")
     name = user or os.environ.get("DOWNRANGE_USER") or "operator"
     first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
     file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
     password = login_from_file(file, name)
     with ThrowClient(server, name, password) as client:
-        report = client.throw(machine, mode, x_m, y_m, timeout_s, pace)
+        report = client.throw(machine, mode, (x_m, y_m, height), timeout_s, pace)
     print(json.dumps(asdict(report)) if as_json else in_words(report))
     return 0 if report.state == "landed" else 3
 

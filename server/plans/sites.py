@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
+from machine.errors import UsageError
 from machine.messages import RejectReason
-from machine.site.objects import SiteObject, SiteObjects
+from machine.site.files import SITE, load_site
+from machine.site.objects import SiteObject
 from server.accounts.audit import SERVER, Actor, AuditChain, Entry
 from server.accounts.auth import Session
 from server.clock import utc_now
@@ -24,8 +25,6 @@ from server.store.database import Database
 from server.store.models import SiteVersion
 
 logger = logging.getLogger(__name__)
-
-_OBJECTS: TypeAdapter[tuple[SiteObject, ...]] = TypeAdapter(SiteObjects)
 
 
 class SiteBook:
@@ -53,10 +52,10 @@ class SiteBook:
         for path in sorted(self._folder.glob("*.site.json")):
             machine_id = path.name.removesuffix(".site.json")
             try:
-                objects = _OBJECTS.validate_json(path.read_bytes())
+                objects = load_site(path)
                 self._registry.get(machine_id)
-            except (ValidationError, ApiError) as error:
-                logger.warning("%s is no site: %s", path, error)
+            except (UsageError, ApiError) as error:
+                logger.warning("%s is not used: %s", path.name, error)
                 continue
             with self._lock, self._database.write() as database:
                 if self._newest(database, machine_id) is None:
@@ -186,4 +185,4 @@ def dump(objects: Sequence[SiteObject]) -> list[Any]:
 
 def objects_of(row: SiteVersion | None) -> tuple[SiteObject, ...]:
     """Objects of a version; none before the first."""
-    return () if row is None else _OBJECTS.validate_python(row.objects)
+    return () if row is None else SITE.validate_python(row.objects)

@@ -119,8 +119,7 @@ class ThrowClient:
         self,
         machine_id: str,
         mode: str,
-        x_m: float,
-        y_m: float,
+        target_m: tuple[float, float, float],
         timeout_s: float,
         pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> ThrowReport:
@@ -133,7 +132,7 @@ class ThrowClient:
         self._call("POST", f"/machines/{machine_id}/lease")
         try:
             with Renewal(self._call, machine_id):
-                plan = self._plan(machine_id, mode, x_m, y_m, pace_ratio)
+                plan = self._plan(machine_id, mode, target_m, pace_ratio)
                 row = self._fire_and_hold(machine_id, plan["plan_id"], timeout_s)
         finally:
             self._call("DELETE", f"/machines/{machine_id}/lease")
@@ -154,7 +153,11 @@ class ThrowClient:
         )
 
     def _plan(
-        self, machine_id: str, mode: str, x_m: float, y_m: float, pace_ratio: float
+        self,
+        machine_id: str,
+        mode: str,
+        target_m: tuple[float, float, float],
+        pace_ratio: float,
     ) -> dict[str, Any]:
         machine = self._call("GET", f"/machines/{machine_id}")
         if machine["state"] is not None and not machine["state"]["payload_held"]:
@@ -165,7 +168,7 @@ class ThrowClient:
             f"/machines/{machine_id}/plans",
             {
                 "mode": mode,
-                "target": {"x_m": x_m, "y_m": y_m},
+                "target": dict(zip(("x_m", "y_m", "z_m"), target_m, strict=True)),
                 "pace_ratio": pace_ratio,
                 "rollout_count": 0,
             },

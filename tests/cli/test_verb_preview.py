@@ -39,7 +39,7 @@ def test_json_has_the_promised_keys(
 ) -> None:
     assert preview(swing_policies, "--target", "6", "--rollouts", "6", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
-    assert set(shown) == {"impact", "ellipse", "seconds", "refused"}
+    assert set(shown) == {"impact", "ellipse", "seconds", "lands_on", "refused"}
     assert shown["impact"]["x_m"] == pytest.approx(6.0, abs=0.5)
     assert shown["ellipse"]["rollout_count"] == 6
     assert shown["refused"] == []
@@ -48,7 +48,7 @@ def test_json_has_the_promised_keys(
 def test_words_for_people(swing_policies: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert preview(swing_policies, "--target", "6,0.5", "--rollouts", "0", "--slew", "0.3") == 0
     text = capsys.readouterr().out
-    assert "impact x" in text
+    assert "impact on ground at x" in text
     assert "gripper to ground" in text
 
 
@@ -86,3 +86,16 @@ def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) 
     text = capsys.readouterr().out
     for word in ("--target", "--rollouts", "R or R,C", "Exit code"):
         assert word in text
+
+
+def test_a_site_is_read_from_a_file(
+    swing_policies: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bed = {"name": "bed", "kind": "box", "x_m": 5.9, "y_m": 0.0, "length_m": 1.6, "width_m": 3.0}
+    (tmp_path / "site.json").write_text(json.dumps([bed | {"height_m": 0.4}]), encoding="utf-8")
+    (tmp_path / "flat.json").write_text(json.dumps([bed | {"height_m": 0.0}]), encoding="utf-8")
+    wish = ("--target", "5.95", "--height", "0.4", "--rollouts", "0", "--json", "--site")
+    assert preview(swing_policies, *wish, str(tmp_path / "site.json")) == 0
+    assert json.loads(capsys.readouterr().out)["lands_on"] == "bed"
+    assert preview(swing_policies, *wish, str(tmp_path / "flat.json")) == 1
+    assert "0.height_m" in capsys.readouterr().err

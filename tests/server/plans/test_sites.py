@@ -102,4 +102,4 @@ def test_a_file_describes_the_site_until_a_person_does(parts, caplog):
     assert dump(view.objects)[0]["x_m"] == 5.9
     assert view.undo_version_count is None
     assert sites.view("m002").version_count == 0
-    assert "m002.site.json is no site" in caplog.text
+    assert "m002.site.json is not used" in caplog.text
