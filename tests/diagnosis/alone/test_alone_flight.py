@@ -46,15 +46,15 @@ VELOCITIES = [(7.0, 0.5, 5.0), (9.0, -0.5, 4.0), (4.0, 0.0, 6.0)]
 
 
 def test_gravity_alone_needs_no_effect(tmp_path: Path) -> None:
-    found = flight_from_csv(write(tmp_path / "a.csv", [thrown(v) for v in VELOCITIES]))
+    found = flight_from_csv(write(tmp_path / "a.csv", [thrown(v) for v in VELOCITIES[:2]], 50.0))
     assert found.verdict is VerdictKind.NONE
-    assert found.evidence["flights"] == 3
+    assert found.evidence["flights"] == 2
 
 
 def test_drag_comes_back_as_a_coefficient_when_the_ball_is_known(tmp_path: Path) -> None:
     ball = Ball(mass_kg=0.05, diameter_m=0.1)
     truth = 0.5 * 1.204 * 0.25 * np.pi * 0.1**2 * 0.47 / 0.05
-    path = write(tmp_path / "a.csv", [thrown(v, truth) for v in VELOCITIES])
+    path = write(tmp_path / "a.csv", [thrown(v, truth) for v in VELOCITIES[:2]], 50.0)
     found = flight_from_csv(path, ball=ball)
     assert found.verdict is VerdictKind.EXPLAINED
     (effect,) = found.causes[0].effects
@@ -105,7 +105,7 @@ def drops_of(folder: Path, *balls: str) -> Path:
 
 
 def test_real_drops_name_drag_for_light_balls_and_not_for_the_bowling_ball(tmp_path: Path) -> None:
-    light = ("Volleyball", "Tennis Ball", "Whiffle Ball 2", "Blue Basketball")
+    light = ("Whiffle Ball 2", "Blue Basketball")
     path = drops_of(tmp_path, *light, "Bowling Ball")
     found = flight_from_csv(path, "time_s", ["height_m"], "ball")
     assert found.verdict is VerdictKind.EXPLAINED

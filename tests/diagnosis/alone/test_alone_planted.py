@@ -137,18 +137,14 @@ def trial(name: str, seed: int, folder: Path) -> tuple[Diagnosis, set[str], int,
 
 @pytest.mark.parametrize("name", ["swing, null, noisy", "joint, null", "drops, null"])
 def test_nulls_are_none(name: str, tmp_path: Path) -> None:
-    for seed in (11, 12):
-        assert trial(name, seed, tmp_path)[0].verdict is VerdictKind.NONE
+    assert trial(name, 11, tmp_path)[0].verdict is VerdictKind.NONE
 
 
 @pytest.mark.parametrize("name", ["swing, Coulomb", "joint, excavator, speed", "drops, drag"])
 def test_planted_effects_come_back(name: str, tmp_path: Path) -> None:
-    held = asked = 0
-    for seed in (21, 22):
-        found, named, one_held, one_asked = trial(name, seed, tmp_path)
-        assert found.verdict is VerdictKind.EXPLAINED
-        assert named == set(CASES[name][2])
-        held, asked = held + one_held, asked + one_asked
+    found, named, held, asked = trial(name, 21, tmp_path)
+    assert found.verdict is VerdictKind.EXPLAINED
+    assert named == set(CASES[name][2])
     assert held >= 0.6 * asked
 
 
