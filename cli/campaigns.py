@@ -12,7 +12,7 @@ from machine.calibration import load_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import UsageError
 from machine.messages import Target
-from machine.reach import check_pace, check_target
+from machine.reach import check_pace, check_target, reach_m
 from machine.spec import MachineSpec, load_spec
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
@@ -37,6 +37,19 @@ class Campaign(NamedTuple):
     policy_folder: Path
     pace_ratio: float = DEFAULT_PACE_RATIO
     """0 careful .. 1 fast."""
+    heights_m: tuple[float, ...] = (0.0,)
+    """Of the target surface above ground."""
+
+    @property
+    def places(self) -> list[tuple[float, float]]:
+        """Range and height of every target, height by height; what is out of reach there is left out."""
+        return [
+            (range_m, height_m)
+            for height_m in self.heights_m
+            for range_m in self.ranges_m
+            if self.params.policy is None
+            or range_m <= reach_m(self.params.policy.card, height_m) + 1e-9
+        ]
 
 
 class CampaignOptions(NamedTuple):
@@ -52,6 +65,7 @@ class CampaignOptions(NamedTuple):
     calibration: Path | None
     profile: Path | None
     pace: float = DEFAULT_PACE_RATIO
+    heights: str = "0"
 
 
 def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Campaign:
@@ -68,6 +82,7 @@ def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Camp
         calibration=options.calibration,
         profile=options.profile,
         pace_ratio=options.pace,
+        heights=options.heights,
     )
 
 
@@ -84,6 +99,7 @@ def open_campaign(
     calibration: Path | None,
     profile: Path | None,
     pace_ratio: float = DEFAULT_PACE_RATIO,
+    heights: str = "0",
 ) -> Campaign:
     """Check every option before anything is simulated.
 
@@ -100,8 +116,11 @@ def open_campaign(
     check_pace(pace_ratio)
     spec = load_spec()
     runner = open_policy(mode, policies, policy, spec)
-    for range_m in ranges:
-        check_target(runner.card, Target(x_m=range_m, y_m=0.0))
+    heights_m = parse_heights(heights)
+    for height_m in heights_m:
+        # On the ground every range must be in reach; above it, the nearest.
+        for range_m in ranges if height_m == 0.0 else (min(ranges),):
+            check_target(runner.card, Target(x_m=range_m, y_m=0.0, z_m=height_m))
     twin_profile = None if profile is None else load_profile(profile)
     make = plant_maker(
         plant,
@@ -116,7 +135,9 @@ def open_campaign(
         valves = valves.without_registrations()
     params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
     folder = policy if policy is not None else find_policy(policies, mode)
-    return Campaign(spec, params, make, ranges, runner.card.policy_id, folder, pace_ratio)
+    return Campaign(
+        spec, params, make, ranges, runner.card.policy_id, folder, pace_ratio, heights_m
+    )
 
 
 def open_policy(mode: Mode, policies: Path, policy: Path | None, spec: MachineSpec) -> PolicyRunner:
@@ -164,6 +185,21 @@ def parse_targets(text: str) -> tuple[float, ...]:
     return _checked_ranges(tuple(round(first + i * step, 9) for i in range(count)), text)
 
 
+def parse_heights(text: str) -> tuple[float, ...]:
+    """Heights of the target surface from a list with commas, m.
+
+    Raises:
+        UsageError: anything else, with what was wrong.
+    """
+    try:
+        heights = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        heights = ()
+    if not heights or not all(-5.0 <= height <= 10.0 for height in heights):
+        raise UsageError(f"--heights '{text}': use a list such as 0,1,2 in metres, each -5 to 10")
+    return heights
+
+
 def _checked_ranges(ranges_m: tuple[float, ...], text: str) -> tuple[float, ...]:
     if any(range_m <= 0.0 or range_m > 60.0 for range_m in ranges_m):
         raise UsageError(f"--targets '{text}': ranges lie between 0 and 60 m")
@@ -189,10 +225,10 @@ def progress_line(what: str, of: str = "throws") -> Callable[[int, int], None]:
 
 
 def campaign_starts(campaign: Campaign, throws: int, seed: int) -> tuple[Array, Array]:
-    """Targets (N, 3) and start poses (N, 6), `throws` at each range."""
-    ranges = np.repeat(np.asarray(campaign.ranges_m), throws)
-    target_m = np.zeros((ranges.size, 3))
-    target_m[:, 0] = ranges
+    """Targets (N, 3) and start poses (N, 6), `throws` at each place."""
+    places = np.repeat(np.asarray(campaign.places), throws, axis=0)
+    target_m = np.zeros((places.shape[0], 3))
+    target_m[:, 0], target_m[:, 2] = places.T
     rng = np.random.default_rng(seed)
     return target_m, sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
 
@@ -200,7 +236,7 @@ def campaign_starts(campaign: Campaign, throws: int, seed: int) -> tuple[Array, 
 def throw_campaign(
     campaign: Campaign, throws: int, seed: int, record: TickRecorder | None = None
 ) -> list[list[ThrowResult]]:
-    """Throw `throws` times at each range; results per target."""
+    """Throw `throws` times at each place; results per target."""
     target_m, starts = campaign_starts(campaign, throws, seed)
     batches = math.ceil(target_m.shape[0] / MAX_BATCH_COUNT)
     plant = campaign.make(math.ceil(target_m.shape[0] / batches))

@@ -33,6 +33,7 @@ def run(
     seed: int = 0,
     unit_seed: int = 0,
     pace: float = DEFAULT_PACE_RATIO,
+    heights: str = "0",
     json: Path | None = None,
     plot: Path | None = None,
     policies: Path = Path("policies"),
@@ -62,6 +63,7 @@ def run(
         seed: of start poses and of everything random in the plant; the same seed gives the same throws.
         unit_seed: which machine of its kind the plant is; 0 is the nominal one.
         pace: 0 careful .. 1 fast, for policies that were trained with a pace.
+        heights: of the target surface above ground, metres, as in -1,0,2; every range at every height.
         json: write the result to this file.
         plot: write the plot to this file (.png, .svg or .pdf).
         policies: folder of policy versions; its active.json names the one of each mode.
@@ -73,8 +75,9 @@ def run(
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
     options = CampaignOptions(
-        plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile, pace
-    )
+        plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile, pace,
+        heights,
+    )  # fmt: skip
     if report is not None:
         if json is not None or plot is not None or card:
             raise UsageError(
@@ -85,6 +88,8 @@ def run(
         raise UsageError("--mode both goes with --report; choose 2d or 3d")
     if plot is not None:
         check_plot_path(plot)
+        if len(campaign_heights := heights.split(",")) > 1:
+            raise UsageError(f"--plot draws one height, --heights names {len(campaign_heights)}")
     if json is not None and not json.parent.is_dir():
         raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
     campaign = open_with(options, mode, DEFAULT_TARGETS)
@@ -116,7 +121,10 @@ def _accuracy(
         seed=seed,
         seconds=seconds,
         real_time_factor=sum(r.simulated_s for part in results for r in part) / seconds,
-        targets=[target_accuracy(r, p) for r, p in zip(campaign.ranges_m, results, strict=True)],
+        targets=[
+            target_accuracy(range_m, part, height_m)
+            for (range_m, height_m), part in zip(campaign.places, results, strict=True)
+        ],
     )
     print(accuracy_table(accuracy))
     bad = bad_throws_text([r for part in results for r in part])
@@ -137,7 +145,7 @@ def _plot(
 ) -> None:
     scatters = [
         TargetScatter(range_m, *landing_errors(part), len(part))
-        for range_m, part in zip(campaign.ranges_m, results, strict=True)
+        for (range_m, _), part in zip(campaign.places, results, strict=True)
     ]
     title = f"{campaign.params.mode.value.upper()} throws, policy {campaign.policy_id}, {where}"
     plot_accuracy(path, scatters, title=title, reach_m=campaign.spec.static_reach_m)

@@ -15,6 +15,7 @@ from cli.campaigns import (
     progress_line,
     throw_campaign,
 )
+from cli.conditions import height_rows, pace_rows, table
 from diagnosis.evaluation.measures import ModeEvaluation, evaluation
 from diagnosis.evaluation.page import evaluation_html
 from diagnosis.evaluation.paper import SCATTER_RANGE_M, TARGETS
@@ -87,8 +88,14 @@ def _part(
         "seconds": perf_counter() - started,
     }
     logs = [stored.path for stored in recorder.stored]
-    return evaluation(
+    part = evaluation(
         about, campaign.ranges_m, results, logs, folder, _sensitivity(campaign, options)
+    )
+    return part.model_copy(
+        update={
+            "paces": tuple(pace_rows(campaign, options.throws, options.seed)),
+            "heights": tuple(height_rows(campaign, options.throws, options.seed)),
+        }
     )
 
 
@@ -155,6 +162,9 @@ def _print(part: ModeEvaluation) -> None:
     thrown = sum(t.throws for t in part.targets)
     speed = f"{part.seconds:.1f} s, {part.real_time_factor:.0f} times faster than real time"
     print(f"{part.mode}: {landed} of {thrown} landed, {speed}")
+    for rows in (part.paces, part.heights):
+        if rows:
+            print(table(rows))
     for shift in part.sensitivity:
         if shift.high_m is not None and shift.high_ci95_m is not None:
             low, high = shift.high_ci95_m

@@ -27,6 +27,7 @@ VERBS: dict[str, Verb] = {
     "throw": Verb("cli.throw", "throw once through a running server", "server"),
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb("cli.evaluate", "measure accuracy over many throws, the paper's way", "twin"),
+    "units": Verb("cli.units", "measure accuracy on machines that no training has seen", "twin"),
     "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
     "diagnose": Verb(
         "cli.diagnose",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from diagnosis.evaluation.conditions import ConditionRow
 from diagnosis.evaluation.paper import SCATTER_RANGE_M
 from diagnosis.evaluation.sensitivity import FactorShift
 from diagnosis.intervals import Interval, deviation_interval, mean_interval, share_interval
@@ -75,6 +76,10 @@ class ModeEvaluation(BaseModel):
     sensitivity_range_m: float | None
     sensitivity: tuple[FactorShift, ...]
     sensitivity_note: str
+    paces: tuple[ConditionRow, ...] = ()
+    """Careful to fast; empty for a policy that knows no pace."""
+    heights: tuple[ConditionRow, ...] = ()
+    """Off the ground; empty for a policy of the ground alone."""
 
     @property
     def scatter(self) -> TargetRow | None:

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from diagnosis.evaluation.drawings import landing_plot, range_plot, sensitivity_plot
+from diagnosis.evaluation.conditions import ConditionRow
+from diagnosis.evaluation.drawings import (
+    front_plot,
+    landing_plot,
+    range_plot,
+    sensitivity_plot,
+)
 from diagnosis.evaluation.measures import Estimate, ModeEvaluation, TargetRow
 from diagnosis.evaluation.paper import SCATTER, SCATTER_RANGE_M, SIMULATED
 from diagnosis.evaluation.sensitivity import FactorShift
@@ -27,6 +33,7 @@ def evaluation_html(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
             _ranges(parts, reach_m),
             _scatters(parts),
             *(_targets(part) for part in parts),
+            *(_conditions(part) for part in parts),
             *(_sensitivity(part) for part in parts),
             *(_failures(part) for part in parts),
         )
@@ -137,6 +144,49 @@ def _row(target: TargetRow) -> str:
     return (
         f'<tr><td class="number">{target.range_m:g} m</td><td class="number">{target.landed} of '
         f'{target.throws}<br><span class="dim">{percent(low)} to {percent(high)}</span></td>{cells}</tr>'
+    )
+
+
+def _conditions(part: ModeEvaluation) -> str:
+    """The front from careful to fast, and targets off the ground."""
+    mode = part.mode.upper()
+    paces = (
+        f"<figure>{front_plot(part.paces, f'{part.mode} spread over time and release speed')}</figure>"
+        f"{_condition_table(part.paces)}"
+        if part.paces
+        else "<p>This policy was trained without a pace: it throws in one way.</p>"
+    )
+    heights = (
+        _condition_table(part.heights)
+        if part.heights
+        else "<p>This policy was trained for targets on the ground alone.</p>"
+    )
+    return section(f"Careful to fast, {mode}", paces) + section(f"Off the ground, {mode}", heights)
+
+
+def _condition_table(rows: Sequence[ConditionRow]) -> str:
+    cells = "".join(
+        f'<tr><td class="number">{row.range_m:g} m</td><td class="number">{row.height_m:+g} m</td>'
+        f'<td class="number">{row.pace_ratio:g}</td>'
+        f'<td class="number">{row.landed_count} of {row.throw_count}</td>'
+        + "".join(
+            f'<td class="number">{NONE if v is None else f"{fixed(v, digits)} {unit}"}</td>'
+            for v, digits, unit in (
+                (row.mean_downrange_error_m, 3, "m"),
+                (row.sd_downrange_m, 3, "m"),
+                (row.mean_crossrange_error_m, 3, "m"),
+                (row.sd_crossrange_m, 3, "m"),
+                (row.start_to_release_s, 2, "s"),
+                (row.release_speed_m_per_s, 2, "m/s"),
+            )
+        )
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        '<div class="scroll"><table><tr><th>range</th><th>height</th><th>pace</th><th>landed</th>'
+        "<th>mean downrange error</th><th>sd downrange</th><th>mean crossrange error</th>"
+        f"<th>sd crossrange</th><th>start to release</th><th>release speed</th></tr>{cells}</table></div>"
     )
 
 

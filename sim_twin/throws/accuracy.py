@@ -13,6 +13,8 @@ class TargetAccuracy(TypedDict):
     """Landings at one target. None where too few throws landed for the number."""
 
     range_m: float
+    height_m: float
+    """Of the target surface above ground."""
     throws: int
     landed: int
     success_ratio: float
@@ -45,12 +47,15 @@ def landing_errors(results: Sequence[ThrowResult]) -> tuple[Array, Array]:
     )
 
 
-def target_accuracy(range_m: float, results: Sequence[ThrowResult]) -> TargetAccuracy:
+def target_accuracy(
+    range_m: float, results: Sequence[ThrowResult], height_m: float = 0.0
+) -> TargetAccuracy:
     """One target's row; standard deviations of the sample (n - 1)."""
     down, cross = landing_errors(results)
     has_mean, has_spread = down.size >= 1, down.size >= 2
     return TargetAccuracy(
         range_m=range_m,
+        height_m=height_m,
         throws=len(results),
         landed=int(down.size),
         success_ratio=down.size / len(results),
@@ -81,13 +86,14 @@ def accuracy_table(report: AccuracyReport) -> str:
     """The report as a table."""
     lines = [
         f"{report['mode']} on {report['plant']}, policy {report['policy']}, seed {report['seed']}",
-        "range/m  throws  landed  mean down/m  sd down/m  mean cross/m  sd cross/m",
+        "range/m  height/m  throws  landed  mean down/m  sd down/m  mean cross/m  sd cross/m",
     ]
     for row in report["targets"]:
         down, cross = _cell(row["mean_downrange_error_m"]), _cell(row["mean_crossrange_error_m"])
         sd_down, sd_cross = _cell(row["sd_downrange_m"], ""), _cell(row["sd_crossrange_m"], "")
         lines.append(
-            f"{row['range_m']:7.2f}  {row['throws']:6d}  {row['landed']:6d}  {down:>11}  "
+            f"{row['range_m']:7.2f}  {row['height_m']:8.1f}  {row['throws']:6d}  "
+            f"{row['landed']:6d}  {down:>11}  "
             f"{sd_down:>9}  {cross:>12}  {sd_cross:>10}"
         )
     lines.append(

@@ -12,6 +12,7 @@ from machine.errors import UsageError
 KEYS = {"mode", "plant", "policy", "seed", "seconds", "real_time_factor", "targets"}
 TARGET_KEYS = {
     "range_m",
+    "height_m",
     "throws",
     "landed",
     "success_ratio",
@@ -98,7 +99,7 @@ def test_the_report_has_the_promised_keys_and_repeats(
         assert target["success_ratio"] == pytest.approx(target["landed"] / 3)
     assert report["targets"] == reports[1]["targets"]
     output = capsys.readouterr()
-    assert "range/m  throws  landed" in output.out
+    assert "range/m  height/m  throws  landed" in output.out
     assert "evaluate: 6 of 6 throws" in output.err
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
@@ -108,6 +109,11 @@ def test_the_report_has_the_promised_keys_and_repeats(
     [
         (["--targets", "7:x"], "no number"),
         (["--targets", "20"], "Refused: target 20.00 m"),
+        (["--heights", "high"], "--heights 'high'"),
+        (["--heights", "0,11"], "each -5 to 10"),
+        (["--heights", "2"], "Refused: target height"),
+        (["--pace", "1.2"], "pace 1.2: it lies between"),
+        (["--heights", "0,0.5", "--plot", "x.png"], "--plot draws one height"),
         (["--targets", "6", "--plant", "gazebo"], "no plant 'gazebo'"),
         (["--targets", "6", "--seed", "-1"], "seeds are 0 or more"),
         (["--targets", "6", "--unit-seed", "2"], "no unit 2"),
