@@ -10,7 +10,7 @@ from training.train import accuracy_line
 
 
 def test_a_policy_that_never_opens_runs_out_of_time_at_every_distance():
-    actor = make_layers(jax.random.key(0), (56, 8, 4), 0.0)
+    actor = make_layers(jax.random.key(0), (57, 8, 4), 0.0)
     seen = measure(SPEC, small_task(Mode.PLANAR), actor, make_normaliser(60), (7.0, 9.0), 2, seed=1)
     assert [entry.range_m for entry in seen] == [7.0, 9.0]
     assert [entry.failure_count for entry in seen] == [{"timeout": 2}, {"timeout": 2}]

@@ -10,7 +10,7 @@ import pytest
 from tests.training.tiny_training import host
 from training.environment.environment import StartTable, ThrowEnvironment
 from training.environment.episode import StepInfo
-from training.environment.task import PpoConfig
+from training.environment.task import PpoConfig, planar_task
 from training.networks import make_normaliser, normalise, update_normaliser
 from training.ppo import Batch, Learner, Trainer, log_density
 
@@ -29,6 +29,8 @@ class PointEnvironment:
 
     action_count = 1
 
+    task = planar_task()
+
     def reset(self, key: Any, table: StartTable, rows: Any) -> PointState:
         wanted = table.target_m[rows, 0]
         return PointState(wanted, jnp.zeros_like(wanted))
@@ -39,7 +41,9 @@ class PointEnvironment:
     def drives(self, state: PointState) -> Any:
         return jnp.ones_like(state.wanted, dtype=bool)
 
-    def step(self, key: Any, state: PointState, action: Any) -> tuple[PointState, Any, StepInfo]:
+    def step(
+        self, key: Any, state: PointState, action: Any, hurry_ratio: Any
+    ) -> tuple[PointState, Any, StepInfo]:
         miss = action[:, 0] - state.wanted
         yes, no = jnp.ones_like(miss, dtype=bool), jnp.zeros_like(miss)
         info = StepInfo(yes, yes, no.astype(jnp.int32), jnp.stack([miss, no], -1), no + 0.08, no)

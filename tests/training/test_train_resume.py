@@ -93,7 +93,7 @@ def test_a_run_leaves_metrics_a_curve_and_a_policy_that_loads(whole: Path):
     summary = json.loads((whole / SUMMARY_FILE).read_text(encoding="utf-8"))
     assert summary["last"]["iteration_count"] == ITERATIONS
     runner = PolicyRunner(whole / "m545-2d-local", load_spec())
-    assert np.isfinite(runner.act(np.zeros((3, 56)))).all()
+    assert np.isfinite(runner.act(np.zeros((3, 57)))).all()
     record = runner.card.training
     assert (record.iteration_count, record.seed_count) == (ITERATIONS, 2)
     assert record.environment_step_count == ITERATIONS * steps
