@@ -11,7 +11,6 @@ import numpy as np
 from cli.campaigns import Campaign, open_campaign
 from cli.conditions import rows_of
 from diagnosis.evaluation.conditions import ConditionRow, pooled
-from machine.calibration import load_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from sim_twin.identify.register import REGISTRATION_THROW_COUNT, register_machine
@@ -94,7 +93,6 @@ def _register(campaign: Campaign, seed: int, path: Path) -> None:
         machine.close()
     tables = campaign.params.calibration.model_copy(update={"registrations": (found,)})
     path.write_text(tables.model_dump_json(), encoding="utf-8")
-    load_calibration(path)
 
 
 def _line(unit: int, rows: list[ConditionRow]) -> str:

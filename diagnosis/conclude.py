@@ -37,7 +37,7 @@ LEAST_GAIN_RATIO = 0.05
 """An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
 eye)."""
 PLAIN_PROBABILITY = 0.01
-"""Where "none" is less probable than this, a gain must be possible, and need not be certain."""
+"""Where "none" is less probable than this, a gain must be possible, and need not be certain (by eye)."""
 CAUSE_COUNT = 8
 RULED_OUT_COUNT = 12
 

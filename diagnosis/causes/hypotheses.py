@@ -80,7 +80,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     priors = problem.layout.priors
     at_none = screen(total(problem.information), priors)
     none = Trial((), np.zeros(0), problem.whitened, problem.information, priors, at_none)
-    found = [none, *_singles(problem)]
+    found = [none, *_singles(problem, at_none)]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
         fair = fair_evidence(found)
@@ -109,15 +109,14 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     return [_weighed(problem, trial, bases[fair[trial.members][1]]) for trial in trials]
 
 
-def _singles(problem: Problem) -> list[Trial]:
+def _singles(problem: Problem, base: Screen) -> list[Trial]:
     """The most hopeful effects alone, each settled at its own size.
 
     Seeds are the best by slopes at "no effect", the members of the best sets (alone they may look worse than
     they are), and everything that could act on the loudest joint. Effects with a threshold hardly show in a
-    slope at 0, so they also start from a typical size.
+    slope at 0, so they also start from a typical size. `base` is the screen at "no effect".
     """
     priors = problem.layout.priors
-    base = screen(total(problem.information), priors)
     first = search(base, priors)
     seeds = [e.members for e in first if len(e.members) == 1][:SINGLE_COUNT]
     seeds += [(g,) for e in first[:PART_COUNT] for g in e.members]

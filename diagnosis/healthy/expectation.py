@@ -39,11 +39,11 @@ WITHOUT_MEAN = (
 that of the dead time, which the identification sees with the joint sensor in it."""
 SET_SHRINKING_COUNT = 30.0
 THROW_SHRINKING_COUNT = 60.0
-"""So many sets (throws) without any correlation are added to those that were seen."""
+"""So many sets (throws) without any correlation are added to those that were seen (by eye)."""
 NO_SLOPE = ("valve_hysteresis", "speed_limit", "backlash", "stiction")
 MOST_SD_RATIO = 3.0
 """Effects with a threshold have no slope at 0: what healthy machines say of them is mostly correlation with
-others, and their scatter stays below this multiple of the library's tolerance."""
+others, and their scatter stays below this multiple of the library's tolerance (by eye)."""
 LEAST_SD_RATIO = 0.02
 """Of the library's tolerance: no direction is without scatter."""
 

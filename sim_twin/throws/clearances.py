@@ -26,6 +26,8 @@ ARM_SHAPES = ("boom_obstacle", "dipper_obstacle", "telescope_obstacle", *GRIPPER
 """Everything that moves out over the yard; capsules and spheres, all of them."""
 SITE_MARGIN_M = 0.2
 """Kept from objects of the site. Chosen by eye: people say where things stand with a tape measure."""
+TO_SITE = "arm or gripper to "
+"""Begins the names of clearances from objects of the site."""
 SAMPLE_SPACING_M = 0.15
 """Of points on the axes of capsules; a corner between two of them is seen 15 mm too far off at most."""
 
@@ -94,10 +96,6 @@ def solid_clearances(
         for name, (distance, index) in smallest.items()
         for at in (index * period_s,)
     ]
-
-
-TO_SITE = "arm or gripper to "
-"""Begins the names of clearances from objects of the site."""
 
 
 def _note_site(

@@ -114,13 +114,13 @@ def main(count: int, names: list[str]) -> None:
                     asked[f"{effect}.{parameter}"] += 1
                     held[f"{effect}.{parameter}"] += low <= value <= high
                 if not exact:
-                    print(f"  {seed}: {found.verdict.value} {sorted(named)}", flush=True)  # noqa: T201
+                    sys.stdout.write(f"  {seed}: {found.verdict.value} {sorted(named)}\n")
             each = ", ".join(f"{name} {held[name]}/{asked[name]}" for name in asked)
-            print(  # noqa: T201
+            sys.stdout.write(
                 f"{case.__name__}: causes right in {right} of {count}, intervals {held.total()} of "
-                f"{asked.total()} ({each})",
-                flush=True,
+                f"{asked.total()} ({each})\n"
             )
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

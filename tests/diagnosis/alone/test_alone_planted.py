@@ -155,7 +155,7 @@ def main(count: int) -> None:
             trials = [trial(name, 1000 + seed, Path(folder)) for seed in range(count)]
             verdicts = Counter(f"{f.verdict.value} {'+'.join(sorted(n))}" for f, n, _, _ in trials)
             held, asked = sum(t[2] for t in trials), sum(t[3] for t in trials)
-            print(f"{name}: {dict(verdicts)}, intervals {held} of {asked}", flush=True)  # noqa: T201
+            sys.stdout.write(f"{name}: {dict(verdicts)}, intervals {held} of {asked}\n")
 
 
 if __name__ == "__main__":

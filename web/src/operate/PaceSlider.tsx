@@ -5,11 +5,6 @@ import { PACE_STEP, paceWords } from "./pace";
 
 type Props = { pace_ratio: number; isHeeded: boolean; onPace: (pace_ratio: number) => void };
 
-const MARKS = [
-  { value: 0, label: "careful" },
-  { value: 1, label: "fast" },
-];
-
 /** Careful to fast: less speed and spread, or less time. Sent with the plan when it is let go. */
 export function PaceSlider({ pace_ratio, isHeeded, onPace }: Props) {
   const [shown, setShown] = useState(pace_ratio);
@@ -17,18 +12,16 @@ export function PaceSlider({ pace_ratio, isHeeded, onPace }: Props) {
   return (
     <div className={classes.pace}>
       <div className={classes.line}>
-        <span id="pace-label">Pace</span>
+        <span>Pace</span>
         <output className={classes.value}>
           {isHeeded ? paceWords(shown) : "this policy has one pace"}
         </output>
       </div>
       <Slider
-        thumbProps={{ "aria-labelledby": "pace-label" }}
         thumbLabel="Pace"
         min={0}
         max={1}
         step={PACE_STEP}
-        marks={MARKS}
         label={null}
         size={6}
         thumbSize={26}
@@ -37,6 +30,10 @@ export function PaceSlider({ pace_ratio, isHeeded, onPace }: Props) {
         onChange={setShown}
         onChangeEnd={onPace}
       />
+      <div className={classes.ends} aria-hidden="true">
+        <span>careful</span>
+        <span>fast</span>
+      </div>
     </div>
   );
 }
