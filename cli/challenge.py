@@ -21,6 +21,7 @@ def make(
     sealed: Path,
     sets: int = 200,
     throws: int = 12,
+    reference_throws: int = 12,
     tiers: tuple[Literal["null", "single", "pair", "unknown", "cross"], ...] = (
         "null",
         "single",
@@ -45,18 +46,22 @@ def make(
         sealed: file for the truth, outside of OUT.
         sets: data sets in all.
         throws: throws of each set.
+        reference_throws: throws of each machine while it was healthy, for the diagnosis to compare with.
         tiers: kinds of sets; cross is single effects and pairs by another solver in finer steps.
         policies: folder of policy versions that throw.
         jobs: processes at work side by side.
     """
     if seed < 0 or throws < 3 or jobs < 1:
         raise UsageError(f"--seed {seed} --throws {throws} --jobs {jobs}: at least 0, 3 and 1")
+    if reference_throws != 0 and reference_throws < 3:
+        raise UsageError(f"--reference-throws {reference_throws}: 0 for none, or at least 3")
     truths = make_challenge(
         seed=seed,
         out=out,
         sealed=sealed,
         sets=sets,
         throws=throws,
+        reference_throws=reference_throws,
         policies=policies,
         tiers=[Tier(name) for name in tiers],
         jobs=jobs,

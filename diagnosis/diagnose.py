@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import pose
 from diagnosis.causes.ranking import rank
 from diagnosis.conclude import Findings, conclude
-from diagnosis.healthy.filters import HealthyModel, load_healthy
-from diagnosis.healthy.noise import NoiseModel, load_noise
+from diagnosis.healthy.health import Health, load_health
+from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
@@ -27,13 +26,6 @@ Progress = Callable[[float, str], None]
 """Told the share done, 0 to 1, and what is being done."""
 
 
-class Health(NamedTuple):
-    """What is known of healthy machines of the type."""
-
-    filters: HealthyModel
-    noise: NoiseModel
-
-
 class CancelledError(Exception):
     """The user asked to stop."""
 
@@ -44,6 +36,7 @@ def diagnose_throws(
     progress: Progress | None = None,
     cancel: Callable[[], bool] | None = None,
     health: Health | None = None,
+    reference: LoadedSet | None = None,
 ) -> Diagnosis:
     """Diagnose a set of throws.
 
@@ -53,20 +46,26 @@ def diagnose_throws(
         progress: told what is being done.
         cancel: asked between steps whether to stop.
         health: what a healthy machine of the type looks like; the calibrated one if left out.
+        reference: throws of the same machine while it was healthy, which tell effects from what this machine
+            is off anyway; without them it is compared with healthy machines of the type.
 
     Raises:
         CancelledError: `cancel` said so.
+        UsageError: the reference throws are too few, of another machine, or among those diagnosed.
     """
     refused = loaded.too_few()
     if refused is not None:
         return refused
+    if reference is not None:
+        check_reference(reference, loaded.throws)
     with one_blas_thread():
-        known = Health(load_healthy(), load_noise()) if health is None else health
-        return _diagnose(loaded, profile, known, progress, cancel)
+        known = load_health() if health is None else health
+        return _diagnose(loaded, reference, profile, known, progress, cancel)
 
 
 def _diagnose(
     loaded: LoadedSet,
+    reference: LoadedSet | None,
     profile: TwinProfile,
     health: Health,
     progress: Progress | None,
@@ -82,6 +81,9 @@ def _diagnose(
         if progress is not None:
             progress(share, text)
 
+    if reference is not None:
+        tell(0.0, "the machine while it was healthy")
+        health = of_reference(reference, profile, health)
     tell(0.02, "measured motion")
     model = health.noise
     prepared = prepare(loaded.throws, profile)
@@ -92,8 +94,8 @@ def _diagnose(
     jitter = fit_jitter(prepared, profile, model)
     plan = layout(model)
     if jitter.log_odds > 0.0:
-        model = model.with_jitter(jitter.size_s)
-    problem = pose(prepared, profile, calibration, health.filters, model, plan)
+        health = health._replace(noise=model.with_jitter(jitter.size_s))
+    problem = pose(prepared, profile, calibration, health, plan)
     tell(0.35, "which: sets of effects")
     hypotheses = explore(problem, lambda s: tell(0.35 + 0.5 * s, "which: sets of effects"))
     ranked = rank(problem, hypotheses, jitter)

@@ -217,7 +217,7 @@ def layout(model: NoiseModel) -> Layout:
 def _scatter(model: NoiseModel) -> Array:
     """Covariance of the whole vector; drifts are independent of each other and of the rest."""
     count = len(library())
-    shared = model.scatter.covariance(scatter_names())
+    shared = model.scatter(scatter_names())
     size = shared.shape[0] + count
     whole = np.zeros((size, size))
     fixed = np.r_[:count, 2 * count : size]

@@ -17,6 +17,7 @@ from diagnosis.causes.whitening import (
 )
 from diagnosis.healthy.adapt import filters_help, inflated, misfit
 from diagnosis.healthy.filters import HealthyModel, nothing
+from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import PreparedThrow
 from machine.calibration import ValveCalibration
@@ -50,12 +51,14 @@ def pose(
     prepared: Sequence[PreparedThrow],
     profile: TwinProfile,
     calibration: ValveCalibration,
-    healthy: HealthyModel,
-    model: NoiseModel,
+    health: Health,
     layout: Layout,
 ) -> Problem:
     """Linearise at "no effect", with as much of the healthy machines' model as suits this one."""
+    healthy, model = health.filters, health.noise
     linear = linearise(prepared, profile, calibration, healthy)
+    if health.is_own:
+        return _whitened(prepared, profile, calibration, healthy, model, layout, linear)
     if not filters_help(prepared, linear, healthy):
         healthy = nothing()
         linear = linearise(prepared, profile, calibration, healthy)

@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
@@ -42,6 +42,8 @@ LEAST_LANDED_RATIO: Final = 2 / 3
 WEAKER_RATIO: Final = 0.7
 MAX_ATTEMPTS: Final = 6
 MANIFEST: Final = "manifest.json"
+REFERENCE: Final = "reference"
+"""Folder of the machines' healthy throws, beside the sets."""
 PROFILE_NAME: Final = "profile.json"
 CALIBRATION_NAME: Final = "calibration.json"
 
@@ -123,13 +125,13 @@ def plant_condition(truth: SetTruth, machine: HealthyMachine, place_ratio: Array
 
 def make_set(truth: SetTruth, out: Path, throws: int, policies: Path) -> SetTruth:
     """Throw one set into OUT/SET; returns the truth, with weaker effects if too little landed."""
-    spec = load_spec()
-    machine = healthy_machine(spec, truth.unit_seed)
+    machine = healthy_machine(load_spec(), truth.unit_seed)
     folder = out / truth.set_id
     for _ in range(MAX_ATTEMPTS):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        landed = _throw_set(truth, machine, folder, throws, policies, spec)
+        thrower = _Thrower(machine, folder, truth.set_id, truth.seed, policies)
+        landed = thrower.throw(throws, partial(plant_condition, truth, machine))
         truth = truth.model_copy(update={"landed_count": landed})
         if landed >= LEAST_LANDED_RATIO * throws or not truth.effects:
             break
@@ -140,42 +142,58 @@ def make_set(truth: SetTruth, out: Path, throws: int, policies: Path) -> SetTrut
     return truth
 
 
-def _throw_set(
-    truth: SetTruth,
-    machine: HealthyMachine,
-    folder: Path,
-    throws: int,
-    policies: Path,
-    spec: MachineSpec,
-) -> int:
-    """Throws that landed."""
-    landed = 0
-    for plan in plan_throws(spec, throws, np.random.default_rng([truth.seed, 0x1])):
-        params = ControlParams(
-            spec=spec,
-            calibration=machine.calibration,
-            mode=plan.mode,
-            policy=open_policy(policies, plan.mode),
-        )
-        context = LogContext(
-            machine_id=machine.calibration.machine_id,
-            throw_prefix=truth.set_id,
-            twin_profile_version_count=machine.profile.version_count,
-            out_dir=folder,
-            twin_profile=machine.profile,
-            throw_numbers=plan.numbers,
-        )
-        place = np.array(plan.numbers) / max(throws - 1, 1)
-        plant = VirtualMachine(
-            count=len(plan.numbers),
-            unit_seed=truth.unit_seed,
-            condition=plant_condition(truth, machine, place),
-        )
-        seed = truth.seed + (plan.mode is Mode.SPATIAL)
-        recorder = LossyRecorder(params, context, seed)
-        results = run_throws(plant, params, plan.target_m, plan.start_rad_m, seed, record=recorder)
-        landed += sum(result.outcome is Outcome.LANDED for result in results)
-    return landed
+def make_reference(unit_seed: int, seed: int, out: Path, throws: int, policies: Path) -> Path:
+    """Throws of a machine as it was measured, without nuisance, into OUT/reference/MACHINE."""
+    machine = healthy_machine(load_spec(), unit_seed)
+    name = machine.calibration.machine_id
+    folder = out / REFERENCE / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    thrower = _Thrower(machine, folder, f"{name}-healthy", seed, policies)
+    thrower.throw(throws, lambda place: Condition(place_ratio=place, unit=machine.unit))
+    return folder
+
+
+class _Thrower(NamedTuple):
+    """One machine, and where its logs go."""
+
+    machine: HealthyMachine
+    folder: Path
+    throw_prefix: str
+    seed: int
+    policies: Path
+
+    def throw(self, throws: int, condition: Callable[[Array], Condition]) -> int:
+        """Throws that landed, of `throws` under the condition that belongs to their places in the set."""
+        spec, machine = load_spec(), self.machine
+        landed = 0
+        for plan in plan_throws(spec, throws, np.random.default_rng([self.seed, 0x1])):
+            params = ControlParams(
+                spec=spec,
+                calibration=machine.calibration,
+                mode=plan.mode,
+                policy=open_policy(self.policies, plan.mode),
+            )
+            context = LogContext(
+                machine_id=machine.calibration.machine_id,
+                throw_prefix=self.throw_prefix,
+                twin_profile_version_count=machine.profile.version_count,
+                out_dir=self.folder,
+                twin_profile=machine.profile,
+                throw_numbers=plan.numbers,
+            )
+            plant = VirtualMachine(
+                count=len(plan.numbers),
+                unit_seed=machine.unit.unit_seed,
+                condition=condition(np.array(plan.numbers) / max(throws - 1, 1)),
+            )
+            seed = self.seed + (plan.mode is Mode.SPATIAL)
+            recorder = LossyRecorder(params, context, seed)
+            results = run_throws(
+                plant, params, plan.target_m, plan.start_rad_m, seed, record=recorder
+            )
+            landed += sum(result.outcome is Outcome.LANDED for result in results)
+        return landed
 
 
 def make_challenge(
@@ -186,11 +204,24 @@ def make_challenge(
     sets: int,
     throws: int,
     policies: Path,
+    reference_throws: int = 12,
     tiers: Sequence[Tier] = tuple(Tier),
     jobs: int = 2,
     progress: Progress | None = None,
 ) -> list[SetTruth]:
     """Make a whole challenge.
+
+    Args:
+        seed: of everything.
+        out: folder for the data.
+        sealed: file for the truth.
+        sets: data sets in all.
+        throws: throws of each set.
+        policies: that throw.
+        reference_throws: throws of each machine while it was healthy; 0 for none.
+        tiers: kinds of sets.
+        jobs: processes side by side.
+        progress: told the sets done and the sets in all.
 
     Raises:
         UsageError: the sealed file would lie among the data, the folder holds something else, or nothing
@@ -200,6 +231,8 @@ def make_challenge(
     truths = draw_truths(seed, sets, load_limits(), tiers)
     for unit_seed in sorted({truth.unit_seed for truth in truths}):
         healthy_machine(load_spec(), unit_seed)
+        if reference_throws:
+            make_reference(unit_seed, seed, out, reference_throws, policies)
     done: dict[str, SetTruth] = {}
     for truth in spread([(t, out, throws, policies) for t in truths], make_set, jobs):
         done[truth.set_id] = truth
@@ -219,6 +252,7 @@ def make_challenge(
         "sealed_sha256": hashlib.sha256(text.encode()).hexdigest(),
         "sets": [truth.set_id for truth in final],
         "throws_per_set_count": throws,
+        "reference_throws_count": reference_throws,
     }
     (out / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return final
@@ -246,7 +280,7 @@ def _check_places(out: Path, sealed: Path) -> None:
     if not sealed.parent.is_dir():
         raise UsageError(f"cannot write {sealed}: the folder {sealed.parent} does not exist")
     if out.is_dir() and any(
-        p.name != MANIFEST and not p.name.startswith("set-") for p in out.iterdir()
+        p.name not in (MANIFEST, REFERENCE) and not p.name.startswith("set-") for p in out.iterdir()
     ):
         raise UsageError(f"--out {out} holds other files; give a folder of the challenge's own")
     out.mkdir(parents=True, exist_ok=True)

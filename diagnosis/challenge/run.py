@@ -11,20 +11,22 @@ from resource import RUSAGE_SELF, getrusage
 from time import perf_counter
 from typing import Any, Final
 
-from diagnosis.challenge.make import MANIFEST, PROFILE_NAME, spread
-from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.challenge.make import MANIFEST, PROFILE_NAME, REFERENCE, spread
+from diagnosis.loading.logs import load_throws
 from diagnosis.verdict import Diagnosis
 from machine.errors import UsageError
-from sim_twin.twin.profile import TwinProfile, load_profile
+from sim_twin.twin.profile import load_profile
 
-Method = Callable[[LoadedSet, TwinProfile], Diagnosis]
+Method = Callable[..., Diagnosis]
+"""Of a loaded set and the machine's profile; `diagnose` also takes its healthy throws."""
+DIAGNOSE: Final = "diagnose"
 METHODS: Final = {
-    "diagnose": "diagnosis.diagnose:diagnose_throws",
+    DIAGNOSE: "diagnosis.diagnose:diagnose_throws",
     "largest_z": "diagnosis.baselines.tune_all:largest_z",
     "evolution": "diagnosis.baselines.tune_all:evolution",
     "lag_rmse": "diagnosis.baselines.lag:lag_rmse",
 }
-"""What can be run: the diagnosis and the baselines, all of one signature."""
+"""What can be run: the diagnosis and the baselines."""
 Progress = Callable[[int, int], None]
 
 
@@ -49,7 +51,7 @@ def run_challenge(
     folder: Path,
     out: Path,
     *,
-    method: str = "diagnose",
+    method: str = DIAGNOSE,
     jobs: int = 1,
     limit: int | None = None,
     progress: Progress | None = None,
@@ -92,7 +94,11 @@ def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
     try:
         loaded = load_throws([folder])
         profile = load_profile(folder / PROFILE_NAME)
-        found = _method(method)(loaded, profile)
+        healthy = folder.parent / REFERENCE / profile.machine_id
+        if method == DIAGNOSE and healthy.is_dir():
+            found = _method(method)(loaded, profile, reference=load_throws([healthy]))
+        else:
+            found = _method(method)(loaded, profile)
         said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
         said["evidence"] = _small(said["evidence"])
     except Exception as error:  # the harness must outlive whatever it tests

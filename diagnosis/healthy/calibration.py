@@ -49,6 +49,8 @@ FIRST_THROW_SD = {
 }
 FIRST_SPIKE_RATIO = 4.0
 """Of the library's tolerances: where the rounds begin."""
+FIRST_MACHINE_SHARE = 0.7
+"""Of the variance: where the rounds begin."""
 MIN_LEVEL_SD = 0.08
 LEVEL_WIDENING_RATIO = 1.3
 """Few sets show less than their true spread."""
@@ -127,7 +129,8 @@ def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
         note=note,
         channels={name: _first_channel(name) for name in block_names},
         throw_scatter=Scatter.of(throw_nuisances(), np.diag(of_throw**2)),
-        scatter=Scatter.of(scatter_names(), np.diag(of_set**2)),
+        machine_scatter=Scatter.of(scatter_names(), np.diag(FIRST_MACHINE_SHARE * of_set**2)),
+        set_scatter=Scatter.of(scatter_names(), np.diag((1.0 - FIRST_MACHINE_SHARE) * of_set**2)),
         drift_sd={p.key: p.tolerance for p in library()},
         healthy_mean={},
         healthy_gap_m={},

@@ -1,9 +1,9 @@
 """Expectation maximisation: the scatter under which throws of healthy machines are most probable.
 
-Each set of throws is one machine: its parameters theta ~ N(mean, S), and those of every throw eta ~ N(0, T),
-come on top of the noise of the channels. One round fits all sets under the present S, T and noise, and then
-takes the second moments of the fits as the new S and T, drawn a little towards their diagonals because
-there are hardly more sets than directions.
+Parameters of a set scatter at two levels (two_levels.py), and those of every throw, eta ~ N(0, T), come on
+top of the noise of the channels. One round fits all sets under the present scatter and noise, learns both
+levels from what the sets tell, and takes the second moment of the throws' fits as the new T, drawn a little
+towards its diagonal because there are hardly more throws than directions.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from diagnosis.causes.parameters import Layout, layout, library, scatter_names
+from diagnosis.causes.parameters import layout, library, scatter_names
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import screen, total
 from diagnosis.causes.whitening import (
@@ -24,22 +24,16 @@ from diagnosis.causes.whitening import (
     whiten_throw,
 )
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
+from diagnosis.healthy.two_levels import Levels, Told, learn, shrunk, told
 from diagnosis.loading.prepared import PreparedThrow
 from machine.calibration import ValveCalibration
-from machine.conventions import Array, IntArray
+from machine.conventions import Array
 from sim_twin.twin.profile import TwinProfile
 
 KEPT_NUISANCES = ("release_delay_s", "switch_lag_s")
 """Not separable in healthy data: jitter of the opening is in the machine's profile."""
-WITHOUT_MEAN = (
-    *(f"valve_{name}" for name in ("lag", "dead_band", "gain", "hysteresis")),
-    *("speed_limit", "load_dependent_speed", "backlash", "stiction", "pump_flow_sharing"),
-)
-"""What is off there on every machine is taken away by the filters; a mean of their own would drift against
-that of the dead time, which the identification sees with the joint sensor in it."""
-SET_SHRINKING_COUNT = 30.0
 THROW_SHRINKING_COUNT = 60.0
-"""So many sets (throws) without any correlation are added to those that were seen (by eye)."""
+"""So many throws without any correlation are added to those that were seen (by eye)."""
 NO_SLOPE = ("valve_hysteresis", "speed_limit", "backlash", "stiction")
 MOST_SD_RATIO = 3.0
 """Effects with a threshold have no slope at 0: what healthy machines say of them is mostly correlation with
@@ -70,6 +64,8 @@ class Fit:
     """(q, q) posterior second moment of the throws' independent directions, mean over throws."""
     left: Sequence[Array]
     """By throw, in the channels' own units, nuisances and parameters taken off."""
+    told: Told
+    """What the set says about its constants and nuisances."""
 
 
 def fit(one: HealthySet, model: NoiseModel) -> Fit:
@@ -79,7 +75,8 @@ def fit(one: HealthySet, model: NoiseModel) -> Fit:
         whiten_throw(p, linear, model, f)
         for p, linear, f in zip(one.prepared, one.linear, factor, strict=True)
     ]
-    base = screen(total(information(white)), layout(model).priors)
+    data, plan = total(information(white)), layout(model)
+    base = screen(data, plan.priors)
     moments: list[Array] = []
     left: list[Array] = []
     for w, p, lower in zip(white, one.prepared, factor, strict=True):
@@ -89,7 +86,7 @@ def fit(one: HealthySet, model: NoiseModel) -> Fit:
         for block, one_factor in zip(p.blocks, lower, strict=True):
             raw[block.rows] = one_factor @ rest[block.rows]
         left.append(raw)
-    return Fit(base.mean, base.covariance, np.mean(moments, axis=0), left)
+    return Fit(base.mean, base.covariance, np.mean(moments, axis=0), left, told(data, plan))
 
 
 def _without_nuisances(white: Whitened, mean: Array) -> tuple[Array, Array]:
@@ -103,30 +100,12 @@ def _without_nuisances(white: Whitened, mean: Array) -> tuple[Array, Array]:
 
 def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     """One round."""
-    plan, names = layout(model), scatter_names()
+    plan = layout(model)
     fits = [fit(one, model) for one in sets]
-    fixed = _fixed(plan)
-    middle = np.mean([f.mean for f in fits], axis=0)[fixed]
-    moves = np.array([0.0 if name.startswith(WITHOUT_MEAN) else 1.0 for name in names])
-    # The mean moves in steps; what is left of it this round does not count as scatter.
-    shifted = [f.mean[fixed] - moves * middle for f in fits]
-    seen = np.mean(
-        [
-            np.outer(m, m) + f.covariance[np.ix_(fixed, fixed)]
-            for m, f in zip(shifted, fits, strict=True)
-        ],
-        axis=0,
-    )
     drifts = slice(plan.parameter_count, plan.parameter_count + plan.drift_count)
     drift = np.mean([f.mean[drifts] ** 2 + np.diag(f.covariance)[drifts] for f in fits], axis=0)
-    return model.model_copy(
+    return with_levels_of(sets, fits, model).model_copy(
         update={
-            "healthy_mean": {
-                name: model.healthy_mean.get(name, 0.0) + float(middle[place])
-                for place, name in enumerate(names)
-                if moves[place]
-            },
-            "scatter": Scatter.of(names, _shrunk(seen, len(fits), SET_SHRINKING_COUNT)),
             "drift_sd": {
                 p.key: float(f"{max(np.sqrt(v), LEAST_SD_RATIO * p.tolerance):.4g}")
                 for p, v in zip(library(), drift, strict=True)
@@ -139,23 +118,41 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     )
 
 
-def _fixed(plan: Layout) -> IntArray:
-    """Places of the vector that are no drifts."""
-    return np.r_[: plan.parameter_count, plan.parameter_count + plan.drift_count : plan.size_count]
-
-
-def _shrunk(covariance: Array, count: int, shrinking_count: float) -> Array:
-    share = shrinking_count / (count + shrinking_count)
-    return (1.0 - share) * covariance + share * np.diag(np.diag(covariance))
+def with_levels_of(
+    sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel
+) -> NoiseModel:
+    """The model with the scatter of machines and sets that these fits tell."""
+    names = scatter_names()
+    machines: dict[str, list[Told]] = {}
+    for one, found in zip(sets, fits, strict=True):
+        machines.setdefault(one.prepared[0].throw.machine_id, []).append(found.told)
+    first = Levels(
+        np.zeros(len(names)),
+        model.machine_scatter.covariance(names),
+        model.set_scatter.covariance(names),
+    )
+    levels = learn(list(machines.values()), first)
+    return model.model_copy(
+        update={
+            "healthy_mean": {
+                name: model.healthy_mean.get(name, 0.0) + float(moved)
+                for name, moved in zip(names, levels.mean, strict=True)
+            },
+            "machine_scatter": Scatter.of(names, levels.machine),
+            "set_scatter": Scatter.of(names, levels.within),
+        }
+    )
 
 
 def capped(model: NoiseModel) -> NoiseModel:
     """The model with as much scatter of effects without a slope at 0 as can be believed."""
-    scatter = model.scatter
-    most = {p.key: MOST_SD_RATIO * p.tolerance for p in library() if p.effect in NO_SLOPE}
-    for name, sd in most.items():
-        scatter = scatter.with_sd(name, min(sd, scatter.sd_of(name)))
-    return model.model_copy(update={"scatter": scatter})
+    parts = {"machine_scatter": model.machine_scatter, "set_scatter": model.set_scatter}
+    for p in library():
+        sd = float(np.sqrt(model.scatter([p.key])[0, 0]))
+        if p.effect in NO_SLOPE and sd > MOST_SD_RATIO * p.tolerance:
+            share = MOST_SD_RATIO * p.tolerance / sd
+            parts = {k: v.with_sd(p.key, share * v.sd_of(p.key)) for k, v in parts.items()}
+    return model.model_copy(update=parts)
 
 
 def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel) -> Scatter:
@@ -167,7 +164,7 @@ def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: Noise
     seen[kept, :] = 0.0
     seen[:, kept] = 0.0
     seen[kept, kept] = [model.throw_scatter.sd_of(name) ** 2 for name in KEPT_NUISANCES]
-    return Scatter.of(names, _shrunk(seen, throws, THROW_SHRINKING_COUNT))
+    return Scatter.of(names, shrunk(seen, throws, THROW_SHRINKING_COUNT))
 
 
 def _channel(

@@ -84,8 +84,11 @@ class NoiseModel(BaseModel):
     """By block name."""
     throw_scatter: Scatter
     """What differs from throw to throw on a healthy machine."""
-    scatter: Scatter
-    """What healthy machines are off in the direction of every parameter and nuisance of the set."""
+    machine_scatter: Scatter
+    """What healthy machines are off in the direction of every parameter and nuisance of the set, each by its
+    own and in all its sets."""
+    set_scatter: Scatter
+    """What one healthy machine is off from set to set on top of it."""
     drift_sd: Mapping[str, float]
     """By parameter key: what healthy machines drift within a set."""
     healthy_mean: Mapping[str, float]
@@ -95,6 +98,10 @@ class NoiseModel(BaseModel):
     """Impact gap of healthy machines by mode, root mean square, with the healthy filters."""
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of log(residual power), after the fit."""
+
+    def scatter(self, names: Sequence[str]) -> Array:
+        """Covariance (n, n) of what a set of throws of a healthy machine is off, in the order of names."""
+        return self.machine_scatter.covariance(names) + self.set_scatter.covariance(names)
 
     def with_jitter(self, extra_sd_s: float) -> "NoiseModel":
         """The model of a machine whose opening scatters by this much more."""

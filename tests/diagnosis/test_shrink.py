@@ -22,7 +22,7 @@ def problem() -> Problem:
     loaded = throws((EFFECT,), 6)
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
-    return pose(prepared, profile(), loaded.throws[0].calibration, known.filters, known.noise, plan)
+    return pose(prepared, profile(), loaded.throws[0].calibration, known, plan)
 
 
 def hypothesis(problem: Problem) -> Hypothesis:
@@ -90,7 +90,7 @@ def test_a_late_release_is_a_gap_that_closes() -> None:
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
-    one = pose(prepared, profile(), calibration, known.filters, known.noise, plan)
+    one = pose(prepared, profile(), calibration, known, plan)
     members = (plan.groups.index(("release_delay", None)),)
     found = shrink(
         one,

@@ -7,8 +7,8 @@ import numpy as np
 
 from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
 from diagnosis.causes.whitening import THROW_NUISANCES, throw_nuisances
-from diagnosis.diagnose import Health
 from diagnosis.healthy.filters import nothing
+from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import LoadedSet, ThrowData
 from machine.calibration import nominal_calibration
@@ -153,7 +153,8 @@ def health() -> Health:
             note="test",
             channels=channels,
             throw_scatter=Scatter.of(throw_nuisances(), np.diag(np.square(of_throw))),
-            scatter=Scatter.of(scatter_names(), np.diag(np.square(of_set))),
+            machine_scatter=Scatter.of(scatter_names(), np.diag(0.5 * np.square(of_set))),
+            set_scatter=Scatter.of(scatter_names(), np.diag(0.5 * np.square(of_set))),
             drift_sd={p.key: p.tolerance for p in library()},
             # The smoother of the joints leads by a tick; calibrated machines have it here.
             healthy_mean={

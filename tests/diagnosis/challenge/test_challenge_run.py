@@ -43,6 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
             sealed=folder / "truth.json",
             sets=2,
             throws=4,
+            reference_throws=3,
             policies=POLICIES,
             tiers=[Tier.NULL, Tier.SINGLE],
             jobs=1,
@@ -52,7 +53,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_a_set_is_logs_profile_and_calibration(made: tuple[Path, Path]) -> None:
     data, _ = made
-    assert sorted(p.name for p in data.iterdir()) == ["manifest.json", "set-0001", "set-0002"]
+    names = ["manifest.json", "reference", "set-0001", "set-0002"]
+    assert sorted(p.name for p in data.iterdir()) == names
     for name in ("set-0001", "set-0002"):
         files = sorted(p.name for p in (data / name).iterdir())
         logs = [f"{name}-{i:04d}.mcap" for i in range(4)]
@@ -107,7 +109,8 @@ def test_places_that_would_spoil_it_are_refused(tmp_path: Path, made: tuple[Path
         make(tmp_path, tmp_path.parent / "truth.json")
 
 
-def _fake(loaded: LoadedSet, profile: TwinProfile) -> Diagnosis:
+def _fake(loaded: LoadedSet, profile: TwinProfile, reference: LoadedSet) -> Diagnosis:
+    assert len(reference.throws) == 3
     if "set-0002" in loaded.throws[0].throw_id:
         raise ValueError("broken on purpose")
     return Diagnosis(verdict=VerdictKind.NONE, evidence={"clocks": 1, "where": None})

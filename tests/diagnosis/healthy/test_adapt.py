@@ -10,6 +10,7 @@ from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.whitening import whiten_throw
 from diagnosis.healthy.adapt import filters_help, inflated, misfit
 from diagnosis.healthy.filters import HealthyModel, nothing
+from diagnosis.healthy.health import Health
 from diagnosis.loading.prepared import prepare
 from machine.conventions import ACTIVE_JOINTS
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -21,7 +22,7 @@ def problem() -> Problem:
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
-    return pose(prepared, profile(), calibration, known.filters, known.noise, plan)
+    return pose(prepared, profile(), calibration, known, plan)
 
 
 def louder(problem: Problem, joints: tuple[str, ...], sd: float) -> dict[str, float]:
@@ -65,8 +66,7 @@ def test_filters_that_lead_away_from_the_machine_are_not_used(problem: Problem) 
         problem.prepared,
         problem.profile,
         problem.calibration,
-        filters,
-        problem.model,
+        Health(filters, problem.model),
         problem.layout,
     )
     assert not filters_help(problem.prepared, problem.linear, filters) or posed.healthy == nothing()

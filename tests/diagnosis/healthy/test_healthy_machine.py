@@ -48,7 +48,7 @@ def test_whitened_discrepancy_has_unit_power() -> None:
 
 def test_calibrated_files_fit_the_library() -> None:
     noise = load_noise()
-    assert noise.scatter.names == scatter_names()
+    assert noise.machine_scatter.names == noise.set_scatter.names == scatter_names()
     assert noise.throw_scatter.names == throw_nuisances()
     plan = layout(noise)
     assert len(plan.groups) == len(plan.priors.groups) == plan.priors.log_prior.size

@@ -1,0 +1,75 @@
+"""Throws of a machine while it was healthy, and what they tell about it.
+
+Healthy machines of a type scatter several times more than one of them does from week to week. What the
+reference throws show of the machine's own share (two_levels.py) becomes its mean, and what they leave of
+it is the scatter above which an effect has to show.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.causes.parameters import layout, scatter_names
+from diagnosis.causes.problem import Problem, pose
+from diagnosis.causes.selection import total
+from diagnosis.healthy.health import Health
+from diagnosis.healthy.noise import NoiseModel, Scatter
+from diagnosis.healthy.two_levels import Levels, of_machine, told
+from diagnosis.loading.logs import MIN_THROWS_COUNT, LoadedSet, ThrowData
+from diagnosis.loading.prepared import prepare
+from machine.errors import UsageError
+from sim_twin.twin.profile import TwinProfile
+
+
+def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> None:
+    """Refuse reference throws that say nothing of this machine.
+
+    Raises:
+        UsageError: too few, of another machine, or among those that are diagnosed.
+    """
+    if len(reference.throws) < MIN_THROWS_COUNT:
+        reasons = "; ".join(f"{path.name}: {reason}" for path, reason in reference.refused[:3])
+        raise UsageError(
+            f"{len(reference.throws)} usable reference throws, at least {MIN_THROWS_COUNT} are needed; "
+            f"{len(reference.refused)} logs were refused. {reasons}".strip()
+        )
+    own, other = diagnosed[0].machine_id, reference.throws[0].machine_id
+    if own != other:
+        raise UsageError(
+            f"the reference throws are of machine {other!r}, the diagnosed ones of {own!r}: a machine can "
+            "only be compared with itself. Give healthy throws of the same machine, or none"
+        )
+    both = sorted({t.throw_id for t in diagnosed} & {t.throw_id for t in reference.throws})
+    if both:
+        raise UsageError(
+            f"{len(both)} throws are to be diagnosed and are reference throws as well "
+            f"({', '.join(both[:3])}): what both have would not show. Give each throw once"
+        )
+
+
+def of_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:
+    """What is known of this machine, from its type and from throws while it was healthy."""
+    plan = layout(health.noise)
+    prepared, calibration = prepare(reference.throws, profile), reference.throws[0].calibration
+    problem = pose(prepared, profile, calibration, health, plan)
+    return Health(problem.healthy, _narrowed(problem.model, problem), is_own=True)
+
+
+def _narrowed(model: NoiseModel, problem: Problem) -> NoiseModel:
+    """The model with this machine's own share known as well as its throws tell it."""
+    names = scatter_names()
+    levels = Levels(
+        np.zeros(len(names)),
+        model.machine_scatter.covariance(names),
+        model.set_scatter.covariance(names),
+    )
+    mean, covariance = of_machine([told(total(problem.information), problem.layout)], levels)
+    return model.model_copy(
+        update={
+            "healthy_mean": {
+                name: model.healthy_mean.get(name, 0.0) + float(off)
+                for name, off in zip(names, mean, strict=True)
+            },
+            "machine_scatter": Scatter.of(names, covariance),
+        }
+    )

@@ -1,0 +1,69 @@
+"""What healthy throws of a machine tell: its own share is known, and other people's throws are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.causes.parameters import scatter_names
+from diagnosis.diagnose import diagnose_throws
+from diagnosis.healthy.reference import check_reference, of_reference
+from diagnosis.healthy.two_levels import Levels, Told, learn, of_machine
+from machine.errors import UsageError
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
+
+MACHINE_SD = np.array([3.0, 0.5])
+SET_SD = np.array([0.5, 1.0])
+
+
+def _sets(
+    rng: np.random.Generator, machines: int, sets: int
+) -> tuple[list[list[Told]], np.ndarray]:
+    """Machines whose sets see their parameters with unit noise, and what each machine is off."""
+    off = np.array([1.0, 0.0]) + MACHINE_SD * rng.standard_normal((machines, 2))
+    seen = off[:, None] + np.hypot(SET_SD, 1.0) * rng.standard_normal((machines, sets, 2))
+    return [[Told(np.eye(2), b) for b in one] for one in seen], off
+
+
+def test_both_levels_are_learned() -> None:
+    sets, _ = _sets(np.random.default_rng(0), 400, 4)
+    levels = learn(sets, Levels(np.zeros(2), np.eye(2), np.eye(2)), rounds=300)
+    np.testing.assert_allclose(levels.mean, [1.0, 0.0], atol=0.4)
+    np.testing.assert_allclose(np.sqrt(np.diag(levels.machine)), MACHINE_SD, rtol=0.25)
+    np.testing.assert_allclose(np.sqrt(np.diag(levels.within)), SET_SD, rtol=0.25)
+
+
+def test_a_machines_own_share_lies_within_what_is_said_of_it() -> None:
+    levels = Levels(np.array([1.0, 0.0]), np.diag(MACHINE_SD**2), np.diag(SET_SD**2))
+    sets, off = _sets(np.random.default_rng(1), 300, 3)
+    found = [of_machine(one, levels) for one in sets]
+    miss = np.array([(m - (t - levels.mean)) for (m, _), t in zip(found, off, strict=True)])
+    sd = np.sqrt(np.diag(found[0][1]))
+    assert (sd < 0.6 * MACHINE_SD + 0.4).all()
+    np.testing.assert_allclose(np.std(miss / sd, axis=0), 1.0, atol=0.15)
+
+
+def test_throws_of_the_healthy_machine_become_its_mean() -> None:
+    longer = Effect(effect="gripper_length", parameters={"extra_length_m": 0.01})
+    known = health()
+    own = of_reference(throws((longer,), 6, seed=5), profile(), known)
+    key = "gripper_length.extra_length_m"
+    assert own.is_own
+    assert own.noise.healthy_mean[key] == pytest.approx(0.005, abs=0.004)
+    before = np.diag(known.noise.machine_scatter.covariance(scatter_names()))
+    after = np.diag(own.noise.machine_scatter.covariance(scatter_names()))
+    assert (after < 1.01 * before).all()
+    assert own.noise.set_scatter == known.noise.set_scatter
+
+
+def test_reference_throws_are_refused_with_the_reason() -> None:
+    loaded = throws(count=3)
+    with pytest.raises(UsageError, match="3 throws are to be diagnosed and are reference throws"):
+        diagnose_throws(loaded, profile(), health=health(), reference=loaded)
+    few = replace(loaded, throws=loaded.throws[:2])
+    with pytest.raises(UsageError, match="2 usable reference throws, at least 3"):
+        check_reference(few, loaded.throws)
+    others = replace(loaded, throws=tuple(replace(t, machine_id="m009") for t in loaded.throws))
+    with pytest.raises(UsageError, match=r"'m009'.*'twin'"):
+        check_reference(others, loaded.throws)
