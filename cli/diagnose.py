@@ -23,6 +23,7 @@ def throws(
     logs: tyro.conf.Positional[tuple[Path, ...]],
     /,
     *,
+    reference: tyro.conf.UseAppendAction[tuple[Path, ...]] = (),
     profile: Path | None = None,
     json: Path | None = None,
     html: Path | None = None,
@@ -32,11 +33,17 @@ def throws(
 
     Example: downrange diagnose throws logs/m001 --profile m001.profile.json --json gap.json --html gap.html
 
+    With throws of the same machine from when it was healthy, smaller effects show than beside its type:
+    downrange diagnose throws logs/today --reference logs/commissioning
+
     Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
 
     Args:
         logs: throw logs of one machine (MCAP, or CSV with one file a throw: docs/throw_log.md), or folders of
             them; at least 3 throws, better 12.
+        reference: throw log or folder of the same machine while it was healthy, to compare with; may be given
+            several times, at least 3 throws altogether, better 24, none of them diagnosed. Without it the
+            throws are compared with healthy machines of the type.
         profile: twin profile of the machine; the one in the logs if left out, or nominal.
         json: file for the whole result.
         html: file for the report, one page that needs no network.
@@ -49,7 +56,12 @@ def throws(
     twin = load_profile(profile) if profile is not None else previewed
     twin = nominal_profile(load_spec()) if twin is None else twin
     tell = _teller()
-    found = diagnose_throws(loaded, twin, lambda share, text: tell(f"{share:4.0%} {text}"))
+    found = diagnose_throws(
+        loaded,
+        twin,
+        lambda share, text: tell(f"{share:4.0%} {text}"),
+        reference=load_throws(reference) if reference else None,
+    )
     if apply is not None and (effects := found_effects(found)):
         note = f"{twin.note}; diagnosis of {', '.join(str(path) for path in logs)}"
         save_profile(corrected_profile(twin, found, twin.machine_id, note), apply)

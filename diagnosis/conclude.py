@@ -13,6 +13,7 @@ from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
+from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
@@ -47,6 +48,8 @@ class Findings:
     """All that the verdict is made of."""
 
     loaded: LoadedSet
+    reference: LoadedSet | None
+    """Healthy throws of the machine that it was compared with."""
     problem: Problem
     ranked: Ranked
     terms: Terms
@@ -90,6 +93,7 @@ def conclude(found: Findings) -> Diagnosis:
         shrink=shrunk if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
         evidence={
             **found.loaded.evidence(),
+            "reference": reference_evidence(found.reference),
             "where": _where(verdict, ranked, stages),
             "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
             "log_evidence": {

@@ -109,5 +109,5 @@ def _diagnose(
     first = next((effect.joint for effect in best.effects if effect.joint is not None), None)
     plots = overlay(problem, best.effects, first)
     tell(1.0, "done")
-    concluded = conclude(Findings(loaded, problem, ranked, terms, found, seconds))
+    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found, seconds))
     return concluded.model_copy(update={"plots": plots})

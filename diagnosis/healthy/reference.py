@@ -6,6 +6,7 @@ it is the scatter above which an effect has to show.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from diagnosis.causes.selection import total
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.healthy.two_levels import Levels, of_machine, told
-from diagnosis.loading.logs import MIN_THROWS_COUNT, LoadedSet, ThrowData
+from diagnosis.loading.logs import MIN_THROWS_COUNT, LoadedSet, ThrowData, refusals
 from diagnosis.loading.prepared import prepare
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
@@ -45,6 +46,17 @@ def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> Non
             f"{len(both)} throws are to be diagnosed and are reference throws as well "
             f"({', '.join(both[:3])}): what both have would not show. Give each throw once"
         )
+
+
+def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
+    """For `Diagnosis.evidence`; None where a machine was compared with healthy ones of its type."""
+    if reference is None:
+        return None
+    return {
+        "throws_count": len(reference.throws),
+        "throw_ids": [throw.throw_id for throw in reference.throws],
+        "refused": refusals(reference.refused),
+    }
 
 
 def of_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:

@@ -119,7 +119,7 @@ class LoadedSet:
             "rates_hz": dict(self.rates),
             "clocks": {name: dict(audit) for name, audit in self.clocks.items()},
             "repairs": {t.throw_id: list(t.notes) for t in self.throws if t.notes},
-            "refused": [{"path": str(path), "reason": reason} for path, reason in self.refused],
+            "refused": refusals(self.refused),
         }
 
     def too_few(self) -> Diagnosis | None:
@@ -135,6 +135,11 @@ class LoadedSet:
             ).strip(),
             evidence=self.evidence(),
         )
+
+
+def refusals(refused: Sequence[tuple[Path, str]]) -> list[dict[str, str]]:
+    """Refused logs for `Diagnosis.evidence`."""
+    return [{"path": str(path), "reason": reason} for path, reason in refused]
 
 
 def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> LoadedSet:

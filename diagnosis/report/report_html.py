@@ -14,6 +14,7 @@ from diagnosis.report.report_words import (
     STAGE_WORDS,
     VERDICT_WORDS,
     cause_words,
+    compared_words,
     crossrange,
     downrange,
     effect_words,
@@ -97,6 +98,9 @@ def _verdict(found: Diagnosis, title: str) -> str:
     used = found.evidence.get("throws_used")
     if isinstance(used, Sequence) and not isinstance(used, str):
         facts.append(("Throws used", str(len(cast("Sequence[object]", used)))))
+    compared = compared_words(found.evidence)
+    if compared is not None:
+        facts.append(("Compared with", compared))
     listed = "".join(f"<div><dt>{escape(a)}</dt><dd>{escape(b)}</dd></div>" for a, b in facts)
     look = "true" if found.verdict in _LOOK else "false"
     return (

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any, cast
 
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter, Stage, VerdictKind
 
@@ -24,6 +25,17 @@ STAGE_WORDS: Mapping[Stage, tuple[str, str]] = {
     Stage.AIM: ("Aim", "sensors, base, survey"),
 }
 """Title of a stage and what it leads from and to."""
+
+
+def compared_words(evidence: Mapping[str, Any]) -> str | None:
+    """What throws were compared with; None where nothing was compared, as for one stage alone."""
+    if "reference" not in evidence:
+        return None
+    reference = evidence["reference"]
+    if not isinstance(reference, Mapping):
+        return "healthy machines of the type"
+    count = cast("Mapping[str, Any]", reference).get("throws_count")
+    return f"{count} healthy throws of this machine"
 
 
 def fixed(value: float | None, digits: int = 2) -> str:

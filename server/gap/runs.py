@@ -8,8 +8,7 @@ import logging
 import threading
 from collections import deque
 from dataclasses import dataclass, field
-
-from sqlalchemy import select
+from pathlib import Path
 
 from machine.errors import DownrangeError
 from server.accounts.audit import SERVER, Actor, AuditChain, Entry
@@ -18,21 +17,14 @@ from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, TooManyRequestsError
 from server.events import EventHub
 from server.gap.store import GapStore, gap_row
+from server.gap.throw_choice import ChosenThrows, choose_throws
 from server.gap.worker import GapAnswer, GapFailedError, GapJob, GapKilledError, GapProcess
 from server.machines.machines import Registry
 from server.machines.twins import TwinFiles, content_sha256
 from server.schemas.events import GapUpdatedEvent
-from server.schemas.gap import (
-    MIN_THROWS_COUNT,
-    GapRunPage,
-    GapRunRequest,
-    GapRunRow,
-    GapRunView,
-    GapState,
-)
-from server.schemas.history import Outcome
+from server.schemas.gap import GapRunPage, GapRunRequest, GapRunRow, GapRunView, GapState
 from server.store.database import Database
-from server.store.models import GapRun, Throw
+from server.store.models import GapRun
 from server.throws.throw_logs import LogStore
 from sim_twin.twin.profile import TwinProfile
 
@@ -49,7 +41,7 @@ class Open:
 
     gap_run_id: str
     machine_id: str
-    throw_ids: tuple[str, ...]
+    throws: ChosenThrows
     cancelled: threading.Event = field(default_factory=threading.Event)
     progress_ratio: float = 0.0
     step: str = "waiting"
@@ -105,21 +97,21 @@ class GapDesk:
             ApiError: no such machine, throws that cannot be used, or too many waiting.
         """
         self._registry.get(machine_id)
-        throw_ids = self._throws(machine_id, request)
+        throws = choose_throws(self._database, machine_id, request)
         profile = self._twins.profile(machine_id)
         with self._change:
             if len(self._queue) >= QUEUE_COUNT:
                 raise TooManyRequestsError(
                     "gap_queue_full", f"{QUEUE_COUNT} diagnoses are waiting. Cancel one or wait."
                 )
-            row = self._add(machine_id, throw_ids, profile, session)
-            self._open[row.gap_run_id] = Open(row.gap_run_id, machine_id, throw_ids)
+            row = self._add(machine_id, throws, profile, session)
+            self._open[row.gap_run_id] = Open(row.gap_run_id, machine_id, throws)
             self._queue.append(row.gap_run_id)
             self._change.notify_all()
         return self._publish(row)
 
     def _add(
-        self, machine_id: str, throw_ids: tuple[str, ...], profile: TwinProfile, session: Session
+        self, machine_id: str, throws: ChosenThrows, profile: TwinProfile, session: Session
     ) -> GapRun:
         row = GapRun(
             gap_run_id=new_id(),
@@ -130,7 +122,8 @@ class GapDesk:
             ended_utc=None,
             state=GapState.QUEUED.value,
             detail="",
-            throw_ids=list(throw_ids),
+            throw_ids=list(throws.throw_ids),
+            reference_throw_ids=list(throws.reference_throw_ids),
             profile_version_count=profile.version_count,
             profile_sha256=content_sha256(profile),
             verdict=None,
@@ -153,41 +146,12 @@ class GapDesk:
             action,
             "fact",
             machine_id=row.machine_id,
-            detail={"gap_run_id": row.gap_run_id, "throw_count": len(row.throw_ids)},
+            detail={
+                "gap_run_id": row.gap_run_id,
+                "throw_count": len(row.throw_ids),
+                "reference_throw_count": len(row.reference_throw_ids),
+            },
         )
-
-    def _throws(self, machine_id: str, request: GapRunRequest) -> tuple[str, ...]:
-        """Ids of the throws, oldest first; all landed and with a log."""
-        usable = (
-            Throw.machine_id == machine_id,
-            Throw.has_log.is_(True),
-            Throw.outcome == Outcome.LANDED.value,
-        )
-        wanted = select(Throw.throw_id).where(*usable).order_by(Throw.throw_id.desc())
-        if request.throw_ids is not None:
-            wanted = wanted.where(Throw.throw_id.in_(request.throw_ids))
-        else:
-            if request.mode is not None:
-                wanted = wanted.where(Throw.mode == request.mode.value)
-            wanted = wanted.limit(request.newest_count)
-        with self._database.read() as database:
-            found = tuple(reversed(database.scalars(wanted).all()))
-        if request.throw_ids is not None and len(found) < len(request.throw_ids):
-            missing = sorted(set(request.throw_ids) - set(found))
-            raise ConflictError(
-                "throws_unusable",
-                f"{len(missing)} of {len(request.throw_ids)} throws are not landed throws of "
-                f"{machine_id} with a log: {', '.join(missing[:3])}. Leave them out.",
-                {"throw_ids": list(missing)},
-            )
-        if len(found) < MIN_THROWS_COUNT:
-            raise ConflictError(
-                "too_few_throws",
-                f"{machine_id} has {len(found)} landed throws with a log"
-                f"{'' if request.mode is None else f' in {request.mode.value}'}; at least "
-                f"{MIN_THROWS_COUNT} are needed, better 12. Throw more, at mixed targets.",
-            )
-        return found
 
     def cancel(self, machine_id: str, gap_run_id: str, session: Session) -> GapRunRow:
         """Stop a run that waits or is under way.
@@ -273,10 +237,10 @@ class GapDesk:
             self._publish(row)
 
         try:
-            paths = tuple(self._logs.path(throw_id) for throw_id in run.throw_ids)
+            paths = self._paths(run.throws.throw_ids)
             title = f"{run.machine_id}, {len(paths)} throws, twin profile {profile.version_count}"
             answer = self._process.run(
-                GapJob(title, paths, profile),
+                GapJob(title, paths, profile, self._paths(run.throws.reference_throw_ids)),
                 tell,
                 lambda: run.cancelled.is_set() or self._is_closed,
             )
@@ -287,6 +251,9 @@ class GapDesk:
             self._end(run, GapState.FAILED, str(error)[:DETAIL_LENGTH])
         else:
             self._keep(run, answer)
+
+    def _paths(self, throw_ids: tuple[str, ...]) -> tuple[Path, ...]:
+        return tuple(self._logs.path(throw_id) for throw_id in throw_ids)
 
     def _keep(self, run: Open, answer: GapAnswer) -> None:
         self._end(

@@ -92,6 +92,7 @@ class GapStore:
         return GapRunView(
             row=gap_row(row),
             throw_ids=tuple(str(throw_id) for throw_id in row.throw_ids),
+            reference_throw_ids=tuple(str(throw_id) for throw_id in row.reference_throw_ids),
             result=self.result(gap_run_id, machine_id),
         )
 
@@ -111,6 +112,7 @@ def gap_row(row: GapRun, progress_ratio: float = 0.0, step: str = "") -> GapRunR
         step=step,
         detail=row.detail,
         throw_count=len(row.throw_ids),
+        reference_throw_count=len(row.reference_throw_ids),
         profile_version_count=row.profile_version_count,
         verdict=None if row.verdict is None else VerdictKind(row.verdict),
         sentence=row.sentence,

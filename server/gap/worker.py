@@ -42,6 +42,8 @@ class GapJob:
     title: str
     log_paths: tuple[Path, ...]
     profile: TwinProfile
+    reference_paths: tuple[Path, ...] = ()
+    """Logs of the machine while it was healthy; none: it is compared with its type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,9 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
     from diagnosis.loading.logs import load_throws
 
     progress(0.0, "reading logs")
-    return diagnose_throws(load_throws(job.log_paths), job.profile, progress)
+    loaded = load_throws(job.log_paths)
+    reference = load_throws(job.reference_paths) if job.reference_paths else None
+    return diagnose_throws(loaded, job.profile, progress, reference=reference)
 
 
 class GapProcess:
@@ -152,7 +156,9 @@ def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
     try:
         found = diagnose(job, tell)
         answers.send(("done", answer_of(found, job.title)))
-    except (DownrangeError, ValueError, MemoryError) as error:
+    except DownrangeError as error:
+        answers.send(("failed", str(error)))
+    except (ValueError, MemoryError) as error:
         logger.exception("diagnosis failed")
         answers.send(("failed", f"{type(error).__name__}: {error}"))
     except Exception as error:

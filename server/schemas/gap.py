@@ -14,6 +14,7 @@ from sim_twin.effects.effect import Effect
 
 MIN_THROWS_COUNT = 6
 MAX_THROWS_COUNT = 60
+MIN_REFERENCE_THROWS_COUNT = 3
 
 
 class GapState(StrEnum):
@@ -28,15 +29,23 @@ class GapState(StrEnum):
     """The server ended while it ran or waited."""
 
 
+ThrowId = Annotated[str, Field(max_length=64)]
+
+
 class GapRunRequest(Request):
     """Diagnose a machine: throws by name, or its newest ones that landed and have a log."""
 
-    throw_ids: tuple[Annotated[str, Field(max_length=64)], ...] | None = Field(
+    throw_ids: tuple[ThrowId, ...] | None = Field(
         default=None, min_length=MIN_THROWS_COUNT, max_length=MAX_THROWS_COUNT
     )
     newest_count: int | None = Field(default=None, ge=MIN_THROWS_COUNT, le=MAX_THROWS_COUNT)
     mode: Mode | None = None
     """With `newest_count`: only throws of this mode."""
+    reference_throw_ids: tuple[ThrowId, ...] | None = Field(
+        default=None, min_length=MIN_REFERENCE_THROWS_COUNT, max_length=MAX_THROWS_COUNT
+    )
+    """Throws of this machine while it was healthy, to compare with; without them it is compared with healthy
+    machines of its type. `newest_count` leaves them out."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -44,8 +53,15 @@ class GapRunRequest(Request):
             raise ValueError("give either throw_ids or newest_count")
         if self.throw_ids is not None and self.mode is not None:
             raise ValueError("mode goes with newest_count; throw_ids name the throws already")
-        if self.throw_ids is not None and len(set(self.throw_ids)) < len(self.throw_ids):
-            raise ValueError("a throw is named twice")
+        for named in (self.throw_ids or (), self.reference_throw_ids or ()):
+            if len(set(named)) < len(named):
+                raise ValueError("a throw is named twice")
+        both = set(self.throw_ids or ()) & set(self.reference_throw_ids or ())
+        if both:
+            raise ValueError(
+                f"{len(both)} throws are to be diagnosed and to be compared with: {min(both)}. "
+                "Leave them out of one of the two"
+            )
         return self
 
 
@@ -65,6 +81,8 @@ class GapRunRow(View):
     detail: str
     """Why it has no result."""
     throw_count: int
+    reference_throw_count: int
+    """Healthy throws of this machine that it is compared with; 0: healthy machines of the type."""
     profile_version_count: int
     verdict: VerdictKind | None
     sentence: str
@@ -85,6 +103,7 @@ class GapRunView(View):
 
     row: GapRunRow
     throw_ids: tuple[str, ...]
+    reference_throw_ids: tuple[str, ...]
     result: Diagnosis | None
 
 

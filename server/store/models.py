@@ -276,6 +276,8 @@ class GapRun(Base):
     detail: Mapped[str] = mapped_column(Text, default="")
     """Why it has no result."""
     throw_ids: Mapped[list[Any]]
+    reference_throw_ids: Mapped[list[Any]] = mapped_column(server_default="[]")
+    """Healthy throws of the machine that it is compared with; empty: healthy machines of the type."""
     profile_version_count: Mapped[int] = mapped_column(BigInteger)
     """Of the twin that the throws were compared with: when the run was asked for, then when it began."""
     profile_sha256: Mapped[str] = mapped_column(String(64))

@@ -1,16 +1,26 @@
-"""Throws with logs in a server's database."""
+"""Throws with logs in a server's database, and diagnoses of them."""
 
 import hashlib
 import secrets
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import httpx
 
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
 from server.accounts.auth import Session
 from server.clock import new_id, utc_now
+from server.gap.runs import GapDesk
+from server.gap.worker import Diagnose, GapProcess
 from server.schemas.console import Role
 from server.services import Services
+from tests.server.server_bench import wait_for
+
+RUNS = "/machines/m001/gap-runs"
 
 
 def add_throws(
@@ -58,3 +68,31 @@ def keep_log(services: Services, machine_id: str, throw_id: str, content: bytes)
     scratch.write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
     services.logs.keep(scratch, machine_id, throw_id, digest, len(content))
+
+
+@contextmanager
+def diagnosing(services: Services, diagnose: Diagnose) -> Generator[GapDesk]:
+    """The server's runs use another diagnosis; what is open is cancelled at the end."""
+    desk = services.gap
+    before, desk._process = desk._process, GapProcess(diagnose)
+    try:
+        yield desk
+    finally:
+        for run in list(desk._open.values()):
+            run.cancelled.set()
+        wait_for(lambda: not desk._open, 20.0)
+        desk._process = before
+
+
+def start(client: httpx.Client, **body: Any) -> dict[str, Any]:
+    """Ask for a diagnosis; its row."""
+    reply = client.post(RUNS, json=body or {"newest_count": 6})
+    assert reply.status_code == 202, reply.text
+    return reply.json()
+
+
+def ended(client: httpx.Client, run: dict[str, Any], timeout_s: float = 30.0) -> dict[str, Any]:
+    """Wait until a run has ended; the whole of it."""
+    path = f"{RUNS}/{run['gap_run_id']}"
+    wait_for(lambda: client.get(path).json()["row"]["ended_utc"], timeout_s)
+    return client.get(path).json()

@@ -14,6 +14,7 @@ from diagnosis.verdict import (
     StageGap,
     VerdictKind,
 )
+from machine.errors import UsageError
 from server.gap.worker import GapJob, Progress
 
 EXTRA_S = 0.06
@@ -50,7 +51,13 @@ def explained(value: float = EXTRA_S) -> Diagnosis:
 def quick(job: GapJob, progress: Progress) -> Diagnosis:
     progress(0.5, "half way")
     return explained().model_copy(
-        update={"evidence": {**explained().evidence, "logs": len(job.log_paths)}}
+        update={
+            "evidence": {
+                **explained().evidence,
+                "logs": len(job.log_paths),
+                "healthy": len(job.reference_paths),
+            }
+        }
     )
 
 
@@ -78,3 +85,7 @@ def infinite(job: GapJob, progress: Progress) -> Diagnosis:
     found = explained()
     stage = found.stages[0].model_copy(update={"share_ratio": float("nan")})
     return found.model_copy(update={"stages": (stage,)})
+
+
+def refusing(job: GapJob, progress: Progress) -> Diagnosis:
+    raise UsageError("0 usable healthy throws to compare with")

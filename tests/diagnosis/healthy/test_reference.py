@@ -1,6 +1,7 @@
 """What healthy throws of a machine tell: its own share is known, and other people's throws are refused."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from diagnosis.causes.parameters import scatter_names
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.healthy.two_levels import Levels, Told, learn, of_machine
+from diagnosis.loading.logs import LoadedSet
 from machine.errors import UsageError
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -55,6 +57,25 @@ def test_throws_of_the_healthy_machine_become_its_mean() -> None:
     after = np.diag(own.noise.machine_scatter.covariance(scatter_names()))
     assert (after < 1.01 * before).all()
     assert own.noise.set_scatter == known.noise.set_scatter
+
+
+def test_a_diagnosis_says_what_it_was_compared_with() -> None:
+    def renamed(loaded: LoadedSet) -> LoadedSet:
+        return replace(
+            loaded,
+            throws=tuple(replace(t, throw_id=f"healthy-{t.throw_id}") for t in loaded.throws),
+        )
+
+    cut = ((Path("cut.mcap"), "it ends too soon"),)
+    reference = replace(renamed(throws((), 3, seed=5)), refused=cut)
+    found = diagnose_throws(throws(count=3), profile(), health=health(), reference=reference)
+    assert found.evidence["reference"] == {
+        "throws_count": 3,
+        "throw_ids": [f"healthy-twin-{i:04d}" for i in range(3)],
+        "refused": [{"path": "cut.mcap", "reason": "it ends too soon"}],
+    }
+    alone = diagnose_throws(throws(count=3), profile(), health=health())
+    assert alone.evidence["reference"] is None
 
 
 def test_reference_throws_are_refused_with_the_reason() -> None:

@@ -147,6 +147,24 @@ def test_the_page_needs_no_network_and_no_script() -> None:
     assert "http://" not in page and "https://" not in page
 
 
+@pytest.mark.parametrize(
+    ("evidence", "said"),
+    [
+        (
+            {"reference": {"throws_count": 24, "throw_ids": ["a"]}},
+            "24 healthy throws of this machine",
+        ),
+        ({"reference": None}, "healthy machines of the type"),
+        ({}, None),
+    ],
+)
+def test_the_page_says_what_was_compared_with(evidence: dict[str, Any], said: str | None) -> None:
+    page = report_html(diagnosis(evidence=evidence))
+    assert ("Compared with" in page) == (said is not None)
+    if said is not None:
+        assert f"<dt>Compared with</dt><dd>{said}</dd>" in page
+
+
 @pytest.mark.parametrize("field", ["sentence", "evidence", "plots", "causes", "title"])
 def test_hostile_text_stays_text(field: str) -> None:
     cause = FittedEffect(

@@ -1,7 +1,6 @@
 """Diagnoses in the server: queue, process, progress, cancel, restart, report, rights."""
 
 import os
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -20,25 +19,9 @@ from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.units import nominal_unit
 from tests.server import gap_fakes
-from tests.server.gap_bench import add_throws
+from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, start
 from tests.server.server_bench import PASSWORD, make_settings, running_server, wait_for
 from tests.server.test_events import Listener
-
-RUNS = "/machines/m001/gap-runs"
-
-
-@contextmanager
-def diagnosing(services, diagnose):
-    """The server's runs use another diagnosis; what is open is cancelled at the end."""
-    desk = services.gap
-    before, desk._process = desk._process, GapProcess(diagnose)
-    try:
-        yield desk
-    finally:
-        for run in list(desk._open.values()):
-            run.cancelled.set()
-        wait_for(lambda: not desk._open, 20.0)
-        desk._process = before
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +33,6 @@ def throws(running):
     add_throws(services, 1, outcome="aborted")
     add_throws(services, 1, machine_id="m002")
     return used
-
-
-def start(client, **body):
-    reply = client.post(RUNS, json=body or {"newest_count": 6})
-    assert reply.status_code == 202, reply.text
-    return reply.json()
-
-
-def ended(client, run, timeout_s=30.0):
-    path = f"{RUNS}/{run['gap_run_id']}"
-    wait_for(lambda: client.get(path).json()["row"]["ended_utc"], timeout_s)
-    return client.get(path).json()
 
 
 def test_a_run_gives_result_report_events_and_audit(running, ada, throws):

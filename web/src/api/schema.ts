@@ -1289,6 +1289,8 @@ export interface components {
             mode?: components["schemas"]["Mode"] | null;
             /** Newest Count */
             newest_count?: number | null;
+            /** Reference Throw Ids */
+            reference_throw_ids?: string[] | null;
             /** Throw Ids */
             throw_ids?: string[] | null;
         };
@@ -1320,6 +1322,8 @@ export interface components {
             profile_version_count: number;
             /** Progress Ratio */
             progress_ratio: number;
+            /** Reference Throw Count */
+            reference_throw_count: number;
             /** Sentence */
             sentence: string;
             /** Started Utc */
@@ -1336,6 +1340,8 @@ export interface components {
          * @description One diagnosis.
          */
         GapRunView: {
+            /** Reference Throw Ids */
+            reference_throw_ids: string[];
             result: components["schemas"]["Diagnosis"] | null;
             row: components["schemas"]["GapRunRow"];
             /** Throw Ids */

@@ -1,0 +1,85 @@
+"""Which throws a diagnosis takes: those to diagnose, and the healthy ones that they are compared with.
+
+Only throws of the machine itself that landed and have a log; what cannot be used is refused, never left out.
+"""
+
+from typing import NamedTuple
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from server.errors import ConflictError
+from server.schemas.gap import MIN_THROWS_COUNT, GapRunRequest
+from server.schemas.history import Outcome
+from server.store.database import Database
+from server.store.models import Throw
+
+
+class ChosenThrows(NamedTuple):
+    """Ids of throws, oldest first; none is in both."""
+
+    throw_ids: tuple[str, ...]
+    reference_throw_ids: tuple[str, ...]
+    """Empty: compared with healthy machines of the type."""
+
+
+def choose_throws(database: Database, machine_id: str, request: GapRunRequest) -> ChosenThrows:
+    """Look up what a request names.
+
+    Raises:
+        ConflictError: throws that cannot be used, or too few.
+    """
+    healthy = request.reference_throw_ids or ()
+    with database.read() as session:
+        if request.throw_ids is not None:
+            throw_ids = _named(session, machine_id, request.throw_ids, "throws_unusable", "throws")
+        else:
+            throw_ids = _newest(session, machine_id, request, healthy)
+        reference = _named(
+            session, machine_id, healthy, "reference_unusable", "throws to compare with"
+        )
+    if len(throw_ids) < MIN_THROWS_COUNT:
+        raise ConflictError(
+            "too_few_throws",
+            f"{machine_id} has {len(throw_ids)} landed throws with a log"
+            f"{'' if request.mode is None else f' in {request.mode.value}'}"
+            f"{f' beside the {len(healthy)} to compare with' if healthy else ''}; at least "
+            f"{MIN_THROWS_COUNT} are needed, better 12. Throw more, at mixed targets.",
+        )
+    return ChosenThrows(throw_ids, reference)
+
+
+def _usable(machine_id: str) -> Select[str]:
+    return (
+        select(Throw.throw_id)
+        .where(
+            Throw.machine_id == machine_id,
+            Throw.has_log.is_(True),
+            Throw.outcome == Outcome.LANDED.value,
+        )
+        .order_by(Throw.throw_id.desc())
+    )
+
+
+def _named(
+    session: Session, machine_id: str, wanted: tuple[str, ...], code: str, what: str
+) -> tuple[str, ...]:
+    rows = session.scalars(_usable(machine_id).where(Throw.throw_id.in_(wanted))).all()
+    missing = sorted(set(wanted) - set(rows))
+    if missing:
+        raise ConflictError(
+            code,
+            f"{len(missing)} of {len(wanted)} {what} are not landed throws of {machine_id} with a "
+            f"log: {', '.join(missing[:3])}. Leave them out.",
+            {"throw_ids": list(missing)},
+        )
+    return tuple(reversed(rows))
+
+
+def _newest(
+    session: Session, machine_id: str, request: GapRunRequest, healthy: tuple[str, ...]
+) -> tuple[str, ...]:
+    wanted = _usable(machine_id).where(Throw.throw_id.not_in(healthy))
+    if request.mode is not None:
+        wanted = wanted.where(Throw.mode == request.mode.value)
+    return tuple(reversed(session.scalars(wanted.limit(request.newest_count)).all()))
