@@ -1,17 +1,24 @@
 import { Button, Progress } from "@mantine/core";
+import type { Schema } from "../session/client";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { count, metres, percent } from "../words/format";
 import { localStamp } from "../words/time";
 import classes from "./RunHead.module.css";
 import { reportHref, useGapActions } from "./useGap";
-import { type Diagnosis, isLook, isOpen, type Run, runTitle } from "./words";
+import { comparedWords, type Diagnosis, isLook, isOpen, type Run, runTitle } from "./words";
 
-type Props = { run: Run; found: Diagnosis | null };
+type Props = {
+  run: Run;
+  found: Diagnosis | null;
+  /** The same throws once more. */
+  again: Schema["GapRunRequest"];
+  onStarted: (runId: string) => void;
+};
 
 /** What a run says: its verdict as a sentence, or how far it is and a way to stop it. */
-export function RunHead({ run, found }: Props) {
-  const { cancel } = useGapActions(run.machine_id);
+export function RunHead({ run, found, again, onStarted }: Props) {
+  const { cancel, start } = useGapActions(run.machine_id);
   const mayRun = useMay("gap.run");
   return (
     <header className={classes.head}>
@@ -21,22 +28,41 @@ export function RunHead({ run, found }: Props) {
         </span>
         <span className={classes.dim}>
           {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
-          {run.profile_version_count}, {localStamp(run.created_utc)}, {run.created_by}
+          {run.profile_version_count}, compared with {comparedWords(run)},{" "}
+          {localStamp(run.created_utc)}, {run.created_by}
         </span>
-        {run.state === "done" && (
-          <Button
-            component="a"
-            size="xs"
-            variant="default"
-            ml="auto"
-            href={reportHref(run.machine_id, run.gap_run_id)}
-            target="_blank"
-            rel="noreferrer"
-          >
-            Report
-          </Button>
-        )}
+        <div className={classes.actions}>
+          {!isOpen(run) && mayRun && (
+            <Button
+              size="xs"
+              variant="default"
+              loading={start.isPending}
+              onClick={() =>
+                start.mutate(again, { onSuccess: (next) => onStarted(next.gap_run_id) })
+              }
+            >
+              Diagnose again
+            </Button>
+          )}
+          {run.state === "done" && (
+            <Button
+              component="a"
+              size="xs"
+              variant="default"
+              href={reportHref(run.machine_id, run.gap_run_id)}
+              target="_blank"
+              rel="noreferrer"
+            >
+              Report
+            </Button>
+          )}
+        </div>
       </div>
+      {start.isError && (
+        <p className={classes.detail} role="alert">
+          {errorWords(start.error)}
+        </p>
+      )}
       {run.sentence && <p className={classes.sentence}>{run.sentence}</p>}
       {run.detail && (
         <p className={classes.detail} role="alert">

@@ -47,7 +47,9 @@ export function RunList({ runs, selected, onSelect }: Props) {
 }
 
 function lineOf(run: Run): string {
-  const parts = [count(run.throw_count, "throw"), `twin version ${run.profile_version_count}`];
+  const parts = [count(run.throw_count, "throw")];
+  if (run.reference_throw_count > 0) parts.push(`${run.reference_throw_count} healthy`);
+  parts.push(`twin version ${run.profile_version_count}`);
   if (isOpen(run)) parts.push(percent(run.progress_ratio));
   if (run.applied_version_count !== null) parts.push(`applied as ${run.applied_version_count}`);
   return `${parts.join(", ")}, ${run.created_by}`;

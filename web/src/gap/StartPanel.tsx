@@ -4,22 +4,26 @@ import type { Schema } from "../session/client";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { count } from "../words/format";
+import { ReferenceChoice } from "./ReferenceChoice";
 import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
 import { useGapActions, useThrowsToDiagnose } from "./useGap";
-import { MIN_THROWS, type Wish, wishOf } from "./wish";
+import { diagnosedOf, fittingOf, MIN_THROWS, type Wish, wishOf } from "./wish";
+
+const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "type" };
 
 type Props = { machineId: string; onStarted: (runId: string) => void };
 
-/** Which throws to diagnose, and the button that starts it. */
+/** Which throws to diagnose, what to compare them with, and the button that starts it. */
 export function StartPanel({ machineId, onStarted }: Props) {
-  const [wish, setWish] = useState<Wish>({ by: "newest", count: 12, mode: "any" });
+  const [wish, setWish] = useState<Wish>(FIRST);
   const [chosen, setChosen] = useState<ReadonlySet<string>>(new Set());
+  const [healthy, setHealthy] = useState<ReadonlySet<string>>(new Set());
   const throws = useThrowsToDiagnose(machineId);
   const { start } = useGapActions(machineId);
   const mayRun = useMay("gap.run");
   const all = throws.data ?? [];
-  const { body, problem } = wishOf(wish, all, chosen);
+  const { body, problem } = wishOf(wish, all, chosen, healthy);
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
     if (body)
@@ -62,11 +66,20 @@ export function StartPanel({ machineId, onStarted }: Props) {
       </div>
       {wish.by === "hand" && (
         <ThrowPicker
-          throws={all.filter((row) => wish.mode === "any" || row.mode === wish.mode)}
+          label="Throws that can be diagnosed"
+          throws={fittingOf(wish, all)}
           chosen={chosen}
           onChange={setChosen}
         />
       )}
+      <ReferenceChoice
+        machineId={machineId}
+        against={wish.against}
+        onAgainst={(against) => setWish({ ...wish, against })}
+        diagnosed={diagnosedOf(wish, all, chosen)}
+        chosen={healthy}
+        onChange={setHealthy}
+      />
       <p className={classes.note} data-problem={problem !== null || undefined}>
         {throws.isError
           ? errorWords(throws.error)

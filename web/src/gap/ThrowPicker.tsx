@@ -4,31 +4,33 @@ import { shortStamp, zoneName } from "../words/time";
 import classes from "./ThrowPicker.module.css";
 
 type Props = {
+  label: string;
   throws: readonly Throw[];
   chosen: ReadonlySet<string>;
   onChange: (chosen: ReadonlySet<string>) => void;
 };
 
-/** Throws by hand: a box for each, and one for all. */
-export function ThrowPicker({ throws, chosen, onChange }: Props) {
+/** Throws by hand: a box for each, and one for all that are listed; `chosen` may hold others as well. */
+export function ThrowPicker({ label, throws, chosen, onChange }: Props) {
   const isAll = throws.length > 0 && throws.every((row) => chosen.has(row.throw_id));
   const toggle = (throwId: string) => {
     const next = new Set(chosen);
     if (!next.delete(throwId)) next.add(throwId);
     onChange(next);
   };
+  const toggleAll = () => {
+    const next = new Set(chosen);
+    for (const row of throws) isAll ? next.delete(row.throw_id) : next.add(row.throw_id);
+    onChange(next);
+  };
   return (
     <div className={classes.scroll}>
-      <table className={classes.table} aria-label="Throws that can be diagnosed, newest first">
+      <table className={classes.table} aria-label={`${label}, newest first`}>
         <thead>
           <tr>
             <th scope="col">
               <label className={classes.pick}>
-                <input
-                  type="checkbox"
-                  checked={isAll}
-                  onChange={() => onChange(new Set(isAll ? [] : throws.map((row) => row.throw_id)))}
-                />
+                <input type="checkbox" checked={isAll} onChange={toggleAll} />
                 <span className="visually-hidden">All</span>
               </label>
             </th>

@@ -10,6 +10,7 @@ import {
 import { api, type Schema, take } from "../session/client";
 import type { GapRun } from "../session/live";
 import { useLive } from "../session/liveStore";
+import { toQuery } from "../throws/filters";
 import { newest } from "./words";
 
 const GAP = "gap";
@@ -68,17 +69,19 @@ export function useTwinProfile(machineId: string | null) {
   });
 }
 
-/** Throws that can be diagnosed: landed and with a log. */
-export function useThrowsToDiagnose(machineId: string | null) {
+/** Throws that can be diagnosed or compared with: landed and with a log; the newest up to a local day. */
+export function useThrowsToDiagnose(machineId: string, until?: string) {
   return useQuery({
-    queryKey: ["throws", "to diagnose", machineId],
-    enabled: machineId !== null,
+    queryKey: ["throws", "to diagnose", machineId, until],
     placeholderData: keepPreviousData,
     queryFn: () =>
       take(
         api.GET("/api/v1/throws", {
           params: {
-            query: { machine_id: machineId ?? "", outcome: "landed", limit: RECENT_THROWS },
+            query: {
+              ...toQuery({ machine: machineId, outcome: "landed", until }),
+              limit: RECENT_THROWS,
+            },
           },
         }),
       ),

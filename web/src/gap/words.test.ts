@@ -5,6 +5,7 @@ import { refusedOf, ruledOutOf } from "./ruledOut";
 import {
   additionWords,
   causeWords,
+  comparedWords,
   type Diagnosis,
   doubtWords,
   newest,
@@ -135,6 +136,14 @@ describe("a run", () => {
     expect(newest(row("running"), {}).progress_ratio).toBe(0);
     expect(newest(row("done"), told).state).toBe("done");
     expect(newest(row("running"), { g1: row("done") }).state).toBe("done");
+  });
+});
+
+describe("what a run was compared with", () => {
+  it("is the type, or throws of the machine itself", () => {
+    const row = (reference_throw_count: number) => ({ reference_throw_count }) as Run;
+    expect(comparedWords(row(0))).toBe("healthy machines of the type");
+    expect(comparedWords(row(24))).toBe("24 healthy throws of this machine");
   });
 });
 

@@ -1,7 +1,7 @@
 /** A diagnosis in words: verdicts, stages, causes, sizes; pure, and shared by all of the page. */
 
 import type { Schema } from "../session/client";
-import { fixed, percent } from "../words/format";
+import { count, fixed, percent } from "../words/format";
 
 export type Diagnosis = Schema["Diagnosis"];
 export type Run = Schema["GapRunRow"];
@@ -60,6 +60,12 @@ export const runWord = (run: Run) => (run.verdict ? SHORT[run.verdict] : STATES[
 
 /** The same as a heading. */
 export const runTitle = (run: Run) => (run.verdict ? VERDICTS[run.verdict] : STATES[run.state]);
+
+/** What a run was compared with. */
+export const comparedWords = (run: Run) =>
+  run.reference_throw_count > 0
+    ? `${count(run.reference_throw_count, "healthy throw")} of this machine`
+    : "healthy machines of the type";
 
 export function effectWords(effect: string, joint: string | null | undefined): string {
   const name = effect.replaceAll("_", " ");

@@ -9,7 +9,7 @@ import { GateSentence } from "../operate/GateSentence";
 import { errorWords } from "../words/errors";
 import classes from "./gap.module.css";
 
-/** Gap: why a machine and its twin differ; throws to diagnose at the left, what was found at the right. */
+/** Gap: why a machine and its twin differ; throws at the left, what was found at the right. */
 export function GapPage() {
   const [machineId] = useMachineId();
   if (machineId === null) {
@@ -37,7 +37,7 @@ function GapOf({ machineId }: { machineId: string }) {
       </div>
       <div className={classes.main}>
         {shown ? (
-          <OneRun machineId={machineId} runId={shown} />
+          <OneRun machineId={machineId} runId={shown} onStarted={select} />
         ) : (
           runs.isSuccess && (
             <GateSentence
@@ -50,14 +50,20 @@ function GapOf({ machineId }: { machineId: string }) {
   );
 }
 
-function OneRun({ machineId, runId }: { machineId: string; runId: string }) {
+type OneRunProps = { machineId: string; runId: string; onStarted: (runId: string) => void };
+
+function OneRun({ machineId, runId, onStarted }: OneRunProps) {
   const run = useGapRun(machineId, runId);
   if (run.isError && !run.data) return <GateSentence sentence={errorWords(run.error)} />;
-  if (!run.row) return null;
-  const found = run.data?.result ?? null;
+  if (!run.row || !run.data) return null;
+  const { result: found, throw_ids, reference_throw_ids } = run.data;
+  const again = {
+    throw_ids,
+    reference_throw_ids: reference_throw_ids.length > 0 ? reference_throw_ids : null,
+  };
   return (
     <>
-      <RunHead run={run.row} found={found} />
+      <RunHead key={runId} run={run.row} found={found} again={again} onStarted={onStarted} />
       {found && <RunResult key={runId} run={run.row} found={found} />}
     </>
   );
