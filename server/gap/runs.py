@@ -192,7 +192,7 @@ class GapDesk:
     def _with_progress(self, row: GapRunRow) -> GapRunRow:
         with self._change:
             run = self._open.get(row.gap_run_id)
-            if run is None:
+            if run is None or row.ended_utc is not None:
                 return row
             return row.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
 
