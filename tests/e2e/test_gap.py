@@ -1,7 +1,8 @@
 """The Gap page in one test: a diagnosis with progress, one cancelled, the verdict, previews, apply, undo.
 
 The history holds throws of a machine whose load leaves 80 ms later than its twin believes, so that the gap is
-known. The demo is one of its own: other tests find no throws and no twin versions of this one.
+known, and before them throws from when it did not, to compare with. The demo is one of its own: other tests
+find no throws and no twin versions of this one.
 """
 
 import re
@@ -11,51 +12,59 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from cli.record import run as record
-from machine.calibration import nominal_calibration
+from diagnosis.challenge.machines import HealthyMachine, healthy_machine
+from diagnosis.challenge.make import make_reference, make_set
+from diagnosis.challenge.truth import SetTruth, Tier, TrueEffect
 from machine.spec import load_spec
 from server.services import assemble, prepare_database
 from server.settings import load_settings
 from server.viewer.scene import ViewerScene
-from sim_twin.effects.effect import Effect
-from sim_twin.twin.profile import nominal_profile, save_profile
+from sim_twin.twin.profile import save_profile
 from tests.e2e.operator_page import sign_in
 from tests.e2e.stack import ROOT, Stack, running_demo
 from tests.server.gap_bench import add_throws
 
 LATE_S = 0.08
 THROWS_COUNT = 8
+HEALTHY_COUNT = 4
+
+
+def thrown(folder: Path) -> tuple[HealthyMachine, list[Path]]:
+    """A machine as it was measured, and logs of its throws: healthy ones, then late ones."""
+    effect = TrueEffect(
+        effect="release_delay",
+        parameters={"extra_delay_s": LATE_S},
+        stage="release",
+        multiple_ratio=4.0,
+    )
+    late = SetTruth(set_id="late", tier=Tier.SINGLE, unit_seed=0, seed=5, effects=(effect,))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        machine = healthy_machine(load_spec(), late.unit_seed)
+        healthy = make_reference(late.unit_seed, 6, folder, HEALTHY_COUNT, ROOT / "policies")
+        make_set(late, folder, THROWS_COUNT, ROOT / "policies")
+    return machine, [*sorted(healthy.glob("*.mcap")), *sorted((folder / "late").glob("*.mcap"))]
 
 
 @pytest.fixture
 def gap_demo(tmp_path: Path) -> Iterator[Stack]:
-    """A demo with a nominal twin and throws of a machine that opens later."""
+    """A demo whose machine first does as its twin says, then opens later."""
     spec = load_spec()
-    nominal = nominal_profile(spec)
-    late = Effect(effect="release_delay", parameters={"extra_delay_s": LATE_S})
-    save_profile(nominal.model_copy(update={"effects": (late,)}), tmp_path / "late.json")
-    logs = tmp_path / "logs-of-throws"
-    record(
-        mode="3d",
-        out=logs,
-        plant="twin",
-        throws=THROWS_COUNT,
-        targets="8:9.5:0.5",
-        policies=ROOT / "policies",
-        profile=tmp_path / "late.json",
-    )
+    machine, logs = thrown(tmp_path / "throws")
     data = tmp_path / "demo"
     machines = data / "machines"
     machines.mkdir(parents=True)
     # What is measured already is not measured again when the demo starts.
-    save_profile(nominal, machines / "m001.profile.json")
-    calibration = nominal_calibration(spec, "m001")
+    save_profile(
+        machine.profile.model_copy(update={"machine_id": "m001"}), machines / "m001.profile.json"
+    )
+    calibration = machine.calibration.model_copy(update={"machine_id": "m001"})
     (machines / "m001.calibration.json").write_text(calibration.model_dump_json())
     settings = load_settings({}, data_dir=data, policies_dir=ROOT / "policies")
     database = prepare_database(settings)
     services, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
     services.registry.provision(settings.machine_slot_count)
-    add_throws(services, THROWS_COUNT, logs=sorted(logs.glob("*.mcap")))
+    add_throws(services, len(logs), logs=logs)
     database.close()
     with running_demo(data) as stack:
         yield stack
@@ -64,7 +73,7 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
 def open_gap(page: Page, stack: Stack) -> None:
     sign_in(page, stack, "admin", "/gap")
     panel = page.get_by_role("form", name="New diagnosis")
-    expect(panel).to_contain_text(f"{THROWS_COUNT} throws of this machine landed")
+    expect(panel).to_contain_text(f"{HEALTHY_COUNT + THROWS_COUNT} throws of this machine landed")
 
 
 def start(page: Page) -> None:
@@ -72,6 +81,22 @@ def start(page: Page) -> None:
     expect(button).to_be_enabled()
     button.click()
     expect(page.get_by_label("Progress of the diagnosis")).to_be_visible()
+
+
+def choose_healthy(page: Page) -> None:
+    """By keyboard: the newest are diagnosed, those before them are what they are compared with."""
+    panel = page.get_by_role("form", name="New diagnosis")
+    count = panel.get_by_label("How many throws")
+    count.fill(f"{THROWS_COUNT}")
+    compare = panel.get_by_role("radiogroup", name="Compare with")
+    compare.get_by_role("radio", name="Machine type").focus()
+    page.keyboard.press("ArrowRight")
+    expect(panel).to_contain_text("0 healthy throws chosen, at least 3.")
+    table = panel.get_by_role("table", name="Healthy throws to compare with, newest first")
+    expect(table.get_by_role("row")).to_have_count(1 + HEALTHY_COUNT)
+    table.get_by_role("checkbox", name="All").focus()
+    page.keyboard.press("Space")
+    expect(panel).to_contain_text(f"{HEALTHY_COUNT} healthy throws ticked.")
 
 
 def cancel_one(page: Page) -> None:
@@ -92,6 +117,21 @@ def diagnose(page: Page) -> None:
     causes = page.get_by_role("region", name="Which")
     expect(causes.get_by_role("row").nth(1)).to_contain_text("release delay")
     expect(page.get_by_role("region", name="Where")).to_contain_text(re.compile("release", re.I))
+
+
+def stays_compared(page: Page) -> None:
+    """What it was compared with is kept with the run, and the same can be asked for again."""
+    compared = f"compared with {HEALTHY_COUNT} healthy throws of this machine"
+    page.reload()
+    expect(page.locator("main")).to_contain_text(compared)
+    page.get_by_role("button", name="Diagnose again").click()
+    progress = page.get_by_label("Progress of the diagnosis")
+    expect(progress).to_be_visible()
+    expect(page.locator("main")).to_contain_text(compared)
+    page.get_by_role("button", name="Cancel", exact=True).click()
+    expect(progress).to_have_count(0)
+    page.get_by_role("region", name="Diagnoses").get_by_role("button").nth(1).click()
+    expect(page.get_by_role("region", name="Which")).to_be_visible()
 
 
 def preview_both(page: Page) -> None:
@@ -120,7 +160,9 @@ def apply_and_undo(page: Page) -> None:
 def test_diagnose_cancel_apply_and_undo(gap_demo: Stack, open_page: Callable[..., Page]) -> None:
     page = open_page(gap_demo, 1280, 800)
     open_gap(page, gap_demo)
+    choose_healthy(page)
     cancel_one(page)
     diagnose(page)
+    stays_compared(page)
     preview_both(page)
     apply_and_undo(page)

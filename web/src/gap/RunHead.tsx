@@ -26,11 +26,6 @@ export function RunHead({ run, found, again, onStarted }: Props) {
         <span className={classes.kind} data-look={isLook(run.verdict) || undefined}>
           {runTitle(run)}
         </span>
-        <span className={classes.dim}>
-          {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
-          {run.profile_version_count}, compared with {comparedWords(run)},{" "}
-          {localStamp(run.created_utc)}, {run.created_by}
-        </span>
         <div className={classes.actions}>
           {!isOpen(run) && mayRun && (
             <Button
@@ -57,6 +52,11 @@ export function RunHead({ run, found, again, onStarted }: Props) {
             </Button>
           )}
         </div>
+        <span className={`${classes.dim} ${classes.about}`}>
+          {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
+          {run.profile_version_count}, compared with {comparedWords(run)},{" "}
+          {localStamp(run.created_utc)}, {run.created_by}
+        </span>
       </div>
       {start.isError && (
         <p className={classes.detail} role="alert">

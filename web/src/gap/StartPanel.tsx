@@ -72,6 +72,12 @@ export function StartPanel({ machineId, onStarted }: Props) {
           onChange={setChosen}
         />
       )}
+      {throws.isError && <p className={classes.error}>{errorWords(throws.error)}</p>}
+      {all.length >= MIN_THROWS && (
+        <p className={classes.note}>
+          {count(all.length, "throw")} of this machine landed and have a log.
+        </p>
+      )}
       <ReferenceChoice
         machineId={machineId}
         against={wish.against}
@@ -80,11 +86,11 @@ export function StartPanel({ machineId, onStarted }: Props) {
         chosen={healthy}
         onChange={setHealthy}
       />
-      <p className={classes.note} data-problem={problem !== null || undefined}>
-        {throws.isError
-          ? errorWords(throws.error)
-          : (problem ?? `${count(all.length, "throw")} of this machine landed and have a log.`)}
-      </p>
+      {throws.isSuccess && problem !== null && (
+        <p className={classes.note} data-problem>
+          {problem}
+        </p>
+      )}
       <Button type="submit" loading={start.isPending} disabled={!mayRun || body === null}>
         Start diagnosis
       </Button>

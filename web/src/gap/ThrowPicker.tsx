@@ -37,7 +37,9 @@ export function ThrowPicker({ label, throws, chosen, onChange }: Props) {
             <th scope="col">Time, {zoneName(new Date())}</th>
             <th scope="col">Mode</th>
             <th scope="col">At, m</th>
-            <th scope="col">Along, m</th>
+            <th scope="col" className={classes.along}>
+              Along, m
+            </th>
           </tr>
         </thead>
         <tbody>
@@ -56,7 +58,7 @@ export function ThrowPicker({ label, throws, chosen, onChange }: Props) {
               <td>{shortStamp(row.created_utc).slice(0, -3)}</td>
               <td>{row.mode.toUpperCase()}</td>
               <td>{fixed(row.target.range_m)}</td>
-              <td>{signed(row.measured_downrange_error_m)}</td>
+              <td className={classes.along}>{signed(row.measured_downrange_error_m)}</td>
             </tr>
           ))}
         </tbody>
