@@ -55,8 +55,8 @@ from training.environment.settling import settle_request
 from training.environment.task import TaskConfig
 
 Field = Any
-DELAY_TICKS = 40
-"""Length of the delay line: the longest dead time is 0.39 s."""
+DELAY_TICKS = 21
+"""Length of the delay line: the longest dead time is 0.20 s."""
 
 
 def _untyped(values: jax.Array) -> Any:
