@@ -14,7 +14,7 @@ from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.identify.excite import RESPONSE_COPY_COUNT, identify_profile
-from sim_twin.identify.register import REGISTRATION_THROW_COUNT, register_machine
+from sim_twin.identify.register import register_machine, registration_throw_count
 from sim_twin.identify.response_fit import ResponseFit
 from sim_twin.throws.plants import PlantMaker, plant_maker
 from sim_twin.twin.profile import save_profile
@@ -32,7 +32,8 @@ def run(
     """Measure one simulated machine by itself: valves, response of each joint, mean miss of its policies.
 
     Valve staircases, then random motion of each joint, then registration throws with the active policy of
-    each mode: the machine aims by its mean miss at each range from then on.
+    each mode, on the machine and in its twin: the machine aims by its mean miss from then on, over range
+    and height, and previews show what that leaves.
 
     Writes OUT/MACHINE.calibration.json (valve tables for the runtime's feed-forward, registrations),
     OUT/MACHINE.profile.json (dead time, natural frequency, damping and gain for the twin) and
@@ -63,7 +64,8 @@ def run(
         profile, fits = identify_profile(machine, spec, tables, machine_id, seed)
     finally:
         machine.close()
-    tables = _registered(make, tables, policies, seed)
+    twin = plant_maker("twin", unit_seed=0, profile=profile, calibration=tables, spec=spec)
+    tables = _registered(make, twin, tables, policies, seed)
     calibration_path = out / f"{machine_id}.calibration.json"
     profile_path = out / f"{machine_id}.profile.json"
     calibration_path.write_text(tables.model_dump_json(indent=2) + "\n", encoding="utf-8")
@@ -81,23 +83,28 @@ def run(
 
 
 def _registered(
-    make: PlantMaker, tables: ValveCalibration, policies: Path, seed: int
+    make: PlantMaker, twin: PlantMaker, tables: ValveCalibration, policies: Path, seed: int
 ) -> ValveCalibration:
-    """The tables with a registration of the active policy of each mode."""
-    spec, found = load_spec(), list[Registration]()
+    """The tables with a registration of the active policy of each mode, of the machine and of its twin."""
+    spec = load_spec()
+    found: dict[PlantMaker, list[Registration]] = {make: [], twin: []}
     for mode in Mode:
         runner = PolicyRunner(find_policy(policies, mode), spec)
-        print(
-            f"registration: {REGISTRATION_THROW_COUNT} throws with {runner.card.policy_id} ...",
-            flush=True,
-        )
-        machine = make(REGISTRATION_THROW_COUNT)
-        try:
-            params = ControlParams(spec, tables, mode, runner)
-            found.append(register_machine(machine, params, spec, seed))
-        finally:
-            machine.close()
-    return tables.model_copy(update={"registrations": tuple(found)})
+        count = registration_throw_count(runner.card)
+        print(f"registration: {count} throws with {runner.card.policy_id} ...", flush=True)
+        for maker, registrations in found.items():
+            plant = maker(count)
+            try:
+                params = ControlParams(spec, tables, mode, runner)
+                registrations.append(register_machine(plant, params, spec, seed))
+            finally:
+                plant.close()
+    return tables.model_copy(
+        update={
+            "registrations": tuple(found[make]),
+            "twin_registrations": tuple(found[twin]),
+        }
+    )
 
 
 def _plot(path: Path, tables: ValveCalibration, fits: tuple[ResponseFit, ...], title: str) -> None:

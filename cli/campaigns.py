@@ -131,8 +131,7 @@ def open_campaign(
     )
     valves = plant_calibration(plant, make, unit_seed=unit_seed, spec=spec, path=calibration)
     if plant == "twin":
-        # A registration answers for the machine's misses; the twin has its own.
-        valves = valves.without_registrations()
+        valves = valves.for_twin()
     params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
     folder = policy if policy is not None else find_policy(policies, mode)
     return Campaign(

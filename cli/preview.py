@@ -67,12 +67,12 @@ def run(
     spec = load_spec()
     runner = open_policy(Mode(mode), policies, policy, spec)
     valves = nominal_calibration(spec) if calibration is None else load_calibration(calibration)
-    # The registration answers for the machine's misses; the twin has its own.
-    valves = valves.without_registrations()
     pose = safe_pose(slew)
     shown = preview(
         PreviewRequest(
-            params=ControlParams(spec=spec, calibration=valves, mode=Mode(mode), policy=runner),
+            params=ControlParams(
+                spec=spec, calibration=valves.for_twin(), mode=Mode(mode), policy=runner
+            ),
             profile=nominal_profile(spec) if profile is None else load_profile(profile),
             target=point,
             joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),

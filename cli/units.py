@@ -13,7 +13,8 @@ from cli.conditions import rows_of
 from diagnosis.evaluation.conditions import ConditionRow, pooled
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
-from sim_twin.identify.register import REGISTRATION_THROW_COUNT, register_machine
+from machine.policy_card import load_card
+from sim_twin.identify.register import register_machine, registration_throw_count
 
 NOMINAL_UNIT = 0
 
@@ -86,7 +87,7 @@ def run(
 
 def _register(campaign: Campaign, seed: int, path: Path) -> None:
     """The unit's calibration with its registration, as a machine makes it at its first start."""
-    machine = campaign.make(REGISTRATION_THROW_COUNT)
+    machine = campaign.make(registration_throw_count(load_card(campaign.policy_folder)))
     try:
         found = register_machine(machine, campaign.params, campaign.spec, seed)
     finally:

@@ -43,17 +43,31 @@ class ValveCalibration(BaseModel):
     tables: tuple[ValveTable, ValveTable, ValveTable, ValveTable]
     registrations: tuple[Registration, ...] = ()
     """Empty: the policy is told the target itself."""
+    twin_registrations: tuple[Registration, ...] = ()
+    """Where the machine's twin came down in the same registration throws on the same day. The twin aims by
+    them: then a preview shows what the machine's registration leaves, and what changed since."""
 
-    def aim(self, policy_sha256: str, target_m: Array) -> Array:
-        """Points (N, 3) that this policy must aim at to hit `target_m` (N, 3); frame `machine`."""
+    def aim(self, policy_sha256: str, target_m: Array, slew_rad: Array) -> Array:
+        """Points (N, 3) that this policy must aim at to hit `target_m` (N, 3); frame `machine`.
+
+        Args:
+            policy_sha256: of the policy that throws.
+            target_m: to be hit.
+            slew_rad: (N,) where the cabin stands when the throw begins.
+        """
         for registration in self.registrations:
             if registration.policy_sha256 == policy_sha256:
-                return registration.aim(target_m)
+                return registration.aim(target_m, slew_rad)
         return target_m
 
     def without_registrations(self) -> "ValveCalibration":
-        """The valve tables alone: what the twin throws with, whose misses are not the machine's."""
-        return self.model_copy(update={"registrations": ()})
+        """The valve tables alone."""
+        return self.model_copy(update={"registrations": (), "twin_registrations": ()})
+
+    def for_twin(self) -> "ValveCalibration":
+        """What the machine's twin throws with: its misses are not the machine's, nor are its aims."""
+        own = self.twin_registrations
+        return self.model_copy(update={"registrations": own, "twin_registrations": ()})
 
 
 def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:

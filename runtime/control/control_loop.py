@@ -118,6 +118,7 @@ def initial_state(
         tick_count=0,
         motion=np.full(count, _HOLD),
         motion_tick_count=np.zeros(count, dtype=np.int64),
+        aim_m=np.array(target_m, dtype=np.float64),
         speed_rad_m_per_s=sample.joint_velocity_rad_m_per_s,
         imu=imu,
         swing=swing_control.initial_swing(sample.joint_position_rad_m[:, 0]),
@@ -137,6 +138,7 @@ def step(
     """
     spec, sample, motion = params.spec, inputs.sample, inputs.motion
     imu_state, sensed = _sense(params, state, inputs, now_ns)
+    aim_m = _aim(params, state, inputs, sensed)
     policy = run_policies(
         spec,
         params.mode,
@@ -145,7 +147,7 @@ def step(
         PolicyInputs(
             sensed.position,
             sensed.velocity,
-            params.aim(inputs.target_m),
+            aim_m,
             motion,
             sensed.begins,
             sensed.motion_tick,
@@ -164,6 +166,7 @@ def step(
         tick_count=state.tick_count + 1,
         motion=motion,
         motion_tick_count=sensed.motion_tick,
+        aim_m=aim_m,
         speed_rad_m_per_s=sensed.filtered_speed,
         imu=imu_state,
         swing=swing,
@@ -217,6 +220,16 @@ def _sense(
     if any_begins:
         ticks[begins] = 0
     return imu_state, _Sensed(arm, imu, filtered, position, velocity, begins, any_begins, ticks)
+
+
+def _aim(
+    params: ControlParams, state: ControlState, inputs: ControlInputs, sensed: _Sensed
+) -> Array:
+    """What the policies are told to hit (N, 3), settled when a motion begins: it hangs on where that is."""
+    if not sensed.any_begins:
+        return state.aim_m
+    aim_m = params.aim(inputs.target_m, sensed.position[:, 0])
+    return np.where(sensed.begins[:, None], aim_m, state.aim_m)
 
 
 def _motions(

@@ -51,11 +51,16 @@ class ControlParams:
                 f"the control step runs mode {self.mode.value}; load the policy of that mode"
             )
 
-    def aim(self, target_m: Array) -> Array:
-        """What the policy is told to hit (N, 3): the target, corrected by the machine's registration."""
+    def aim(self, target_m: Array, slew_rad: Array) -> Array:
+        """What the policy is told to hit (N, 3): the target, corrected by the machine's registration.
+
+        Args:
+            target_m: (N, 3) frame `machine`.
+            slew_rad: (N,) where the cabin stands when the throw begins.
+        """
         if self.policy is None:
             return target_m
-        return self.calibration.aim(self.policy.card.policy_sha256, target_m)
+        return self.calibration.aim(self.policy.card.policy_sha256, target_m, slew_rad)
 
     @cached_property
     def controller(self) -> VelocityController:
@@ -108,6 +113,8 @@ class ControlState:
     tick_count: int
     motion: IntArray
     motion_tick_count: IntArray
+    aim_m: Array
+    """(N, 3) what the policy is told to hit, since the present motion began."""
     speed_rad_m_per_s: Array
     """(N, 4) filtered."""
     imu: ImuState

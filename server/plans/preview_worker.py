@@ -74,7 +74,7 @@ class Worker:
         calibration = (
             nominal_calibration(self.spec)
             if job.calibration_path is None
-            else load_calibration(job.calibration_path).without_registrations()
+            else load_calibration(job.calibration_path).for_twin()
         )
         request = PreviewRequest(
             params=ControlParams(self.spec, calibration, runner.card.mode, runner),

@@ -4,9 +4,11 @@ import threading
 
 import numpy as np
 
+from machine.site.objects import SiteObject
 from server.accounts.auth import Session
 from server.errors import ConflictError, NotFoundError
 from server.plans.plan_store import PlanStore
+from server.plans.plan_views import plan_site
 from server.schemas.history import ReplayRequest, ReplayView
 from server.schemas.plans import PlanFrames
 from server.throws.throw_logs import LogStore
@@ -73,14 +75,22 @@ class Replays:
             raise ConflictError(
                 "no_motion", f"Throw {throw_id} cannot be replayed: {error}."
             ) from error
-        try:
-            predicted = _motion_of_plan(self._plans.frames(plan_id))
-        except NotFoundError:
-            predicted = None  # an old throw may have lost its plan; the recording is what matters
-        self._scene.replay(session_id, motion, predicted=predicted, is_playing=False)
+        predicted, site = self._of_plan(plan_id)
+        self._scene.replay(session_id, motion, predicted=predicted, is_playing=False, site=site)
         with self._lock:
             self._showing[session_id] = (throw_id, motion.duration_s)
         return motion.duration_s
+
+    def _of_plan(self, plan_id: str) -> tuple[ThrowMotion | None, tuple[SiteObject, ...] | None]:
+        """What the plan predicted, and the site that it was made for; what an old throw has lost is None."""
+        try:
+            site = plan_site(self._plans.row(plan_id))
+        except NotFoundError:
+            return None, None  # the recording is what matters
+        try:
+            return _motion_of_plan(self._plans.frames(plan_id)), site
+        except NotFoundError:
+            return None, site
 
 
 def _motion_of_plan(frames: PlanFrames) -> ThrowMotion | None:

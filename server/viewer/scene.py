@@ -248,14 +248,24 @@ class ViewerScene:
         *,
         predicted: ThrowMotion | None = None,
         is_playing: bool = True,
+        site: Sequence[SiteObject] | None = None,
     ) -> None:
-        """Replay a throw in place of the live machine; `predicted` runs along as a ghost."""
+        """Replay a throw in place of the live machine.
+
+        Args:
+            session_id: who watches.
+            motion: what was recorded.
+            predicted: runs along as a ghost.
+            is_playing: whether it starts at once.
+            site: what stood around the machine then; None draws what stands there now.
+        """
 
         def change(state: SessionView) -> None:
             state.replay = Playback(motion, is_playing=is_playing)
             state.replay_ghost = None if predicted is None else Playback(predicted, False)
+            state.replay_site = None if site is None else tuple(site)
 
-        self._stage.apply(session_id, change, None)
+        self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
 
     def replay_control(
         self,
@@ -281,9 +291,10 @@ class ViewerScene:
         """Return to the live machine."""
 
         def change(state: SessionView) -> None:
-            state.replay = state.replay_ghost = None
+            state.replay = state.replay_ghost = state.replay_site = None
 
         def draw(view: ClientView, state: SessionView) -> None:
+            view.draw_site(state)
             view.show_replay(None)
             view.show_ghost(None, state)
 

@@ -89,10 +89,19 @@ class SessionView:
     impacts: ImpactMarks = field(default_factory=ImpactMarks)
     replay: Playback | None = None
     replay_ghost: Playback | None = None
+    replay_site: tuple[SiteObject, ...] | None = None
+    """What stood there when the replayed throw was made; None where nobody knows."""
     theme: ThemeName = "light"
     camera: CameraPreset = "3d"
     camera_count: int = 0
     """Grows with every asked camera change."""
+
+    @property
+    def drawn_site(self) -> tuple[SiteObject, ...]:
+        """What stands around the machine in what is shown: today's site, or that of the replay."""
+        if self.replay is None or self.replay_site is None:
+            return self.site
+        return self.replay_site
 
 
 def as_joints(values: Sequence[float] | Array) -> Array:

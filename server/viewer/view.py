@@ -53,7 +53,7 @@ class ClientView:
 
     def draw_site(self, state: SessionView) -> None:
         """Draw what stands around the machine."""
-        self.ground.draw_site(state.site)
+        self.ground.draw_site(state.drawn_site)
 
     def draw_all(self, state: SessionView) -> None:
         """Draw all marks of the session and place the camera; the machine follows with its sample."""

@@ -1,31 +1,52 @@
-"""Registration throws: how far a simulated machine misses with a policy at each range, by its own survey."""
+"""Registration throws: how far a simulated machine misses with a policy, by its own survey."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from machine.conventions import Array, Mode
+from machine.conventions import Array, Mode, wrap_angle_rad
 from machine.errors import UsageError
 from machine.kinematics import aligned_slew_rad
-from machine.registration import Registration, register
+from machine.policy_card import PolicyCard
+from machine.reach import MIN_RANGE_M, reach_m
+from machine.registration import Registration, TermKind
 from machine.spec import MachineSpec
-from machine.starts import safe_pose
+from machine.starts import safe_pose, sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
+from sim_twin.identify.registration_fit import Surveyed, register
 from sim_twin.throws.campaign import Outcome, run_throws
 from sim_twin.throws.throw_start import scattered_starts
 from sim_twin.twin.profile import nominal_profile
 
-FIRST_RANGE_M, LAST_RANGE_M, RANGE_STEP_M = 6.0, 10.75, 0.25
-THROWS_AT_RANGE = 8
+FLAT_THROW_COUNT = 160
+"""For a policy of the ground alone."""
+GROUND_THROW_COUNT, RAISED_THROW_COUNT = 120, 120
+"""For a policy that was trained for targets off the ground."""
+FIRST_RANGE_M = 6.0
 NEAR_TARGET_RAD = 0.1
-REGISTRATION_THROW_COUNT = THROWS_AT_RANGE * (
-    1 + round((LAST_RANGE_M - FIRST_RANGE_M) / RANGE_STEP_M)
-)
+SPREAD_RATIO = 0.6180339887
+"""Golden section: its multiples, modulo 1, fill an interval evenly, whatever their number."""
+
+
+class _Plan(NamedTuple):
+    """What is thrown."""
+
+    target_m: Array
+    """(N, 3)"""
+    kinds: tuple[TermKind, ...]
+    """What these throws can tell apart."""
+
+
+def registration_throw_count(card: PolicyCard) -> int:
+    """How many throws a registration of this policy takes."""
+    return GROUND_THROW_COUNT + RAISED_THROW_COUNT if _is_raised(card) else FLAT_THROW_COUNT
 
 
 def register_machine(
     plant: SimulatedDriver, params: ControlParams, spec: MachineSpec, seed: int = 0
 ) -> Registration:
-    """Throw from the safe pose at ranges over the whole reach.
+    """Throw at ranges over the whole reach, and at heights that the policy knows.
 
     Args:
         plant: the machine, copied; takes the throws `plant.count` at a time.
@@ -38,39 +59,62 @@ def register_machine(
     """
     if params.policy is None:
         raise UsageError("a registration needs a policy")
-    ranges_m = np.arange(FIRST_RANGE_M, LAST_RANGE_M + 0.5 * RANGE_STEP_M, RANGE_STEP_M)
-    target_m = np.zeros((REGISTRATION_THROW_COUNT, 3))
-    target_m[:, 0] = np.repeat(ranges_m, THROWS_AT_RANGE)
+    card = params.policy.card
+    plan = _plan(card)
     bare = ControlParams(
         spec, params.calibration.without_registrations(), params.mode, params.policy
     )
-    starts = _starts(spec, params.mode, target_m, np.random.default_rng((seed, 0x4E6)))
-    results = run_throws(plant, bare, target_m, starts, seed)
+    starts = _starts(spec, params.mode, plan.target_m, np.random.default_rng((seed, 0x4E6)))
+    results = run_throws(plant, bare, plan.target_m, starts, seed)
     landed = np.array([result.outcome is Outcome.LANDED for result in results])
     miss_m = np.array([(r.downrange_error_m, r.crossrange_error_m) for r in results])[landed]
+    turn = np.asarray(wrap_angle_rad(-starts[landed, 0]))
+    throws = Surveyed(
+        plan.target_m[landed, 0], plan.target_m[landed, 2], turn, miss_m[:, 0], miss_m[:, 1]
+    )
     try:
-        return register(
-            params.policy.card.policy_sha256, target_m[landed, 0], miss_m[:, 0], miss_m[:, 1]
-        )
+        return register(card.policy_sha256, throws, plan.kinds)
     except ValueError as error:
         raise UsageError(
-            f"registration with {params.policy.card.policy_id}: {error} "
+            f"registration with {card.policy_id}: {error} "
             f"({int(landed.sum())} of {len(results)} throws landed)"
         ) from error
 
 
-def _starts(spec: MachineSpec, mode: Mode, target_m: Array, rng: np.random.Generator) -> Array:
-    """The safe pose, in which every throw of an operator begins.
+def _is_raised(card: PolicyCard) -> bool:
+    return card.target_height_max_m > card.target_height_min_m
 
-    In 3D the cabin stands anywhere in every other throw, and near the target in the rest: operators mostly
-    throw again where they have just thrown, and the mean miss differs between the two.
+
+def _plan(card: PolicyCard) -> _Plan:
+    """Targets on the x axis, spread evenly over what the policy reaches."""
+    nearest = max(FIRST_RANGE_M, card.target_range_min_m, MIN_RANGE_M[card.mode])
+    target_m = np.zeros((registration_throw_count(card), 3))
+    ground = GROUND_THROW_COUNT if _is_raised(card) else FLAT_THROW_COUNT
+    target_m[:ground, 0] = np.linspace(nearest, card.target_range_max_m, ground)
+    kinds = (TermKind.NEAR, TermKind.TURN) if card.mode is Mode.SPATIAL else ()
+    if not _is_raised(card):
+        return _Plan(target_m, kinds)
+    lowest, highest = card.target_height_min_m, card.target_height_max_m
+    heights = np.linspace(lowest, highest, RAISED_THROW_COUNT)
+    share = (SPREAD_RATIO * np.arange(RAISED_THROW_COUNT)) % 1.0
+    farthest = np.array([reach_m(card, float(height)) for height in heights])
+    target_m[ground:, 0] = nearest + share * (farthest - nearest)
+    target_m[ground:, 2] = heights
+    return _Plan(target_m, (*kinds, TermKind.HEIGHT, TermKind.HEIGHT_SQUARED))
+
+
+def _starts(spec: MachineSpec, mode: Mode, target_m: Array, rng: np.random.Generator) -> Array:
+    """Half of the throws begin in the safe pose, as operators' do, half anywhere, as an evaluation's do.
+
+    In 3D the cabin stands near the target in the throws from the safe pose: operators mostly throw again
+    where they have just thrown, and the mean miss differs between that and a throw that turns first.
     """
     count = target_m.shape[0]
-    spread = nominal_profile(spec).spread
-    starts = scattered_starts(spec, spread, safe_pose(), count, rng)
+    starts = sample_starts(spec, mode, target_m, rng)
+    rested = scattered_starts(spec, nominal_profile(spec).spread, safe_pose(), count, rng)
     if mode is Mode.PLANAR:
-        starts[:, 0] += aligned_slew_rad(spec, target_m)
+        rested[:, 0] += aligned_slew_rad(spec, target_m)
     else:
-        starts[:, 0] = rng.uniform(-np.pi, np.pi, count)
-        starts[::2, 0] = rng.uniform(-NEAR_TARGET_RAD, NEAR_TARGET_RAD, starts[::2].shape[0])
+        rested[:, 0] = rng.uniform(-NEAR_TARGET_RAD, NEAR_TARGET_RAD, count)
+    starts[::2] = rested[::2]
     return starts

@@ -13,7 +13,11 @@ from runtime.records.recorder import write_throw_log
 from runtime.records.throw_log import ThrowLog
 from server.accounts.auth import Session
 from server.clock import new_id, utc_now
+from server.errors import NotFoundError
 from server.schemas.console import Role
+from server.schemas.history import ReplayRequest
+from server.store.models import Plan
+from server.throws.replays import Replays
 from server.throws.throw_series import motion_of, series_of
 from tests.server.server_bench import wait_for
 
@@ -149,6 +153,53 @@ def test_series_and_replay_over_http(running, ada, content, throw_id):
     wait_for(lambda: running.services.scene.replay_state(session_id))
     assert ada.post(f"/throws/{throw_id}/replay", json={"close": True}).status_code == 200
     wait_for(lambda: running.services.scene.replay_state(session_id) is None)
+
+
+class Seen:
+    """Takes down what a scene was asked to replay."""
+
+    def __init__(self):
+        self.kwargs = {}
+
+    def replay(self, session_id, motion, **kwargs):
+        self.kwargs = kwargs
+
+    def replay_control(self, session_id, **kwargs):
+        """Nothing to steer."""
+
+    def replay_state(self, session_id):
+        return None
+
+
+class Kept:
+    """A log store and a plan store of one throw; its plan has lost the predicted motion."""
+
+    def __init__(self, site):
+        self._site = site
+
+    def read(self, throw_id):
+        return make_log(throw_id)
+
+    def row(self, plan_id):
+        if self._site is None:
+            raise NotFoundError("no_plan", "gone")
+        return Plan(plan_id=plan_id, site=self._site)
+
+    def frames(self, plan_id):
+        raise NotFoundError("no_frames", "gone")
+
+
+BED = {"name": "bed", "kind": "box", "x_m": 9.0, "y_m": 0.0, "length_m": 2.0, "width_m": 2.0,
+       "height_m": 1.0}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kept", "names"), [([BED], ["bed"]), ([], []), (None, None)])
+def test_a_replay_is_given_the_site_of_its_plan(kept, names):
+    scene, store = Seen(), Kept(kept)
+    session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
+    Replays(store, store, scene).control("t", "p", ReplayRequest(playing=True), session)
+    site = scene.kwargs["site"]
+    assert (None if site is None else [item.name for item in site]) == names
 
 
 def test_marks_are_added_never_overwritten(running, ada, throw_id):

@@ -36,6 +36,10 @@ def motion(duration_s: float = 0.3) -> ThrowMotion:
     return ThrowMotion(frames, duration_s / 15.0, path, duration_s / 2.0, duration_s / 2.0)
 
 
+def label(client: ViewClient) -> str | None:
+    return client.nodes.get("/site/0/label", {}).get("text")
+
+
 @pytest.fixture(scope="module")
 def app() -> Iterator[ViewerApp]:
     opened = ViewerApp()
@@ -176,8 +180,7 @@ def test_what_stands_around_is_drawn_changed_and_outlives_the_colours(
     client.until(lambda: "/site/1/label" in client.nodes, "both in the dark")
     app.scene.set_site(session, [PIT])
     client.until(lambda: "/site/1" not in client.nodes, "the bed to go")
-    client.until(lambda: "/site/0/label" in client.nodes, "the pit")
-    assert client.nodes["/site/0/label"]["text"] == "pit"
+    client.until(lambda: label(client) == "pit", "the pit")
     assert "/ground" in client.nodes
 
 
@@ -260,6 +263,14 @@ def test_a_replay_hides_the_live_machine(app: ViewerApp, session: str, client: V
     client.until(lambda: "/replay" not in client.nodes, "the replay to go")
     client.until(lambda: client.nodes["/live"]["visible"] is True, "the live machine")
     assert app.scene.replay_state(session) is None
+
+
+def test_a_replay_has_its_throws_site(app: ViewerApp, session: str, client: ViewClient) -> None:
+    app.scene.set_site(session, [PIT])
+    app.scene.replay(session, motion(30.0), is_playing=False, site=[BED])
+    client.until(lambda: label(client) == "bed", "the bed of then")
+    app.scene.stop_replay(session)
+    client.until(lambda: label(client) == "pit", "today's site again")
 
 
 def test_a_lost_machine_says_since_when_and_turns_grey(

@@ -8,12 +8,19 @@ import pytest
 from machine.calibration import nominal_calibration
 from machine.conventions import Mode
 from machine.errors import UsageError
-from machine.registration import Registration
+from machine.kinematics import aligned_slew_rad
+from machine.registration import Registration, TermKind
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
-from sim_twin.identify.register import REGISTRATION_THROW_COUNT, register_machine
+from sim_twin.identify.register import (
+    FLAT_THROW_COUNT,
+    GROUND_THROW_COUNT,
+    RAISED_THROW_COUNT,
+    register_machine,
+    registration_throw_count,
+)
 from sim_twin.throws.campaign import run_throws
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.twin.twin import Twin
@@ -33,11 +40,13 @@ def twin(count):
     return Twin(count=count, profile=profile, calibration=CALIBRATION)
 
 
-def mean_miss_m(params):
+def mean_miss_m(params, range_m=9.0, height_m=0.0):
     count = 40
-    target = np.tile([9.0, 0.0, 0.0], (count, 1))
+    target = np.tile([range_m, 0.0, height_m], (count, 1))
     starts = np.tile(safe_pose(), (count, 1))
     starts[:, 0] = np.random.default_rng(1).uniform(-3.0, 3.0, count)
+    if params.mode is Mode.PLANAR:
+        starts[:, 0] = aligned_slew_rad(SPEC, target)
     return np.mean(
         [r.downrange_error_m for r in run_throws(twin(count), params, target, starts, 7)]
     )
@@ -45,13 +54,29 @@ def mean_miss_m(params):
 
 def test_the_registered_machine_hits_on_average(runner):
     params = ControlParams(SPEC, CALIBRATION, Mode.SPATIAL, runner)
-    found = register_machine(twin(REGISTRATION_THROW_COUNT), params, SPEC)
-    assert found.throw_count > 0.95 * REGISTRATION_THROW_COUNT
+    found = register_machine(twin(FLAT_THROW_COUNT), params, SPEC)
+    assert found.throw_count > 0.95 * FLAT_THROW_COUNT
     corrected = CALIBRATION.model_copy(update={"registrations": (found,)})
     before_m = mean_miss_m(params)
     after_m = mean_miss_m(ControlParams(SPEC, corrected, Mode.SPATIAL, runner))
     assert before_m < -0.15
     assert abs(after_m) < 0.06
+
+
+def test_a_policy_for_heights_is_registered_off_the_ground_too():
+    runner = PolicyRunner(find_policy(Path("policies"), Mode.PLANAR), SPEC)
+    plain = ControlParams(SPEC, CALIBRATION, Mode.PLANAR, runner)
+    count = registration_throw_count(runner.card)
+    assert count == GROUND_THROW_COUNT + RAISED_THROW_COUNT
+    found = register_machine(twin(count), plain, SPEC)
+    assert {term.kind for term in found.terms} == {TermKind.HEIGHT, TermKind.HEIGHT_SQUARED}
+    corrected = CALIBRATION.model_copy(update={"registrations": (found,)})
+    aimed = ControlParams(SPEC, corrected, Mode.PLANAR, runner)
+    places = ((9.5, -1.0), (8.5, 1.5), (7.5, 2.5))
+    before_m = [mean_miss_m(plain, *place) for place in places]
+    after_m = [mean_miss_m(aimed, *place) for place in places]
+    assert np.abs(before_m).mean() > 0.1
+    assert np.abs(after_m).max() < 0.05
 
 
 def test_an_earlier_registration_does_not_count_twice(runner):
@@ -65,7 +90,7 @@ def test_an_earlier_registration_does_not_count_twice(runner):
     earlier = CALIBRATION.model_copy(update={"registrations": (old,)})
     again, plain = (
         register_machine(
-            twin(REGISTRATION_THROW_COUNT), ControlParams(SPEC, given, Mode.SPATIAL, runner), SPEC
+            twin(FLAT_THROW_COUNT), ControlParams(SPEC, given, Mode.SPATIAL, runner), SPEC
         )
         for given in (earlier, CALIBRATION)
     )
