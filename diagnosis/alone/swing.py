@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option, fit
+from diagnosis.alone.free_motion import Pull, move
 from diagnosis.alone.reading.free_swings import (
     MIN_PERIODS,
     Swing,
@@ -81,7 +82,7 @@ class SwingProblem:
         start = np.array([[one[f"angle.{k}"] for k in range(count)] for one in values]).ravel()
         rate = np.array([[one[f"rate.{k}"] for k in range(count)] for one in values]).ravel()
         shared = {name: np.repeat([one[name] for one in values], count) for name in values[0]}
-        angle, speed = _integrate(start, rate, grid_s, shared, self.is_linear)
+        angle, speed = move(_pull(shared, self.is_linear), start, rate, grid_s)
         shape = (len(grid_s), sets, count)
         angle, speed = angle.reshape(shape), speed.reshape(shape) * grid_s[1]
         return [
@@ -277,54 +278,19 @@ def _options(frequency: float, reference: float, size: float, unit: str) -> tupl
     return tuple(options)
 
 
-def _integrate(
-    start: Array, rate: Array, grid_s: Array, values: Mapping[str, Array], is_linear: bool
-) -> tuple[Array, Array]:
-    """Angles and rates of particles, (steps, particles), by the classical Runge-Kutta method.
-
-    On a spring the sine is the deflection itself.
-    theta'' = -w^2 sin(theta - rest) - s (theta - rest) - c theta' - f tanh(theta' / e) - q |theta'| theta'
-    """
-    nothing = np.zeros_like(start)
-    square = values["frequency_rad_per_s"] ** 2 / (
-        1.0 + values.get("gripper_length.extra_length_ratio", nothing)
+def _pull(values: Mapping[str, Array], is_linear: bool) -> Pull:
+    """What acts on each particle, from its parameters by name."""
+    square = values["frequency_rad_per_s"] ** 2
+    nothing = np.zeros_like(square)
+    return Pull(
+        square / (1.0 + values.get("gripper_length.extra_length_ratio", nothing)),
+        values["rest_rad"],
+        values.get("hose_stiffness.stiffness_per_s2", nothing),
+        values.get("passive_viscous_friction.extra_viscous_per_s", nothing),
+        values.get("passive_coulomb_friction.extra_coulomb_rad_per_s2", nothing),
+        values.get("air_drag.quadratic_per_rad", nothing),
+        is_linear,
     )
-    rest = values["rest_rad"]
-    stiff = values.get("hose_stiffness.stiffness_per_s2", nothing)
-    viscous = values.get("passive_viscous_friction.extra_viscous_per_s", nothing)
-    coulomb = values.get("passive_coulomb_friction.extra_coulomb_rad_per_s2", nothing)
-    air = values.get("air_drag.quadratic_per_rad", nothing)
-    step_s = float(grid_s[1])
-    # Sign made smooth over the change of rate that friction makes in two steps, so that it does not chatter.
-    smooth = 2.0 * coulomb * step_s + 1e-9
-    has_coulomb, has_air = bool(np.any(coulomb > 0.0)), bool(np.any(air > 0.0))
-
-    def acceleration(angle: Array, speed: Array) -> Array:
-        away = angle - rest
-        a = -square * (away if is_linear else np.sin(away)) - stiff * away - viscous * speed
-        if has_coulomb:
-            a = a - coulomb * np.tanh(speed / smooth)
-        return a - air * np.abs(speed) * speed if has_air else a
-
-    angles, rates = np.empty((len(grid_s), len(start))), np.empty((len(grid_s), len(start)))
-    x, v, h = start, rate, step_s
-    for index in range(len(grid_s)):
-        angles[index], rates[index] = x, v
-        a1 = acceleration(x, v)
-        v2 = v + 0.5 * h * a1
-        a2 = acceleration(x + 0.5 * h * v, v2)
-        v3 = v + 0.5 * h * a2
-        a3 = acceleration(x + 0.5 * h * v2, v3)
-        v4 = v + h * a3
-        a4 = acceleration(x + h * v3, v4)
-        x = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
-        v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-        if has_coulomb:
-            # Slower than a step of friction, and nothing pulls harder than it: it stays where it is.
-            pull = np.abs(square * (x - rest) + stiff * (x - rest))
-            stuck = (np.abs(v) < coulomb * h) & (pull < coulomb)
-            x, v = np.where(stuck, angles[index], x), np.where(stuck, 0.0, v)
-    return angles, rates
 
 
 def _plots(
