@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import Any, Literal
 
 from cli.campaigns import Campaign, CampaignOptions, open_with, throw_campaign
-from cli.evaluation_report import write_report
+from cli.evaluation_report import More, write_report
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.policy_card import add_evaluation, load_card
@@ -42,6 +42,8 @@ def run(
     profile: Path | None = None,
     card: bool = False,
     report: Path | None = None,
+    units: int = 0,
+    trainings: tuple[Path, ...] = (),
 ) -> int:
     """Throw many times at targets on the x axis and print how accurately the loads land.
 
@@ -72,6 +74,9 @@ def run(
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and what a miss hangs on into this folder.
+        units: for a report, throw with this many machines too that no training has seen (1000 and up), each
+            measured and registered by itself.
+        trainings: for a report, folders of further policy versions: all of a mode in one table.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
     options = CampaignOptions(
@@ -83,15 +88,11 @@ def run(
             raise UsageError(
                 "--report writes its own JSON and plots: leave --json, --plot, --card out"
             )
-        return write_report(report, [mode] if mode != "both" else ["2d", "3d"], options)
-    if mode == "both":
-        raise UsageError("--mode both goes with --report; choose 2d or 3d")
-    if plot is not None:
-        check_plot_path(plot)
-        if len(campaign_heights := heights.split(",")) > 1:
-            raise UsageError(f"--plot draws one height, --heights names {len(campaign_heights)}")
-    if json is not None and not json.parent.is_dir():
-        raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
+        modes = [mode] if mode != "both" else ["2d", "3d"]
+        return write_report(report, modes, options, More(units, trainings))
+    if units or trainings:
+        raise UsageError("--units and --trainings go with --report")
+    _check_outputs(mode, heights, json, plot)
     campaign = open_with(options, mode, DEFAULT_TARGETS)
     started = perf_counter()
     results = throw_campaign(campaign, throws, seed)
@@ -104,6 +105,18 @@ def run(
     if plot is not None:
         _plot(plot, campaign, results, f"plant {plant}, unit {unit_seed}, seed {seed}")
     return 0
+
+
+def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None) -> None:
+    """Refuse what cannot be written, before anything is thrown."""
+    if mode == "both":
+        raise UsageError("--mode both goes with --report; choose 2d or 3d")
+    if plot is not None:
+        check_plot_path(plot)
+        if len(campaign_heights := heights.split(",")) > 1:
+            raise UsageError(f"--plot draws one height, --heights names {len(campaign_heights)}")
+    if json is not None and not json.parent.is_dir():
+        raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
 
 
 def _accuracy(

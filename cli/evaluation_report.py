@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,13 @@ from cli.campaigns import (
     throw_campaign,
 )
 from cli.conditions import height_rows, pace_rows, table
+from cli.report_parts import check_parts, repeated_starts, training_rows, unit_rows
 from diagnosis.evaluation.measures import ModeEvaluation, evaluation
 from diagnosis.evaluation.page import evaluation_html
 from diagnosis.evaluation.paper import SCATTER_RANGE_M, TARGETS
 from diagnosis.evaluation.sensitivity import EffectPlantMaker, FactorShift, sensitivity
 from machine.errors import UsageError
+from machine.policy_card import load_card
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
 from sim_twin.faults.fault import PlantEffect
@@ -34,7 +36,15 @@ MAX_LOGS = 20
 SENSITIVITY_THROWS = 40
 
 
-def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions) -> int:
+class More(NamedTuple):
+    """What is thrown beyond the campaign if it is asked for."""
+
+    unit_count: int = 0
+    trainings: tuple[Path, ...] = ()
+    """Folders of policy versions."""
+
+
+def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, more: More) -> int:
     """Throw, and write FOLDER/report.html, FOLDER/report.json and FOLDER/logs.
 
     Raises:
@@ -42,15 +52,18 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions) -
     """
     if options.policy is not None and len(modes) > 1:
         raise UsageError("--policy names one policy, of one mode: choose --mode 2d or 3d with it")
+    check_parts(options, more.unit_count, more.trainings)
     try:
         (folder / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}") from error
-    campaigns = [open_with(options, mode, TARGETS[mode]) for mode in modes]
+    # Heights have a section of their own.
+    flat = options._replace(heights="0")
+    campaigns = [open_with(flat, mode, TARGETS[mode]) for mode in modes]
     room = MAX_LOGS
     parts: list[ModeEvaluation] = []
     for mode, campaign in zip(modes, campaigns, strict=True):
-        part = _part(mode, campaign, options, folder, room)
+        part = _with_more(_part(mode, campaign, flat, folder, room), flat, more)
         room -= sum(failure.log is not None for failure in part.failures)
         parts.append(part)
         _print(part)
@@ -91,10 +104,24 @@ def _part(
     part = evaluation(
         about, campaign.ranges_m, results, logs, folder, _sensitivity(campaign, options)
     )
+    of_policy = load_card(campaign.policy_folder).policy_sha256
+    known = [r.policy_sha256 for r in campaign.params.calibration.registrations]
+    at_m = part.sensitivity_range_m
     return part.model_copy(
         update={
             "paces": tuple(pace_rows(campaign, options.throws, options.seed)),
             "heights": tuple(height_rows(campaign, options.throws, options.seed)),
+            "spread": repeated_starts(campaign, at_m, options.seed + 1) if at_m else None,
+            "is_registered": of_policy in known,
+        }
+    )
+
+
+def _with_more(part: ModeEvaluation, options: CampaignOptions, more: More) -> ModeEvaluation:
+    return part.model_copy(
+        update={
+            "units": unit_rows(part.mode, options, more.unit_count),
+            "trainings": training_rows(part.mode, options, more.trainings, TARGETS[part.mode]),
         }
     )
 
@@ -104,10 +131,10 @@ def _sensitivity(
 ) -> tuple[float | None, Sequence[FactorShift], str]:
     """Where, what shifts, and on what."""
     make = _maker(campaign, options)
-    if make is None:
-        return None, (), f"Plant {options.plant} takes no effects: nothing was changed."
     ranges = np.asarray(campaign.ranges_m)
     range_m = float(ranges[np.argmin(np.abs(ranges - SCATTER_RANGE_M))])
+    if make is None:
+        return range_m, (), f"Plant {options.plant} takes no effects: nothing was changed."
     count = min(SENSITIVITY_THROWS, max(options.throws, 2))
     # Other throws than the campaign's, the same for every factor.
     seed = options.seed + 1

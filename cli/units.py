@@ -2,6 +2,7 @@
 
 import json as json_text
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -60,20 +61,17 @@ def run(
     started = perf_counter()
     units: dict[int, list[ConditionRow]] = {}
     print("unit  landed  down mean/sd, m  cross mean/sd, m")
-    with tempfile.TemporaryDirectory() as folder:
-        for unit in (NOMINAL_UNIT, *range(first, first + count)):
+    for unit in (NOMINAL_UNIT, *range(first, first + count)):
 
-            def opened(calibration: Path | None, unit: int = unit) -> Campaign:
-                return open_campaign(
-                    mode=Mode(mode), plant=plant, targets=targets, throws=throws, seed=seed,
-                    unit_seed=unit, policies=policies, policy=policy, calibration=calibration,
-                    profile=None, pace_ratio=pace,
-                )  # fmt: skip
+        def opened(calibration: Path | None, unit: int = unit) -> Campaign:
+            return open_campaign(
+                mode=Mode(mode), plant=plant, targets=targets, throws=throws, seed=seed,
+                unit_seed=unit, policies=policies, policy=policy, calibration=calibration,
+                profile=None, pace_ratio=pace,
+            )  # fmt: skip
 
-            path = Path(folder) / f"{unit}.json"
-            _register(opened(None), seed, path)
-            units[unit] = rows_of(opened(path), throws, seed)
-            print(_line(unit, units[unit]), flush=True)
+        units[unit] = rows_of_unit(opened, throws, seed)
+        print(_line(unit, units[unit]), flush=True)
     summary = _summary(units)
     for name, value in summary.items():
         print(f"{name}: {value:.3f}")
@@ -85,8 +83,24 @@ def run(
     return 0
 
 
+def rows_of_unit(
+    opened: Callable[[Path | None], Campaign], throws: int, seed: int
+) -> list[ConditionRow]:
+    """Measure and register a machine as at its first start, then throw.
+
+    Args:
+        opened: its campaign with a calibration file, or with its valves measured and no registration.
+        throws: at each target.
+        seed: of the registration and of the throws.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "calibration.json"
+        _register(opened(None), seed, path)
+        return rows_of(opened(path), throws, seed)
+
+
 def _register(campaign: Campaign, seed: int, path: Path) -> None:
-    """The unit's calibration with its registration, as a machine makes it at its first start."""
+    """The unit's calibration with its registration."""
     machine = campaign.make(registration_throw_count(load_card(campaign.policy_folder)))
     try:
         found = register_machine(machine, campaign.params, campaign.spec, seed)

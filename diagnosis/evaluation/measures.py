@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from diagnosis.evaluation.conditions import ConditionRow
 from diagnosis.evaluation.paper import SCATTER_RANGE_M
 from diagnosis.evaluation.sensitivity import FactorShift
+from diagnosis.evaluation.spread import SpreadParts
 from diagnosis.intervals import Interval, deviation_interval, mean_interval, share_interval
 from machine.conventions import Array
 from sim_twin.throws.accuracy import landing_errors, outcome_counts
@@ -56,6 +57,29 @@ class Failure(BaseModel):
     """Beside the report, if it was written."""
 
 
+class UnitRow(BaseModel):
+    """One machine, measured and registered as at its first start; root mean squares over its targets, m."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+    unit_seed: int
+    landed_count: int
+    throw_count: int
+    mean_downrange_error_m: float | None
+    sd_downrange_m: float | None
+    mean_crossrange_error_m: float | None
+    sd_crossrange_m: float | None
+
+
+class TrainingRow(BaseModel):
+    """One target of one training."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+    policy: str
+    training_seed: int
+    step_count: int
+    row: ConditionRow
+
+
 class ModeEvaluation(BaseModel):
     """One mode's campaign."""
 
@@ -80,6 +104,14 @@ class ModeEvaluation(BaseModel):
     """Careful to fast; empty for a policy that knows no pace."""
     heights: tuple[ConditionRow, ...] = ()
     """Off the ground; empty for a policy of the ground alone."""
+    spread: SpreadParts | None = None
+    """What the spread is made of."""
+    units: tuple[UnitRow, ...] = ()
+    """Machines that no training has seen; the first is the nominal one. Empty where none were asked for."""
+    trainings: tuple[TrainingRow, ...] = ()
+    """Other trainings of the same mode."""
+    is_registered: bool = False
+    """Whether the machine aimed by a registration of this policy."""
 
     @property
     def scatter(self) -> TargetRow | None:

@@ -9,11 +9,18 @@ from diagnosis.evaluation.drawings import (
     front_plot,
     landing_plot,
     range_plot,
-    sensitivity_plot,
 )
-from diagnosis.evaluation.measures import Estimate, ModeEvaluation, TargetRow
+from diagnosis.evaluation.goals import goal_at, shortfalls
+from diagnosis.evaluation.measures import CONFIDENCE_RATIO, ModeEvaluation, TargetRow
+from diagnosis.evaluation.page_causes import (
+    held_back,
+    sensitivity_section,
+    trainings_section,
+    units_section,
+)
+from diagnosis.evaluation.page_cells import cell, height, table
 from diagnosis.evaluation.paper import SCATTER, SCATTER_RANGE_M, SIMULATED
-from diagnosis.evaluation.sensitivity import FactorShift
+from diagnosis.intervals import share_interval
 from diagnosis.report.report_html import page, section
 from diagnosis.report.report_words import NONE, fixed, percent
 
@@ -33,8 +40,11 @@ def evaluation_html(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
             _ranges(parts, reach_m),
             _scatters(parts),
             *(_targets(part) for part in parts),
+            *(held_back(part) for part in parts),
+            *(sensitivity_section(part) for part in parts),
             *(_conditions(part) for part in parts),
-            *(_sensitivity(part) for part in parts),
+            *(units_section(part) for part in parts),
+            *(trainings_section(part) for part in parts),
             *(_failures(part) for part in parts),
         )
     )
@@ -42,29 +52,40 @@ def evaluation_html(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
 
 
 def _head(parts: Sequence[ModeEvaluation]) -> str:
-    rows = "".join(
-        f"<tr><td>{part.mode.upper()}</td><td>{escape(part.policy)}</td>"
-        f"<td>{escape(part.plant)}, unit {part.unit_seed}, seed {part.seed}</td>"
-        f'<td class="number">{sum(t.throws for t in part.targets)}</td>'
-        f'<td class="number">{_wilson(part)}</td>'
-        f'<td class="number">{_cell(part.start_to_release_s, "s")}</td>'
-        f'<td class="number">{_cell(part.start_to_landing_s, "s")}</td>'
-        f'<td class="number">{part.seconds:.1f} s, {part.real_time_factor:.0f} x real time</td></tr>'
+    rows = [
+        (
+            ("", part.mode.upper()),
+            ("name", escape(part.policy)),
+            ("", escape(_where(part))),
+            ("number", str(sum(t.throws for t in part.targets))),
+            ("number", _wilson(part)),
+            ("number", cell(part.start_to_release_s, "s")),
+            ("number", cell(part.start_to_landing_s, "s")),
+            ("number", f"{part.seconds:.1f} s,<br>{part.real_time_factor:.0f} x real time"),
+        )
         for part in parts
-    )
+    ]
+    heads = (
+        "mode", "policy", "on", "throws", "landed", "start to release",
+        "cycle: start to surveyed landing", "computing",
+    )  # fmt: skip
     return "<h1>Accuracy of throws</h1>" + section(
         "What was thrown",
-        '<div class="scroll"><table><tr><th>mode</th><th>policy</th><th>on</th><th>throws</th>'
-        "<th>landed</th><th>start to release</th><th>start to surveyed landing</th>"
-        f"<th>computing</th></tr>{rows}</table></div>"
-        '<p class="dim">Every throw from a random start pose. All intervals in this page are 95 %: of means '
-        "by Student's t, of standard deviations by chi-square, of shares by Wilson's score.</p>",
+        table(heads, rows)
+        + '<p class="dim">Every throw from a random start pose. All intervals in this page are 95 %: of '
+        "means by Student's t, of standard deviations by chi-square, of shares by Wilson's score.</p>",
     )
+
+
+def _where(part: ModeEvaluation) -> str:
+    words = f"{part.plant}, unit {part.unit_seed}, seed {part.seed}"
+    return f"{words}, aims by its registration" if part.is_registered else words
 
 
 def _wilson(part: ModeEvaluation) -> str:
     landed, thrown = sum(t.landed for t in part.targets), sum(t.throws for t in part.targets)
-    return f"{landed} of {thrown}"
+    low, high = share_interval(landed, thrown, CONFIDENCE_RATIO)
+    return f'{landed} of {thrown}<br><span class="dim">{percent(low)} to {percent(high)}</span>'
 
 
 def _ranges(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
@@ -91,7 +112,7 @@ def _scatters(parts: Sequence[ModeEvaluation]) -> str:
         paper = SCATTER[part.mode]
         words = f"{part.mode} landings about the target at {SCATTER_RANGE_M:g} m"
         rows = "".join(
-            f'<tr><td>{name}</td><td class="number">{_cell(ours, "m")}</td>'
+            f'<tr><td>{name}</td><td class="number">{cell(ours, "m")}</td>'
             f'<td class="number">{fixed(theirs)} m</td></tr>'
             for name, ours, theirs in (
                 ("mean downrange error", target.mean_downrange_error_m,
@@ -120,31 +141,49 @@ def _scatters(parts: Sequence[ModeEvaluation]) -> str:
 
 
 def _targets(part: ModeEvaluation) -> str:
-    rows = "".join(_row(target) for target in part.targets)
+    rows = [_row(part.mode, target) for target in part.targets]
+    missed = sum(1 for target in part.targets if shortfalls(part.mode, target))
+    words = (
+        "Every figure is as small as asked."
+        if missed == 0
+        else f"At {missed} of {len(part.targets)} targets a figure is larger than asked (marked); what holds "
+        "it back is told below."
+    )
     return section(
         f"By target, {part.mode.upper()}",
-        '<div class="scroll"><table><tr><th>range</th><th>landed</th><th>mean downrange error</th>'
-        "<th>sd downrange</th><th>mean crossrange error</th><th>sd crossrange</th></tr>"
-        f"{rows}</table></div>",
-    )
+        f"<p>{words}</p>"
+        + table(
+            (
+                "range", "landed", "mean downrange error", "sd downrange", "mean crossrange error",
+                "sd crossrange", "asked: mean, sd at most",
+            ),
+            rows,
+        ),
+    )  # fmt: skip
 
 
-def _row(target: TargetRow) -> str:
-    share = target.success_ratio
-    low, high = share.ci95 or (float("nan"), float("nan"))
-    cells = "".join(
-        f'<td class="number">{_cell(value, "m")}</td>'
-        for value in (
-            target.mean_downrange_error_m,
-            target.sd_downrange_m,
-            target.mean_crossrange_error_m,
-            target.sd_crossrange_m,
-        )
+def _row(mode: str, target: TargetRow) -> list[tuple[str, str]]:
+    low, high = target.success_ratio.ci95 or (float("nan"), float("nan"))
+    goal, large = goal_at(mode, target.range_m), shortfalls(mode, target)
+    names = (
+        "mean_downrange_error_m",
+        "sd_downrange_m",
+        "mean_crossrange_error_m",
+        "sd_crossrange_m",
     )
-    return (
-        f'<tr><td class="number">{target.range_m:g} m</td><td class="number">{target.landed} of '
-        f'{target.throws}<br><span class="dim">{percent(low)} to {percent(high)}</span></td>{cells}</tr>'
-    )
+    return [
+        ("number", f"{target.range_m:g} m"),
+        (
+            "number",
+            f"{target.landed} of {target.throws}<br>"
+            f'<span class="dim">{percent(low)} to {percent(high)}</span>',
+        ),
+        *(
+            ("number large" if name in large else "number", cell(getattr(target, name), "m"))
+            for name in names
+        ),
+        ("number", NONE if goal is None else f"{fixed(goal.bias_m)}, {fixed(goal.sd_m)} m"),
+    ]
 
 
 def _conditions(part: ModeEvaluation) -> str:
@@ -165,62 +204,34 @@ def _conditions(part: ModeEvaluation) -> str:
 
 
 def _condition_table(rows: Sequence[ConditionRow]) -> str:
-    cells = "".join(
-        f'<tr><td class="number">{row.range_m:g} m</td><td class="number">{row.height_m:+g} m</td>'
-        f'<td class="number">{row.pace_ratio:g}</td>'
-        f'<td class="number">{row.landed_count} of {row.throw_count}</td>'
-        + "".join(
-            f'<td class="number">{NONE if v is None else f"{fixed(v, digits)} {unit}"}</td>'
-            for v, digits, unit in (
-                (row.mean_downrange_error_m, 3, "m"),
-                (row.sd_downrange_m, 3, "m"),
-                (row.mean_crossrange_error_m, 3, "m"),
-                (row.sd_crossrange_m, 3, "m"),
-                (row.start_to_release_s, 2, "s"),
-                (row.release_speed_m_per_s, 2, "m/s"),
+    body = [
+        [
+            ("number", words)
+            for words in (
+                f"{row.range_m:g} m",
+                height(row.height_m),
+                f"{row.pace_ratio:g}",
+                f"{row.landed_count} of {row.throw_count}",
+                *(
+                    NONE if v is None else f"{fixed(v, digits)} {unit}"
+                    for v, digits, unit in (
+                        (row.mean_downrange_error_m, 3, "m"),
+                        (row.sd_downrange_m, 3, "m"),
+                        (row.mean_crossrange_error_m, 3, "m"),
+                        (row.sd_crossrange_m, 3, "m"),
+                        (row.start_to_release_s, 2, "s"),
+                        (row.release_speed_m_per_s, 2, "m/s"),
+                    )
+                ),
             )
-        )
-        + "</tr>"
+        ]
         for row in rows
-    )
-    return (
-        '<div class="scroll"><table><tr><th>range</th><th>height</th><th>pace</th><th>landed</th>'
-        "<th>mean downrange error</th><th>sd downrange</th><th>mean crossrange error</th>"
-        f"<th>sd crossrange</th><th>start to release</th><th>release speed</th></tr>{cells}</table></div>"
-    )
-
-
-def _sensitivity(part: ModeEvaluation) -> str:
-    title = f"What a miss hangs on, {part.mode.upper()}"
-    if not part.sensitivity:
-        return section(title, f"<p>{escape(part.sensitivity_note)}</p>")
-    rows = "".join(_factor(shift) for shift in part.sensitivity)
-    return section(
-        title,
-        f'<p class="dim">{escape(part.sensitivity_note)} Target at {part.sensitivity_range_m:g} m; the same '
-        "throws with one thing changed at a time, compared throw by throw. Dashed low, solid high.</p>"
-        f"<figure>{sensitivity_plot(part.sensitivity, title)}</figure>"
-        '<div class="scroll"><table><tr><th>factor</th><th>low</th><th>high</th><th>high, crossrange</th>'
-        f"<th>sd, high over as it is</th><th>pairs</th></tr>{rows}</table></div>",
-    )
-
-
-def _factor(shift: FactorShift) -> str:
-    cells = "".join(
-        f'<td class="number">{_cell(Estimate(value=value, ci95=ends), "m")}</td>'
-        for value, ends in (
-            (shift.low_m, shift.low_ci95_m),
-            (shift.high_m, shift.high_ci95_m),
-            (shift.crossrange_high_m, shift.crossrange_high_ci95_m),
-        )
-    )
-    lost = f", {shift.failed_count} failed" if shift.failed_count else ""
-    return (
-        f"<tr><td class='name'>{escape(shift.name)}<br>"
-        f"<span class='dim'>{escape(shift.change)}</span></td>{cells}"
-        f'<td class="number">{fixed(shift.sd_ratio)}</td>'
-        f'<td class="number">{shift.pair_count}{lost}</td></tr>'
-    )
+    ]
+    heads = (
+        "range", "height", "pace", "landed", "mean downrange error", "sd downrange",
+        "mean crossrange error", "sd crossrange", "start to release", "release speed",
+    )  # fmt: skip
+    return table(heads, body)
 
 
 def _failures(part: ModeEvaluation) -> str:
@@ -243,15 +254,3 @@ def _failures(part: ModeEvaluation) -> str:
         "<table><tr><th>throw</th><th>target</th><th>how it ended</th><th>log, to be replayed</th></tr>"
         f"{rows}</table>",
     )
-
-
-def _cell(estimate: Estimate, unit: str) -> str:
-    """A value over its interval."""
-    if estimate.value is None:
-        return NONE
-    digits = 2 if unit == "s" else 3
-    text = f"{fixed(estimate.value, digits)} {unit}"
-    if estimate.ci95 is None:
-        return text
-    low, high = (fixed(v, digits) for v in estimate.ci95)
-    return f'{text}<br><span class="dim">{low} to {high}</span>'

@@ -45,6 +45,10 @@ class FactorShift(BaseModel):
     crossrange_high_ci95_m: Interval | None = None
     sd_ratio: float | None = None
     """Downrange standard deviation with the factor high over that of the machine as it is."""
+    plain_sd_m: float | None = None
+    """Downrange standard deviation of the machine as it is, the same throws."""
+    low_sd_m: float | None = None
+    high_sd_m: float | None = None
     pair_count: int
     """Throws that landed in all three runs."""
     failed_count: int
@@ -126,6 +130,7 @@ def _shift(
             values[f"{name}_ci95_m"] = mean_interval(shift, CONFIDENCE_RATIO)
         sd = down[:, all_three].std(axis=1, ddof=1)
         values["sd_ratio"] = float(sd[2] / sd[0]) if sd[0] > 0.0 else None
+        values |= dict(zip(("plain_sd_m", "low_sd_m", "high_sd_m"), sd.tolist(), strict=True))
     return FactorShift(
         name=factor.name,
         change=f"-/+ {factor.change}",

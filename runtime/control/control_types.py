@@ -62,6 +62,10 @@ class ControlParams:
             return target_m
         return self.calibration.aim(self.policy.card.policy_sha256, target_m, slew_rad)
 
+    def with_calibration(self, calibration: ValveCalibration) -> "ControlParams":
+        """The same with another calibration."""
+        return ControlParams(self.spec, calibration, self.mode, self.policy)
+
     @cached_property
     def controller(self) -> VelocityController:
         """Velocity controller with this machine's tables inverted."""

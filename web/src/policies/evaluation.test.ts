@@ -24,4 +24,9 @@ describe("evaluations on a card", () => {
     expect(readEvaluations([null, 7, { plant: "x" }, { targets: [{ metres: 9 }] }])).toEqual([]);
     expect(readEvaluations([{ targets: [row, "?"] }])[0]?.rows).toHaveLength(1);
   });
+
+  it("keep heights apart; cards of before have the ground alone", () => {
+    const rows = readEvaluations([{ targets: [row, { ...row, height_m: 2 }] }])[0]?.rows;
+    expect(rows?.map((read) => read.height_m)).toEqual([0, 2]);
+  });
 });

@@ -2,6 +2,7 @@
 
 export type EvaluationRow = {
   range_m: number;
+  height_m: number;
   throw_count: number | null;
   success_ratio: number | null;
   mean_downrange_error_m: number | null;
@@ -10,7 +11,7 @@ export type EvaluationRow = {
   sd_crossrange_m: number | null;
 };
 
-export type Evaluation = { where: string; rows: EvaluationRow[] };
+export type Evaluation = { id: string; where: string; rows: EvaluationRow[] };
 
 type Loose = Record<string, unknown>;
 
@@ -37,6 +38,7 @@ function readRow(row: Loose): EvaluationRow | null {
   if (range_m === null) return null;
   return {
     range_m,
+    height_m: number(row, "height_m") ?? 0,
     throw_count: number(row, "throws", "throw_count"),
     success_ratio: number(row, "success_ratio") ?? landedShare(row),
     mean_downrange_error_m: number(row, "mean_downrange_error_m", "downrange_mean_m"),
@@ -63,10 +65,10 @@ function whereOf(evaluation: Loose): string {
 }
 
 export function readEvaluations(evaluations: readonly unknown[]): Evaluation[] {
-  return evaluations.filter(isRecord).flatMap((evaluation) => {
+  return evaluations.filter(isRecord).flatMap((evaluation, index) => {
     const list = evaluation.targets ?? evaluation.throws;
     if (!Array.isArray(list)) return [];
     const rows = list.filter(isRecord).flatMap((row) => readRow(row) ?? []);
-    return rows.length > 0 ? [{ where: whereOf(evaluation), rows }] : [];
+    return rows.length > 0 ? [{ id: `${index}`, where: whereOf(evaluation), rows }] : [];
   });
 }

@@ -9,7 +9,7 @@ type Props = {
   words: string;
 };
 
-const HALF = 34;
+const HALF = 26;
 
 /** Predicted (tick) and measured (bar) miss about zero; longer than the scale ends in an arrow. */
 export function MissBar({ predicted_m, measured_m, limit_m, words }: Props) {

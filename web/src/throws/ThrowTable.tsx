@@ -57,12 +57,8 @@ export function ThrowTable({ rows, selected, onSelect }: Props) {
           <tr>
             <th scope="col">Time, {zoneName(new Date())}</th>
             <th scope="col">Machine</th>
-            <th scope="col">Mode</th>
-            <th scope="col" className={classes.right}>
-              Range, m
-            </th>
-            <th scope="col" className={classes.right}>
-              Height, m
+            <th scope="col" title="Mode, range and, off the ground, height">
+              Target, m
             </th>
             <th scope="col">Along, m</th>
             <th scope="col">Across, m</th>

@@ -37,9 +37,7 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
         </Link>
       </td>
       <td>{row.machine_id}</td>
-      <td>{row.mode.toUpperCase()}</td>
-      <td className={classes.right}>{fixed(row.target.range_m)}</td>
-      <td className={classes.right}>{signed(row.target.z_m)}</td>
+      <td>{targetWords(row)}</td>
       <td>
         <Miss
           measured_m={row.measured_downrange_error_m}
@@ -71,6 +69,12 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
     </tr>
   );
 });
+
+/** "2D 9.00", off the ground "2D 9.00 +1.20". */
+function targetWords({ mode, target }: Throw): string {
+  const height = fixed(target.z_m) === fixed(0) ? "" : ` ${signed(target.z_m)}`;
+  return `${mode.toUpperCase()} ${fixed(target.range_m)}${height}`;
+}
 
 type MissProps = {
   measured_m: number | null;

@@ -1,0 +1,112 @@
+"""What a report throws besides its campaign: repeated starts, other machines, other trainings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cli.campaigns import Campaign, CampaignOptions, campaign_starts, open_with
+from cli.conditions import rows_of
+from cli.units import NOMINAL_UNIT, rows_of_unit
+from diagnosis.evaluation.conditions import pooled
+from diagnosis.evaluation.measures import TrainingRow, UnitRow
+from diagnosis.evaluation.spread import SpreadParts, spread_parts
+from machine.errors import UsageError
+from machine.policy_card import load_card
+from sim_twin.throws.campaign import run_throws
+
+REPEATED_STARTS, REPEATS = 25, 4
+FIRST_UNIT = 1000
+UNIT_RANGES = "7.5,8.5,9.5"
+UNIT_THROWS = 40
+TRAINING_THROWS = 60
+
+
+def repeated_starts(campaign: Campaign, range_m: float, seed: int) -> SpreadParts | None:
+    """Throws repeated from the same starts, split into what hangs on the start and what is chance."""
+    target_m, starts = campaign_starts(
+        campaign._replace(ranges_m=(range_m,), heights_m=(0.0,)), REPEATED_STARTS, seed
+    )
+    plant = campaign.make(REPEATED_STARTS * REPEATS)
+    try:
+        results = run_throws(
+            plant,
+            campaign.params,
+            np.repeat(target_m, REPEATS, axis=0),
+            np.repeat(starts, REPEATS, axis=0),
+            seed,
+            pace_ratio=campaign.pace_ratio,
+        )
+    finally:
+        plant.close()
+    groups = [results[i : i + REPEATS] for i in range(0, len(results), REPEATS)]
+    return spread_parts(range_m, groups)
+
+
+def unit_rows(mode: str, options: CampaignOptions, count: int) -> tuple[UnitRow, ...]:
+    """The nominal machine and `count` that no training has seen, each registered by itself."""
+    if count == 0:
+        return ()
+    found: list[UnitRow] = []
+    for unit in (NOMINAL_UNIT, *range(FIRST_UNIT, FIRST_UNIT + count)):
+        here = options._replace(unit_seed=unit, targets=UNIT_RANGES, calibration=None, heights="0")
+        rows = rows_of_unit(
+            lambda path, here=here: open_with(here._replace(calibration=path), mode, UNIT_RANGES),
+            min(options.throws, UNIT_THROWS),
+            options.seed,
+        )
+        names = (
+            "mean_downrange_error_m",
+            "sd_downrange_m",
+            "mean_crossrange_error_m",
+            "sd_crossrange_m",
+        )
+        found.append(
+            UnitRow(
+                unit_seed=unit,
+                landed_count=sum(row.landed_count for row in rows),
+                throw_count=sum(row.throw_count for row in rows),
+                **{name: pooled(rows, name) for name in names},
+            )
+        )
+    return tuple(found)
+
+
+def training_rows(
+    mode: str, options: CampaignOptions, folders: Sequence[Path], default_targets: str
+) -> tuple[TrainingRow, ...]:
+    """All trainings of the mode at the same targets, from the same starts, without a registration."""
+    found: list[TrainingRow] = []
+    for folder in folders:
+        card = load_card(folder)
+        if card.mode.value != mode:
+            continue
+        here = options._replace(policy=folder, heights="0")
+        campaign = open_with(here, mode, default_targets)
+        bare = campaign.params.calibration.without_registrations()
+        campaign = campaign._replace(params=campaign.params.with_calibration(bare))
+        found += [
+            TrainingRow(
+                policy=card.policy_id,
+                training_seed=card.training.seed_count,
+                step_count=card.training.environment_step_count,
+                row=row,
+            )
+            for row in rows_of(campaign, min(options.throws, TRAINING_THROWS), options.seed)
+        ]
+    return tuple(found)
+
+
+def check_parts(options: CampaignOptions, units: int, trainings: Sequence[Path]) -> None:
+    """Refuse what cannot be thrown, before anything is.
+
+    Raises:
+        UsageError: a number of units that is none, or units of a plant that has only one.
+        PolicyError: a folder without a policy.
+    """
+    if units < 0:
+        raise UsageError(f"--units {units}: 0 or more")
+    if units and options.plant == "twin":
+        raise UsageError("--units asks for other machines, the twin is one: use --plant virtual")
+    for folder in trainings:
+        load_card(folder)

@@ -1,0 +1,110 @@
+"""What holds accuracy back: parts of a spread come back as planted, goals are by range, causes in order."""
+
+import numpy as np
+import pytest
+
+from diagnosis.evaluation.conditions import condition_row
+from diagnosis.evaluation.goals import goal_at, shortfalls
+from diagnosis.evaluation.measures import (
+    Estimate,
+    ModeEvaluation,
+    TrainingRow,
+    UnitRow,
+    target_row,
+)
+from diagnosis.evaluation.page import evaluation_html
+from diagnosis.evaluation.page_causes import causes
+from diagnosis.evaluation.sensitivity import FactorShift
+from diagnosis.evaluation.spread import spread_parts
+from sim_twin.throws.campaign import Outcome, ThrowResult
+
+
+def throw(down, cross=0.0, outcome=Outcome.LANDED):
+    return ThrowResult((9.0, 0.0, 0.0), outcome, (0.0,) * 3, down, cross, 3.0, 1.5, 3.0)
+
+
+def repeated(rng, starts, repeats, between_m, within_m):
+    centre = between_m * rng.standard_normal(starts)
+    return [[throw(c + within_m * rng.standard_normal()) for _ in range(repeats)] for c in centre]
+
+
+def test_a_planted_spread_is_split_into_its_parts():
+    rng = np.random.default_rng(0)
+    found = spread_parts(9.0, repeated(rng, 600, 4, 0.09, 0.05))
+    assert found.between_starts_downrange_m == pytest.approx(0.09, rel=0.1)
+    assert found.within_start_downrange_m == pytest.approx(0.05, rel=0.05)
+    assert found.within_start_crossrange_m == 0.0
+    alone = spread_parts(9.0, repeated(rng, 600, 4, 0.0, 0.05))
+    assert alone.between_starts_downrange_m < 0.02
+
+
+def test_throws_that_did_not_land_are_left_out_and_one_start_is_none():
+    bad = throw(np.nan, np.nan, Outcome.COLLISION)
+    found = spread_parts(9.0, [[throw(0.1), throw(0.1), bad], [throw(0.3), throw(0.3)], [bad, bad]])
+    assert (found.start_count, found.throw_count) == (2, 4)
+    assert found.between_starts_downrange_m == pytest.approx(0.1 * 2**0.5)
+    assert spread_parts(9.0, [[throw(0.1), throw(0.2)], [throw(0.1)]]) is None
+
+
+def test_goals_grow_with_the_range_and_end():
+    assert goal_at("2d", 9.5).sd_m < goal_at("2d", 9.6).sd_m < goal_at("2d", 10.87).sd_m
+    assert goal_at("3d", 11.0) is None
+    good = target_row(9.0, [throw(0.01), throw(-0.02), throw(0.03)])
+    assert list(shortfalls("2d", good)) == []
+    bad = target_row(9.0, [throw(0.2, 0.1), throw(0.0, 0.1), throw(0.4, 0.1)])
+    assert list(shortfalls("2d", bad)) == [
+        "mean_downrange_error_m",
+        "sd_downrange_m",
+        "mean_crossrange_error_m",
+    ]
+    nothing = target_row(9.0, [throw(np.nan, np.nan, Outcome.COLLISION)])
+    assert len(list(shortfalls("2d", nothing))) == 4
+    assert list(shortfalls("2d", target_row(12.0, [throw(1.0), throw(-1.0)]))) == []
+
+
+def evaluation(**more):
+    results = [throw(0.02), throw(0.06), throw(0.04)]
+    known = {
+        "mode": "2d", "plant": "virtual", "unit_seed": 0, "policy": "p", "seed": 1, "seconds": 1.0,
+        "real_time_factor": 9.0, "outcomes": {"landed": 3}, "targets": (target_row(9.0, results),),
+        "start_to_release_s": Estimate(value=1.5, ci95=None),
+        "start_to_landing_s": Estimate(value=3.0, ci95=None), "failures": (),
+        "sensitivity_range_m": 9.0, "sensitivity_note": "3 throws a run.",
+        "sensitivity": (FactorShift(name="dead time", change="-/+ 20 ms", low_m=-0.1, high_m=0.12,
+                                    plain_sd_m=0.02, low_sd_m=0.02, high_sd_m=0.03, pair_count=3,
+                                    failed_count=0),),
+        "spread": spread_parts(9.0, [[throw(0.0), throw(0.02)], [throw(0.3), throw(0.32)]]),
+    }  # fmt: skip
+    return ModeEvaluation.model_validate({**known, **more})
+
+
+def test_the_largest_cause_comes_first_and_the_page_names_it():
+    part = evaluation()
+    found = causes(part)
+    assert [cause.words for cause in found] == [
+        "start pose",
+        "dead time, off by 20 ms",
+        "what the policy or the registration leaves",
+        "chance: release, valves, sensors",
+    ]
+    assert found[1].metres == pytest.approx(0.11)
+    html = evaluation_html([part], 7.5)
+    assert "most is lost by <b>start pose</b>" in html
+    assert "0.020, 0.020, 0.030 m" in html
+    assert "Machines never seen" in html
+    assert "Trainings side by side" not in html
+
+
+def test_units_and_trainings_have_their_tables():
+    row = condition_row(9.0, 0.0, 0.0, [throw(0.0), throw(0.1)])
+    units = tuple(
+        UnitRow(unit_seed=u, landed_count=2, throw_count=2, mean_downrange_error_m=m,
+                sd_downrange_m=s, mean_crossrange_error_m=0.0, sd_crossrange_m=0.01)
+        for u, m, s in ((0, 0.01, 0.05), (1000, 0.4, 0.10), (1001, 0.4, 0.06))
+    )  # fmt: skip
+    training = TrainingRow(policy="p-s1", training_seed=1, step_count=630_000_000, row=row)
+    part = evaluation(units=units, trainings=(training,))
+    assert causes(part)[0].words == "another machine of the type, registered"
+    html = evaluation_html([part], 7.5)
+    assert "median 1.60, worst 2.00" in html
+    assert "0.63e9" in html
