@@ -97,9 +97,7 @@ def run(
     started = perf_counter()
     results = throw_campaign(campaign, throws, seed)
     accuracy = _accuracy(campaign, plant, results, seed, perf_counter() - started)
-    if json is not None:
-        text = json_text.dumps(accuracy, indent=2, allow_nan=False)
-        json.write_text(text + "\n", encoding="utf-8")
+    _write_json(json, accuracy)
     if card:
         add_evaluation(campaign.policy_folder, _card_entry(campaign, accuracy, unit_seed))
     if plot is not None:
@@ -117,6 +115,12 @@ def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None
             raise UsageError(f"--plot draws one height, --heights names {len(campaign_heights)}")
     if json is not None and not json.parent.is_dir():
         raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
+
+
+def _write_json(path: Path | None, accuracy: AccuracyReport) -> None:
+    if path is not None:
+        text = json_text.dumps(accuracy, indent=2, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
 
 
 def _accuracy(
