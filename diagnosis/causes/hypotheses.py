@@ -50,6 +50,8 @@ LOUD_SD = 3.0
 WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
 LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency")
 """A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
+PARTNERED_COUNT = 2
+"""Singles whose joint, if they leave it loud, is searched for a second effect that no slope shows."""
 MARGIN_LOG_ODDS = 3.0
 """A grown set must promise to come this close to the best one."""
 
@@ -89,6 +91,8 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         )
         leader = max(evidence for evidence, _ in fair.values())
         seeds = _grown(best[:behind], kept, leader - MARGIN_LOG_ODDS)
+        if size == 2:
+            seeds |= _partners_of_typical_size(problem, best[:PARTNERED_COUNT])
         found += settle(problem, seeds, 2 if size == 2 else 1)
         tick(0.4 + 0.2 * (size - 1))
     fair = fair_evidence(found)
@@ -120,12 +124,10 @@ def _singles(problem: Problem, base: Screen) -> list[Trial]:
     first = search(base, priors)
     seeds = [e.members for e in first if len(e.members) == 1][:SINGLE_COUNT]
     seeds += [(g,) for e in first[:PART_COUNT] for g in e.members]
-    seeds += [(g,) for g in _of_loud_joint(problem, base.mean)]
+    seeds += [(g,) for g in _of_loud_joint(problem, problem.whitened, base.mean)]
     linear = {m: weigh(base, priors, m).mean for m in dict.fromkeys(seeds)}
     typical = {
-        m: priors.slab_sd[priors.groups[m[0]]]
-        for m in linear
-        if problem.layout.groups[m[0]][0] in (*WITH_THRESHOLD, *LATE)
+        m: priors.slab_sd[priors.groups[m[0]]] for m in linear if _hides_from_slopes(problem, m[0])
     }
     settled: dict[Set, Trial] = {}
     for start in (linear, typical):
@@ -138,17 +140,37 @@ def _singles(problem: Problem, base: Screen) -> list[Trial]:
     return try_sets(problem, {t.members: t.sizes for t in best})
 
 
-def _of_loud_joint(problem: Problem, mean: Array) -> list[int]:
-    """Groups of constant effects at the driven joint that is furthest above a healthy one, if one is."""
-    power: dict[str, tuple[float, int]] = {}
-    for whitened in problem.whitened:
-        for name, (square, count) in leftovers(whitened, mean).items():
-            before = power.get(name, (0.0, 0))
-            power[name] = before[0] + square, before[1] + count
+def _hides_from_slopes(problem: Problem, group: int) -> bool:
+    """Whether an effect of some size looks unlike a multiple of its slope at 0."""
+    return problem.layout.groups[group][0] in (*WITH_THRESHOLD, *LATE)
+
+
+def _partners_of_typical_size(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
+    """Pairs behind singles that leave a joint loud: with every effect there that slopes do not show."""
+    priors, seeds = problem.layout.priors, dict[Set, Array]()
+    known = {t.members: t.sizes for t in singles if t.members}
+    for trial in try_sets(problem, known, is_last=True):
+        own, size = trial.members[0], weigh(trial.base, trial.priors, trial.members)
+        mean = _mean_with(trial.base, total(trial.information), trial.priors, size)
+        for group in _of_loud_joint(problem, trial.whitened, mean):
+            if group == own or not _hides_from_slopes(problem, group):
+                continue
+            sizes = {own: trial.sizes, group: priors.slab_sd[priors.groups[group]]}
+            members = tuple(sorted(sizes))
+            seeds[members] = np.concatenate([sizes[g] for g in members])
+    return seeds
+
+
+def _of_loud_joint(problem: Problem, whitened: Sequence[Whitened], mean: Array) -> list[int]:
+    """Groups of constant effects at the driven joint that is furthest above a healthy one, if one is.
+
+    Judged by what the parameters `mean` leave of the whitened throws.
+    """
+    left = _levels(whitened, mean)
     levels = {
-        joint: (np.log(power[name][0] / power[name][1]) - healthy[0]) / healthy[1]
+        joint: (left[name] - healthy[0]) / healthy[1]
         for joint in ACTIVE_JOINTS
-        if (name := f"actuation.{joint}") in power
+        if (name := f"actuation.{joint}") in left
         and (healthy := problem.model.unknown_level.get(name)) is not None
     }
     loud = max(levels, key=lambda joint: levels[joint], default=None)

@@ -3,7 +3,7 @@
 An effect of finite size bends; so a set is judged about its own sizes, and others about theirs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from diagnosis.causes.whitening import (
     FORM_ERROR_RATIO,
     Whitened,
     information,
+    rough_blocks,
     whiten_throw,
     widened,
 )
@@ -98,12 +99,30 @@ def _estimated(
     *,
     is_last: bool,
 ) -> Trial:
+    """The set's trial; effects that may be rough are taken as rough as the throws want them."""
+    rough = rough_blocks(effects)
+    trials = [
+        _with_form(problem, members, effects, at, blocks, is_last=is_last)
+        for blocks in ([(), rough] if rough else [()])
+    ]
+    return max(trials, key=own_evidence)
+
+
+def _with_form(
+    problem: Problem,
+    members: Set,
+    effects: Sequence[Effect],
+    at: Sequence[Linear],
+    rough: Collection[str],
+    *,
+    is_last: bool,
+) -> Trial:
     kept: list[Whitened] = []
     informations: list[Information] = []
     for i, p in enumerate(problem.prepared):
         change = problem.linear[i].residual - at[i].residual
         linear = _carried(at[i], effects, p.input.progress_ratio)
-        factor = widened(p, problem.model, problem.factor[i], change, effects)
+        factor = widened(p, problem.model, problem.factor[i], change, rough)
         whitened = whiten_throw(p, linear, problem.model, factor, problem.basis(i))
         informations += information([whitened])
         if is_last:

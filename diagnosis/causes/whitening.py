@@ -5,7 +5,7 @@ grasp, jitter of the opening, swing at the start) or from set to set (sensor off
 slopes times its standard deviation; all of them are marginalised, none is ever a cause.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,18 +111,23 @@ def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
     ]
 
 
+def rough_blocks(effects: Sequence[Effect]) -> set[str]:
+    """Blocks of joints whose motion these effects make rough (`ROUGH_EFFECTS`)."""
+    return {f"actuation.{e.joint}" for e in effects if e.effect in ROUGH_EFFECTS}
+
+
 def widened(
     prepared: PreparedThrow,
     model: NoiseModel,
     healthy: Sequence[Array],
     change: Array,
-    effects: Sequence[Effect],
+    rough: Collection[str] = (),
 ) -> list[Array]:
     """Factors under a hypothesis whose effects change the twin's prediction by `change` (n,).
 
-    A real effect is never quite the library's: a share of what it changes is added to the discrepancy.
+    A real effect is never quite the library's: a share of what it changes is added to the discrepancy, a
+    larger one in the blocks named `rough`.
     """
-    rough = {f"actuation.{e.joint}" for e in effects if e.effect in ROUGH_EFFECTS}
     found: list[Array] = []
     for block, lower in zip(prepared.blocks, healthy, strict=True):
         size = np.abs(np.nan_to_num(change[block.rows]))

@@ -151,6 +151,7 @@ def make_reference(unit_seed: int, seed: int, out: Path, throws: int, policies: 
     folder.mkdir(parents=True)
     thrower = _Thrower(machine, folder, f"{name}-healthy", seed, policies)
     thrower.throw(throws, lambda place: Condition(place_ratio=place, unit=machine.unit))
+    save_profile(machine.profile, folder / PROFILE_NAME)
     return folder
 
 

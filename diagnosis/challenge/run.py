@@ -5,6 +5,7 @@ It reads the data folder and nothing else: the sealed file is no argument of any
 
 import json
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
@@ -12,13 +13,16 @@ from time import perf_counter
 from typing import Any, Final
 
 from diagnosis.challenge.make import MANIFEST, PROFILE_NAME, REFERENCE, spread
+from diagnosis.healthy.health import Health, load_health
+from diagnosis.healthy.reference import of_reference
 from diagnosis.loading.logs import load_throws
+from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from machine.errors import UsageError
 from sim_twin.twin.profile import load_profile
 
 Method = Callable[..., Diagnosis]
-"""Of a loaded set and the machine's profile; `diagnose` also takes its healthy throws."""
+"""Of a loaded set and the machine's profile; the diagnosis also takes what its healthy throws tell."""
 DIAGNOSE: Final = "diagnose"
 METHODS: Final = {
     DIAGNOSE: "diagnosis.diagnose:diagnose_throws",
@@ -96,7 +100,7 @@ def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
         profile = load_profile(folder / PROFILE_NAME)
         healthy = folder.parent / REFERENCE / profile.machine_id
         if method == DIAGNOSE and healthy.is_dir():
-            found = _method(method)(loaded, profile, reference=load_throws([healthy]))
+            found = _method(method)(loaded, profile, health=_own_health(healthy))
         else:
             found = _method(method)(loaded, profile)
         said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
@@ -110,6 +114,14 @@ def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
         "memory_mib": round(memory_mib),
         "said": said,
     }
+
+
+@cache
+def _own_health(reference: Path) -> Health:
+    """What a machine's healthy throws tell of it; many sets of a challenge are of the same machine."""
+    profile = load_profile(reference / PROFILE_NAME)
+    with one_blas_thread():
+        return of_reference(load_throws([reference]), profile, load_health())
 
 
 def _method(name: str) -> Method:

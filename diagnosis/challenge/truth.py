@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict
 
 from diagnosis.challenge.effects import (
     CONFOUNDED,
-    DRIFT_LIMIT_RATIO,
     DRIFTS,
     LIBRARY,
     STRENGTH,
@@ -251,10 +250,12 @@ def _drift(limits: Mapping[str, float], rng: np.random.Generator, *, strong: boo
         for effect, parameter in DRIFTS
         for joint in (LIBRARY[effect].joints or (None,))
         if parameter in _visible(effect, LIBRARY[effect], joint, limits)
+        and limits[limit_key(DRIFT, joint, f"{effect}.{parameter}")]
+        <= VISIBLE_SHARE * max(LIBRARY[effect].bounds[parameter])
     ]
     effect, parameter, joint = shown[int(rng.integers(len(shown)))]
     hidden = LIBRARY[effect]
-    unit = DRIFT_LIMIT_RATIO * limits[limit_key(effect, joint, parameter)]
+    unit = limits[limit_key(DRIFT, joint, f"{effect}.{parameter}")]
     low, high = hidden.bounds[parameter]
     sign = _sign(unit * _multiple(rng, strong=strong), low, high, rng)
     bound = BOUND_SHARE * (high if sign > 0.0 else -low)

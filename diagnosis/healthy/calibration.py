@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
+from diagnosis.causes.parameters import library, scatter_names
 from diagnosis.causes.residuals import Linear, linearise
 from diagnosis.causes.whitening import THROW_NUISANCES, factors, throw_nuisances
-from diagnosis.healthy.expectation import HealthySet, capped, fit, improve
+from diagnosis.healthy.expectation import HealthySet, first_scatter_sd, fit, improve
 from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, correction, inputs, learn, nothing
 from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import load_throws
@@ -30,7 +30,7 @@ from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import load_profile
 
 FOLD_COUNT = 5
-ROUND_COUNT = 6
+ROUND_COUNT = 4
 JOINT_NOISE = 0.0055
 GYRO_NOISE_RAD_PER_S = 6e-4
 ACCEL_NOISE_M_PER_S2 = 4e-3
@@ -47,8 +47,6 @@ FIRST_THROW_SD = {
     **{f"grasp_{axis}_m": 0.01 for axis in "xyz"},
     **{f"slip_{axis}_m_per_s": 0.03 for axis in "xyz"},
 }
-FIRST_SPIKE_RATIO = 4.0
-"""Of the library's tolerances: where the rounds begin."""
 FIRST_MACHINE_SHARE = 0.7
 """Of the variance: where the rounds begin."""
 MIN_LEVEL_SD = 0.08
@@ -119,11 +117,7 @@ def cross_corrected(sets: Sequence[HealthySet]) -> list[HealthySet]:
 def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
     """Where the rounds begin."""
     tolerance = [p.tolerance for p in library()]
-    offsets = [
-        0.03 if "accel" in name else 0.003 if "gyro" in name or name.endswith("_s") else 0.01
-        for name in SET_NUISANCES
-    ]
-    of_set = np.array([*(FIRST_SPIKE_RATIO * t for t in tolerance), *offsets])
+    of_set = first_scatter_sd()
     of_throw = np.array([*(FIRST_THROW_SD[name] for name in THROW_NUISANCES), *tolerance])
     return NoiseModel(
         note=note,
@@ -200,7 +194,7 @@ def calibrate_noise(
         model = improve(clean, model)
         say(f"round {number + 1} of {ROUND_COUNT}")
     gap_m = healthy_gaps(sets, healthy)
-    return healthy, capped(with_levels(clean, model).model_copy(update={"healthy_gap_m": gap_m}))
+    return healthy, with_levels(clean, model).model_copy(update={"healthy_gap_m": gap_m})
 
 
 def healthy_gaps(sets: Sequence[HealthySet], healthy: HealthyModel) -> dict[str, float]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from diagnosis.causes.parameters import layout, library, scatter_names
+from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import screen, total
 from diagnosis.causes.whitening import (
@@ -35,9 +35,13 @@ KEPT_NUISANCES = ("release_delay_s", "switch_lag_s")
 THROW_SHRINKING_COUNT = 60.0
 """So many throws without any correlation are added to those that were seen (by eye)."""
 NO_SLOPE = ("valve_hysteresis", "speed_limit", "backlash", "stiction")
-MOST_SD_RATIO = 3.0
-"""Effects with a threshold have no slope at 0: what healthy machines say of them is mostly correlation with
-others, and their scatter stays below this multiple of the library's tolerance (by eye)."""
+"""Effects with a threshold have no slope at 0, and no size below it: they have scatter, but no mean."""
+FIRST_SCATTER_RATIO = 4.0
+"""Of the library's tolerances: where the rounds begin."""
+BELIEVED_RATIO = 5.0
+"""No healthy parameter is off by much more than this multiple of where the rounds begin. Directions that no
+throw tells (load against drag, base against slew) would wander off together otherwise: by kilograms after 240
+rounds. Held-out machines are told from effects as well as without it (docs/diagnosis.md)."""
 LEAST_SD_RATIO = 0.02
 """Of the library's tolerance: no direction is without scatter."""
 
@@ -123,15 +127,21 @@ def with_levels_of(
 ) -> NoiseModel:
     """The model with the scatter of machines and sets that these fits tell."""
     names = scatter_names()
+    mean = np.array([model.healthy_mean.get(name, 0.0) for name in names])
+    belief = 1.0 / np.square(BELIEVED_RATIO * first_scatter_sd())
     machines: dict[str, list[Told]] = {}
     for one, found in zip(sets, fits, strict=True):
-        machines.setdefault(one.prepared[0].throw.machine_id, []).append(found.told)
+        precision, gradient = found.told
+        believed = Told(precision + np.diag(belief), gradient - belief * mean)
+        machines.setdefault(one.prepared[0].throw.machine_id, []).append(believed)
     first = Levels(
         np.zeros(len(names)),
         model.machine_scatter.covariance(names),
         model.set_scatter.covariance(names),
     )
-    levels = learn(list(machines.values()), first)
+    # Effects with a threshold have no size below 0: a mean of theirs would be that of other effects.
+    has_mean = np.array([not name.startswith(NO_SLOPE) for name in names])
+    levels = learn(list(machines.values()), first, has_mean=has_mean)
     return model.model_copy(
         update={
             "healthy_mean": {
@@ -144,15 +154,13 @@ def with_levels_of(
     )
 
 
-def capped(model: NoiseModel) -> NoiseModel:
-    """The model with as much scatter of effects without a slope at 0 as can be believed."""
-    parts = {"machine_scatter": model.machine_scatter, "set_scatter": model.set_scatter}
-    for p in library():
-        sd = float(np.sqrt(model.scatter([p.key])[0, 0]))
-        if p.effect in NO_SLOPE and sd > MOST_SD_RATIO * p.tolerance:
-            share = MOST_SD_RATIO * p.tolerance / sd
-            parts = {k: v.with_sd(p.key, share * v.sd_of(p.key)) for k, v in parts.items()}
-    return model.model_copy(update=parts)
+def first_scatter_sd() -> Array:
+    """Standard deviations (p,) in the order of `scatter_names` with which the rounds begin."""
+    offsets = [
+        0.03 if "accel" in name else 0.003 if "gyro" in name or name.endswith("_s") else 0.01
+        for name in SET_NUISANCES
+    ]
+    return np.array([*(FIRST_SCATTER_RATIO * p.tolerance for p in library()), *offsets])
 
 
 def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel) -> Scatter:

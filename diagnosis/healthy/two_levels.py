@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.selection import Information
-from machine.conventions import Array
+from machine.conventions import Array, BoolArray
 
 ROUND_COUNT = 60
 """Directions that few throws tell are slow: after 6 rounds their scatter was up to 4 times too large."""
@@ -81,37 +81,50 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def learn(machines: Sequence[Sequence[Told]], first: Levels, rounds: int = ROUND_COUNT) -> Levels:
-    """The levels under which the sets of these machines are most probable."""
+def learn(
+    machines: Sequence[Sequence[Told]],
+    first: Levels,
+    *,
+    has_mean: BoolArray,
+    rounds: int = ROUND_COUNT,
+) -> Levels:
+    """The levels under which the sets of these machines are most probable.
+
+    Args:
+        machines: what the sets of each tell.
+        first: where to begin.
+        has_mean: (p,) which of theta have a mean of their own; the others keep that of `first`.
+        rounds: of expectation maximisation.
+    """
     levels = first
     least_machine, least_set = (np.diag(LEAST_RATIO**2 * np.diag(m)) for m in first[1:])
     for _ in range(rounds):
-        levels = _improved(machines, levels)
+        levels = _improved(machines, levels, has_mean)
         levels = levels._replace(
             machine=levels.machine + least_machine, within=levels.within + least_set
         )
     return levels
 
 
-def _improved(machines: Sequence[Sequence[Told]], levels: Levels) -> Levels:
+def _improved(machines: Sequence[Sequence[Told]], levels: Levels, has_mean: BoolArray) -> Levels:
     middles: list[Array] = []
     machine, within = np.zeros_like(levels.machine), np.zeros_like(levels.within)
     for sets in machines:
         middle, covariance = of_machine(sets, levels)
         middles.append(middle)
-        machine += np.outer(middle, middle) + covariance
+        machine += covariance
         for one in sets:
             own = _of_set(one, levels)
             off = own @ (one.gradient - one.precision @ (levels.mean + middle))
             shared = own @ one.precision
             within += np.outer(off, off) + own + shared @ covariance @ shared.T
     count = sum(len(sets) for sets in machines)
-    moved = np.mean(middles, axis=0)
+    moved = np.where(has_mean, np.mean(middles, axis=0), 0.0)
+    left = np.stack(middles) - moved
+    machine = (machine + left.T @ left) / len(machines)
     return Levels(
         levels.mean + moved,
-        shrunk(
-            machine / len(machines) - np.outer(moved, moved), len(machines), MACHINE_SHRINKING_COUNT
-        ),
+        shrunk(machine, len(machines), MACHINE_SHRINKING_COUNT),
         shrunk(within / count, count, SET_SHRINKING_COUNT),
     )
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from diagnosis.causes.selection import (
+    COUNT_TEMPERATURE_RATIO,
     FORM_TEMPERATURE_RATIO,
     MIN_SLAB_OVER_SPIKE_RATIO,
     PARTNER_LOG_PRIOR,
@@ -153,14 +154,23 @@ def test_bagging_shares_probability_when_throws_disagree() -> None:
     # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
     speaks = np.array([30.0, 30.0, -30.0, -29.0])
     log_odds = np.column_stack([weights @ speaks, np.zeros(50)])
-    probability = bagged_probability(log_odds, none=1)
+    probability = bagged_probability(log_odds, np.array([1, 0]))
     assert 0.2 < probability[0] < 0.8
     assert probability.sum() == pytest.approx(1.0)
 
 
 def test_which_effect_is_less_sure_than_that_there_is_one() -> None:
     # "No effect" is out by 40; the two effects are 8 apart.
-    probability = bagged_probability(np.array([[40.0, 32.0, 0.0]]), none=2)
+    probability = bagged_probability(np.array([[40.0, 32.0, 0.0]]), np.array([1, 1, 0]))
     assert probability[2] < 1e-10
     assert probability[0] / probability[1] == pytest.approx(np.exp(8.0 / FORM_TEMPERATURE_RATIO))
-    np.testing.assert_allclose(bagged_probability(np.zeros((3, 1)), none=0), [1.0])
+    np.testing.assert_allclose(bagged_probability(np.zeros((3, 1)), np.array([0])), [1.0])
+
+
+def test_how_many_effects_is_surer_than_which() -> None:
+    # The pair is 9 behind its single, another single as well.
+    probability = bagged_probability(np.array([[60.0, 51.0, 51.0, 0.0]]), np.array([1, 1, 2, 0]))
+    assert probability[2] < probability[1] < probability[0]
+    assert probability[2] == pytest.approx(
+        1.0 / (1.0 + np.exp(9.0 / COUNT_TEMPERATURE_RATIO)), rel=0.01
+    )

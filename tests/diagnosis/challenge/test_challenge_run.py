@@ -10,17 +10,19 @@ import pytest
 
 from diagnosis.challenge import make as challenge_make
 from diagnosis.challenge import run as challenge
-from diagnosis.challenge.effects import LIBRARY, UNKNOWN, load_limits
+from diagnosis.challenge.effects import DRIFT_LIMIT_RATIO, LIBRARY, UNKNOWN, limit_key, load_limits
 from diagnosis.challenge.machines import HealthyMachine, challenge_unit, nuisance_unit
 from diagnosis.challenge.make import make_challenge
 from diagnosis.challenge.run import answered, run_challenge
 from diagnosis.challenge.truth import Tier
+from diagnosis.healthy.health import Health
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.calibration import nominal_calibration
 from machine.errors import UsageError
 from machine.spec import MachineSpec, load_spec
 from runtime.records.log_reader import read_throw_log
+from sim_twin.faults.fault import DRIFT
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 from sim_twin.virtual.units import nominal_unit
 
@@ -109,8 +111,8 @@ def test_places_that_would_spoil_it_are_refused(tmp_path: Path, made: tuple[Path
         make(tmp_path, tmp_path.parent / "truth.json")
 
 
-def _fake(loaded: LoadedSet, profile: TwinProfile, reference: LoadedSet) -> Diagnosis:
-    assert len(reference.throws) == 3
+def _fake(loaded: LoadedSet, profile: TwinProfile, health: Health) -> Diagnosis:
+    assert health.is_own
     if "set-0002" in loaded.throws[0].throw_id:
         raise ValueError("broken on purpose")
     return Diagnosis(verdict=VerdictKind.NONE, evidence={"clocks": 1, "where": None})
@@ -168,12 +170,21 @@ def test_nuisance_is_small_and_spares_nothing() -> None:
     assert unit.spool_lag_s != nominal_unit(load_spec()).spool_lag_s
 
 
+def _joint(drift: list[str]) -> str | None:
+    return drift[1] if len(drift) == 4 else None
+
+
 def test_limits_cover_every_effect_and_lie_within_its_bounds() -> None:
     limits = load_limits()
     for name, size in limits.items():
         parts = name.split(".")
+        if parts[0] == DRIFT:
+            assert (
+                size >= DRIFT_LIMIT_RATIO * limits[limit_key(parts[-2], _joint(parts), parts[-1])]
+            )
+            continue
         bounds = {**LIBRARY, **UNKNOWN}[parts[0]].bounds[parts[-1]]
         assert 0.0 < size <= bounds[1]
-    assert {name.split(".")[0] for name in limits} == {*LIBRARY, *UNKNOWN}
+    assert {name.split(".")[0] for name in limits} == {*LIBRARY, *UNKNOWN, DRIFT}
     with pytest.raises(UsageError, match="cannot be read"):
         load_limits(Path("/nowhere.json"))

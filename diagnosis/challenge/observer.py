@@ -1,0 +1,121 @@
+"""From which size on a set of throws can show an effect to the best linear observer.
+
+An effect shows as a change of what the twin predicts. Against sensor noise, what differs from throw to throw,
+and what a healthy machine is off in every parameter (12 of its healthy throws are known), that change has a
+discriminability d': the distance of the two means in standard deviations of the best linear statistic. The
+limit of detection with 5 % false alarms and 5 % misses is d' = 3.29 (Currie 1968, ISO 11843-1).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.causes.parameters import Parameter, layout, library, scatter_names
+from diagnosis.causes.problem import Problem, pose
+from diagnosis.causes.residuals import relinearise
+from diagnosis.causes.selection import inform_gram
+from diagnosis.causes.whitening import slope_count
+from diagnosis.challenge.machines import healthy_machine
+from diagnosis.challenge.make import make_reference
+from diagnosis.healthy.health import load_health
+from diagnosis.healthy.noise import whiten
+from diagnosis.healthy.reference import of_reference
+from diagnosis.loading.logs import load_throws
+from diagnosis.loading.prepared import prepare
+from machine.conventions import Array
+from machine.spec import load_spec
+
+LIMIT_D_PRIME: Final = 3.29
+THROWS: Final = 12
+UNIT_SEED: Final = 0
+SEEDS: Final = (41, 42)
+"""Of the healthy throws that are known, and of those an effect is added to."""
+ROUNDS: Final = 5
+STEP_RATIO: Final = 4.0
+"""A size moves by at most this factor a round."""
+
+
+class Shown(NamedTuple):
+    """Discriminability of K effects."""
+
+    constant: Array
+    """(K,)"""
+    drift: Array
+    """(K,) of a drift from nothing to that size over the set."""
+
+
+def observe(policies: Path) -> Problem:
+    """Healthy throws of the nominal machine against its twin, and what is known of it."""
+    machine = healthy_machine(load_spec(), UNIT_SEED)
+    with TemporaryDirectory() as folder:
+        known, seen = (
+            load_throws(
+                [make_reference(UNIT_SEED, seed, Path(folder) / str(seed), THROWS, policies)]
+            )
+            for seed in SEEDS
+        )
+    own = of_reference(known, machine.profile, load_health())
+    prepared = prepare(seen.throws, machine.profile)
+    return pose(prepared, machine.profile, machine.calibration, own, layout(own.noise))
+
+
+def limit_sizes(problem: Problem) -> dict[str, tuple[float, float]]:
+    """By key of a parameter: sizes at the limit as a constant and as a drift; the bound if it never shows."""
+    parameters = library()
+    bound = np.array([max(p.high, -p.low) for p in parameters])
+    found: list[Array] = []
+    for kind in Shown._fields:
+        size = 0.1 * bound
+        for _ in range(ROUNDS):
+            d_prime = getattr(discriminability(problem, parameters, size), kind)
+            ratio = LIMIT_D_PRIME / np.maximum(d_prime, 1e-6)
+            size = np.minimum(size * np.clip(ratio, 1.0 / STEP_RATIO, STEP_RATIO), bound)
+        found.append(size)
+    return {
+        p.key: (float(constant), float(drift))
+        for p, constant, drift in zip(parameters, *found, strict=True)
+    }
+
+
+def discriminability(problem: Problem, parameters: Sequence[Parameter], size: Array) -> Shown:
+    """D' of every parameter at its size (K,), in the direction that its bounds leave more room for."""
+    sign = np.array([1.0 if p.high >= -p.low else -1.0 for p in parameters])
+    requests = [((p.at(float(s)),), [p]) for p, s in zip(parameters, sign * size, strict=True)]
+    moved = relinearise(
+        problem.prepared,
+        problem.profile,
+        problem.calibration,
+        problem.healthy,
+        problem.linear,
+        requests,
+    )
+    count = len(parameters)
+    width = 2 * count + slope_count()
+    precision = np.zeros((width, width))
+    for i in range(len(problem.prepared)):
+        change = np.column_stack([problem.linear[i].residual - at[i].residual for at in moved])
+        precision += _told(problem, i, np.nan_to_num(change))
+    names = scatter_names()
+    scatter = problem.model.scatter(names)
+    own, rest = slice(0, 2 * count), slice(2 * count, None)
+    inner = precision[rest, rest] + np.linalg.inv(scatter)
+    left = precision[own, own] - precision[own, rest] @ np.linalg.solve(inner, precision[rest, own])
+    d_prime = np.sqrt(np.maximum(np.diag(left), 0.0))
+    return Shown(d_prime[:count], d_prime[count:])
+
+
+def _told(problem: Problem, throw: int, change: Array) -> Array:
+    """Precision (2 K + p, 2 K + p) about the changes (n, K), as constants and drifts, and the parameters."""
+    prepared, base = problem.prepared[throw], problem.whitened[throw]
+    white = np.empty_like(change)
+    for block, lower in zip(prepared.blocks, problem.factor[throw], strict=True):
+        white[block.rows] = whiten(lower, change[block.rows])
+    share = prepared.input.progress_ratio
+    table = np.column_stack(
+        [np.zeros(change.shape[0]), white, share * white, base.slopes, base.nuisance]
+    )
+    count = 2 * change.shape[1] + base.slopes.shape[1]
+    return inform_gram(table.T @ table, count).precision

@@ -1,0 +1,26 @@
+"""Two effects at one joint that no slope at zero shows are found together."""
+
+from diagnosis.causes.hypotheses import explore
+from diagnosis.causes.parameters import layout
+from diagnosis.causes.problem import pose
+from diagnosis.loading.prepared import prepare
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health, profile, throws
+
+
+def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> None:
+    known = health()
+    loaded = throws(
+        (
+            Effect(effect="backlash", joint="dipper", parameters={"gap_rad_m": 0.02}),
+            Effect(effect="valve_hysteresis", joint="dipper", parameters={"half_width_ratio": 0.1}),
+        ),
+        4,
+    )
+    prepared = prepare(loaded.throws, profile())
+    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    found = explore(problem, lambda share: None)
+    best = max(found, key=lambda h: h.log_evidence[0])
+    pairs = [(e.effect, e.joint) for e in best.effects]
+    assert ("backlash", "dipper") in pairs
+    assert ("valve_hysteresis", "dipper") in pairs
