@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnosis.causes.parameters import Layout
+from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import Linear, linearise
 from diagnosis.causes.selection import (
     Information,
@@ -15,7 +16,7 @@ from diagnosis.causes.whitening import (
     information,
     whiten_throw,
 )
-from diagnosis.healthy.adapt import filters_help, inflated, misfit
+from diagnosis.healthy.adapt import filters_help, misfit, scaled_to, stranger
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
@@ -59,15 +60,20 @@ def pose(
     linear = linearise(prepared, profile, calibration, healthy)
     if health.is_own:
         return _whitened(prepared, profile, calibration, healthy, model, layout, linear)
-    if not filters_help(prepared, linear, healthy):
-        healthy = nothing()
+    is_stranger = not filters_help(prepared, linear, healthy)
+    if is_stranger:
+        healthy, model = nothing(), stranger(model)
+        layout = layout_of(model)
         linear = linearise(prepared, profile, calibration, healthy)
     first = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
     excess = misfit(first.whitened, layout.priors, model)
-    if max(excess.values()) <= 1.0:
+    if not is_stranger:
+        # Machines of the type are never much nearer to their twin than the others.
+        excess = {stage: max(factor, 1.0) for stage, factor in excess.items()}
+    if all(factor == 1.0 for factor in excess.values()):
         return first
-    wider = inflated(model, excess)
-    return _whitened(prepared, profile, calibration, healthy, wider, layout, linear)
+    scaled = scaled_to(model, excess)
+    return _whitened(prepared, profile, calibration, healthy, scaled, layout, linear)
 
 
 def _whitened(

@@ -1,21 +1,21 @@
 """How well what is known of healthy machines suits this one, judged by its own throws.
 
-Filters and noise were learned on one type of machine in one simulator. Another machine may be further from
-its twin in everything; then the filters must not be forced on it, and nothing must be called an effect that
-is only the level of its misfit. An effect sits at one joint or in one stage: what all joints, or all axes,
-have in common is misfit.
+Filters, noise and scatter were learned on one type of machine in one simulator. Another machine may be
+further from its twin in everything, or nearer; then they must not be forced on it, and nothing must be called
+an effect that is only the level of its misfit. An effect sits at one joint or in one stage: what all joints,
+or all axes, have in common is misfit.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.causes.parameters import joint_index
+from diagnosis.causes.parameters import joint_index, library
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Priors, screen, total
 from diagnosis.causes.whitening import Whitened, information, leftovers
 from diagnosis.healthy.filters import HealthyModel, correction
-from diagnosis.healthy.noise import NoiseModel
+from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.loading.prepared import AXES, PreparedThrow
 from machine.conventions import ACTIVE_JOINTS
 
@@ -24,8 +24,10 @@ COMMON = {
     "swing": tuple(f"swing.gyro.{axis}" for axis in AXES),
 }
 """Blocks of which more than half must be loud before a stage counts as misfit."""
+STRANGER_RATIO = 2.0
+"""Of the library's tolerances: how far machines of another type may be off on top (by eye)."""
 CLEAR_LOG_POWER = 0.7
-"""Healthy sets of the type stay below it (their levels scatter by 0.1 to 0.2): less is left as it is."""
+"""Healthy sets of the type stay within it (their levels scatter by 0.1 to 0.2): less is left as it is."""
 
 
 def filters_help(
@@ -54,8 +56,28 @@ def filters_help(
     return not gains or float(np.mean(gains)) >= 0.0
 
 
+def stranger(model: NoiseModel) -> NoiseModel:
+    """The model for a machine of another type: what the type's machines have in common does not hold for it.
+
+    Only the clocks keep their mean, which is that of our own smoothing of joint sensors; everything else may
+    be off by what the type is off in the mean and in its scatter, and by some of the library's tolerance,
+    each by itself.
+    """
+    names = model.machine_scatter.names
+    tolerance = {p.key: p.tolerance for p in library()}
+    middle = np.array([model.healthy_mean.get(name, 0.0) for name in names])
+    is_clock = np.array(["latency" in name for name in names])
+    free = np.array([STRANGER_RATIO * tolerance.get(name, 0.0) for name in names])
+    variance = np.diag(model.machine_scatter.covariance(names)) + free**2
+    variance += np.where(is_clock, 0.0, middle) ** 2
+    kept = {name: float(m) for name, m, clock in zip(names, middle, is_clock, strict=True) if clock}
+    return model.model_copy(
+        update={"healthy_mean": kept, "machine_scatter": Scatter.of(names, np.diag(variance))}
+    )
+
+
 def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> dict[str, float]:
-    """Factor by which the discrepancy of a stage exceeds that of the type's healthy machines; 1 or more.
+    """Factor between a stage's discrepancy and that of the type's healthy machines; 1 unless it is clear.
 
     The lower median over a stage's blocks: an effect at one joint, or two, does not count.
     """
@@ -73,12 +95,12 @@ def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> d
             if name in power and power[name][0] > 0.0 and name in model.unknown_level
         )
         middle = excess[(len(excess) - 1) // 2] if excess else 0.0
-        found[stage] = float(np.exp(0.5 * middle)) if middle > CLEAR_LOG_POWER else 1.0
+        found[stage] = float(np.exp(0.5 * middle)) if abs(middle) > CLEAR_LOG_POWER else 1.0
     return found
 
 
-def inflated(model: NoiseModel, factors: dict[str, float]) -> NoiseModel:
-    """The model of a machine whose stages are further from the twin by these factors."""
+def scaled_to(model: NoiseModel, factors: dict[str, float]) -> NoiseModel:
+    """The model of a machine whose stages are further from the twin, or nearer, by these factors."""
     channels = {
         name: channel.model_copy(
             update={
