@@ -18,7 +18,8 @@ import tyro
 
 from machine.conventions import Mode
 from machine.spec import load_spec
-from training.environment.environment import ThrowEnvironment, random_table
+from training.environment.environment import ThrowEnvironment
+from training.environment.state import random_table
 from training.environment.task import PpoConfig, task_for
 from training.ppo import Trainer
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.spec import MachineSpec
-from training.environment.environment import StartTable, ThrowEnvironment, start_table
+from training.environment.environment import ThrowEnvironment
 from training.environment.episode import Failure, StepInfo
+from training.environment.state import StartTable, start_table
 from training.environment.task import TaskConfig
 from training.networks import Layers, Normaliser, apply_layers, normalise
 

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from training.environment.environment import EnvironmentState, StartTable, ThrowEnvironment
+from training.environment.environment import ThrowEnvironment
 from training.environment.episode import Failure, StepInfo
 from training.environment.reward import hurry_share
+from training.environment.state import EnvironmentState, StartTable
 from training.environment.task import PpoConfig
 from training.networks import (
     Networks,

@@ -24,7 +24,8 @@ from training.checkpoint import (
     load_weights,
     save_checkpoint,
 )
-from training.environment.environment import ThrowEnvironment, random_table
+from training.environment.environment import ThrowEnvironment
+from training.environment.state import random_table
 from training.environment.task import PpoConfig, TaskConfig
 from training.export import export_policy
 from training.measure import Accuracy, measure

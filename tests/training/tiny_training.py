@@ -11,12 +11,8 @@ import numpy as np
 
 from machine.conventions import Mode
 from machine.spec import load_spec
-from training.environment.environment import (
-    EnvironmentState,
-    StartTable,
-    ThrowEnvironment,
-    random_table,
-)
+from training.environment.environment import ThrowEnvironment
+from training.environment.state import EnvironmentState, StartTable, random_table
 from training.environment.task import TaskConfig, task_for
 
 SPEC = load_spec()

@@ -11,7 +11,7 @@ from training.environment.dynamics import Response
 from training.environment.task import ResponseConfig, TaskConfig
 
 if TYPE_CHECKING:
-    from training.environment.environment import EnvironmentState
+    from training.environment.state import EnvironmentState
 
 Field = Any
 

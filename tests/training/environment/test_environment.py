@@ -13,8 +13,8 @@ from machine.starts import is_valid_start
 from runtime.control import observation
 from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
-from training.environment.environment import DELAY_TICKS, EnvironmentState
 from training.environment.episode import Failure
+from training.environment.state import DELAY_TICKS, EnvironmentState
 from training.environment.task import GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M, ResponseConfig
 
 KEY = jax.random.key(11)
