@@ -20,7 +20,7 @@ def problem():
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
-    return pose(prepared, profile(), calibration, known.filters, known.noise, plan)
+    return pose(prepared, profile(), calibration, known, plan)
 
 
 def rms(plot, name):
