@@ -42,7 +42,7 @@ def throws(
         logs: throw logs of one machine (MCAP, or CSV with one file a throw: docs/throw_log.md), or folders of
             them; at least 3 throws, better 12.
         reference: throw log or folder of the same machine while it was healthy, to compare with; may be given
-            several times, at least 3 throws altogether, better 24, none of them diagnosed. Without it the
+            several times, at least 3 throws altogether, better 12, none of them diagnosed. Without it the
             throws are compared with healthy machines of the type.
         profile: twin profile of the machine; the one in the logs if left out, or nominal.
         json: file for the whole result.

@@ -108,7 +108,7 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     fits = [fit(one, model) for one in sets]
     drifts = slice(plan.parameter_count, plan.parameter_count + plan.drift_count)
     drift = np.mean([f.mean[drifts] ** 2 + np.diag(f.covariance)[drifts] for f in fits], axis=0)
-    return with_levels_of(sets, fits, model).model_copy(
+    return with_scatter_of(sets, fits, model).model_copy(
         update={
             "drift_sd": {
                 p.key: float(f"{max(np.sqrt(v), LEAST_SD_RATIO * p.tolerance):.4g}")
@@ -122,7 +122,7 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
     )
 
 
-def with_levels_of(
+def with_scatter_of(
     sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel
 ) -> NoiseModel:
     """The model with the scatter of machines and sets that these fits tell."""

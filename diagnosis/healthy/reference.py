@@ -1,8 +1,8 @@
 """Throws of a machine while it was healthy, and what they tell about it.
 
-Healthy machines of a type scatter several times more than one of them does from week to week. What the
-reference throws show of the machine's own share (two_levels.py) becomes its mean, and what they leave of
-it is the scatter above which an effect has to show.
+Healthy machines of a type scatter more than one of them does from week to week. What the reference throws
+show of the machine's own share (two_levels.py) becomes its mean, and what they leave of it is the scatter
+above which an effect has to show.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from diagnosis.causes.selection import total
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.healthy.two_levels import Levels, of_machine, told
-from diagnosis.loading.logs import MIN_THROWS_COUNT, LoadedSet, ThrowData, refusals
+from diagnosis.loading.logs import LoadedSet, ThrowData, refusals
 from diagnosis.loading.prepared import prepare
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
@@ -28,12 +28,9 @@ def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> Non
     Raises:
         UsageError: too few, of another machine, or among those that are diagnosed.
     """
-    if len(reference.throws) < MIN_THROWS_COUNT:
-        reasons = "; ".join(f"{path.name}: {reason}" for path, reason in reference.refused[:3])
-        raise UsageError(
-            f"{len(reference.throws)} usable reference throws, at least {MIN_THROWS_COUNT} are needed; "
-            f"{len(reference.refused)} logs were refused. {reasons}".strip()
-        )
+    shortage = reference.shortage("usable reference throws")
+    if shortage is not None:
+        raise UsageError(shortage)
     own, other = diagnosed[0].machine_id, reference.throws[0].machine_id
     if own != other:
         raise UsageError(

@@ -122,19 +122,22 @@ class LoadedSet:
             "refused": refusals(self.refused),
         }
 
-    def too_few(self) -> Diagnosis | None:
-        """The verdict when there is not enough to diagnose; None when there is."""
+    def shortage(self, what: str) -> str | None:
+        """Why there are not enough of `what`; None when there are."""
         if len(self.throws) >= MIN_THROWS_COUNT:
             return None
         reasons = "; ".join(f"{path.name}: {reason}" for path, reason in self.refused[:3])
-        return Diagnosis(
-            verdict=VerdictKind.BAD_DATA,
-            sentence=(
-                f"{len(self.throws)} usable throws, at least {MIN_THROWS_COUNT} are needed; "
-                f"{len(self.refused)} logs were refused. {reasons}"
-            ).strip(),
-            evidence=self.evidence(),
-        )
+        return (
+            f"{len(self.throws)} {what}, at least {MIN_THROWS_COUNT} are needed; "
+            f"{len(self.refused)} logs were refused. {reasons}"
+        ).strip()
+
+    def too_few(self) -> Diagnosis | None:
+        """The verdict when there is not enough to diagnose; None when there is."""
+        sentence = self.shortage("usable throws")
+        if sentence is None:
+            return None
+        return Diagnosis(verdict=VerdictKind.BAD_DATA, sentence=sentence, evidence=self.evidence())
 
 
 def refusals(refused: Sequence[tuple[Path, str]]) -> list[dict[str, str]]:

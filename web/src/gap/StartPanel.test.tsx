@@ -3,6 +3,7 @@ import { QueryClient, QueryClientProvider } from "@tanstack/react-query";
 import { cleanup, fireEvent, render, screen, waitFor, within } from "@testing-library/react";
 import { afterEach, beforeAll, describe, expect, it, vi } from "vitest";
 import { api } from "../session/client";
+import { stubResizeObserver } from "../testing";
 import { StartPanel } from "./StartPanel";
 
 const TICKED = "Healthy throws to compare with, newest first";
@@ -50,16 +51,7 @@ const start = () => screen.getByRole("button", { name: "Start diagnosis" }) as H
 const compare = (label: string) => fireEvent.click(screen.getByRole("radio", { name: label }));
 const boxes = () => within(screen.getByRole("table", { name: TICKED })).getAllByRole("checkbox");
 
-beforeAll(() => {
-  vi.stubGlobal(
-    "ResizeObserver",
-    class {
-      observe() {}
-      unobserve() {}
-      disconnect() {}
-    },
-  );
-});
+beforeAll(stubResizeObserver);
 afterEach(() => {
   cleanup();
   vi.restoreAllMocks();

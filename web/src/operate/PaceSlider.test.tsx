@@ -1,6 +1,7 @@
 import { MantineProvider } from "@mantine/core";
 import { cleanup, fireEvent, render, screen } from "@testing-library/react";
 import { afterEach, beforeAll, describe, expect, it, vi } from "vitest";
+import { stubResizeObserver } from "../testing";
 import { PaceSlider } from "./PaceSlider";
 
 const onPace = vi.fn();
@@ -14,16 +15,7 @@ function show(isHeeded: boolean) {
   return screen.getByRole("slider", { name: "Pace" });
 }
 
-beforeAll(() => {
-  vi.stubGlobal(
-    "ResizeObserver",
-    class {
-      observe() {}
-      unobserve() {}
-      disconnect() {}
-    },
-  );
-});
+beforeAll(stubResizeObserver);
 afterEach(() => {
   cleanup();
   onPace.mockReset();
