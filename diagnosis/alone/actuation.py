@@ -89,6 +89,10 @@ class ActuationProblem:
         """None: the record is one run."""
         return frozenset()
 
+    def guess(self, names: Sequence[str]) -> Mapping[str, float]:
+        """None: the starts are enough."""
+        return {}
+
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated."""
         return np.stack([self.measured - self.simulate(one)[self.sample] for one in values])

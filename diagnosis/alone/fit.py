@@ -85,6 +85,10 @@ class Problem(Protocol):
         """Nuisance of one run of the record alone, such as where a flight began; known for held-out runs."""
         ...
 
+    def guess(self, names: Sequence[str]) -> Mapping[str, float]:
+        """Parameters of a structure read off the data by other means: one more start. May be empty."""
+        ...
+
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated of several sets of parameters with the same names.
 
@@ -144,8 +148,7 @@ def fit(
     names = tuple(parameters)
     low = np.array([p.low for p in parameters.values()])
     high = np.array([p.high for p in parameters.values()])
-    new = [name for name in names if name not in start]
-    tries = max((len(parameters[name].starts) for name in new), default=1)
+    starts = _starts(problem, parameters, start)
 
     def unweighted(x: Array) -> Array:
         return problem.residuals(
@@ -166,22 +169,34 @@ def fit(
 
     best_x, best_cost = np.array([]), np.inf
     # Every start gets a short run, the best one a long run.
-    for number in range(tries):
-        x0 = [
-            start[n] if n in start else parameters[n].starts[number % len(parameters[n].starts)]
-            for n in names
-        ]
+    for first in starts:
         margin = 1e-6 * (high - low)
-        x0 = np.clip(np.array(x0), low + margin, high - margin)
-        limit = iterations if tries == 1 else min(iterations, QUICK_ITERATIONS)
+        x0 = np.clip(np.array([first[name] for name in names]), low + margin, high - margin)
+        limit = iterations if len(starts) == 1 else min(iterations, QUICK_ITERATIONS)
         solved = _solve(weighted, x0, low, high, limit)
         if solved.cost < best_cost:
             best_x, best_cost = solved.x, solved.cost
-    if tries > 1 and iterations > QUICK_ITERATIONS:
+    if len(starts) > 1 and iterations > QUICK_ITERATIONS:
         best_x = _solve(weighted, best_x, low, high, iterations).x
     residual = unweighted(best_x[None])[0]
     jacobian = _jacobian(unweighted, best_x, low, high, residual)
     return Fit(options, names, best_x, residual, jacobian, iterations > QUICK_ITERATIONS)
+
+
+def _starts(
+    problem: Problem, parameters: Mapping[str, FreeParameter], start: Mapping[str, float]
+) -> list[Mapping[str, float]]:
+    """Where a fit begins: `start` with each start of what it lacks, and what the problem guesses."""
+    new = [name for name in parameters if name not in start]
+    starts: list[Mapping[str, float]] = [
+        {
+            name: start[name] if name in start else p.starts[number % len(p.starts)]
+            for name, p in parameters.items()
+        }
+        for number in range(max((len(parameters[name].starts) for name in new), default=1))
+    ]
+    guess = problem.guess(tuple(parameters)) if new else {}
+    return [*starts, {**starts[0], **guess}] if guess else starts
 
 
 def held_out_mean_square(problem: Problem, found: Fit) -> float:

@@ -100,6 +100,10 @@ class FlightProblem:
         """Where each flight began, and how fast."""
         return frozenset(p.name for p in self.nuisance if "." in p.name)
 
+    def guess(self, names: Sequence[str]) -> Mapping[str, float]:
+        """None: the starts are enough."""
+        return {}
+
     def residuals(self, values: Sequence[Mapping[str, float]]) -> Array:
         """(sets, samples) measured minus simulated, flights and axes one after the other, m."""
         measured = np.concatenate([flight.position_m.ravel(order="F") for flight in self.flights])

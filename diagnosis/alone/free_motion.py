@@ -4,11 +4,14 @@ Dry friction changes its sign where a body turns around. A step across that poin
 smooth, or a step that runs over it, loses up to 3 % of the friction at 24 steps a period.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from machine.conventions import Array, BoolArray
+
+Law = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +40,24 @@ class Pull:
         bent = away if self.is_linear else np.sin(away)
         return -self.square_per_s2 * bent - self.stiff_per_s2 * away
 
-    def acceleration(self, x: Array, v: Array, side: Array) -> Array:
-        """All of it, of particles that move to `side` (1, -1; 0 where held)."""
-        return (
-            self.back(x) - self.viscous_per_s * v - self.coulomb * side - self.air * np.abs(v) * v
-        )
+    def law(self) -> Law:
+        """Acceleration over deflection, rate and side (1, -1; 0 where held), of what acts on any particle."""
+        is_stiff, is_dry = bool(np.any(self.stiff_per_s2)), bool(np.any(self.coulomb))
+        is_airy = bool(np.any(self.air))
+
+        def acceleration(x: Array, v: Array, side: Array) -> Array:
+            away = x - self.rest
+            found = self.square_per_s2 * (away if self.is_linear else np.sin(away))
+            found += self.viscous_per_s * v
+            if is_stiff:
+                found += self.stiff_per_s2 * away
+            if is_dry:
+                found += self.coulomb * side
+            if is_airy:
+                found += self.air * np.abs(v) * v
+            return -found
+
+        return acceleration
 
     def side(self, x: Array, v: Array) -> Array:
         """Where each particle goes: as it moves, or at rest as it is pulled; 0 where friction holds it."""
@@ -75,11 +91,11 @@ def move(pull: Pull, start: Array, rate: Array, grid_s: Array) -> tuple[Array, A
     """
     xs, vs = np.empty((len(grid_s), len(start))), np.empty((len(grid_s), len(start)))
     x, v, step_s = start, rate, np.full(len(start), grid_s[1])
-    is_dry = bool(np.any(pull.coulomb > 0.0))
+    is_dry, law, no_side = bool(np.any(pull.coulomb > 0.0)), pull.law(), np.zeros_like(start)
     for index in range(len(grid_s)):
         xs[index], vs[index] = x, v
-        side = pull.side(x, v) if is_dry else np.zeros_like(x)
-        moved_x, moved_v = _step(pull, x, v, side, step_s)
+        side = pull.side(x, v) if is_dry else no_side
+        moved_x, moved_v = _step(law, x, v, side, step_s)
         if is_dry:
             turned = (pull.coulomb > 0.0) & (side * moved_v <= 0.0)
             if np.any(turned):
@@ -92,32 +108,33 @@ def move(pull: Pull, start: Array, rate: Array, grid_s: Array) -> tuple[Array, A
 
 def _turn(pull: Pull, x: Array, v: Array, side: Array, step_s: Array) -> tuple[Array, Array]:
     """A step in which each particle comes to rest: up to that moment, then back or held."""
-    until_s = np.clip(_until_rest(pull, x, v, side), 0.0, step_s)
+    law = pull.law()
+    until_s = np.clip(_until_rest(law, x, v, side), 0.0, step_s)
     # Newton's method for the moment at which the rate is 0: it is nearly a line there, once is enough.
-    near_x, near_v = _step(pull, x, v, side, until_s)
-    until_s = np.clip(until_s + _until_rest(pull, near_x, near_v, side), 0.0, step_s)
-    turned_x, _ = _step(pull, x, v, side, until_s)
+    near_x, near_v = _step(law, x, v, side, until_s)
+    until_s = np.clip(until_s + _until_rest(law, near_x, near_v, side), 0.0, step_s)
+    turned_x, _ = _step(law, x, v, side, until_s)
     nothing = np.zeros_like(x)
     back = pull.side(turned_x, nothing)
-    moved_x, moved_v = _step(pull, turned_x, nothing, back, step_s - until_s)
+    moved_x, moved_v = _step(law, turned_x, nothing, back, step_s - until_s)
     return np.where(back == 0.0, turned_x, moved_x), np.where(back == 0.0, 0.0, moved_v)
 
 
-def _until_rest(pull: Pull, x: Array, v: Array, side: Array) -> Array:
+def _until_rest(law: Law, x: Array, v: Array, side: Array) -> Array:
     """Time in s until the rate is 0 if the acceleration stays as it is; 0 where there is none."""
-    slowed = pull.acceleration(x, v, side)
+    slowed = law(x, v, side)
     return np.divide(-v, slowed, out=np.zeros_like(v), where=slowed != 0.0)
 
 
-def _step(pull: Pull, x: Array, v: Array, side: Array, h: Array) -> tuple[Array, Array]:
+def _step(law: Law, x: Array, v: Array, side: Array, h: Array) -> tuple[Array, Array]:
     """One step of the classical Runge-Kutta method, h (particles,) in s."""
-    a1 = pull.acceleration(x, v, side)
+    a1 = law(x, v, side)
     v2 = v + 0.5 * h * a1
-    a2 = pull.acceleration(x + 0.5 * h * v, v2, side)
+    a2 = law(x + 0.5 * h * v, v2, side)
     v3 = v + 0.5 * h * a2
-    a3 = pull.acceleration(x + 0.5 * h * v2, v3, side)
+    a3 = law(x + 0.5 * h * v2, v3, side)
     v4 = v + h * a3
-    a4 = pull.acceleration(x + h * v3, v4, side)
+    a4 = law(x + h * v3, v4, side)
     return (
         x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4),
         v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4),

@@ -85,6 +85,8 @@ class Selection:
     correlation_samples: float
     signal: float
     """Root mean square of the response."""
+    noise: float
+    """Standard deviation of its measurement noise."""
     unknown_probability: float
 
     @property
@@ -94,8 +96,9 @@ class Selection:
 
     @property
     def left_ratio(self) -> float:
-        """Share of the response that the best structure leaves on held-out data."""
-        return math.sqrt(self.best.held_out) / max(self.signal, 1e-12)
+        """Share of the response that the best structure leaves on held-out data, beyond the noise."""
+        left = max(self.best.held_out - self.noise**2, 0.0)
+        return math.sqrt(left) / max(self.signal, 1e-12)
 
     def inclusion(self) -> dict[str, float]:
         """Probability that each effect is part of the truth."""
@@ -158,7 +161,7 @@ def select(
     ranked, base_scored, length = _posterior(problem, visited, signal, relevant_ratio * signal)
     left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
     unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
-    return Selection(tuple(ranked), base_scored, length, signal, unknown)
+    return Selection(tuple(ranked), base_scored, length, signal, noise, unknown)
 
 
 def _come_down(problem: Problem, visited: dict[frozenset[str], Fit]) -> None:

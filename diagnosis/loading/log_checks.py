@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, JOINT_NAMES, Array
+from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, JOINT_NAMES, Array, BoolArray
 from machine.errors import LogError
 from machine.spec import MachineSpec
 
@@ -30,12 +30,19 @@ SPECIFIC_FORCE_M_PER_S2: Final = (4.0, 40.0)
 """Median magnitude over a throw; a plumb gripper reads 9.81."""
 MAX_DISTANCE_M: Final = 60.0
 """Targets lie within 60 m (machine.messages.Target)."""
+LARGEST_NUMBER: Final = 1e12
+"""No quantity of this machine is as large in SI units; a damaged cell may be, and then counts as missing."""
 MIN_PRESSURE_PA: Final = 1e5
 DEGREES: Final = 180.0 / np.pi
 
 
 class RefusedLogError(LogError):
     """A log that cannot be used: the text says why, with numbers, and what to do."""
+
+
+def is_number(values: Array) -> BoolArray:
+    """(rows,) whether all axes of (rows, axes) hold numbers that a machine can have."""
+    return np.all(np.abs(values) < LARGEST_NUMBER, axis=1)
 
 
 def check_finite(name: str, missing: NDArray[np.bool_]) -> int:

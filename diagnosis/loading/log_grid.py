@@ -15,6 +15,7 @@ from diagnosis.loading.log_checks import (
     MAX_REPAIRED_TICKS,
     RefusedLogError,
     check_finite,
+    is_number,
 )
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, Motion
 
@@ -131,7 +132,7 @@ class _Columns(NamedTuple):
         return values[last_good[self.before]]
 
     def _finite(self, name: str, values: Array) -> BoolArray:
-        missing = ~np.all(np.isfinite(values), axis=1)
+        missing = ~is_number(values)
         count = check_finite(name, missing)
         if count:
             self.notes.append(f"{name}: {count} missing values interpolated")

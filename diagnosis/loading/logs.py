@@ -24,6 +24,7 @@ from diagnosis.loading.log_checks import (
     check_places,
     check_stuck,
     check_valve_and_supply,
+    is_number,
 )
 from diagnosis.loading.log_context import calibration_of, impact_of, profile_of, target_of
 from diagnosis.loading.log_grid import ControlGrid, grid_control
@@ -332,7 +333,7 @@ def _samples(
             "or samples are out of order. Record with the machine's monotonic clock"
         )
     keep = np.concatenate([[True], np.diff(time_s) > 0.0])[: len(time_s)]
-    finite = np.all(np.isfinite(values), axis=1)
+    finite = is_number(values)
     lost = int(np.sum(~finite))
     if lost > max(3, MAX_MISSING_RATIO * len(values)):
         raise RefusedLogError(

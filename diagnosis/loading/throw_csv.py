@@ -8,9 +8,9 @@ A file without what a diagnosis needs is refused with the columns that are missi
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ WITHOUT_IMU: Final = "without_imu"
 """Metadata of a throw whose file has no columns of an IMU."""
 MAX_BYTES: Final = 200_000_000
 """A throw has about 2 MB; beyond this the file is another thing."""
+MAX_NS: Final = 4_000_000_000_000_000_000
+"""126 years: times and their differences fit into 64 bits."""
 CONTEXT_KEYS: Final = (
     *("throw_id", "machine_id", "mode", "target", "model_sha256", "calibration", "twin_profile"),
     RESULT_RECORD,
@@ -132,17 +134,17 @@ def read_throw_csv(path: Path) -> list[ThrowLog]:
     except OSError as error:
         raise LogError(f"cannot open {path}: {error.strerror}") from error
     shared = _context(path, [line for line in lines if line.startswith("#")])
-    own = shared.pop(THROWS_KEY, {})
+    own = _group(shared, THROWS_KEY, path)
     body = [line for line in lines if line.strip() and not line.startswith("#")]
     throws = _columns(path, body)
-    unknown = ", ".join(sorted(set(own) - set(throws) if isinstance(own, dict) else {repr(own)}))
+    unknown = ", ".join(sorted(set(own) - set(throws)))
     if unknown:
         raise LogError(
             f"the line '# {THROWS_KEY}' of {path.name} names throws without rows: {unknown}; its throws "
             f"are {', '.join(throws)}"
         )
     return [
-        _throw(path, name or path.stem, columns, {**shared, **own.get(name, {})})
+        _throw(path, name or path.stem, columns, {**shared, **_group(own, name, path)})
         for name, columns in throws.items()
     ]
 
@@ -151,10 +153,10 @@ def _throw(
     path: Path, name: str, columns: Mapping[str, Array], context: dict[str, Any]
 ) -> ThrowLog:
     """One throw from its columns and what the lines above them say."""
-    start_ns = int(context.pop("start_t_mono_ns", 0))
+    start_ns = _whole_ns(context, "start_t_mono_ns", path)
     control = _rows(CONTROL_ROW, columns, "t_s", CONTROL_COLUMNS, start_ns, path)
     sensed = columns.get("sensor_t_s", columns["t_s"])[: len(control)]
-    control["sensor_t_mono_ns"] = start_ns + np.round(1e9 * np.nan_to_num(sensed)).astype(np.int64)
+    control["sensor_t_mono_ns"] = start_ns + _nanoseconds(np.nan_to_num(sensed), "sensor_t_s", path)
     if "tick_count" not in columns:
         passed = (control["t_mono_ns"] - control["t_mono_ns"][:1]) * 1e-9 / CONTROL_PERIOD_S
         control["tick_count"] = np.round(passed).astype(np.int64)
@@ -163,7 +165,8 @@ def _throw(
         survey = None if impact is None else ImpactSurvey.model_validate(impact)
     except ValidationError as error:
         raise LogError(f"the impact of {path.name} cannot be read: {impact!r}") from error
-    ended = {"is_complete": True, **context.pop(RESULT_RECORD, {})}
+    ended = {"is_complete": True, **_group(context, RESULT_RECORD, path)}
+    impact_ns = _whole_ns(context, "impact_t_mono_ns", path)
     has_imu = {WITHOUT_IMU: True} if "imu_t_s" not in columns else {}
     return ThrowLog(
         metadata={"throw_id": name, **context, **has_imu, RESULT_RECORD: ended},
@@ -171,8 +174,34 @@ def _throw(
         imu=_rows(IMU_ROW, columns, "imu_t_s", IMU_COLUMNS, start_ns, path),
         ball=_rows(BALL_ROW, columns, "ball_t_s", BALL_COLUMNS, start_ns, path),
         impact=survey,
-        impact_t_mono_ns=int(context.get("impact_t_mono_ns") or 0),
+        impact_t_mono_ns=impact_ns,
     )
+
+
+def _group(context: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    """Take the object under a key out of a line above the columns; empty if there is none."""
+    value: Any = context.pop(key, None)
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise LogError(f"{key!r} above the columns of {path.name} is {value!r}; {{...}} is needed")
+    return {str(name): item for name, item in cast(dict[Any, Any], value).items()}
+
+
+def _whole_ns(context: dict[str, Any], key: str, path: Path) -> int:
+    """Take a time in ns out of the lines above the columns; 0 if there is none."""
+    value: Any = context.pop(key, None) or 0
+    if not isinstance(value, int | float) or not abs(value) < MAX_NS:
+        raise LogError(f"{key!r} of {path.name} is {value!r}; whole nanoseconds are needed")
+    return int(value)
+
+
+def _nanoseconds(times_s: Array, column: str, path: Path) -> NDArray[np.int64]:
+    """Seconds as whole nanoseconds."""
+    largest = float(np.max(np.abs(times_s), initial=0.0))
+    if largest > 1e-9 * MAX_NS:
+        raise LogError(f"{path.name}: column {column} goes to {largest:.3g}; seconds are needed")
+    return np.round(1e9 * times_s).astype(np.int64)
 
 
 def _seconds(ns: int) -> str:
@@ -197,7 +226,10 @@ def _columns(path: Path, body: Sequence[str]) -> dict[str, dict[str, Array]]:
     """Columns of each throw, by its id; one throw without a column of ids has the id ""."""
     if len(body) < 2:
         raise LogError(f"{path.name} holds no rows: empty or cut off")
-    header, *rows = csv.reader(body)
+    try:
+        header, *rows = csv.reader(body)
+    except csv.Error as error:
+        raise LogError(f"{path.name} is no table: {error}") from error
     names = [name.strip() for name in header]
     needed = [
         "t_s",
@@ -242,14 +274,19 @@ def _rows(
     if known.size != count:
         raise LogError(f"{path.name}: {count - known.size} times in column {time} are missing")
     rows = np.zeros(count, dtype=kind)
-    rows["t_mono_ns"] = start_ns + np.round(1e9 * times[:count]).astype(np.int64)
+    rows["t_mono_ns"] = start_ns + _nanoseconds(times[:count], time, path)
     for field, names in fields.items():
         cells = np.stack([columns.get(n, np.full(count, np.nan))[:count] for n in names], axis=1)
-        shape = rows[field].shape
-        whole: Callable[[Array], Array] = (
-            np.nan_to_num if kind[field].base.kind != "f" else np.asarray
-        )
-        rows[field] = whole(cells).reshape(shape)
+        if kind[field].base.kind != "f":
+            cells = np.where(np.isnan(cells), 0.0, cells)
+            most = np.iinfo(kind[field].base).max if kind[field].base.kind == "i" else np.inf
+            largest = float(np.max(np.abs(cells), initial=0.0))
+            # A double just below 2^63 does not exist: the largest whole number is one too many.
+            if largest >= most:
+                raise LogError(
+                    f"{path.name}: {names[0]} goes to {largest:.3g}, a count below {most:.3g} is needed"
+                )
+        rows[field] = cells.reshape(rows[field].shape)
     return rows
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from diagnosis.alone.decay import COULOMB, VISCOUS, frictions_of_decay
 from diagnosis.alone.fit import fit
 from diagnosis.alone.free_motion import Pull, move
-from diagnosis.alone.reading.free_swings import Swing, free_part
+from diagnosis.alone.reading.free_swings import Swing, free_part, swing_noise
 from diagnosis.alone.swing import make_problem
 
 NOISE_RAD = 1e-3
@@ -79,12 +80,12 @@ def test_particles_do_not_feel_each_other() -> None:
 
 @pytest.mark.parametrize(
     ("omega", "viscous", "coulomb", "start"),
-    [(2.6, 0.05, 0.03, 0.4), (4.2, 0.14, 0.07, 0.6)],
+    [(2.6, 0.05, 0.03, 0.4), (4.2, 0.14, 0.07, 0.6), (6.0, 0.03, 0.04, 0.9)],
 )
 def test_frictions_come_back_without_a_shift_between_them(
     omega: float, viscous: float, coulomb: float, start: float
 ) -> None:
-    t = np.arange(0.0, 20.0, 1.0 / 40.0)
+    t = np.arange(0.0, 52.0 / omega, 1.0 / 40.0)
     swing = free_part(Swing(t, exact(omega, viscous, coulomb, start, t)), NOISE_RAD)
     assert swing is not None
     problem = make_problem((swing,), np.nan, NOISE_RAD)
@@ -97,3 +98,61 @@ def test_frictions_come_back_without_a_shift_between_them(
     assert values["passive_coulomb_friction.extra_coulomb_rad_per_s2"] == pytest.approx(
         coulomb, rel=2e-3
     )
+
+
+STOPPED = (2.5, 0.142, 0.061, 0.5)
+"""rad/s, 1/s, rad/s^2, rad: at rest after 14 s, 9 mrad from the middle."""
+
+
+def stopped_swing(noise: float, rate_hz: float = 20.0) -> Swing:
+    """A swing that dry friction stops long before its record ends."""
+    t = np.arange(0.0, 30.0, 1.0 / rate_hz)
+    return Swing(t, exact(*STOPPED, t) + np.random.default_rng(3).normal(0.0, noise, len(t)))
+
+
+def test_what_follows_after_dry_friction_has_stopped_the_body_is_no_swing() -> None:
+    swing = stopped_swing(0.002)
+    rests_s = float(swing.time_s[np.argmax(np.abs(np.diff(exact(*STOPPED, swing.time_s))) == 0.0)])
+    free = free_part(swing, swing_noise([swing]))
+    assert free is not None
+    assert free.time_s[-1] == pytest.approx(rests_s, abs=2.6)  # a period
+
+
+def test_the_fit_does_not_end_where_the_body_rests_on_the_wrong_side() -> None:
+    """From dry friction alone every step to both frictions runs over the stop: amplitudes show the way."""
+    swing = stopped_swing(0.002)
+    noise = swing_noise([swing])
+    free = free_part(swing, noise)
+    assert free is not None
+    problem = make_problem((free,), np.nan, noise)
+    dry = [o for o in problem.options if o.key == "passive_coulomb_friction"]
+    both = [o for o in problem.options if o.key != "air_drag"]
+    found = fit(problem, tuple(both), fit(problem, tuple(dry), {}).as_mapping())
+    assert np.sqrt(found.mean_square) < 1.1 * 0.002
+    assert found.as_mapping()[VISCOUS] == pytest.approx(0.142, rel=0.03)
+
+
+def test_amplitudes_tell_the_frictions_roughly() -> None:
+    swing = free_part(stopped_swing(0.001), 0.001)
+    assert swing is not None
+    guess = frictions_of_decay((swing,), 0.001, 2.5, (VISCOUS, COULOMB, "rest_rad"))
+    assert guess == {VISCOUS: pytest.approx(0.142, rel=0.2), COULOMB: pytest.approx(0.061, rel=0.2)}
+    assert frictions_of_decay((swing,), 0.001, 2.5, ("rest_rad",)) == {}
+
+
+def test_a_slow_record_is_not_taken_for_a_noisy_one() -> None:
+    t = np.arange(0.0, 20.0, 1.0 / 15.0)
+    noisy = 0.9 * np.cos(7.0 * t) + np.random.default_rng(1).normal(0.0, 0.003, len(t))
+    assert swing_noise([Swing(t, noisy)]) == pytest.approx(0.003, rel=0.25)
+
+
+def test_a_held_body_is_not_free_however_the_noise_shakes_its_angle() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    angle = np.concatenate([np.full(100, 0.12), exact(3.0, 0.05, 0.0, 0.12, t)])
+    angle += np.random.default_rng(5).normal(0.0, 0.008, len(angle))
+    swing = Swing(np.arange(len(angle)) * 0.01, angle)
+    free = free_part(swing, 0.008)
+    assert free is not None
+    # From 0.9 of the amplitude on the first zero comes within 64 degrees of 2.1 s a period.
+    crossed_s = float(free.time_s[np.argmax(free.angle_rad < 0.0)])
+    assert 0.25 < crossed_s < 0.55
