@@ -81,6 +81,7 @@ def test_the_papers_reward_is_a_configuration_beside_ours(mode: Mode):
         "override_probability_ratio",
         "target_height_m",
         "reach_at_height_m",
+        "aim_margin_m",
         "pace_ratio",
     }
     assert theirs.episode.target_height_m == (0.0, 0.0) and theirs.episode.pace_ratio is None

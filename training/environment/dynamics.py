@@ -255,6 +255,10 @@ class Response(NamedTuple):
     damping_ratio: Field
     gain_positive_ratio: Field
     gain_negative_ratio: Field
+    boom_from_dipper_ratio: Field = 0.0
+    """(N,) share of the dipper's acceleration that its reaction takes from the boom's."""
+    dipper_from_boom_ratio: Field = 0.0
+    """(N,) the same the other way round; the product of both is below 1, as that of inertias is."""
 
 
 class ResponseState(NamedTuple):
@@ -263,7 +267,7 @@ class ResponseState(NamedTuple):
     lagged: Field
     """Behind the first-order lag."""
     acceleration: Field
-    """Of the second-order lag."""
+    """That each drive would give its joint if the others stood still."""
 
 
 def respond(
@@ -274,8 +278,9 @@ def respond(
     disturbance: Field,
     step_s: float,
 ) -> tuple[Field, ResponseState]:
-    """One step of x' = (K r - x) / lag, v'' = wn^2 (x + d - v) - 2 zeta wn v'; all (N, 4).
+    """One step of x' = (K r - x) / lag, s' = wn^2 (x + d - v) - 2 zeta wn v', v' = s - C v'; all (N, 4).
 
+    C is what boom and dipper do to each other: an arm that speeds up pushes back on what carries it.
     The damping is taken at the end of the step: stiff, overdamped drives stay stable at 100 Hz.
     """
     xp = namespace(reference)
@@ -283,8 +288,24 @@ def respond(
     share = 1.0 - xp.exp(-step_s / response.lag_s)
     lagged = state.lagged + share * (gain * reference - state.lagged)
     wn = response.natural_frequency_rad_per_s
+    damping = 2.0 * response.damping_ratio * wn * step_s
+    held = _reaction(xp, response, state.acceleration)
     pull = wn**2 * (lagged + disturbance - velocity)
-    acceleration = (state.acceleration + step_s * pull) / (
-        1.0 + 2.0 * response.damping_ratio * wn * step_s
+    drive = (state.acceleration + step_s * pull + damping * held) / (1.0 + damping)
+    velocity = velocity + step_s * (drive - _reaction(xp, response, drive))
+    return velocity, ResponseState(lagged, drive)
+
+
+def _reaction(xp: Any, response: Response, drive: Field) -> Field:
+    """By how much boom and dipper hold each other back (N, 4), m/s2 and rad/s2: drive less acceleration.
+
+    a_boom = s_boom - b a_dipper, a_dipper = s_dipper - c a_boom.
+    """
+    b, c = response.boom_from_dipper_ratio, response.dipper_from_boom_ratio
+    boom, dipper = drive[..., 1], drive[..., 2]
+    share = 1.0 / (1.0 - b * c)
+    zero = xp.zeros_like(boom)
+    return xp.stack(
+        [zero, boom - share * (boom - b * dipper), dipper - share * (dipper - c * boom), zero],
+        axis=-1,
     )
-    return velocity + step_s * acceleration, ResponseState(lagged, acceleration)

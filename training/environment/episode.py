@@ -133,10 +133,14 @@ def draw_episode(
 def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
     """Uniform between the configuration's two values, every joint and parameter by itself."""
     share = jax.random.uniform(key, (6, count, 4))
+    reaction = jax.random.uniform(jax.random.fold_in(key, 1), (2, count))
 
     def joints(index: int, low: tuple[float, ...], high: tuple[float, ...]) -> Field:
         lower, upper = jnp.asarray(low), jnp.asarray(high)
         return lower + (upper - lower) * share[index]
+
+    def between(limits: tuple[float, float], drawn: Field) -> Field:
+        return limits[0] + (limits[1] - limits[0]) * drawn
 
     c = config
     return Response(
@@ -148,6 +152,8 @@ def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
         damping_ratio=joints(3, c.damping_min_ratio, c.damping_max_ratio),
         gain_positive_ratio=joints(4, c.gain_positive_min_ratio, c.gain_positive_max_ratio),
         gain_negative_ratio=joints(5, c.gain_negative_min_ratio, c.gain_negative_max_ratio),
+        boom_from_dipper_ratio=between(c.boom_from_dipper_ratio, reaction[0]),
+        dipper_from_boom_ratio=between(c.dipper_from_boom_ratio, reaction[1]),
     )
 
 
@@ -185,6 +191,8 @@ def privileged_values(state: "EnvironmentState") -> Field:
         draw.payload_mass_kg,
         30.0 * draw.drag_per_m,
         10.0 * (draw.release_mean_s - 0.258),
+        response.boom_from_dipper_ratio,
+        response.dipper_from_boom_ratio,
         10.0 * state.leave_in_s * state.opened,
         state.opened,
         state.time_s,

@@ -50,7 +50,7 @@ def step_reward(config: RewardConfig, inputs: RewardInputs, *, is_paced: bool = 
 def pace_loss(config: RewardConfig, inputs: RewardInputs) -> Field:
     """What a fast throw pays for time and a careful one for what moves the machine much (N,)."""
     careful = 1.0 - inputs.pace_ratio
-    whole = config.hurry_per_s_ratio * POLICY_PERIOD_S * inputs.pace_ratio
+    whole = config.hurry_per_s_ratio * POLICY_PERIOD_S * jnp.square(inputs.pace_ratio)
     hurry = inputs.hurry_ratio * whole
     care = config.care_action_ratio * careful * _squared(inputs.action[:, :-1])
     release = config.care_release_ratio * careful * jnp.square(inputs.left_m_per_s)

@@ -36,15 +36,18 @@ def start_table(
 
 
 def random_table(spec: MachineSpec, task: TaskConfig, seed: int) -> StartTable:
-    """The table a training run draws its episodes from."""
+    """The table a training run draws its episodes from: targets a machine may be told to hit.
+
+    That is farther than the targets it is asked for, by what a registration may add to the aim.
+    """
     rng, episode = np.random.default_rng(seed), task.episode
     count, (near, far) = episode.start_count, episode.target_range_m
     height_m = rng.uniform(*episode.target_height_m, count)
     height_m[: round(episode.ground_share_ratio * count)] = 0.0
-    reach_m = np.full(count, far)
+    reach_m = np.full(count, np.inf)
     if episode.reach_at_height_m:
-        reach_m = np.minimum(far, np.interp(height_m, *np.transpose(episode.reach_at_height_m)))
-    range_m = rng.uniform(near, reach_m)
+        reach_m = np.interp(height_m, *np.transpose(episode.reach_at_height_m))
+    range_m = rng.uniform(near, np.minimum(far, reach_m) + episode.aim_margin_m)
     return start_table(spec, task.mode, range_m, height_m, rng)
 
 

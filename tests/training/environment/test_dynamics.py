@@ -102,3 +102,23 @@ def test_overdamped_response_is_stable_at_100_hertz():
         velocity, state = respond(response, state, velocity, one, nothing, 0.01)
         assert np.all((velocity >= 0.0) & (velocity <= 1.0))
     np.testing.assert_allclose(velocity, one, rtol=1e-3)
+
+
+def test_boom_and_dipper_push_each_other_back():
+    # a_boom = s_boom - 0.6 a_dipper and a_dipper = s_dipper - 0.8 a_boom; the others know nothing of it.
+    one, nothing, dt = np.ones((1, 4)), np.zeros((1, 4)), 1e-5
+    alone = Response(nothing, 1e-6 * one, 25.0 * one, 0.8 * one, one, one)
+    coupled = alone._replace(boom_from_dipper_ratio=0.6, dipper_from_boom_ratio=0.8)
+    state = ResponseState(one, np.array([[0.3, 2.0, -1.0, 0.7]]))
+    apart, _ = respond(alone, state, nothing, one, nothing, dt)
+    moved, after = respond(coupled, state, nothing, one, nothing, dt)
+    boom, dipper = moved[0, 1:3] / dt
+    drive = after.acceleration[0]
+    assert boom == pytest.approx(drive[1] - 0.6 * dipper, rel=1e-9)
+    assert dipper == pytest.approx(drive[2] - 0.8 * boom, rel=1e-9)
+    assert boom == pytest.approx((2.0 + 0.6) / (1.0 - 0.48), rel=0.01)
+    np.testing.assert_allclose(moved[0, [0, 3]], apart[0, [0, 3]], rtol=1e-12)
+    velocity, state = nothing, ResponseState(nothing, nothing)
+    for _ in range(300):
+        velocity, state = respond(coupled, state, velocity, one, nothing, 0.01)
+    np.testing.assert_allclose(velocity, one, rtol=1e-3)

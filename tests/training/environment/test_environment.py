@@ -15,7 +15,12 @@ from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
 from training.environment.episode import Failure
 from training.environment.state import DELAY_TICKS, EnvironmentState
-from training.environment.task import GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M, ResponseConfig
+from training.environment.task import (
+    AIM_MARGIN_M,
+    GROUND_SHARE_RATIO,
+    REACH_AT_HEIGHT_M,
+    ResponseConfig,
+)
 
 KEY = jax.random.key(11)
 
@@ -56,9 +61,10 @@ def _failures(throws: Throws, state: EnvironmentState) -> set[Failure]:
 
 def test_targets_lie_within_the_range_and_starts_are_valid(throws: Throws):
     near, far = throws.env.task.episode.target_range_m
+    far += AIM_MARGIN_M
     target, start = np.asarray(throws.table.target_m), np.asarray(throws.table.start_rad_m)
     assert (target[:, 0] >= near).all()
-    assert (target[:, 0] <= far).all()
+    assert (target[:, 0] <= far + 1e-5).all()
     assert target[:, 0].min() < near + 0.1
     assert target[:, 0].max() > far - 0.1
     np.testing.assert_array_equal(target[:, 1], 0.0)
@@ -66,7 +72,7 @@ def test_targets_lie_within_the_range_and_starts_are_valid(throws: Throws):
     height = target[:, 2]
     assert low <= height.min() < low + 0.1 and high - 0.1 < height.max() <= high
     assert np.mean(height == 0.0) == pytest.approx(GROUND_SHARE_RATIO, abs=0.01)
-    reach = np.interp(height, *np.transpose(REACH_AT_HEIGHT_M))
+    reach = np.interp(height, *np.transpose(REACH_AT_HEIGHT_M)) + AIM_MARGIN_M
     assert (target[:, 0] <= reach + 1e-5).all() and reach.min() < 9.0
     assert is_valid_start(SPEC, start.astype(np.float64)).all()
 
@@ -129,6 +135,13 @@ def test_the_response_is_drawn_between_its_bounds_and_fits_the_delay_line(throws
         assert (value <= upper + 1e-6).all(), name
         # COUNT draws fill the range; the joints do not share one draw.
         assert (np.ptp(value, axis=0) >= 0.9 * (upper - lower) - 1e-6).all(), name
+    for value, (lower, upper) in (
+        (drawn.boom_from_dipper_ratio, config.boom_from_dipper_ratio),
+        (drawn.dipper_from_boom_ratio, config.dipper_from_boom_ratio),
+    ):
+        assert lower <= value.min() and value.max() <= upper
+        assert np.ptp(value) >= 0.9 * (upper - lower)
+    assert config.boom_from_dipper_ratio[1] * config.dipper_from_boom_ratio[1] < 0.7
     assert max(config.dead_time_max_s) <= (DELAY_TICKS - 1) * CONTROL_PERIOD_S
     assert abs(np.corrcoef(drawn.dead_time_s[:, 1], drawn.dead_time_s[:, 2])[0, 1]) < 0.3
 

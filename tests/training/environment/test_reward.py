@@ -130,14 +130,14 @@ def test_no_landing_is_so_bad_that_failing_would_pay(config: RewardConfig):
 @pytest.mark.parametrize(
     ("changed", "loss"),
     [
-        # fast: 1.2 a second, 80 ms a step; nothing for the action
-        ({"pace_ratio": 1.0, "action": [[0.5, 0.0, 0.0, 1.0]]}, 0.096),
-        # half the pace; half of the way into it
-        ({"pace_ratio": 0.5, "hurry_ratio": 0.5}, 0.5 * 0.5 * 0.096),
+        # fast: 3.5 a second, 80 ms a step; nothing for the action
+        ({"pace_ratio": 1.0, "action": [[0.5, 0.0, 0.0, 1.0]]}, 0.28),
+        # half the pace, a quarter of the loss; half of the way into it
+        ({"pace_ratio": 0.5, "hurry_ratio": 0.5}, 0.5 * 0.25 * 0.28),
         # careful: 0.02 a squared action, the release is free; 0.03 a squared m/s of the load that leaves
         ({"action": [[0.5, 0.0, 0.0, 1.0]]}, 0.02 * 0.25),
         ({"left_m_per_s": 4.0}, 0.03 * 16.0),
-        ({"pace_ratio": 0.5, "left_m_per_s": 4.0}, 0.5 * 0.03 * 16.0 + 0.5 * 0.096),
+        ({"pace_ratio": 0.5, "left_m_per_s": 4.0}, 0.5 * 0.03 * 16.0 + 0.25 * 0.28),
         # the load is gone
         ({"pace_ratio": 1.0, "holds": False}, 0.0),
     ],
