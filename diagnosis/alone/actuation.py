@@ -14,10 +14,15 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.physics.response import (
+    actuation_options,
+    play,
+    simulate_position,
+    simulate_speed,
+)
 from diagnosis.alone.reading.commands import Command, read_command
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.motion import Motion
-from diagnosis.alone.response import actuation_options, play, simulate_position, simulate_speed
 from diagnosis.alone.selection import every_third, select, spread_blocks
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.loading.clock_audit import ClockAudit
@@ -83,6 +88,11 @@ class ActuationProblem:
     def timing_s(self) -> float:
         """A command changed within half a period of its log about the mean; no average helps."""
         return 0.5 * self.command_period_s
+
+    @property
+    def accuracy_ratio(self) -> float:
+        """Of ticks and of a command known to half a period: what plants without noise came back to."""
+        return 0.01
 
     @property
     def local(self) -> frozenset[str]:

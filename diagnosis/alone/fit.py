@@ -15,6 +15,7 @@ from machine.conventions import Array, BoolArray, IntArray
 
 QUICK_ITERATIONS: Final = 5
 FULL_ITERATIONS: Final = 40
+SCANNED_COUNT: Final = 16
 TOLERANCE_RATIO: Final = 1e-5
 """Of the sum of squares: an iteration that gains less is the last."""
 
@@ -31,6 +32,8 @@ class FreeParameter(NamedTuple):
     """Whether the effect is not really there when the fit ends at `high`."""
     prior_sd: float = math.inf
     """What is known of it beforehand, as a standard deviation about its first start."""
+    is_threshold: bool = False
+    """Whether the response stays as it is over ranges of it: no slope leads to the best one."""
 
 
 class Option(NamedTuple):
@@ -40,6 +43,8 @@ class Option(NamedTuple):
     """Names this option among all."""
     effect: str
     parameters: tuple[FreeParameter, ...]
+    least: float = 0.0
+    """An effect none of whose parameters is as large is not worth naming."""
 
 
 class Problem(Protocol):
@@ -78,6 +83,11 @@ class Problem(Protocol):
     @property
     def timing_s(self) -> float:
         """How far the input's time stamps may be wrong together, s; widens the intervals of delays."""
+        ...
+
+    @property
+    def accuracy_ratio(self) -> float:
+        """How near a parameter comes to its true value when there is no noise, of that value."""
         ...
 
     @property
@@ -142,9 +152,7 @@ def fit(
         frozen: parameters that keep these values.
     """
     fixed = dict(frozen or {})
-    parameters = {p.name: p for p in problem.nuisance}
-    parameters |= {f"{o.key}.{p.name}": p for o in options for p in o.parameters}
-    parameters = {name: p for name, p in parameters.items() if name not in fixed}
+    parameters = {n: p for n, p in parameters_of(problem, options).items() if n not in fixed}
     names = tuple(parameters)
     low = np.array([p.low for p in parameters.values()])
     high = np.array([p.high for p in parameters.values()])
@@ -176,11 +184,32 @@ def fit(
         solved = _solve(weighted, x0, low, high, limit)
         if solved.cost < best_cost:
             best_x, best_cost = solved.x, solved.cost
-    if len(starts) > 1 and iterations > QUICK_ITERATIONS:
+    thresholds = [k for k, p in enumerate(parameters.values()) if p.is_threshold]
+    for index in thresholds:
+        best_x = _scanned(weighted, best_x, index, low[index], high[index])
+    if (len(starts) > 1 or thresholds) and iterations > QUICK_ITERATIONS:
         best_x = _solve(weighted, best_x, low, high, iterations).x
     residual = unweighted(best_x[None])[0]
     jacobian = _jacobian(unweighted, best_x, low, high, residual)
     return Fit(options, names, best_x, residual, jacobian, iterations > QUICK_ITERATIONS)
+
+
+def parameters_of(problem: Problem, options: Sequence[Option]) -> dict[str, FreeParameter]:
+    """What is fitted in a structure, by name."""
+    own = {f"{o.key}.{p.name}": p for o in options for p in o.parameters}
+    return {p.name: p for p in problem.nuisance} | own
+
+
+def _scanned(
+    function: Callable[[Array], Array], x: Array, index: int, low: float, high: float
+) -> Array:
+    """The best of some values of one positive parameter, the others as they are: coarse, then near it."""
+    for first, last in ((low, high), (0.8, 1.25)):
+        ends = (first, last) if first == low else (first * x[index], last * x[index])
+        tried = np.tile(x, (SCANNED_COUNT + 1, 1))
+        tried[1:, index] = np.clip(np.geomspace(*ends, SCANNED_COUNT), low, high)
+        x = tried[int(np.argmin(np.sum(function(tried) ** 2, axis=1)))]
+    return x
 
 
 def _starts(
@@ -252,8 +281,7 @@ def _boxed_step(matrix: Array, right: Array, room: tuple[Array, Array]) -> Array
 
 def bounds(problem: Problem, found: Fit) -> tuple[Array, Array]:
     """Bounds of a fit's parameters, (parameters,) each."""
-    parameters = {p.name: p for p in problem.nuisance}
-    parameters |= {f"{o.key}.{p.name}": p for o in found.options for p in o.parameters}
+    parameters = parameters_of(problem, found.options)
     low = np.array([parameters[name].low for name in found.names])
     high = np.array([parameters[name].high for name in found.names])
     return low, high

@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnosis.alone.agreement import Disagreement, disagreement
 from diagnosis.alone.fit import FreeParameter, Option, fit
-from diagnosis.alone.flight_path import integrate, sampled
+from diagnosis.alone.physics.flight_path import integrate, sampled
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.tracks import (
     MIN_FLIGHT_ROWS,
@@ -94,6 +94,11 @@ class FlightProblem:
     def timing_s(self) -> float:
         """None: nothing is commanded."""
         return 0.0
+
+    @property
+    def accuracy_ratio(self) -> float:
+        """Of Heun steps and interpolated positions."""
+        return 0.001
 
     @property
     def local(self) -> frozenset[str]:

@@ -9,7 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.fit import Fit, Problem, fit
-from diagnosis.alone.selection import SHAPE_EFFECTS, Selection, intervals
+from diagnosis.alone.intervals import intervals
+from diagnosis.alone.selection import SHAPE_EFFECTS, Selection
 
 
 class Limit(NamedTuple):
@@ -40,7 +41,7 @@ def hidden_limits(problem: Problem, selection: Selection) -> tuple[Limit, ...]:
             continue
         taken.add(option.effect)
         found = fit(problem, (*best.options, option), best.as_mapping())
-        ranges = intervals(problem, selection, found)
+        ranges = intervals(problem, selection.correlation_samples, found)
         for p in option.parameters:
             name = f"{option.key}.{p.name}"
             low, high = ranges[name]

@@ -16,7 +16,6 @@ from diagnosis.alone.fit import (
     Fit,
     Option,
     Problem,
-    bounds,
     correlation_length,
     fit,
     held_out_mean_square,
@@ -37,12 +36,12 @@ ENDLESS_EFFECTS: Final = frozenset(
     {"valve_curve", "acceleration_limit", "speed_limit", "drag_crisis"}
 )
 """Effects that are absent at another value than zero."""
-DELAYS: Final = frozenset({"valve_dead_time.extra_dead_time_s"})
-"""What a wrong time stamp of the command is taken for."""
 IDLE_LOG_PRIOR: Final = math.log(1e-3)
-"""For a set with an effect whose interval holds "nothing"."""
+"""For a set with an effect whose interval holds "nothing", or that is another one in other words."""
 FLOOR_RATIO: Final = 0.005
 """Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
+CLEAN_NOISES: Final = 1.2
+"""A fit that leaves less than as many standard deviations of the noise leaves noise."""
 RELEVANT_RATIO: Final = 0.002
 """Of the response, by eye: an effect that explains less beyond the others is not named."""
 PRUNED_RATIO: Final = 1.5
@@ -226,7 +225,9 @@ def _posterior(
     richest = min(visited.values(), key=lambda found: found.mean_square)
     length = correlation_length(richest.residual, problem.block)
     independent = len(problem.block) / length
-    floor = (FLOOR_RATIO * signal) ** 2
+    # Where only noise is left its likelihood on all data counts; held-out pieces are for errors of the model.
+    is_clean = math.sqrt(richest.mean_square) < CLEAN_NOISES * problem.noise
+    floor = 0.0 if is_clean else (FLOOR_RATIO * signal) ** 2
     # Held-out scores cost simulations; structures far behind in-sample are out of the race anyway.
     limit = 12.0 + 0.5 * independent * math.log(richest.mean_square + floor)
     scored: dict[frozenset[str], Scored] = {}
@@ -242,8 +243,11 @@ def _posterior(
         if found.options and optimistic < -limit - 40.0:
             continue
         held_out = max(held_out_mean_square(problem, found), found.mean_square)
-        score = -0.5 * independent * math.log(held_out + floor) - penalty + prior
-        if _has_idle_effect(problem, found, length):
+        judged = found.mean_square if is_clean else held_out
+        score = -0.5 * independent * math.log(judged + floor) - penalty + prior
+        if {"valve_dead_band_plain", "valve_gain"} <= key or _has_idle_effect(
+            problem, found, length
+        ):
             score += IDLE_LOG_PRIOR
         for option in found.options:
             rest = tuple(sorted({o.effect for o in found.options if o.key != option.key}))
@@ -273,6 +277,8 @@ def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
             asked = names if first.low <= 0.0 else names[:1]
             if not any(far[name] for name in asked) or 0.0 < values[names[0]] < 1.3 * first.low:
                 return True
+            if max(abs(values[name]) for name in names) < option.least:
+                return True
         for p, name in zip(option.parameters, names, strict=True):
             if p.is_void_at_high and values[name] > 0.98 * p.high:
                 return True
@@ -291,22 +297,6 @@ def _merge(ranked: Sequence[Scored]) -> list[Scored]:
                 first.fit, first.held_out, first.score, first.probability + item.probability
             )
     return sorted(merged.values(), key=lambda item: -item.probability)
-
-
-def intervals(
-    problem: Problem, selection: Selection, found: Fit
-) -> Mapping[str, tuple[float, float]]:
-    """90 % interval of each parameter of a fit, by name, within its bounds."""
-    half = standard_errors(problem, found, selection.correlation_samples) * interval_factor(problem)
-    is_delay = np.array([name in DELAYS for name in found.names])
-    half = np.where(is_delay, half + problem.timing_s, half)
-    low, high = bounds(problem, found)
-    return {
-        name: (float(max(value - h, at_least)), float(min(value + h, at_most)))
-        for name, value, h, at_least, at_most in zip(
-            found.names, found.values, half, low, high, strict=True
-        )
-    }
 
 
 def held_out_shrink(problem: Problem, selection: Selection, noise: float) -> Shrink:

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.alone.decay import frictions_of_decay
 from diagnosis.alone.fit import FreeParameter, Option, fit
-from diagnosis.alone.free_motion import Pull, move
+from diagnosis.alone.physics.free_motion import Pull, move
+from diagnosis.alone.reading.decay import frictions_of_decay
 from diagnosis.alone.reading.free_swings import (
     MIN_PERIODS,
     Swing,
@@ -22,7 +22,13 @@ from diagnosis.alone.reading.free_swings import (
     swing_period,
 )
 from diagnosis.alone.reading.layout import RefusedTableError
-from diagnosis.alone.selection import RELEVANT_RATIO, every_third, select, spread_blocks
+from diagnosis.alone.selection import (
+    CLEAN_NOISES,
+    RELEVANT_RATIO,
+    every_third,
+    select,
+    spread_blocks,
+)
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
@@ -32,8 +38,6 @@ STEPS_PER_PERIOD: Final = 40
 took 0.6 % of a weak friction at 50 degrees."""
 UNKNOWN_RATIO: Final = 0.3
 MIN_SAMPLES_PER_PERIOD: Final = 6.0
-CLEAN_NOISES: Final = 1.2
-"""A pendulum that leaves less than as many standard deviations of the noise is one."""
 SPRING_RATIO: Final = 0.5
 """Mean square left on a spring over that left as a pendulum: below this it is a spring."""
 
@@ -66,6 +70,11 @@ class SwingProblem:
     def timing_s(self) -> float:
         """None: nothing is commanded."""
         return 0.0
+
+    @property
+    def accuracy_ratio(self) -> float:
+        """Of the integration at large angles."""
+        return 0.001
 
     @property
     def local(self) -> frozenset[str]:

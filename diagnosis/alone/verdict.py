@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from diagnosis.alone.fit import Problem
+from diagnosis.alone.intervals import intervals
 from diagnosis.alone.limits import Limit, hidden_limits
 from diagnosis.alone.selection import (
     SHAPE_EFFECTS,
@@ -11,7 +12,6 @@ from diagnosis.alone.selection import (
     Selection,
     describe,
     held_out_shrink,
-    intervals,
 )
 from diagnosis.verdict import (
     Ambiguity,
@@ -92,14 +92,16 @@ def fitted_effects(
     problem: Problem, selection: Selection, scored: Scored, joint: str | None
 ) -> tuple[FittedEffect, ...]:
     """Effects of a structure with their intervals."""
-    ranges = dict(intervals(problem, selection, scored.fit))
+    ranges = dict(intervals(problem, selection.correlation_samples, scored.fit))
     for rival in selection.ranked:
         # What a nearly as probable set says of the same effect belongs into the interval.
         if rival is scored or rival.probability < RIVAL_RATIO:
             continue
         if "drag_crisis" in set(rival.effects) ^ set(scored.effects):
             continue  # drag then means drag at low speed: another number
-        for name, (low, high) in intervals(problem, selection, rival.fit).items():
+        for name, (low, high) in intervals(
+            problem, selection.correlation_samples, rival.fit
+        ).items():
             if name in ranges and set(rival.effects) >= set(scored.effects) - SHAPE_EFFECTS:
                 ranges[name] = (min(ranges[name][0], low), max(ranges[name][1], high))
     values = scored.fit.as_mapping()

@@ -227,26 +227,10 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
     _check_outcome(log)
     grid = grid_control(log.control)
     notes = list(grid.notes)
-    opened = np.flatnonzero(grid.gripper_open & (grid.t_s >= 0.0))
-    if opened.size == 0:
-        raise RefusedLogError(
-            f"it ends {grid.t_s[-1]:.2f} s after the throw's start without an opening command: "
-            "truncated or aborted. Only throws that released can be diagnosed"
-        )
-    open_s = float(grid.t_s[opened[0]])
+    open_s = _opening_s(grid)
     _check_grid(grid, spec)
-    imu_t_s, imu, imu_audit = _samples(
-        "imu", log.imu, ("gyro_rad_per_s", "accel_m_per_s2"), grid.start_ns, notes
-    )
-    gyro, accel = imu[:, :3], imu[:, 3:]
-    if log.metadata.get(WITHOUT_IMU):
-        notes.append(NO_IMU_NOTE)
-    else:
-        _check_imu(imu_t_s, gyro, accel, imu_audit, open_s)
-    ball_t_s, ball_m, ball_audit = _samples("ball", log.ball, ("position_m",), grid.start_ns, notes)
-    after = ball_t_s >= open_s
-    ball_t_s, ball_m = ball_t_s[after], ball_m[after]
-    check_constant("the tracked ball", ball_m)
+    imu_t_s, gyro, accel, imu_audit = _imu_of(log, grid.start_ns, open_s, notes)
+    ball_t_s, ball_m, ball_audit = _ball_of(log, grid.start_ns, open_s, notes)
     impact_m, impact_sd_m, impact_s = impact_of(log, grid.start_ns, notes)
     target_m = target_of(log.metadata)
     check_places(target=target_m, ball=ball_m, impact=impact_m)
@@ -255,15 +239,10 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
             f"no impact and {len(ball_m)} ball samples: nobody measured where this load went. Truncated, "
             "or neither survey nor tracker ran"
         )
-    if len(ball_m) < MIN_BALL_SAMPLES_COUNT:
-        notes.append("no ball track: release, speed and flight are one term of the miss")
     if not log.is_complete:
         notes.append("not closed by its recorder; read up to the damage")
     if dropped := int(log.metadata.get(RESULT_RECORD, {}).get("dropped_count") or 0):
         notes.append(f"its recorder dropped {dropped} rows")
-    # The latch was seen closed before: a switch that never closed tells nothing.
-    held = np.maximum.accumulate(grid.payload_held)
-    left = np.flatnonzero(held & ~grid.payload_held & (grid.t_s >= open_s))
     throw = ThrowData(
         throw_id=str(log.metadata.get("throw_id") or path.stem),
         machine_id=str(log.metadata.get("machine_id") or ""),
@@ -281,7 +260,7 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
         gyro_rad_per_s=gyro,
         accel_m_per_s2=accel,
         open_command_t_s=open_s,
-        switch_open_t_s=float(grid.t_s[left[0]]) if left.size else math.nan,
+        switch_open_t_s=_switch_open_s(grid, open_s),
         ball_t_s=ball_t_s,
         ball_m=ball_m,
         impact_m=impact_m,
@@ -302,6 +281,51 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
         "sensor_age_s": float(np.median(grid.t_s - grid.sensor_t_s)),
     }
     return throw, clocks
+
+
+def _opening_s(grid: ControlGrid) -> float:
+    """When the gripper was told to open, s after the throw's start."""
+    opened = np.flatnonzero(grid.gripper_open & (grid.t_s >= 0.0))
+    if opened.size == 0:
+        raise RefusedLogError(
+            f"it ends {grid.t_s[-1]:.2f} s after the throw's start without an opening command: "
+            "truncated or aborted. Only throws that released can be diagnosed"
+        )
+    return float(grid.t_s[opened[0]])
+
+
+def _switch_open_s(grid: ControlGrid, open_s: float) -> float:
+    """When the load left the gripper's switch, s; nan if it was never seen."""
+    # The latch was seen closed before: a switch that never closed tells nothing.
+    held = np.maximum.accumulate(grid.payload_held)
+    left = np.flatnonzero(held & ~grid.payload_held & (grid.t_s >= open_s))
+    return float(grid.t_s[left[0]]) if left.size else math.nan
+
+
+def _imu_of(
+    log: ThrowLog, start_ns: int, open_s: float, notes: list[str]
+) -> tuple[Array, Array, Array, ClockAudit]:
+    """Times (K,), gyro (K, 3), accelerometer (K, 3) and the audit of their clock."""
+    fields = ("gyro_rad_per_s", "accel_m_per_s2")
+    t_s, values, audit = _samples("imu", log.imu, fields, start_ns, notes)
+    gyro, accel = values[:, :3], values[:, 3:]
+    if log.metadata.get(WITHOUT_IMU):
+        notes.append(NO_IMU_NOTE)
+    else:
+        _check_imu(t_s, gyro, accel, audit, open_s)
+    return t_s, gyro, accel, audit
+
+
+def _ball_of(
+    log: ThrowLog, start_ns: int, open_s: float, notes: list[str]
+) -> tuple[Array, Array, ClockAudit]:
+    """Times (B,) and places (B, 3) of the load after the opening, and the audit of their clock."""
+    t_s, position_m, audit = _samples("ball", log.ball, ("position_m",), start_ns, notes)
+    t_s, position_m = t_s[t_s >= open_s], position_m[t_s >= open_s]
+    check_constant("the tracked ball", position_m)
+    if len(position_m) < MIN_BALL_SAMPLES_COUNT:
+        notes.append("no ball track: release, speed and flight are one term of the miss")
+    return t_s, position_m, audit
 
 
 def _check_outcome(log: ThrowLog) -> None:

@@ -37,18 +37,32 @@ class Command(NamedTuple):
     notes: tuple[str, ...]
 
     def on_grid(self, motion: Motion, grid_s: Array) -> Array:
-        """(ticks,) what it was from each tick to the next, rest at 0 and full at 1.
+        """(ticks,) what it was on the average from each tick to the next, rest at 0 and full at 1.
 
         Between two runs the joint rests: what it did then is not known, and not compared.
         """
         time_s = motion.time_s - motion.time_s[0]
         held = np.clip(np.searchsorted(time_s, grid_s + 1e-9, side="right") - 1, 0, None)
         ahead = np.clip(held + 1, 0, len(time_s) - 1)
-        values = motion.command[held]
         if self.is_smooth:
             values = np.interp(grid_s + 0.5 * float(grid_s[1]), time_s, motion.command)
+        else:
+            values = _mean_held(time_s, motion.command, grid_s)
         inside = motion.run[held] == motion.run[ahead]
         return np.where(inside, values - self.rest, 0.0) / self.full
+
+
+def _mean_held(time_s: Array, command: Array, grid_s: Array) -> Array:
+    """(ticks,) mean over each tick of a command that keeps its value until its next row."""
+    passed = np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(time_s))])
+    ends_s = np.append(grid_s, grid_s[-1] + grid_s[1])
+    total = np.interp(ends_s, time_s, passed) + command[-1] * np.maximum(ends_s - time_s[-1], 0.0)
+    mean = np.diff(total) / np.diff(ends_s)
+    # Where nothing changes within the tick it is that value to the last bit: rest stays rest.
+    first = np.clip(np.searchsorted(time_s, grid_s + 1e-9, side="right") - 1, 0, None)
+    last = np.clip(np.searchsorted(time_s, ends_s[1:] - 1e-9, side="right") - 1, 0, None)
+    changes = np.concatenate([[0], np.cumsum(np.diff(command) != 0.0)])
+    return np.where(changes[last] == changes[first], command[first], mean)
 
 
 def read_command(motion: Motion, words: tuple[str, ...], period_s: float) -> Command:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from diagnosis.alone.decay import COULOMB, VISCOUS, frictions_of_decay
 from diagnosis.alone.fit import fit
-from diagnosis.alone.free_motion import Pull, move
+from diagnosis.alone.physics.free_motion import Pull, move
+from diagnosis.alone.reading.decay import COULOMB, VISCOUS, frictions_of_decay
 from diagnosis.alone.reading.free_swings import Swing, free_part, swing_noise
 from diagnosis.alone.swing import make_problem
 

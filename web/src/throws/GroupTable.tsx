@@ -33,8 +33,8 @@ export function GroupTable({ stats, groupBy, onGroupBy }: Props) {
             />
           </th>
           <th scope="col">n</th>
-          <th scope="col">Along, m: mean, sd</th>
-          <th scope="col">Across, m: mean, sd</th>
+          <th scope="col">Along, m: mean,&nbsp;sd</th>
+          <th scope="col">Across, m: mean,&nbsp;sd</th>
         </tr>
       </thead>
       <tbody>

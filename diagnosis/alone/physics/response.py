@@ -15,6 +15,7 @@ from diagnosis.alone.fit import FreeParameter, Option
 from machine.conventions import Array
 
 LEAST_TIME_PERIODS: Final = 0.5
+LEAST_BAND_RATIO: Final = 0.005
 
 
 def actuation_options(
@@ -72,11 +73,21 @@ def _spool_options() -> tuple[Option, ...]:
                 FreeParameter("positive_ratio", "1", 0.0, 0.7, band),
                 FreeParameter("negative_ratio", "1", 0.0, 0.7, band),
             ),
+            LEAST_BAND_RATIO,
         ),
         Option(
             "valve_dead_band_even",
             "valve_dead_band",
-            (FreeParameter("both_ratio", "1", 0.005, 0.7, band),),
+            (FreeParameter("both_ratio", "1", LEAST_BAND_RATIO, 0.7, band),),
+        ),
+        Option(
+            "valve_dead_band_plain",
+            "valve_dead_band",
+            (
+                FreeParameter("positive_ratio", "1", 0.0, 0.7, band),
+                FreeParameter("negative_ratio", "1", 0.0, 0.7, band),
+            ),
+            LEAST_BAND_RATIO,
         ),
         Option(
             "valve_gain",
@@ -136,6 +147,7 @@ def _limit_options(period_s: float, top_speed: float, unit: str) -> tuple[Option
                     0.005 * top_speed,
                     0.5 * top_speed,
                     (0.05 * top_speed, 0.15 * top_speed),
+                    is_threshold=True,
                 ),
             ),
         ),
@@ -198,12 +210,20 @@ def _delayed(signal: Array, ticks: float) -> Array:
 
 
 def _curved(u: Array, values: Mapping[str, float]) -> Array:
-    """Dead band per direction, rescaled so that full command stays full, then a power of the rest."""
+    """Dead band per direction, then a power of the rest.
+
+    With a compensation full command stays full: the rest is stretched. Without one (`plain`) both directions
+    lose what the band takes and keep one slope; two even bands differ by that in nothing but the gain.
+    """
     both = values.get("valve_dead_band_even.both_ratio", 0.0)
-    positive = values.get("valve_dead_band.positive_ratio", both)
-    negative = values.get("valve_dead_band.negative_ratio", both)
+    key = "plain" if "valve_dead_band_plain.positive_ratio" in values else ""
+    name = f"valve_dead_band_{key}".removesuffix("_")
+    positive = values.get(f"{name}.positive_ratio", both)
+    negative = values.get(f"{name}.negative_ratio", both)
     band = np.where(u > 0.0, positive, negative)
-    x = np.maximum(np.abs(u) - band, 0.0) / (1.0 - band)
+    x = np.maximum(np.abs(u) - band, 0.0)
+    if not key:
+        x = x / (1.0 - band)
     exponent = values.get("valve_curve.exponent_ratio", 1.0)
     return np.sign(u) * (x if exponent == 1.0 else np.power(x, exponent))
 
