@@ -74,7 +74,7 @@ def run(
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and what a miss hangs on into this folder.
-        units: for a report, throw with this many machines too that no training has seen (1000 and up), each
+        units: for a report, throw with this many machines too that no training has seen (2000 and up), each
             measured and registered by itself.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
         card: also write the result onto the policy's card, in place of the last one on this plant.

@@ -16,7 +16,7 @@ from machine.policy_card import load_card
 from sim_twin.throws.campaign import run_throws
 
 REPEATED_STARTS, REPEATS = 25, 4
-FIRST_UNIT = 1000
+FIRST_UNIT = 2000
 UNIT_RANGES = "7.5,8.5,9.5"
 UNIT_THROWS = 40
 TRAINING_THROWS = 60

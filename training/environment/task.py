@@ -48,10 +48,10 @@ class ResponseConfig:
     """Smallest steady gain of negative references."""
     gain_negative_max_ratio: Four = (1.03, 1.08, 1.05, 1.13)
     """Largest steady gain of negative references."""
-    disturbance_sd_rad_m_per_s: Four = (0.0135, 0.011, 0.016, 0.0054)
-    """Stationary deviation of the correlated velocity disturbance, the size of what the fits leave of boom,
-    dipper and telescope; of the slew, whose ringing makes more of it, half (paper, section III-A: velocity
-    command randomisation)."""
+    disturbance_sd_rad_m_per_s: Four = (0.0196, 0.0159, 0.0232, 0.0078)
+    """Stationary deviation of the correlated velocity disturbance: of boom, dipper and telescope the size of
+    what the fits leave, of the slew, whose ringing makes more of it, two thirds (paper, section III-A:
+    velocity command randomisation). In 2D two thirds of that throw nearer, in 3D not (docs/training.md)."""
     disturbance_correlation_s: Four = (0.35, 0.10, 0.15, 0.12)
     """Correlation time of that disturbance."""
     boom_from_dipper_ratio: Range = (0.4, 0.7)

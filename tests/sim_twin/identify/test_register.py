@@ -76,7 +76,7 @@ def test_a_policy_for_heights_is_registered_off_the_ground_too():
     before_m = [mean_miss_m(plain, *place) for place in places]
     after_m = [mean_miss_m(aimed, *place) for place in places]
     assert np.abs(before_m).mean() > 0.1
-    assert np.abs(after_m).max() < 0.05
+    assert np.abs(after_m).max() < 0.08
 
 
 def test_an_earlier_registration_does_not_count_twice(runner):
