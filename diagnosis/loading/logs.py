@@ -189,7 +189,7 @@ def _files(paths: Sequence[Path], refused: list[tuple[Path, str]]) -> list[Path]
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted(p for p in path.rglob("*") if p.suffix in LOG_SUFFIXES)
+            inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in LOG_SUFFIXES)
             if not inside:
                 refused.append((path, "the folder holds no throw log (*.mcap or *.csv)"))
             files += inside

@@ -218,7 +218,8 @@ def _context(path: Path, lines: Sequence[str]) -> dict[str, Any]:
         try:
             context[key.strip()] = json.loads(value)
         except ValueError as error:
-            raise LogError(f"the line '# {key}' of {path.name} holds no JSON: {error}") from error
+            shown = f"# {key[:40]}".encode("ascii", "backslashreplace").decode()
+            raise LogError(f"the line {shown!r} of {path.name} holds no JSON: {error}") from error
     return context
 
 

@@ -110,3 +110,14 @@ def test_a_number_no_machine_can_have_counts_as_missing(tmp_path: Path) -> None:
     path.write_text("\n".join(lines))
     (throw,) = load_throws([path]).throws
     assert "sensor_position_rad_m: 1 missing values interpolated" in throw.notes
+
+
+def test_suffixes_in_capitals_are_found_and_no_binary_is_printed(tmp_path: Path) -> None:
+    write_throw_log(tmp_path / "one.mcap", make_log())
+    (tmp_path / "one.mcap").rename(tmp_path / "wurf 1.MCAP")
+    (tmp_path / "b.CSV").write_bytes(b"# \x1b[2J\x07\xff: x\n1,2\n")
+    loaded = load_throws([tmp_path])
+    assert len(loaded.throws) == 1
+    ((_, reason),) = loaded.refused
+    assert "holds no JSON" in reason
+    assert reason.isprintable()
