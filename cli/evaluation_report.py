@@ -63,7 +63,9 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, m
     room = MAX_LOGS
     parts: list[ModeEvaluation] = []
     for mode, campaign in zip(modes, campaigns, strict=True):
-        part = _with_more(_part(mode, campaign, flat, folder, room), flat, more)
+        part = _with_more(
+            _part(mode, campaign, flat, folder, room), flat, more, campaign.policy_folder
+        )
         room -= sum(failure.log is not None for failure in part.failures)
         parts.append(part)
         _print(part)
@@ -117,11 +119,16 @@ def _part(
     )
 
 
-def _with_more(part: ModeEvaluation, options: CampaignOptions, more: More) -> ModeEvaluation:
+def _with_more(
+    part: ModeEvaluation, options: CampaignOptions, more: More, own: Path
+) -> ModeEvaluation:
+    """With other machines and other trainings, beside the policy's `own` where there are any."""
+    others = [folder for folder in more.trainings if folder.resolve() != own.resolve()]
+    trainings = (own, *others) if more.trainings else ()
     return part.model_copy(
         update={
             "units": unit_rows(part.mode, options, more.unit_count),
-            "trainings": training_rows(part.mode, options, more.trainings, TARGETS[part.mode]),
+            "trainings": training_rows(part.mode, options, trainings, TARGETS[part.mode]),
         }
     )
 

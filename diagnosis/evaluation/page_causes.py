@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from html import escape
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from diagnosis.evaluation.drawings import sensitivity_plot
-from diagnosis.evaluation.measures import Estimate, ModeEvaluation
+from diagnosis.evaluation.goals import UNSEEN_RATIO
+from diagnosis.evaluation.measures import Estimate, ModeEvaluation, UnitRow
 from diagnosis.evaluation.page_cells import cell, table
 from diagnosis.evaluation.sensitivity import FactorShift
 from diagnosis.report.report_html import section
@@ -139,21 +140,32 @@ def units_section(part: ModeEvaluation) -> str:
         )
         for u in part.units
     ]  # fmt: skip
-    spreads = [u.sd_downrange_m for u in part.units[1:] if u.sd_downrange_m is not None]
-    nominal = part.units[0].sd_downrange_m
-    words = ""
-    if spreads and nominal:
-        middle, worst = float(np.median(spreads)), max(spreads)
-        words = (
-            f"<p>Spread downrange over unit {part.units[0].unit_seed}'s: median "
-            f"{fixed(middle / nominal)}, worst {fixed(worst / nominal)}.</p>"
-        )
+    words = "".join(_factors(part.units, way) for way in ("downrange", "crossrange"))
     return section(
         title,
         '<p class="dim">Each measured and registered as at its first start; root mean squares over its '
         f"targets.</p>{words}"
         + table(("unit", "landed", *_NUMBERS), rows),
     )  # fmt: skip
+
+
+def _factors(units: Sequence[UnitRow], way: Literal["downrange", "crossrange"]) -> str:
+    """How much wider than the first machine the others throw, and which of them too much."""
+
+    def spread(unit: UnitRow) -> float | None:
+        return unit.sd_downrange_m if way == "downrange" else unit.sd_crossrange_m
+
+    nominal = spread(units[0])
+    known = [(s / nominal, u.unit_seed) for u in units[1:] if nominal and (s := spread(u))]
+    if not known:
+        return ""
+    wide = [str(seed) for factor, seed in known if factor > UNSEEN_RATIO]
+    beyond = f"beyond it: {', '.join(wide)}" if wide else "kept by all"
+    return (
+        f"<p>Spread {way} over unit {units[0].unit_seed}'s: median "
+        f"{fixed(float(np.median([factor for factor, _ in known])))}, worst {fixed(max(known)[0])}; "
+        f"asked: {fixed(UNSEEN_RATIO)}, {beyond}.</p>"
+    )
 
 
 def trainings_section(part: ModeEvaluation) -> str:

@@ -106,5 +106,7 @@ def test_units_and_trainings_have_their_tables():
     part = evaluation(units=units, trainings=(training,))
     assert causes(part)[0].words == "another machine of the type, registered"
     html = evaluation_html([part], 7.5)
-    assert "median 1.60, worst 2.00" in html
+    assert "Spread downrange over unit 0's" in html
+    assert "median 1.60, worst 2.00; asked: 1.50, beyond it: 1000." in html
+    assert "Spread crossrange" in html and "worst 1.00; asked: 1.50, kept by all." in html
     assert "0.63e9" in html

@@ -107,7 +107,7 @@ def test_units_are_registered_and_put_beside_unit_0(
     ]
     assert main([*words, "--policies", str(swing_policies), "--json", str(out)]) == 0
     found = json.loads(out.read_text())
-    assert sorted(found["units"]) == ["0", "1000"] and registered == [2, 2]
+    assert sorted(found["units"]) == ["0", "2000"] and registered == [2, 2]
     assert found["units"]["0"][0]["throw_count"] == 3
     assert 0.0 <= found["summary"]["landed share of the units"] <= 1.0
 
