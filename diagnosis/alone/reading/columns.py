@@ -146,14 +146,19 @@ def outputs_of(table: Table, used: Collection[str]) -> tuple[list[str], bool]:
         except RefusedTableError:
             others = [n for n in table.columns if n not in without and table.is_numeric(n)]
             moving = [n for n in others if _has_motion_unit(table, n)]
+            places = [n for n in moving if not _is_speed(table, n)]
             mine = {w for n in used for w in name_words(n)} - words
             alike = [n for n in others if mine & set(name_words(n))]
-            for found in (others, moving, alike):
+            for found in (others, moving, places, alike):
                 if len(found) == 1:
-                    what = "velocity" if is_velocity(table, found[0]) else "position"
+                    what = "velocity" if _is_speed(table, found[0]) else "position"
                     table.notes.append(f"column {found[0]!r} taken as the {what}: no other fits")
                     return found, what == "velocity"
             raise error from None
+
+
+def _is_speed(table: Table, name: str) -> bool:
+    return is_velocity(table, name) or is_turn_rate(table, name)
 
 
 def _has_motion_unit(table: Table, name: str) -> bool:

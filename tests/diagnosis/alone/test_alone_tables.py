@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from diagnosis.alone.reading.columns import outputs_of
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.runs import split_runs, time_seconds
 from diagnosis.alone.reading.tables import read_table
@@ -113,3 +114,15 @@ def test_a_restart_of_time_begins_a_run_and_chaos_is_refused() -> None:
     assert runs.max() == 2
     with pytest.raises(RefusedTableError, match="clock jumps"):
         split_runs(np.random.default_rng(0).uniform(0.0, 10.0, 200))
+
+
+def test_of_a_position_and_its_speed_the_position_is_taken(tmp_path: Path) -> None:
+    path = table(
+        tmp_path / "a.csv", "time_s,joystick,slew_rad_per_s,slew_rad", TIME_S, STEPS, STEPS, MOVED
+    )
+    found = read_table(path)
+    assert outputs_of(found, ["time_s", "joystick"]) == (["slew_rad"], False)
+    alone = read_table(
+        table(tmp_path / "b.csv", "time_s,joystick,slew_rad_per_s", TIME_S, STEPS, STEPS)
+    )
+    assert outputs_of(alone, ["time_s", "joystick"]) == (["slew_rad_per_s"], True)
