@@ -101,10 +101,10 @@ def corrected_input(
 ) -> ReplayInput:
     """The throw with simulated and corrected joint motion, as reported, in place of the measured one."""
     rows = p.motion.t_s.size
-    corrected = velocity[:rows].copy()
+    corrected, motion = velocity[:rows].copy(), p.motion.early(latency_s)
     for joint in range(ACTIVE_COUNT):
         track = velocity[:rows, joint]
-        track = track + correction(healthy, p.motion, joint, track)
+        track = track + correction(healthy, motion, joint, track)
         corrected[:, joint] = late(track, float(latency_s[joint]))
     travelled = np.cumsum(corrected[1:] * CONTROL_PERIOD_S, axis=0)
     start = p.input.position_rad_m[:1]

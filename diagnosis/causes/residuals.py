@@ -337,6 +337,8 @@ def _predict(
 ) -> Array:
     """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
     out = np.zeros((elements.size, prepared.measured.size))
+    # The first element is the set of effects itself: the others move one parameter of a joint each.
+    motion = prepared.motion.early(output.joint_latency_s[elements[0]])
     for block in prepared.blocks:
         if _view(block) is not view:
             continue
@@ -345,7 +347,7 @@ def _predict(
             joint, rows = joint_index(channel), prepared.motion.t_s.size
             track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
             # What every machine is off its twin follows the motion that the effects lead to.
-            track = track + correction(healthy, prepared.motion, joint, track)
+            track = track + correction(healthy, motion, joint, track)
             # The correction belongs to the motion, which a late sensor reports later.
             latency_s = output.joint_latency_s[elements, joint]
             track = np.stack([late(one, s) for one, s in zip(track, latency_s, strict=True)])

@@ -48,6 +48,25 @@ class MeasuredMotion(NamedTuple):
     swing_rate_rad_per_s: Array
     """(T, 2)"""
 
+    def early(self, latency_s: Array) -> "MeasuredMotion":
+        """The motion as it was when the driven joints' sensors are late by (4,); held at the end."""
+        if not (latency_s > 0.0).any():
+            return self
+        ticks = np.arange(self.t_s.size)
+
+        def moved(track: Array) -> Array:
+            columns = [
+                np.interp(ticks + late / CONTROL_PERIOD_S, ticks, column)
+                for late, column in zip(latency_s, track.T, strict=True)
+            ]
+            return np.column_stack(columns)
+
+        return self._replace(
+            position_rad_m=moved(self.position_rad_m),
+            velocity_rad_m_per_s=moved(self.velocity_rad_m_per_s),
+            acceleration_rad_m_per_s2=moved(self.acceleration_rad_m_per_s2),
+        )
+
 
 def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
     """Position, velocity, acceleration (T, 4) at `t_s` from both sensors of each driven joint.

@@ -28,7 +28,7 @@ GPa were measured on a crane of this size (docs/virtual_machine.md, S)."""
 SLEW_TRAPPED_M3 = 1.5e-3
 """Oil on each side of the slew motor (assumed)."""
 SLIP_S = 0.02
-"""Time constant with which compressed oil sends a joint off that breaks loose."""
+"""Time constant with which a drive's push eases while it is alone in its play."""
 
 
 class Flows(NamedTuple):
@@ -167,6 +167,10 @@ class ValveEffects:
             rated = np.where(target >= 0.0, *self._rated)
             cap = (1.0 - self._reduction) * np.maximum(rated, speed)
             target = np.sign(target) * np.minimum(speed, cap)
+        if self._breakaway is not None:
+            # A drive that has broken loose sends off what it had stored, as fast as its oil lets it.
+            target = target + np.where(self._at_rest, 0.0, self._wound / CONTROL_PERIOD_S)
+            self._wound = np.where(self._at_rest, self._wound, 0.0)
         return target
 
     def _share(self, actuator_speed: Array, shortage: Array) -> Array:
@@ -249,15 +253,6 @@ class ValveEffects:
         )
         self._slope_before = np.where(half > 0.0, changed, 0.0)
         return velocity * moved, np.where(half > 0.0, changed, slope)
-
-    def on_joint(self, drive_velocity: Array) -> Array:
-        """Joint velocities as drives break loose."""
-        if self._breakaway is None:
-            return drive_velocity
-        left = np.where(self._at_rest, 1.0, math.exp(-CONTROL_PERIOD_S / SLIP_S))
-        slip = (1.0 - left) * self._wound / CONTROL_PERIOD_S
-        self._wound = left * self._wound
-        return drive_velocity + slip
 
 
 def _first_order(lag_s: Array | None) -> tuple[Array | None, Array]:

@@ -63,3 +63,16 @@ def test_a_late_sensor_reports_the_past() -> None:
     track = np.sin(0.3 * np.arange(50))
     np.testing.assert_allclose(late(track, 0.02)[2:], track[:-2])
     assert late(track, 0.0) is track
+
+
+def test_early_motion_is_what_a_late_sensor_reported(prepared: list[PreparedThrow]) -> None:
+    motion = prepared[0].motion
+    reported = late(motion.velocity_rad_m_per_s[:, 2], 0.073)
+    seen = motion.velocity_rad_m_per_s.copy()
+    seen[:, 2] = reported
+    found = motion._replace(velocity_rad_m_per_s=seen).early(np.array([0.0, 0.0, 0.073, 0.0]))
+    inside = slice(10, -10)
+    np.testing.assert_allclose(
+        found.velocity_rad_m_per_s[inside], motion.velocity_rad_m_per_s[inside], atol=2e-3
+    )
+    assert motion.early(np.zeros(4)) is motion

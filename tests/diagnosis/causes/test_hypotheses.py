@@ -1,4 +1,6 @@
-"""Two effects at one joint that no slope at zero shows are found together."""
+"""What no slope at zero shows is found: a second effect at one joint, a sensor that is very late."""
+
+import pytest
 
 from diagnosis.causes.hypotheses import explore
 from diagnosis.causes.parameters import layout
@@ -24,3 +26,18 @@ def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> N
     pairs = [(e.effect, e.joint) for e in best.effects]
     assert ("backlash", "dipper") in pairs
     assert ("valve_hysteresis", "dipper") in pairs
+
+
+def test_a_sensor_that_is_very_late_is_found_and_leaves_its_neighbours_healthy() -> None:
+    known = health()
+    late = Effect(
+        effect="joint_sensor_latency", joint="dipper", parameters={"extra_latency_s": 0.13}
+    )
+    loaded = throws((late,), 3)
+    prepared = prepare(loaded.throws, profile())
+    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    best = max(explore(problem, lambda share: None), key=lambda h: h.log_evidence[0])
+    assert [(e.effect, e.joint) for e in best.effects] == [("joint_sensor_latency", "dipper")]
+    # Beyond the tick that the smoother leads by on every machine.
+    found_s = best.effects[0].parameters["extra_latency_s"]
+    assert found_s == pytest.approx(0.13 - 0.01, rel=0.05)
