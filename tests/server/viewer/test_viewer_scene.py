@@ -345,7 +345,7 @@ def test_another_machine_starts_with_a_clean_yard(
     app.scene.show_machine(session, "m003")
     client.until(lambda: "/target" not in client.nodes, "the target to go")
     client.until(lambda: "/live" not in client.nodes, "the old machine to go")
-    assert "/reach/static" not in client.nodes
+    client.until(lambda: "/reach/static" not in client.nodes, "the rings to go")
 
 
 def test_camera_presets(app: ViewerApp, session: str, client: ViewClient) -> None:
