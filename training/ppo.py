@@ -16,6 +16,7 @@ from training.environment.episode import Failure, StepInfo
 from training.environment.reward import hurry_share
 from training.environment.state import EnvironmentState, StartTable
 from training.environment.task import PpoConfig
+from training.hard_starts import draw_starts, first_scores, rescored
 from training.networks import (
     Networks,
     Normaliser,
@@ -37,6 +38,10 @@ class Learner(NamedTuple):
     normaliser: Normaliser
     learning_rate: Field
     environment: EnvironmentState
+    start_row: Field
+    """(N,) row of the start table at which each environment's episode began."""
+    start_score_m: Field
+    """(M,) how badly the starts of the table went (training.hard_starts)."""
     key: Field
     iteration: Field
     """Iterations done."""
@@ -109,6 +114,8 @@ class Trainer:
             normaliser=make_normaliser(observation.shape[1] + hidden.shape[1]),
             learning_rate=jnp.asarray(self.config.learning_rate_ratio, jnp.float32),
             environment=state,
+            start_row=rows,
+            start_score_m=first_scores(self.table.start_rad_m.shape[0]),
             key=keys[3],
             iteration=jnp.asarray(0, jnp.int32),
         )
@@ -122,12 +129,11 @@ class Trainer:
 
     def _iterate(self, learner: Learner) -> tuple[Learner, Metrics]:
         key, roll_key, update_key = jax.random.split(learner.key, 3)
-        state, batch, collected = self._collect(roll_key, learner)
+        learner, batch, collected = self._collect(roll_key, learner)
         normaliser = update_normaliser(learner.normaliser, batch.observation)
         # The batch was collected with the old moments; the update must see what the actor saw.
         observation = normalise(learner.normaliser, batch.observation)
         batch = batch._replace(observation=observation)
-        learner = learner._replace(environment=state)
         learner, losses = self._update(update_key, learner, batch)
         learner = learner._replace(normaliser=normaliser, key=key, iteration=learner.iteration + 1)
         deviation = jnp.exp(learner.networks.log_deviation).mean()
@@ -140,7 +146,7 @@ class Trainer:
         )
         return learner, metrics
 
-    def _collect(self, key: Field, learner: Learner) -> tuple[EnvironmentState, Batch, Metrics]:
+    def _collect(self, key: Field, learner: Learner) -> tuple[Learner, Batch, Metrics]:
         """Run the policy for `step_count` steps in every environment, then estimate advantages."""
         env, config = self.environment, self.config
         networks, normaliser = learner.networks, learner.normaliser
@@ -148,8 +154,10 @@ class Trainer:
         kept_as = config.hidden_type
         hurry = hurry_share(env.task.reward, learner.iteration / config.iteration_count)
 
-        def step(state: EnvironmentState, step_key: Field) -> tuple[EnvironmentState, Any]:
-            keys = jax.random.split(step_key, 4)
+        def step(carry: tuple[EnvironmentState, Field], drawn: tuple[Field, Field]) -> Any:
+            state, row = carry
+            step_key, next_row = drawn
+            keys = jax.random.split(step_key, 3)
             seen, hidden = env.observe(state)
             drives = env.drives(state).astype(jnp.float32)
             full = jnp.concatenate([seen, hidden], axis=-1)
@@ -158,24 +166,33 @@ class Trainer:
             value = apply_layers(networks.critic, scaled, kept_as)[:, 0]
             action = mean + deviation * jax.random.normal(keys[0], mean.shape)
             after, reward, info = env.step(keys[1], state, action, hurry)
-            rows = jax.random.randint(keys[2], info.done.shape, 0, self.table.start_rad_m.shape[0])
-            fresh = env.reset(keys[3], self.table, rows)
+            fresh = env.reset(keys[2], self.table, next_row)
             after = _select(info.done, fresh, after)
             log_probability = log_density(mean, networks.log_deviation, action)
-            row = Batch(
+            seen_row = Batch(
                 full, action, log_probability, value, reward, info.done, drives, value, value
             )
-            return after, (row, info)
+            return (after, jnp.where(info.done, next_row, row)), (seen_row, info, row)
 
         keys = jax.random.split(key, config.step_count)
-        state, (batch, info) = jax.lax.scan(step, learner.environment, keys)
+        shape = (config.step_count, config.environment_count)
+        nexts = draw_starts(
+            jax.random.fold_in(key, 1), learner.start_score_m, shape, config.hard_start_ratio
+        )
+        first = (learner.environment, learner.start_row)
+        (state, row), (batch, info, rows) = jax.lax.scan(step, first, (keys, nexts))
+        learner = learner._replace(
+            environment=state,
+            start_row=row,
+            start_score_m=rescored(learner.start_score_m, rows, info),
+        )
         seen, hidden = env.observe(state)
         scaled = normalise(normaliser, jnp.concatenate([seen, hidden], axis=-1))
         last_value = apply_layers(networks.critic, scaled, kept_as)[:, 0]
         advantage = self._advantages(batch, last_value)
         batch = batch._replace(advantage=advantage, target=advantage + batch.value)
         # Counted once for all steps: a sum over the environments in every step took 0.2 ms on a GPU.
-        return state, batch, _count(batch.reward, info)
+        return learner, batch, _count(batch.reward, info)
 
     def _advantages(self, batch: Batch, last_value: Field) -> Field:
         gamma, trace = self.config.discount_ratio, self.config.trace_ratio

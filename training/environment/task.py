@@ -263,6 +263,8 @@ class PpoConfig:
     """Control steps an iteration (paper)."""
     iteration_count: int = 4000
     """Iterations (paper)."""
+    hard_start_ratio: float = 0.0
+    """Share of the episodes that begin where throws went badly (training.hard_starts)."""
     epoch_count: int = 5
     """Passes over a batch."""
     minibatch_count: int = 4
