@@ -1,6 +1,6 @@
 """Control steps a second of a training, learning included, on whatever device JAX finds.
 
-    python benchmarks/train_speed.py [--mode 3d] [--environments 8192] [--unroll 4] [--json FILE]
+    python benchmarks/train_speed.py [--mode 3d] [--environments 8192] [--unroll 1] [--json FILE]
 
 The shipped configuration, timed after compilation, for a minute at most; the slowest and the fastest chunk
 tell how even it runs. What is asked for holds for a GPU alone: on one H200, 6 million.
@@ -20,7 +20,7 @@ from machine.conventions import Mode
 from machine.spec import load_spec
 from training.environment.environment import ThrowEnvironment
 from training.environment.state import random_table
-from training.environment.task import PpoConfig, task_for
+from training.environment.task import learner_for, task_for
 from training.ppo import Trainer
 
 TARGET_STEPS_PER_S = 6e6
@@ -34,7 +34,7 @@ def main(
     mode: Literal["2d", "3d"] = "3d",
     environments: int | None = None,
     iterations: int | None = None,
-    unroll: int = 4,
+    unroll: int = 1,
     json: Path | None = None,
 ) -> None:
     """Time chunks of iterations.
@@ -48,7 +48,7 @@ def main(
     """
     device = jax.devices()[0]
     on_gpu = device.platform == "gpu"
-    config = PpoConfig()
+    config = learner_for(Mode(mode))
     count = environments or (config.environment_count if on_gpu else CPU_ENVIRONMENTS)
     config = replace(config, environment_count=count)
     task = task_for(Mode(mode))

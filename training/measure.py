@@ -1,18 +1,18 @@
 """Accuracy of a policy in the training environment: one deterministic throw an environment, by distance."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from machine.conventions import DEFAULT_PACE_RATIO
+from machine.conventions import DEFAULT_PACE_RATIO, POLICY_PERIOD_S
 from machine.spec import MachineSpec
 from training.environment.environment import ThrowEnvironment
 from training.environment.episode import Failure, StepInfo
-from training.environment.state import StartTable, start_table
+from training.environment.state import EnvironmentState, start_table
 from training.environment.task import TaskConfig
 from training.networks import Layers, Normaliser, apply_layers, normalise
 
@@ -42,65 +42,82 @@ def act(actor: Layers, normaliser: Normaliser, observation: Field) -> Field:
     return apply_layers(actor, normalise(moments, observation))
 
 
-def throw_once(
-    env: ThrowEnvironment, actor: Layers, normaliser: Normaliser, table: StartTable, key: Field
-) -> StepInfo:
-    """Throw once from every row of the table; the info of the step in which each episode ended."""
-    count = table.start_rad_m.shape[0]
-    reset_key, run_key = jax.random.split(key)
-    state = jax.jit(env.reset)(reset_key, table, jnp.arange(count))
-    # The load flies at most a second and a half after the last chance to release.
-    steps = int(env.task.episode.time_limit_s / 0.08) + 25
-    _, _, first = jax.eval_shape(env.step, key, state, jnp.zeros((count, env.action_count)))
-    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
+class Measurement:
+    """Throws that say what a policy does, at every distance on the ground and at the usual pace.
 
-    # Not a scan over the steps: on the CPU that compiled, but never came back (JAX 0.10.2).
-    @jax.jit
-    def step(state: Any, end: StepInfo, step_key: Field) -> tuple[Any, StepInfo]:
-        observation, _ = env.observe(state)
-        action = act(actor, normaliser, observation)
-        after, _, info = env.step(step_key, state, action)
-        over = end.done
+    Everything else is randomised as in training. Compiling takes longer than throwing: `prepare` does it
+    while the policy still learns.
+    """
+
+    def __init__(
+        self,
+        spec: MachineSpec,
+        task: TaskConfig,
+        ranges_m: Sequence[float],
+        throw_count: int,
+        seed: int,
+    ) -> None:
+        """Draw the starts of `throw_count` throws at every distance."""
+        if task.episode.pace_ratio is not None:
+            usual = replace(task.episode, pace_ratio=(DEFAULT_PACE_RATIO, DEFAULT_PACE_RATIO))
+            task = replace(task, episode=usual)
+        self._env = ThrowEnvironment(spec, task)
+        self._ranges_m, self._throw_count = ranges_m, throw_count
+        distance = np.repeat(np.asarray(ranges_m, dtype=np.float64), throw_count)
+        rng = np.random.default_rng(seed)
+        self._table = start_table(spec, task.mode, distance, np.zeros_like(distance), rng)
+        reset_key, run_key = jax.random.split(jax.random.key(seed))
+        # The load flies at most a second and a half after the last chance to release.
+        steps = int(task.episode.time_limit_s / POLICY_PERIOD_S) + 25
+        self._reset_key, self._step_keys = reset_key, jax.random.split(run_key, steps)
+        self._compiled: Callable[..., Any] | None = None
+
+    def prepare(self, actor: Layers, normaliser: Normaliser) -> None:
+        """Compile for networks of these shapes."""
+        state, end = jax.eval_shape(self._begin, self._reset_key)
+        lowered = jax.jit(self._step).lower(actor, normaliser, state, end, self._reset_key)
+        self._compiled = lowered.compile()
+
+    def accuracy(self, actor: Layers, normaliser: Normaliser) -> list[Accuracy]:
+        """Throw once from every start; a row a distance."""
+        if self._compiled is None:
+            self.prepare(actor, normaliser)
+        step = cast(Callable[..., Any], self._compiled)
+        state, end = jax.jit(self._begin)(self._reset_key)
+        # Not a scan over the steps: on the CPU that compiled, but never came back (JAX 0.10.2).
+        for key in self._step_keys:
+            state, end = step(actor, normaliser, state, end, key)
+        thrown = jax.tree.map(np.asarray, end)
+        result: list[Accuracy] = []
+        for index, range_m in enumerate(self._ranges_m):
+            rows = slice(index * self._throw_count, (index + 1) * self._throw_count)
+            result.append(_accuracy(range_m, StepInfo(*(part[rows] for part in thrown))))
+        return result
+
+    def _begin(self, key: Field) -> tuple[EnvironmentState, StepInfo]:
+        """Fresh episodes, and the blank infos of their ends."""
+        count = self._table.start_rad_m.shape[0]
+        state = self._env.reset(key, self._table, jnp.arange(count))
+        action = jnp.zeros((count, self._env.action_count))
+        _, _, info = jax.eval_shape(self._env.step, key, state, action)
+        return state, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), info)
+
+    def _step(
+        self,
+        actor: Layers,
+        normaliser: Normaliser,
+        state: EnvironmentState,
+        end: StepInfo,
+        key: Field,
+    ) -> tuple[EnvironmentState, StepInfo]:
+        """One control step of the episodes that run."""
+        observation, _ = self._env.observe(state)
+        after, _, info = self._env.step(key, state, act(actor, normaliser, observation))
 
         def keep(old: Field, new: Field) -> Field:
-            return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+            return jnp.where(end.done.reshape(-1, *[1] * (new.ndim - 1)), old, new)
 
-        state = jax.tree.map(keep, state, after)
-        return state, jax.tree.map(keep, end, info)
-
-    end = blank
-    for step_key in jax.random.split(run_key, steps):
-        state, end = step(state, end, step_key)
-    return end
-
-
-def measure(
-    spec: MachineSpec,
-    task: TaskConfig,
-    actor: Layers,
-    normaliser: Normaliser,
-    ranges_m: Sequence[float],
-    throw_count: int,
-    seed: int,
-) -> list[Accuracy]:
-    """Throw `throw_count` times at every distance on the ground, at the usual pace.
-
-    Everything else is randomised as in training.
-    """
-    if task.episode.pace_ratio is not None:
-        usual = replace(task.episode, pace_ratio=(DEFAULT_PACE_RATIO, DEFAULT_PACE_RATIO))
-        task = replace(task, episode=usual)
-    env = ThrowEnvironment(spec, task)
-    rng = np.random.default_rng(seed)
-    distance = np.repeat(np.asarray(ranges_m, dtype=np.float64), throw_count)
-    table = start_table(spec, task.mode, distance, np.zeros_like(distance), rng)
-    thrown = throw_once(env, actor, normaliser, table, jax.random.key(seed))
-    end = jax.tree.map(np.asarray, thrown)
-    result: list[Accuracy] = []
-    for index, range_m in enumerate(ranges_m):
-        rows = slice(index * throw_count, (index + 1) * throw_count)
-        result.append(_accuracy(range_m, StepInfo(*(part[rows] for part in end))))
-    return result
+        return jax.tree.map(keep, state, after), jax.tree.map(keep, end, info)
 
 
 def _accuracy(range_m: float, end: StepInfo) -> Accuracy:

@@ -4,6 +4,8 @@ Loss and bookkeeping follow Schulman et al. 2017 (PPO) and 2016 (GAE); the learn
 Kullback-Leibler divergence of each update, as in the paper's implementation.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -91,6 +93,17 @@ class Trainer:
         self.table = table
         self.config = config
         self._optimiser = optax.scale_by_adam(eps=1e-5)
+        self._compiled: dict[int, Callable[[Learner], tuple[Learner, Metrics]]] = {}
+        """`advance` by its number of iterations."""
+
+    def prepared(self, key: Field, iterations: int) -> Learner:
+        """`start`, while the host also compiles `advance` by so many iterations."""
+        lowered = Trainer.start.lower(self, key)
+        learner = jax.eval_shape(self.start, key)
+        chunk = Trainer._advance.lower(self, learner, iterations)
+        with ThreadPoolExecutor() as pool:
+            start, self._compiled[iterations] = pool.map(lambda x: x.compile(), (lowered, chunk))
+        return start(key)
 
     @partial(jax.jit, static_argnums=0)
     def start(self, key: Field) -> Learner:
@@ -122,9 +135,13 @@ class Trainer:
         # Weakly typed leaves would make the second call of `advance` compile again.
         return jax.tree.map(lambda x: jax.lax.convert_element_type(x, x.dtype), learner)
 
-    @partial(jax.jit, static_argnums=(0, 2), donate_argnums=1)
     def advance(self, learner: Learner, iterations: int) -> tuple[Learner, Metrics]:
         """Several whole iterations; metrics have a leading axis of that length."""
+        ready = self._compiled.get(iterations)
+        return ready(learner) if ready is not None else self._advance(learner, iterations)
+
+    @partial(jax.jit, static_argnums=(0, 2), donate_argnums=1)
+    def _advance(self, learner: Learner, iterations: int) -> tuple[Learner, Metrics]:
         return jax.lax.scan(lambda carry, _: self._iterate(carry), learner, length=iterations)
 
     def _iterate(self, learner: Learner) -> tuple[Learner, Metrics]:

@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from training.environment.environment import ThrowEnvironment
 from training.environment.state import random_table
 from training.environment.task import PpoConfig, TaskConfig
 from training.export import export_policy
-from training.measure import Accuracy, measure
+from training.measure import Accuracy, Measurement
 from training.ppo import Learner, Trainer
 from training.progress import (
     CSV_FILE,
@@ -83,23 +84,20 @@ def train(
     """Train to the end, from the checkpoint in `options.out` if there is one, and export the policy."""
     _check(config, options)
     learner, trainer, fingerprint = _prepare(spec, task, config, options, say)
-    learner, wall_s = _learn(learner, trainer, fingerprint, options, say)
-    host = jax.device_get((learner.networks.actor, learner.normaliser))
+    throws = _measurement(spec, task, options)
+    with ThreadPoolExecutor() as pool:
+        # A GPU's host has nothing else to do while its GPU learns.
+        shapes = jax.eval_shape(lambda: (learner.networks.actor, learner.normaliser))
+        prepared = pool.submit(throws.prepare, *shapes) if throws is not None else None
+        learner, wall_s = _learn(learner, trainer, fingerprint, options, say)
+        if prepared is not None:
+            prepared.result()
     accuracy: list[Accuracy] = []
-    if options.measured_throw_count:
-        near, far = task.episode.target_range_m
-        ranges = [r for r in MEASURED_RANGES_M if near <= r <= far]
-        accuracy = measure(
-            spec,
-            task,
-            host[0],
-            host[1],
-            ranges,
-            options.measured_throw_count,
-            seed=options.seed_count + 1,
-        )
+    if throws is not None:
+        accuracy = throws.accuracy(learner.networks.actor, learner.normaliser)
         for entry in accuracy:
             say(accuracy_line(entry))
+    host = jax.device_get((learner.networks.actor, learner.normaliser))
     rows = read_rows(options.out / CSV_FILE)
     write_summary(options.out / SUMMARY_FILE, rows, accuracy)
     if rows:
@@ -127,6 +125,17 @@ def train(
             record,
             evaluation if accuracy else (),
         )
+
+
+def _measurement(spec: MachineSpec, task: TaskConfig, options: RunOptions) -> Measurement | None:
+    """What is thrown once the policy has learned; None without throws."""
+    if not options.measured_throw_count:
+        return None
+    near, far = task.episode.target_range_m
+    ranges = [r for r in MEASURED_RANGES_M if near <= r <= far]
+    return Measurement(
+        spec, task, ranges, options.measured_throw_count, seed=options.seed_count + 1
+    )
 
 
 def _check(config: PpoConfig, options: RunOptions) -> None:
@@ -180,7 +189,8 @@ def _prepare(
     same = {"task": asdict(task), "ppo": asdict(replace(config, iteration_count=0))}
     text = json.dumps(_plain(same), sort_keys=True) + spec.sha256 + str(options.seed_count)
     fingerprint = hashlib.sha256(text.encode()).hexdigest()
-    learner = trainer.start(jax.random.key(options.seed_count))
+    chunk = min(options.chunk_count, config.iteration_count)
+    learner = trainer.prepared(jax.random.key(options.seed_count), chunk)
     path = options.out / CHECKPOINT_FILE
     if options.warm_start is not None and not path.is_file():
         learner = load_weights(options.warm_start, learner)

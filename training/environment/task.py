@@ -273,7 +273,8 @@ class PpoConfig:
     """Units of the hidden layers, actor and critic (paper)."""
     discount_ratio: float = 0.995
     """Gamma. At 0.99 waiting a second costs a good landing 1.2 of its worth of 10, and throws in 3D are
-    released while the cabin still turns; 0.995 throws nearer (docs/training.md)."""
+    released while the cabin still turns; 0.995 throws nearer, 0.998 waits until a drawn-in telescope is out
+    (docs/training.md)."""
     trace_ratio: float = 0.95
     """Lambda of the advantage estimate."""
     clip_ratio: float = 0.2
@@ -372,3 +373,10 @@ def task_for(mode: Mode, reward: Literal["impact", "paper"] = "impact") -> TaskC
     """The shipped task of a mode."""
     task = planar_task() if mode is Mode.PLANAR else spatial_task()
     return paper_reward(task) if reward == "paper" else task
+
+
+def learner_for(mode: Mode, reward: Literal["impact", "paper"] = "impact") -> PpoConfig:
+    """The shipped learner of a mode; in 3D it waits longer and comes back to starts that go badly."""
+    if mode is Mode.PLANAR or reward == "paper":
+        return PpoConfig()
+    return replace(PpoConfig(), discount_ratio=0.998, hard_start_ratio=0.5)
