@@ -1,6 +1,6 @@
 """From findings to the verdict: gap, causes with intervals, ambiguity, what was ruled out, one sentence."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
+from diagnosis.report.report_words import percent, probability, size_words
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
     Ambiguity,
@@ -55,7 +56,6 @@ class Findings:
     terms: Terms
     shrink: tuple[Shrink, str] | None
     """And what it was measured on: ``impact`` or ``channels``."""
-    seconds: Mapping[str, float]
 
 
 def conclude(found: Findings) -> Diagnosis:
@@ -94,7 +94,12 @@ def conclude(found: Findings) -> Diagnosis:
         evidence={
             **found.loaded.evidence(),
             "reference": reference_evidence(found.reference),
+            "twin": {
+                "machine_id": found.problem.profile.machine_id,
+                "version_count": found.problem.profile.version_count,
+            },
             "where": _where(verdict, ranked, stages),
+            "named": _named(verdict, ranked),
             "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
             "log_evidence": {
                 _names(h.effects) or "none": round(float(h.log_evidence[0]), 1)
@@ -104,7 +109,6 @@ def conclude(found: Findings) -> Diagnosis:
             "unknown": _signature(ranked) if verdict is VerdictKind.UNKNOWN else None,
             "shrink_measure": None if found.shrink is None else found.shrink[1],
             "demoted": demoted,
-            "seconds": dict(found.seconds),
         },
     )
 
@@ -121,8 +125,8 @@ def _demoted(found: Findings) -> str | None:
     if gain.ci90[1] > LEAST_GAIN_RATIO and found.ranked.none_probability < PLAIN_PROBABILITY:
         return None
     return (
-        f"{_names(found.ranked.best.effects)} closes {gain.ratio:.0%} of the removable gap on held-out "
-        f"throws ({gain.ci90[0]:.0%} to {gain.ci90[1]:.0%}): no gain that can be shown"
+        f"{_names(found.ranked.best.effects)} closes {percent(gain.ratio)} of the removable gap on held-out "
+        f"throws ({percent(gain.ci90[0])} to {percent(gain.ci90[1])}): no gain that can be shown"
     )
 
 
@@ -159,14 +163,14 @@ def _causes(found: Findings) -> tuple[Cause, ...]:
     """Ranked, with the jitter as part of a cause where it is probable; "none" and "unknown" always."""
     ranked = found.ranked
     both: list[Cause] = []
-    for hypothesis, probability in zip(ranked.hypotheses, ranked.probability, strict=True):
+    for hypothesis, of_hypothesis in zip(ranked.hypotheses, ranked.probability, strict=True):
         effects = _fitted(found.problem, hypothesis)
         name = _names(hypothesis.effects)
         for jitter, share in (
             (True, ranked.jitter_probability),
             (False, 1.0 - ranked.jitter_probability),
         ):
-            part = float(probability) * share
+            part = float(of_hypothesis) * share
             kept = (*effects, _jitter(ranked)) if jitter else effects
             parts = [text for text in (name, words(JITTER, None) if jitter else "") if text]
             is_none = not kept
@@ -284,6 +288,14 @@ def _where(
     return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
 
 
+def _named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
+    """Stage and joint of every effect of the cause that is named."""
+    if verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
+        return []
+    named = ranked.best.effects or (ranked.jitter.effect(),)
+    return [{"stage": effect_stage(effect), "joint": effect.joint} for effect in named]
+
+
 def _signature(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows."""
     name = max(ranked.levels, key=lambda block: ranked.levels[block])
@@ -321,11 +333,11 @@ def _sentence(
     ambiguity: Ambiguity | None,
 ) -> str:
     size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
-    top = causes[0]
+    top, sure = causes[0], probability(causes[0].probability)
     if verdict is VerdictKind.NONE:
         if ranked.best.members:
-            return f"{size}No effect that can be claimed; {top.name} ({top.probability:.0%}) comes nearest."
-        return f"{size}No effect: a healthy machine scatters as much ({top.probability:.0%} sure)."
+            return f"{size}No effect that can be claimed; {top.name} ({sure}) comes nearest."
+        return f"{size}No effect: a healthy machine scatters as much ({sure} sure)."
     if verdict is VerdictKind.UNKNOWN:
         signature = _signature(ranked)
         joint = "" if signature["joint"] is None else f" of the {signature['joint']}"
@@ -341,7 +353,11 @@ def _sentence(
             f" ({shrink.before_m:.2f} m to {shrink.after_m:.2f} m)" if measure == "impact" else ""
         )
         what = "miss" if measure == "impact" else "gap in its channels"
-        closes = f" Adding it closes {shrink.ratio:.0%} of the removable {what} on held-out throws{metres}."
+        share = percent(shrink.ratio)
+        closes = f" Adding it closes {share} of the removable {what} on held-out throws{metres}."
     if ambiguity is not None:
         return f"{size}Either {ambiguity.members[0]} or {ambiguity.members[1]}.{closes}"
-    return f"{size}Cause: {top.name} ({top.probability:.0%} sure).{closes}"
+    sizes = ", ".join(
+        f"{name} {value}" for effect in top.effects for name, value, _ in size_words(effect)
+    )
+    return f"{size}Cause: {top.name} ({sure} sure): {sizes}.{closes}"

@@ -106,8 +106,10 @@ def _diagnose(
         shrink(problem, best, float(np.sqrt(np.mean(np.square(floor))))) if best.members else None
     )
     tell(0.97, "series")
-    first = next((effect.joint for effect in best.effects if effect.joint is not None), None)
-    plots = overlay(problem, best.effects, first)
+    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found))
+    where = concluded.evidence["where"]
+    place = None if where is None else (where["stage"], where["joint"])
+    plots = overlay(problem, best.effects, place)
     tell(1.0, "done")
-    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found, seconds))
-    return concluded.model_copy(update={"plots": plots})
+    evidence = {**concluded.evidence, "seconds": seconds}
+    return concluded.model_copy(update={"plots": plots, "evidence": evidence})

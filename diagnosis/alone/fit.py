@@ -16,6 +16,8 @@ from machine.conventions import Array, BoolArray, IntArray
 QUICK_ITERATIONS: Final = 5
 FULL_ITERATIONS: Final = 40
 SCANNED_COUNT: Final = 16
+NEAR_RATIO: Final = 1.25
+"""Thresholds are tried at so many values over their range, then up to this factor about the best."""
 TOLERANCE_RATIO: Final = 1e-5
 """Of the sum of squares: an iteration that gains less is the last."""
 
@@ -204,12 +206,16 @@ def _scanned(
     function: Callable[[Array], Array], x: Array, index: int, low: float, high: float
 ) -> Array:
     """The best of some values of one positive parameter, the others as they are: coarse, then near it."""
-    for first, last in ((low, high), (0.8, 1.25)):
-        ends = (first, last) if first == low else (first * x[index], last * x[index])
-        tried = np.tile(x, (SCANNED_COUNT + 1, 1))
-        tried[1:, index] = np.clip(np.geomspace(*ends, SCANNED_COUNT), low, high)
-        x = tried[int(np.argmin(np.sum(function(tried) ** 2, axis=1)))]
-    return x
+    x = _best_of(function, x, index, np.geomspace(low, high, SCANNED_COUNT))
+    near = x[index] * np.geomspace(1.0 / NEAR_RATIO, NEAR_RATIO, SCANNED_COUNT)
+    return _best_of(function, x, index, np.clip(near, low, high))
+
+
+def _best_of(function: Callable[[Array], Array], x: Array, index: int, values: Array) -> Array:
+    """The point as it is or with one of these values, whichever leaves least."""
+    tried = np.tile(x, (len(values) + 1, 1))
+    tried[1:, index] = values
+    return tried[int(np.argmin(np.sum(function(tried) ** 2, axis=1)))]
 
 
 def _starts(

@@ -16,7 +16,6 @@ from diagnosis.alone.fit import FreeParameter, Option, fit
 from diagnosis.alone.physics.flight_path import integrate, sampled
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.tracks import (
-    MIN_FLIGHT_ROWS,
     SCALE_SLACK_RATIO,
     Flight,
     Scale,
@@ -25,12 +24,11 @@ from diagnosis.alone.reading.tracks import (
     fastest,
     first_motion,
     refuse_fall,
-    thinned,
     track_noise,
-    trimmed,
     upright,
+    usable_flights,
 )
-from diagnosis.alone.selection import every_third, select
+from diagnosis.alone.selection import Selection, every_third, select
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
@@ -41,8 +39,6 @@ SPHERE_DRAG_COEFFICIENT: Final = 0.47
 """Below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965)."""
 LEAN_RAD: Final = 0.02
 """Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
-MAX_FLIGHTS_COUNT: Final = 16
-"""Each flight has its own start and speed to be fitted; more of them add time and little else."""
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 BLOCKS_PER_FLIGHT: Final = 5
@@ -162,16 +158,7 @@ def diagnose_ball(
         RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
     """
     flights, notes = upright(flights, scale)
-    usable = tuple(trimmed(thinned(flight)) for flight in flights)
-    usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
-    if not usable:
-        raise RefusedTableError(
-            f"no flight of {name or 'the ball'} has {MIN_FLIGHT_ROWS} samples in the air; track it longer"
-        )
-    if len(usable) > MAX_FLIGHTS_COUNT:
-        notes.append(f"{MAX_FLIGHTS_COUNT} of {len(usable)} flights used, evenly chosen")
-        chosen = np.linspace(0, len(usable) - 1, MAX_FLIGHTS_COUNT).astype(int)
-        usable = tuple(usable[k] for k in chosen)
+    usable = usable_flights(flights, name, notes)
     problem = make_problem(usable, ball, scale.slack_ratio)
     noise = problem.noise
     if not falls_freely(usable):
@@ -190,20 +177,43 @@ def diagnose_ball(
     selection = select(problem, signal, noise, progress, UNKNOWN_RATIO)
     best = selection.best.fit.as_mapping()
     known = not math.isnan(ball.drag_per_m)
+    evidence = _evidence(problem, selection, scale, known, notes)
+    found = diagnosis_of(
+        problem,
+        selection,
+        noise,
+        StageNames(Stage.FLIGHT, name, "m", _SEPARATING),
+        evidence,
+        _plots(problem, selection.base.fit.as_mapping(), best),
+    )
+    return _with_expected_drag(found, known)
+
+
+def _evidence(
+    problem: FlightProblem,
+    selection: Selection,
+    scale: Scale,
+    is_ball_known: bool,
+    notes: Sequence[str],
+) -> dict[str, Any]:
+    """What was seen, and what flights cannot tell."""
+    flights, best = problem.flights, selection.best.fit.as_mapping()
     evidence: dict[str, Any] = {
-        "flights": len(usable),
-        "samples": int(sum(len(flight.time_s) for flight in usable)),
-        "axes": usable[0].position_m.shape[1],
-        "rate_hz": float(np.median([1.0 / np.median(np.diff(f.time_s)) for f in usable])),
-        "noise": {"value": noise, "unit": "m"},
+        "flights": len(flights),
+        "samples": int(sum(len(flight.time_s) for flight in flights)),
+        "axes": flights[0].position_m.shape[1],
+        "rate_hz": float(np.median([1.0 / np.median(np.diff(f.time_s)) for f in flights])),
+        "noise": {"value": problem.noise, "unit": "m"},
         "top_speed_m_per_s": _top_speed(problem, best),
-        "drag_unit": "drag coefficient (mass and diameter given)" if known else "1/m: a = -k |v| v",
+        "drag_unit": "drag coefficient (mass and diameter given)"
+        if is_ball_known
+        else "1/m: a = -k |v| v",
         "notes": notes,
         "not_separable": [
             f"a wrong length scale and gravity ({scale.slack_ratio:.0%} are allowed for)",
             "a leaning vertical and horizontal acceleration (1.1 degrees are allowed for)",
             "spin and vertical wind"
-            if usable[0].position_m.shape[1] > 1
+            if flights[0].position_m.shape[1] > 1
             else "wind, spin: one axis only",
         ],
     }
@@ -218,15 +228,7 @@ def diagnose_ball(
             evidence["constant_drag"] = next(
                 v for n, v in values.items() if n.startswith("air_drag.")
             )
-    found = diagnosis_of(
-        problem,
-        selection,
-        noise,
-        StageNames(Stage.FLIGHT, name, "m", _SEPARATING),
-        evidence,
-        _plots(problem, selection.base.fit.as_mapping(), best),
-    )
-    return _with_expected_drag(found, known)
+    return evidence
 
 
 def _with_expected_drag(found: Diagnosis, is_ball_known: bool) -> Diagnosis:

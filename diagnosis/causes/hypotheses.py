@@ -51,8 +51,8 @@ WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlas
 LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency")
 """A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
 FAR_RATIO = 3.0
-"""At a loud joint also from this multiple of it: from 0.04 s the estimate of a latency of 0.135 s moves on by
-0.02 s a simulation only, and from 0.05 rad/s that of a breakaway speed of 0.14 rad/s by 0.005 rad/s."""
+"""At a loud joint also from this multiple of it: from 0.05 s the estimate of a latency of 0.135 s moves on by
+0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
 LOUD_COUNT = 2
 NEARLY_AS_LOUD_RATIO = 0.5
 """A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""

@@ -337,7 +337,7 @@ def _predict(
 ) -> Array:
     """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
     out = np.zeros((elements.size, prepared.measured.size))
-    # The first element is the set of effects itself: the others move one parameter of a joint each.
+    # Joints as they moved under the set of effects itself, the first element; others move one parameter each.
     motion = prepared.motion.early(output.joint_latency_s[elements[0]])
     for block in prepared.blocks:
         if _view(block) is not view:

@@ -4,7 +4,7 @@ Everything is simulated from the commands to the impact, so that a late joint is
 What every healthy machine of the type differs by is taken into account before and after alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.shrink import corrected_input
 from diagnosis.simulate import joint_latency_s
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
-from sim_twin.effects.effect import Effect
+from sim_twin.effects.effect import Effect, acting_effect, effect_stage
 from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.replay import ReplayElement, replay
 from sim_twin.replay.types import ReplayOutput
@@ -23,60 +23,92 @@ from sim_twin.replay.types import ReplayOutput
 SHOWN_COUNT = 3
 """Throws: the first, one of the middle, and the last."""
 DIGITS = 4
+PITCH_AXIS = 1
+"""Of the IMU: the load swings about it in a throw straight ahead."""
 NO_EFFECTS: tuple[Effect, ...] = ()
 
 
+TURN_RATE = "gripper's turn rate"
+HEIGHT = "load's height in flight"
+
+
 def overlay(
-    problem: Problem, effects: Sequence[Effect], first_joint: str | None = None
+    problem: Problem, effects: Sequence[Effect], where: tuple[str, str | None] | None = None
 ) -> dict[str, Any]:
     """Plots ``{name: {x, x_unit, unit, measured, twin_before, twin_after}}``; the last only with effects.
+
+    What the effects act on comes first, then the place to look at, then the rest of the chain.
 
     Args:
         problem: the throws and their twin.
         effects: what was found.
-        first_joint: the joint to show first.
+        where: stage and joint to look at.
     """
+    places = [(effect_stage(e), e.joint, acting_effect(e)) for e in effects]
+    if where is not None:
+        places.append((*where, ""))
+    wanted = [_signal(*place) for place in places]
+    plots = _all(problem, effects)
+    names = list(dict.fromkeys([name for name in wanted if name in plots] + list(plots)))
+    return {
+        f"{name}, throw {number}": plot for name in names for number, plot in plots[name].items()
+    }
+
+
+def _signal(stage: str, joint: str | None, effect: str) -> str:
+    """Which plot shows an effect, or what a stage adds, best."""
+    if joint is not None:
+        return f"{joint} velocity"
+    if stage == "swing" or effect.startswith("imu_"):
+        return TURN_RATE
+    # A shortage of the pump is seen at the joint that needs most.
+    return f"{ACTIVE_JOINTS[1]} velocity" if stage == "actuation" else HEIGHT
+
+
+def _all(problem: Problem, effects: Sequence[Effect]) -> dict[str, dict[int, dict[str, Any]]]:
+    """All plots: name of the signal -> number of the throw -> its plot."""
     shown = _shown(problem.prepared)
     cases = {"twin_before": NO_EFFECTS}
     if effects:
         cases["twin_after"] = tuple(effects)
     found = {name: _simulate(problem, shown, case) for name, case in cases.items()}
-    joints = sorted(range(len(ACTIVE_JOINTS)), key=lambda j: ACTIVE_JOINTS[j] != first_joint)
-    plots: dict[str, Any] = {}
-    for joint in joints:
-        unit = "m/s" if ACTIVE_JOINTS[joint] == "telescope" else "rad/s"
-        for k, p in enumerate(shown):
-            rows = p.motion.t_s.size
-            plots[f"{ACTIVE_JOINTS[joint]} velocity, throw {_number(problem, p)}"] = {
-                "x": _listed(p.motion.t_s),
-                "x_unit": "s",
-                "unit": unit,
-                "measured": _listed(
-                    np.interp(
-                        p.motion.t_s,
-                        p.throw.sensor_t_s,
-                        p.throw.sensor_velocity_rad_m_per_s[:, joint],
-                    )
-                ),
-                **{
-                    name: _listed(velocity[k][:rows, joint])
-                    for name, (velocity, _) in found.items()
-                },
-            }
+    plots: dict[str, dict[int, dict[str, Any]]] = {}
     for k, p in enumerate(shown):
-        if p.throw.ball_t_s.size < 2:
-            continue
-        plots[f"load's height in flight, throw {_number(problem, p)}"] = {
-            "x": _listed(p.throw.ball_t_s),
-            "x_unit": "s",
-            "unit": "m",
-            "measured": _listed(p.throw.ball_m[:, 2]),
-            **{
-                name: _listed(_height(p, output.ball_position_m[k, :, 2]))
-                for name, (_, output) in found.items()
-            },
-        }
+        number, at_s, rows = _number(problem, p), p.motion.t_s, p.motion.t_s.size
+        for joint, name in enumerate(ACTIVE_JOINTS):
+            measured = p.throw.sensor_velocity_rad_m_per_s[:, joint]
+            plots.setdefault(f"{name} velocity", {})[number] = _plot(
+                at_s,
+                "m/s" if name == "telescope" else "rad/s",
+                np.interp(at_s, p.throw.sensor_t_s, measured),
+                {case: velocity[k][:rows, joint] for case, (velocity, _) in found.items()},
+            )
+        if p.throw.imu_t_s.size > 1:
+            measured = p.throw.gyro_rad_per_s[:, PITCH_AXIS]
+            plots.setdefault(TURN_RATE, {})[number] = _plot(
+                at_s,
+                "rad/s",
+                np.interp(at_s, p.throw.imu_t_s, measured, left=np.nan, right=np.nan),
+                {case: o.gyro_rad_per_s[k, :rows, PITCH_AXIS] for case, (_, o) in found.items()},
+            )
+        if p.throw.ball_t_s.size > 1:
+            plots.setdefault(HEIGHT, {})[number] = _plot(
+                p.throw.ball_t_s,
+                "m",
+                p.throw.ball_m[:, 2],
+                {c: _height(p, o.ball_position_m[k, :, 2]) for c, (_, o) in found.items()},
+            )
     return plots
+
+
+def _plot(at_s: Array, unit: str, measured: Array, twins: Mapping[str, Array]) -> dict[str, Any]:
+    return {
+        "x": _listed(at_s),
+        "x_unit": "s",
+        "unit": unit,
+        "measured": _listed(measured),
+        **{case: _listed(values) for case, values in twins.items()},
+    }
 
 
 def _shown(prepared: Sequence[PreparedThrow]) -> list[PreparedThrow]:

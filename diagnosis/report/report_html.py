@@ -11,6 +11,7 @@ from typing import Any, Final, cast
 
 from diagnosis.report.report_svg import figure, interval_bar
 from diagnosis.report.report_words import (
+    HEALTHY_OUT,
     STAGE_WORDS,
     VERDICT_WORDS,
     cause_words,
@@ -18,6 +19,7 @@ from diagnosis.report.report_words import (
     crossrange,
     downrange,
     effect_words,
+    fitted_words,
     metres,
     percent,
     probability,
@@ -30,6 +32,8 @@ MAX_ITEMS_COUNT: Final = 60
 MAX_DEPTH_COUNT: Final = 5
 LONG_COUNT: Final = 1200
 """Characters of markup from which evidence is folded."""
+LARGE: Final = 1e4
+"""Log evidence is told apart by units: not in powers of ten."""
 _STYLE: Final = Path(__file__).with_name("report.css")
 _POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
@@ -98,6 +102,9 @@ def _verdict(found: Diagnosis, title: str) -> str:
     used = found.evidence.get("throws_used")
     if isinstance(used, Sequence) and not isinstance(used, str):
         facts.append(("Throws used", str(len(cast("Sequence[object]", used)))))
+    twin = found.evidence.get("twin")
+    if isinstance(twin, Mapping):
+        facts.append(("Twin", f"{twin['machine_id']}, version {twin['version_count']}"))
     compared = compared_words(found.evidence)
     if compared is not None:
         facts.append(("Compared with", compared))
@@ -118,6 +125,7 @@ def _chain(found: Diagnosis) -> str:
     # Without a gap the place is only the largest term: nothing to point at.
     is_pointed = isinstance(where, Mapping) and found.verdict is not VerdictKind.NONE
     here = str(where.get("stage")) if isinstance(where, Mapping) and is_pointed else ""
+    named = found.evidence.get("named", ())
     is_metric = any(value != 0.0 for s in found.stages for value in (*s.ci90_m, s.miss_m.downrange))
     limit = max(
         (abs(v) for s in found.stages for v in (*s.ci90_m, s.miss_m.downrange) if v == v),
@@ -126,19 +134,22 @@ def _chain(found: Diagnosis) -> str:
     cards: list[str] = []
     for stage, (name, link) in STAGE_WORDS.items():
         terms = [s for s in found.stages if s.stage is stage]
+        joints = [place["joint"] for place in named if place["stage"] == stage]
         is_marked = stage == here or (not here and not is_metric and bool(terms))
         content = (
-            _terms(terms, limit)
+            _terms(terms, limit, joints)
             if is_metric and terms
             else _without_metres(stage, terms, is_metric)
         )
+        is_marked = is_marked or any(place["stage"] == stage for place in named)
         cards.append(
             f'<li data-here="{str(is_marked).lower()}"><h3>{escape(name)}</h3>'
             f'<p class="dim">{escape(link)}</p>{content}</li>'
         )
     note = (
         "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % "
-        "interval along it, of the mean over the throws. The terms sum to measured minus twin."
+        "interval along it, of the mean over the throws. The terms sum to measured minus twin. Shares "
+        "compare root mean squares over the throws: a term may be large and its mean small."
         if is_metric
         else "One stage was recorded alone: its share is all of the gap, in the recorded channel."
     )
@@ -147,7 +158,7 @@ def _chain(found: Diagnosis) -> str:
     )
 
 
-def _terms(terms: Sequence[StageGap], limit: float) -> str:
+def _terms(terms: Sequence[StageGap], limit: float, named: Sequence[str]) -> str:
     parts: list[str] = []
     if len(terms) > 1:
         along = sum(term.miss_m.downrange for term in terms)
@@ -156,12 +167,13 @@ def _terms(terms: Sequence[StageGap], limit: float) -> str:
             f'<p class="big">{escape(downrange(along))}<br>{escape(crossrange(across))}</p>'
         )
     for term in terms:
+        joint = escape(term.joint or "") + (" (cause)" if term.joint in named else "")
         along, across = downrange(term.miss_m.downrange), crossrange(term.miss_m.crossrange)
         ends = f"90 % interval {metres(term.ci90_m[0])} to {metres(term.ci90_m[1])}"
         head = (
             f'<p class="big">{escape(along)}<br>{escape(across)}</p>'
             if len(terms) == 1
-            else f"<p><strong>{escape(term.joint or '')}</strong> {escape(along)}, {escape(across)}</p>"
+            else f"<p><strong>{joint}</strong> {escape(along)}, {escape(across)}</p>"
         )
         parts.append(
             f'<div class="term">{head}'
@@ -196,7 +208,7 @@ def _causes(causes: Sequence[Cause]) -> str:
 
 def _sizes(cause: Cause) -> str:
     lines = [
-        f"{escape(effect_words(effect.effect, effect.joint)) + ': ' if len(cause.effects) > 1 else ''}"
+        f"{escape(fitted_words(effect)) + ': ' if len(cause.effects) > 1 else ''}"
         f'{escape(name)} <strong>{escape(value)}</strong> <span class="dim">({escape(ends)})</span>'
         for effect in cause.effects
         for name, value, ends in size_words(effect)
@@ -251,6 +263,8 @@ def _shrink(found: Diagnosis) -> str:
         if is_by_channels
         else f" {percent(shrink.removable_ratio)} of the gap is removable; the rest is noise and jitter."
     )
+    if what == "throws":
+        words += f" {HEALTHY_OUT}"
     return section("How far it shrinks", f"<p>{escape(words)}</p><table>{rows}</table>")
 
 
@@ -278,7 +292,7 @@ def _ruled_out(entries: Any) -> str:
         odds = facts.get("log_odds")
         why = str(facts.get("why", ""))
         if isinstance(odds, int | float):
-            why = f"log odds {odds:+.1f} against no effect. {why}".strip()
+            why = f"natural log odds {odds:+.1f} against no effect. {why}".strip()
         rows.append(f"<tr><td>{escape(name)}</td><td>{escape(why)}</td></tr>")
     return section(
         "Ruled out",
@@ -360,7 +374,9 @@ def _tree(value: Any, depth: int = 0) -> str:
         return f"{listed}{_cut(len(entries))}"
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "–"}[value]
-    return escape(f"{value:.4g}" if isinstance(value, float) else str(value))
+    if not isinstance(value, float):
+        return escape(str(value))
+    return f"{value:.4g}" if abs(value) < LARGE else f"{value:.1f}"
 
 
 def _cut(count: int) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter, Stage, VerdictKind
+from sim_twin.effects.effect import DRIFT
 
 MINUS = "−"
 NONE = "–"
@@ -16,6 +17,9 @@ VERDICT_WORDS: Mapping[VerdictKind, str] = {
     VerdictKind.UNKNOWN: "Unknown effect",
     VerdictKind.BAD_DATA: "Data cannot be used",
 }
+
+HEALTHY_OUT = "Both without what every healthy machine of the type is off its twin by."
+"""Of the gap before and after: smaller than the miss that is stated first."""
 
 STAGE_WORDS: Mapping[Stage, tuple[str, str]] = {
     Stage.ACTUATION: ("Actuation", "command to joint motion"),
@@ -84,15 +88,22 @@ def _error(error_m: float, positive: str, negative: str, zero: str) -> str:
 
 
 def effect_words(effect: str, joint: str | None) -> str:
-    """An effect for people: "valve dead time, boom"."""
-    name = effect.replace("_", " ")
+    """An effect for people: "valve dead time, boom"; of a drift what drifts, "drift of valve lag, boom"."""
+    kind, _, drifting = effect.partition(":")
+    name = f"drift of {_parameter_name(drifting)}" if drifting else kind.replace("_", " ")
     return name if joint is None else f"{name}, {joint}"
+
+
+def fitted_words(effect: FittedEffect) -> str:
+    """An effect that was fitted; a drift by what drifts."""
+    drifting = next((name for name in effect.parameters if "." in name), "").partition(".")[0]
+    return effect_words(f"{DRIFT}:{drifting}" if drifting else effect.effect, effect.joint)
 
 
 def cause_words(cause: Cause) -> str:
     """A hypothesis for people."""
     if cause.effects:
-        return " + ".join(effect_words(e.effect, e.joint) for e in cause.effects)
+        return " + ".join(fitted_words(effect) for effect in cause.effects)
     return {"none": "no effect", "unknown": "something unknown"}.get(cause.name, cause.name)
 
 

@@ -1,4 +1,4 @@
-"""One target previewed twice: with the twin profile in use, and with what a diagnosis found.
+"""One target previewed twice: without and with what a diagnosis found, before and after it is applied.
 
 Same policy, pose, calibration and random numbers, so that all of the difference is the profile's.
 """
@@ -64,13 +64,13 @@ class GapPreviews:
     def compare(
         self, machine_id: str, gap_run_id: str, mode: Mode, target: Target
     ) -> GapPreviewView:
-        """Preview a target without and with what a run found.
+        """Preview a target without and with what a run found, also while that is in use.
 
         Raises:
             ApiError: nothing to apply, target out of reach, no policy, or previews are away.
         """
         known = self._registry.get(machine_id)
-        after = self._versions.corrected(machine_id, gap_run_id)
+        profiles = self._versions.compared(machine_id, gap_run_id)
         policy = self._shelf.active(mode)
         try:
             check_target(policy.card, target)
@@ -80,9 +80,10 @@ class GapPreviews:
         if known.is_connected and known.state is not None:
             start = _Start(_six(known.state.joint_position_rad_m), is_machine_pose=True)
         self._folder.mkdir(parents=True, exist_ok=True)
-        candidate = self._folder / f"{new_id()}.profile.json"
-        save_profile(after, candidate)
+        paths = [self._folder / f"{new_id()}.profile.json" for _ in profiles]
         try:
+            for profile, path in zip(profiles, paths, strict=True):
+                save_profile(profile, path)
             jobs = [
                 PreviewJob(
                     job_id=new_id(),
@@ -96,18 +97,19 @@ class GapPreviews:
                     profile_path=path,
                     seed=SEED,
                 )
-                for path in (self._twins.profile_path(machine_id), candidate)
+                for path in paths
             ]
             previews = self._previews(jobs)
         finally:
-            candidate.unlink(missing_ok=True)
+            for path in paths:
+                path.unlink(missing_ok=True)
         return GapPreviewView(
             machine_id=machine_id,
             mode=mode,
             target=TargetView.of(target),
             is_machine_pose=start.is_machine_pose,
-            before=_side(after.version_count - 1, target, previews[0]),
-            after=_side(after.version_count, target, previews[1]),
+            before=_side(profiles[0].version_count, target, previews[0]),
+            after=_side(profiles[1].version_count, target, previews[1]),
         )
 
     def _previews(self, jobs: list[PreviewJob]) -> list[ThrowPreview]:

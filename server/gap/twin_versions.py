@@ -98,6 +98,20 @@ class TwinVersions:
             )
         return self._corrected(machine_id, row, found)
 
+    def compared(self, machine_id: str, gap_run_id: str) -> tuple[TwinProfile, TwinProfile]:
+        """Profiles without and with what a run found: of one in use what it was applied to, and itself.
+
+        Raises:
+            ConflictError: as for `corrected`, where the run is not in use.
+        """
+        self._runs.row(gap_run_id, machine_id)
+        present = self._twins.profile(machine_id)
+        with self._database.read() as database:
+            newest = self._newest(database, machine_id)
+        if newest is not None and newest.gap_run_id == gap_run_id and newest.before_file:
+            return self._twins.kept(newest.before_file), present
+        return present, self.corrected(machine_id, gap_run_id)
+
     def _corrected(self, machine_id: str, row: GapRun, found: Diagnosis) -> TwinProfile:
         profile = self._twins.profile(machine_id)
         if content_sha256(profile) != row.profile_sha256:

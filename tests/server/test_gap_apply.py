@@ -101,9 +101,8 @@ def test_apply_and_undo_are_versions_of_their_own(running, eve, found):
 def test_previews_use_the_new_profile_at_once(running, machine, ada, eve, found):
     path = found()
     before = finished(ada, create(ada))
-    compared = ada.get(
-        f"{path}/preview", params={"mode": "2d", **{k: NEAR[k] for k in ("range_m", "azimuth_rad")}}
-    ).json()
+    near = {"mode": "2d", **{k: NEAR[k] for k in ("range_m", "azimuth_rad")}}
+    compared = ada.get(f"{path}/preview", params=near).json()
     assert compared["is_machine_pose"]
     same, other = compared["before"]["prediction"], compared["after"]["prediction"]
     assert same["impact_m"] == pytest.approx(before["prediction"]["impact_m"], abs=1e-6)
@@ -113,6 +112,12 @@ def test_previews_use_the_new_profile_at_once(running, machine, ada, eve, found)
     after = finished(ada, create(ada))
     assert after["twin_profile_version"] == version
     assert after["prediction"]["impact_m"] == pytest.approx(other["impact_m"], abs=1e-6)
+    # While it is in use, the two can still be compared: what it was applied to, and what is in use.
+    again = ada.get(f"{path}/preview", params=near).json()
+    assert (again["before"]["version_count"], again["after"]["version_count"]) == (0, version)
+    for side in ("before", "after"):
+        for key in ("impact_m", "ellipse"):
+            assert again[side]["prediction"][key] == compared[side]["prediction"][key]
 
 
 def test_a_lost_machine_is_compared_from_the_pose_for_throwing(running, ada, found):

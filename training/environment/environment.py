@@ -313,15 +313,8 @@ class ThrowEnvironment:
         q = position - velocity * draw.latency_s[:, None] + bias + noise[0] * q_sd
         return q, velocity + noise[1] * v_sd
 
-    def _judge(
-        self,
-        before: EnvironmentState,
-        after: EnvironmentState,
-        action: Field,
-        closest: Field,
-        hurry_ratio: Field,
-    ) -> tuple[EnvironmentState, Field, StepInfo]:
-        """End what has ended, and pay."""
+    def _ended(self, after: EnvironmentState, closest: Field) -> tuple[Field, Field, Field]:
+        """What ended now: landings, failures (codes, 0 for none), and whether the numbers make sense."""
         episode = self.task.episode
         q = after.position
         swing = q[:, 1] + q[:, 2] + q[:, 4]
@@ -345,14 +338,24 @@ class ThrowEnvironment:
         failure = jnp.zeros(q.shape[0], jnp.int32)
         for code, is_so in reversed(tests):
             failure = jnp.where(is_so, int(code), failure)
-        done = landed | (failure > 0)
-        landed = landed & (failure == 0)
+        return landed & (failure == 0), failure, sane
+
+    def _judge(
+        self,
+        before: EnvironmentState,
+        after: EnvironmentState,
+        action: Field,
+        closest: Field,
+        hurry_ratio: Field,
+    ) -> tuple[EnvironmentState, Field, StepInfo]:
+        """End what has ended, and pay."""
+        landed, failure, sane = self._ended(after, closest)
         target = before.draw.target_m
         ball = after.ball[:, :3] - target
         error = jnp.stack(
             [jnp.hypot(ball[:, 0], ball[:, 1]), jnp.linalg.norm(ball, axis=-1)], axis=-1
         )
-        leaves = gone & (before.gone_s < 0.0)
+        leaves = (after.gone_s >= 0.0) & (before.gone_s < 0.0)
         speed = jnp.linalg.norm(after.ball[:, 3:], axis=-1)
         reward = step_reward(
             self.task.reward,
@@ -377,7 +380,7 @@ class ThrowEnvironment:
         after = after._replace(best_error_m=jnp.minimum(after.best_error_m, error))
         short = landed & (after.shortfall_m > 0.0)
         info = StepInfo(
-            done=done,
+            done=landed | (failure > 0),
             landed=landed & ~short,
             failure=jnp.where(short, int(Failure.SHORT), failure),
             miss_m=after.landing_m - target[:, :2],

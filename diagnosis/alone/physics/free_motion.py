@@ -42,20 +42,15 @@ class Pull:
 
     def law(self) -> Law:
         """Acceleration over deflection, rate and side (1, -1; 0 where held), of what acts on any particle."""
-        is_stiff, is_dry = bool(np.any(self.stiff_per_s2)), bool(np.any(self.coulomb))
-        is_airy = bool(np.any(self.air))
+        is_dry, is_airy = bool(np.any(self.coulomb)), bool(np.any(self.air))
 
         def acceleration(x: Array, v: Array, side: Array) -> Array:
-            away = x - self.rest
-            found = self.square_per_s2 * (away if self.is_linear else np.sin(away))
-            found += self.viscous_per_s * v
-            if is_stiff:
-                found += self.stiff_per_s2 * away
+            found = self.back(x) - self.viscous_per_s * v
             if is_dry:
-                found += self.coulomb * side
+                found -= self.coulomb * side
             if is_airy:
-                found += self.air * np.abs(v) * v
-            return -found
+                found -= self.air * np.abs(v) * v
+            return found
 
         return acceleration
 

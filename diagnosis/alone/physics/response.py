@@ -16,6 +16,7 @@ from machine.conventions import Array
 
 LEAST_TIME_PERIODS: Final = 0.5
 LEAST_BAND_RATIO: Final = 0.005
+"""Of full command: a smaller dead band is not worth naming (by eye)."""
 
 
 def actuation_options(
@@ -65,30 +66,17 @@ def actuation_options(
 def _spool_options() -> tuple[Option, ...]:
     """What has no clock of its own, over the command in parts of full."""
     band = (0.02, 0.1, 0.25)
+    bands = tuple(
+        FreeParameter(f"{way}_ratio", "1", 0.0, 0.7, band) for way in ("positive", "negative")
+    )
     return (
-        Option(
-            "valve_dead_band",
-            "valve_dead_band",
-            (
-                FreeParameter("positive_ratio", "1", 0.0, 0.7, band),
-                FreeParameter("negative_ratio", "1", 0.0, 0.7, band),
-            ),
-            LEAST_BAND_RATIO,
-        ),
+        Option("valve_dead_band", "valve_dead_band", bands, LEAST_BAND_RATIO),
         Option(
             "valve_dead_band_even",
             "valve_dead_band",
             (FreeParameter("both_ratio", "1", LEAST_BAND_RATIO, 0.7, band),),
         ),
-        Option(
-            "valve_dead_band_plain",
-            "valve_dead_band",
-            (
-                FreeParameter("positive_ratio", "1", 0.0, 0.7, band),
-                FreeParameter("negative_ratio", "1", 0.0, 0.7, band),
-            ),
-            LEAST_BAND_RATIO,
-        ),
+        Option("valve_dead_band_plain", "valve_dead_band", bands, LEAST_BAND_RATIO),
         Option(
             "valve_gain",
             "valve_gain",
@@ -216,13 +204,13 @@ def _curved(u: Array, values: Mapping[str, float]) -> Array:
     lose what the band takes and keep one slope; two even bands differ by that in nothing but the gain.
     """
     both = values.get("valve_dead_band_even.both_ratio", 0.0)
-    key = "plain" if "valve_dead_band_plain.positive_ratio" in values else ""
-    name = f"valve_dead_band_{key}".removesuffix("_")
+    is_plain = "valve_dead_band_plain.positive_ratio" in values
+    name = "valve_dead_band_plain" if is_plain else "valve_dead_band"
     positive = values.get(f"{name}.positive_ratio", both)
     negative = values.get(f"{name}.negative_ratio", both)
     band = np.where(u > 0.0, positive, negative)
     x = np.maximum(np.abs(u) - band, 0.0)
-    if not key:
+    if not is_plain:
         x = x / (1.0 - band)
     exponent = values.get("valve_curve.exponent_ratio", 1.0)
     return np.sign(u) * (x if exponent == 1.0 else np.power(x, exponent))

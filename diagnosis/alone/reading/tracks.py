@@ -14,6 +14,8 @@ from diagnosis.alone.reading.layout import RefusedTableError
 from machine.conventions import GRAVITY_M_PER_S2, Array
 
 MIN_FLIGHT_ROWS: Final = 10
+MAX_FLIGHTS_COUNT: Final = 16
+"""Each flight has its own start and speed to be fitted; more of them add time and little else."""
 MIN_PIECE_ROWS: Final = 20
 """A first piece of fewer rows gives way to the longest one."""
 WINDOW_S: Final = 0.15
@@ -119,6 +121,23 @@ def _derivative(flight: Flight, values: Array, order: int) -> Array:
     period_s = float(np.median(np.diff(flight.time_s)))
     size = min(max(round(WINDOW_S / period_s) | 1, 7), (len(values) - 1) // 2 * 2 + 1)
     return np.asarray(savgol_filter(values, size, 2, deriv=order, delta=period_s))
+
+
+def usable_flights(
+    flights: Sequence[Flight], name: str | None, notes: list[str]
+) -> tuple[Flight, ...]:
+    """Flights that are long enough, at most `MAX_FLIGHTS_COUNT` of them."""
+    usable = tuple(trimmed(thinned(flight)) for flight in flights)
+    usable = tuple(flight for flight in usable if len(flight.time_s) >= MIN_FLIGHT_ROWS)
+    if not usable:
+        raise RefusedTableError(
+            f"no flight of {name or 'the ball'} has {MIN_FLIGHT_ROWS} samples in the air; track it longer"
+        )
+    if len(usable) <= MAX_FLIGHTS_COUNT:
+        return usable
+    notes.append(f"{MAX_FLIGHTS_COUNT} of {len(usable)} flights used, evenly chosen")
+    chosen = np.linspace(0, len(usable) - 1, MAX_FLIGHTS_COUNT).astype(int)
+    return tuple(usable[k] for k in chosen)
 
 
 def thinned(flight: Flight) -> Flight:

@@ -28,7 +28,7 @@ def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> N
     assert ("valve_hysteresis", "dipper") in pairs
 
 
-def test_a_sensor_that_is_very_late_is_found_and_leaves_its_neighbours_healthy() -> None:
+def test_a_sensor_that_is_very_late_is_found() -> None:
     known = health()
     late = Effect(
         effect="joint_sensor_latency", joint="dipper", parameters={"extra_latency_s": 0.13}

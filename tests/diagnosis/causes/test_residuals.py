@@ -5,6 +5,7 @@ import pytest
 
 from diagnosis.causes.parameters import View, index_of, library
 from diagnosis.causes.residuals import Linear, linearise, relinearise
+from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -122,3 +123,43 @@ def test_a_delay_of_the_opening_needs_no_simulation_to_be_taken_into_account(
         assert moved[switch.rows] == pytest.approx([0.08])
         moved[switch.rows] = 0.0
         np.testing.assert_array_equal(np.nan_to_num(moved), 0.0)
+
+
+DIPPER_VELOCITY_COLUMN = 14
+"""Of the inputs of the boom's healthy filter: 9 of its own, 5 of the slew, then the dipper's velocity."""
+DIPPER_WEIGHT_RATIO = 0.1
+
+
+def boom_moves_with_the_dipper() -> HealthyModel:
+    """Every healthy boom is off its twin by a tenth of the dipper's velocity."""
+    slew, boom, *rest = nothing().joints
+    weight = list(boom.weight)
+    weight[DIPPER_VELOCITY_COLUMN] = DIPPER_WEIGHT_RATIO
+    moved = boom.model_copy(update={"weight": tuple(weight)})
+    return HealthyModel(note="the boom moves with the dipper", joints=(slew, moved, *rest))
+
+
+def test_healthy_filters_see_a_neighbour_as_it_moved_before_its_late_sensor_reported_it(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    prepared, on_time = own
+    late = Effect(
+        effect="joint_sensor_latency", joint="dipper", parameters={"extra_latency_s": 0.13}
+    )
+    loaded = throws((late,), len(prepared))
+    calibration, filters = loaded.throws[0].calibration, boom_moves_with_the_dipper()
+    late_prepared = prepare(loaded.throws, profile())
+    wanted = [p for p in library() if p.group == (late.effect, late.joint)]
+    first = linearise(late_prepared, profile(), calibration, filters)
+    args = (late_prepared, profile(), calibration, filters, first, [((late,), wanted)])
+    expected = linearise(prepared, profile(), calibration, filters)
+    block = prepared[0].block("actuation.boom")
+    assert block is not None
+    for before, as_late, as_known, true in zip(
+        on_time, first, relinearise(*args)[0], expected, strict=True
+    ):
+        seen = np.std(before.residual[block.rows] - true.residual[block.rows])
+        wrong = np.std(as_late.residual[block.rows] - true.residual[block.rows])
+        left = np.std(as_known.residual[block.rows] - true.residual[block.rows])
+        assert wrong > 0.3 * seen
+        assert left < 0.1 * wrong

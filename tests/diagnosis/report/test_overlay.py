@@ -29,7 +29,7 @@ def rms(plot, name):
 
 
 def test_after_fits_and_before_does_not(problem):
-    plots = overlay(problem, (LATE,), "dipper")
+    plots = overlay(problem, (LATE,), ("actuation", "dipper"))
     names = list(plots)
     assert names[0] == "dipper velocity, throw 1"
     assert "dipper velocity, throw 4" in names
@@ -40,8 +40,28 @@ def test_after_fits_and_before_does_not(problem):
     assert dipper["unit"] == "rad/s"
     assert rms(dipper, "twin_after") < 0.02
     assert rms(dipper, "twin_before") > 3.0 * rms(dipper, "twin_after")
-    load = plots["load's height in flight, throw 1"]
-    assert rms(load, "twin_after") < 0.05
+    for name, limit in (("load's height in flight", 0.05), ("gripper's turn rate", 0.05)):
+        plot = plots[f"{name}, throw 1"]
+        assert rms(plot, "twin_after") < limit
+        assert rms(plot, "twin_before") > 2.0 * rms(plot, "twin_after")
+
+
+def first(problem, effects, where):
+    return next(iter(overlay(problem, effects, where)))
+
+
+def test_what_was_found_comes_first_and_without_it_the_place_to_look_at(problem):
+    jitter = Effect(effect="release_jitter", parameters={"extra_sd_s": 0.01})
+    assert first(problem, (jitter,), ("release", None)) == "load's height in flight, throw 1"
+    drift = Effect(effect="warm_up_drift", joint="boom", parameters={"valve_lag.extra_lag_s": 0.05})
+    assert first(problem, (drift,), ("actuation", "boom")) == "boom velocity, throw 1"
+    imu = Effect(effect="imu_latency", parameters={"extra_latency_s": 0.05})
+    assert first(problem, (imu,), ("aim", None)) == "gripper's turn rate, throw 1"
+    assert first(problem, (), ("swing", None)) == "gripper's turn rate, throw 1"
+    assert first(problem, (), ("actuation", "telescope")) == "telescope velocity, throw 1"
+    assert first(problem, (), None) == "slew velocity, throw 1"
+    names = [name.split(",")[0] for name in overlay(problem, (LATE, imu), ("actuation", "dipper"))]
+    assert list(dict.fromkeys(names))[:2] == ["dipper velocity", "gripper's turn rate"]
 
 
 def test_without_effects_there_is_no_after(problem):

@@ -131,7 +131,7 @@ def test_the_page_says_where_which_and_how_far() -> None:
     assert "62.0 ms (55.0 to 70.0 ms)" in text
     assert "removes 81 % of the removable gap on 4 held-out throws" in text
     assert "Predicted before it was added: 85 %" in text
-    assert "wind log odds -4.2 against no effect" in text
+    assert "wind natural log odds -4.2 against no effect" in text
     assert "10 Hz, at least 25 Hz are needed" in text
     assert page.count("<polyline") >= 5
     assert 'data-here="true"><h3>Actuation' in page

@@ -15,7 +15,9 @@ export function ApplyPanel({ run, found }: Props) {
   const mayApply = useMay("twin.apply");
   const { apply, undo } = useGapActions(run.machine_id);
   const isApplied = run.applied_version_count !== null;
-  const isInUse = isApplied && twin?.version_count === run.applied_version_count;
+  // An undo of a later diagnosis brings this one back under a new number.
+  const inUse = twin?.versions.find((version) => version.version_count === twin.version_count);
+  const isInUse = isApplied && inUse?.gap_run_id === run.gap_run_id;
   const next = (twin?.version_count ?? run.profile_version_count) + 1;
   const doubt = doubtWords(found);
   const error = apply.error ?? undo.error;
@@ -31,7 +33,14 @@ export function ApplyPanel({ run, found }: Props) {
           {doubt}
         </p>
       )}
-      {!isApplied && <PreviewCompare machineId={run.machine_id} runId={run.gap_run_id} />}
+      {(!isApplied || isInUse) && (
+        <PreviewCompare
+          key={`${isInUse}`}
+          machineId={run.machine_id}
+          runId={run.gap_run_id}
+          isInUse={isInUse}
+        />
+      )}
       <div className={classes.actions}>
         {!isApplied && (
           <Confirm

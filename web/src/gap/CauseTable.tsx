@@ -1,6 +1,6 @@
 import type { Schema } from "../session/client";
 import classes from "./CauseTable.module.css";
-import { causeWords, effectWords, probabilityWords, sizesOf } from "./words";
+import { causeWords, fittedWords, probabilityWords, sizesOf } from "./words";
 
 /** Which effect: hypotheses by probability, sizes with their 90 % intervals. */
 export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
@@ -40,7 +40,7 @@ function Sizes({ cause }: { cause: Schema["Cause"] }) {
   return cause.effects.flatMap((effect) =>
     sizesOf(effect).map((size) => (
       <div key={`${effect.effect} ${effect.joint} ${size.name}`}>
-        {isSeveral && `${effectWords(effect.effect, effect.joint)}: `}
+        {isSeveral && `${fittedWords(effect)}: `}
         {size.name} <strong>{size.value}</strong>{" "}
         <span className={classes.dim}>({size.interval})</span>
       </div>

@@ -46,7 +46,10 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
             {term.joint && (
               <>
                 <p className={classes.joint}>
-                  <strong>{term.joint}</strong>
+                  <strong>
+                    {term.joint}
+                    {term.isNamed && <span className={classes.here}> cause</span>}
+                  </strong>
                   <span className={classes.dim}>{percent(term.share_ratio)}</span>
                 </p>
                 <p>

@@ -6,10 +6,10 @@ import { crossrangeWords, downrangeWords, metres, speed } from "../words/format"
 import classes from "./PreviewCompare.module.css";
 import { useGapPreview } from "./useGap";
 
-type Props = { machineId: string; runId: string };
+type Props = { machineId: string; runId: string; isInUse: boolean };
 
-/** One target previewed with the twin as it is and with what was found: what applying would change. */
-export function PreviewCompare({ machineId, runId }: Props) {
+/** One target previewed without and with what was found: what applying would change, or has changed. */
+export function PreviewCompare({ machineId, runId, isInUse }: Props) {
   const [mode, setMode] = useState<"2d" | "3d">("3d");
   const [range_m, setRange] = useState(9);
   const [azimuth_deg, setAzimuth] = useState(0);
@@ -60,7 +60,7 @@ export function PreviewCompare({ machineId, runId }: Props) {
           {errorWords(preview.error)}
         </p>
       )}
-      {preview.data && <Compared view={preview.data} />}
+      {preview.data && <Compared view={preview.data} isInUse={isInUse} />}
     </form>
   );
 }
@@ -76,7 +76,9 @@ const LINES: readonly [string, (p: Prediction) => string][] = [
   ["Release speed", (p) => speed(p.release_speed_m_per_s)],
 ];
 
-function Compared({ view }: { view: Schema["GapPreviewView"] }) {
+type ComparedProps = { view: Schema["GapPreviewView"]; isInUse: boolean };
+
+function Compared({ view, isInUse }: ComparedProps) {
   const { before, after } = view;
   return (
     <>
@@ -84,8 +86,12 @@ function Compared({ view }: { view: Schema["GapPreviewView"] }) {
         <thead>
           <tr>
             <th scope="col">The twin says of {metres(view.target.range_m)}</th>
-            <th scope="col">now, version {before.version_count}</th>
-            <th scope="col">with the cause</th>
+            <th scope="col">
+              {isInUse ? "before" : "now"}, version {before.version_count}
+            </th>
+            <th scope="col">
+              {isInUse ? `now, version ${after.version_count}` : "with the cause"}
+            </th>
           </tr>
         </thead>
         <tbody>

@@ -33,6 +33,7 @@ export function RunList({ runs, selected, onSelect }: Props) {
                 <span className={classes.dim}>{shortStamp(run.created_utc)}</span>
               </span>
               <span className={classes.dim}>{lineOf(run)}</span>
+              {run.sentence && <span className={classes.sentence}>{run.sentence}</span>}
             </button>
           </li>
         ))}

@@ -33,7 +33,13 @@ const found: Diagnosis = {
     },
     { effects: [], probability: 0.03, name: "none" },
   ],
-  evidence: { where: { stage: "release", joint: null } },
+  evidence: {
+    where: { stage: "release", joint: null },
+    named: [
+      { stage: "release", joint: null },
+      { stage: "actuation", joint: "boom" },
+    ],
+  },
   plots: {},
 };
 
@@ -44,7 +50,7 @@ describe("the chain", () => {
     render(<ChainFlow chain={chainOf(found)} />);
     const stages = screen.getAllByRole("listitem");
     expect(stages.map((stage) => within(stage).getByRole("heading").textContent)).toEqual([
-      "Actuation",
+      "Actuationcause",
       "Swing",
       "Releasecause",
       "Flight",

@@ -23,6 +23,7 @@ export function StartPanel({ machineId, onStarted }: Props) {
   const { start } = useGapActions(machineId);
   const mayRun = useMay("gap.run");
   const all = throws.data ?? [];
+  const diagnosed = diagnosedOf(wish, all, chosen);
   const { body, problem } = wishOf(wish, all, chosen, healthy);
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
@@ -74,7 +75,8 @@ export function StartPanel({ machineId, onStarted }: Props) {
       )}
       {throws.isError && <p className={classes.error}>{errorWords(throws.error)}</p>}
       {all.length >= MIN_THROWS && (
-        <p className={classes.note}>
+        <p className={classes.note} aria-live="polite">
+          {wish.by === "hand" && `${diagnosed.size} ticked. `}
           {count(all.length, "throw")} of this machine landed and have a log.
         </p>
       )}
@@ -82,7 +84,7 @@ export function StartPanel({ machineId, onStarted }: Props) {
         machineId={machineId}
         against={wish.against}
         onAgainst={(against) => setWish({ ...wish, against })}
-        diagnosed={diagnosedOf(wish, all, chosen)}
+        diagnosed={diagnosed}
         chosen={healthy}
         onChange={setHealthy}
       />

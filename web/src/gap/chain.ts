@@ -8,6 +8,7 @@ export type Term = {
   crossrange_m: number;
   share_ratio: number;
   ci90_m: readonly [number, number];
+  isNamed: boolean;
 };
 
 export type Link = {
@@ -38,7 +39,8 @@ const STAGES = [
 ] as const;
 
 export function chainOf(found: Diagnosis): Chain {
-  const here = stageOf(found.evidence.where);
+  const here = placeOf(found.evidence.where)?.stage;
+  const named = placesOf(found.evidence.named);
   const numbers = found.stages.flatMap((term) => [...term.ci90_m, term.miss_m.downrange]);
   const limit_m = Math.max(0, ...numbers.filter(Number.isFinite).map(Math.abs));
   const links = STAGES.map(([stage, title, between]) => {
@@ -50,6 +52,7 @@ export function chainOf(found: Diagnosis): Chain {
         crossrange_m: term.miss_m.crossrange,
         share_ratio: term.share_ratio,
         ci90_m: term.ci90_m,
+        isNamed: named.some((place) => place.stage === stage && place.joint === term.joint),
       }));
     return {
       stage,
@@ -58,7 +61,10 @@ export function chainOf(found: Diagnosis): Chain {
       terms,
       downrange_m: sum(terms.map((term) => term.downrange_m)),
       crossrange_m: sum(terms.map((term) => term.crossrange_m)),
-      here: stage === here ? hereWord(found.verdict) : "",
+      here:
+        stage === here || named.some((place) => place.stage === stage)
+          ? hereWord(found.verdict)
+          : "",
     };
   });
   return { links, limit_m, isMetric: limit_m > 0 };
@@ -68,7 +74,15 @@ function sum(values: readonly number[]): number {
   return values.reduce((total, value) => total + value, 0);
 }
 
-function stageOf(where: unknown): string | null {
-  const stage = (where as { stage?: unknown } | null | undefined)?.stage;
-  return typeof stage === "string" ? stage : null;
+type Place = { stage: string; joint: string | null };
+
+/** Stage and joint, as evidence has them; older diagnoses have no more than `where`. */
+function placeOf(value: unknown): Place | null {
+  const { stage, joint } = (value ?? {}) as Record<string, unknown>;
+  return typeof stage === "string"
+    ? { stage, joint: typeof joint === "string" ? joint : null }
+    : null;
 }
+
+const placesOf = (values: unknown): Place[] =>
+  Array.isArray(values) ? values.flatMap((value) => placeOf(value) ?? []) : [];

@@ -8,7 +8,7 @@ export function ruledOutOf(evidence: Record<string, unknown>): Reason[] {
   return records(evidence.ruled_out).map((entry) => {
     const odds = entry.log_odds;
     const why = [
-      typeof odds === "number" ? `log odds ${odds.toFixed(1)} against no effect` : "",
+      typeof odds === "number" ? `natural log odds ${odds.toFixed(1)} against no effect` : "",
       typeof entry.why === "string" ? entry.why : "",
     ];
     const joint = typeof entry.joint === "string" ? entry.joint : null;

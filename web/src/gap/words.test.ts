@@ -65,6 +65,22 @@ describe("words of a diagnosis", () => {
     expect(found.causes.map(causeWords)).toEqual(["valve dead time, dipper", "something unknown"]);
   });
 
+  it("name a drift by what drifts", () => {
+    const parameters = {
+      "release_delay.extra_delay_s": {
+        value: 0.07,
+        ci90: [0.05, 0.1] as [number, number],
+        unit: "s",
+      },
+    };
+    const effects = [{ effect: "warm_up_drift", parameters }];
+    expect(causeWords({ effects, probability: 0.5, name: "" })).toBe("drift of release delay");
+    const ruledOut = [{ effect: "warm_up_drift:valve_lag.extra_lag_s", joint: "dipper" }];
+    expect(ruledOutOf({ ruled_out: ruledOut })[0]?.name).toBe(
+      "drift of valve lag, extra lag, dipper",
+    );
+  });
+
   it("give sizes in units a person would choose", () => {
     const size = (value: number, unit: string) =>
       sizeWords({ value, ci90: [value * 0.9, value * 1.1], unit }).value;
@@ -100,7 +116,7 @@ describe("words of a diagnosis", () => {
       removable_ratio: 0.9,
     };
     expect(shrinkWords(shrink, "impact")).toBe(
-      "Removes 81 % of the removable gap on 12 held-out throws, 90 % interval 70 % to 88 %. Predicted before it was added: 85 %. 90 % of the gap is removable, the rest is noise and jitter.",
+      "Removes 81 % of the removable gap on 12 held-out throws, 90 % interval 70 % to 88 %. Predicted before it was added: 85 %. 90 % of the gap is removable, the rest is noise and jitter. Both without what every healthy machine of the type is off its twin by.",
     );
     const channels = shrinkWords({ ...shrink, predicted_ratio: null }, "channels");
     expect(channels).toContain("81 % of the gap in the channels that it moves");
@@ -212,7 +228,7 @@ describe("reasons", () => {
       refused: [{ path: "/data/throws/a.mcap", reason: "10 Hz" }],
     };
     expect(ruledOutOf(evidence)).toEqual([
-      { name: "wind", why: "log odds -4.3 against no effect" },
+      { name: "wind", why: "natural log odds -4.3 against no effect" },
     ]);
     expect(refusedOf(evidence)).toEqual([{ name: "a.mcap", why: "10 Hz" }]);
     expect(ruledOutOf({})).toEqual([]);

@@ -67,14 +67,21 @@ export const comparedWords = (run: Run) =>
     ? `${count(run.reference_throw_count, "healthy throw")} of this machine`
     : "healthy machines of the type";
 
+/** "valve dead time, boom"; of a drift what drifts: "drift of valve lag, boom". */
 export function effectWords(effect: string, joint: string | null | undefined): string {
-  const name = effect.replaceAll("_", " ");
+  const [kind = "", drifting] = effect.split(":");
+  const name = drifting ? `drift of ${parameterWords(drifting)}` : kind.replaceAll("_", " ");
   return joint ? `${name}, ${joint}` : name;
+}
+
+export function fittedWords({ effect, joint, parameters }: Fitted): string {
+  const drifting = Object.keys(parameters).find((name) => name.includes("."));
+  return effectWords(drifting ? `drift:${drifting.split(".")[0]}` : effect, joint);
 }
 
 export function causeWords(cause: Schema["Cause"]): string {
   if (cause.effects.length > 0) {
-    return cause.effects.map((e) => effectWords(e.effect, e.joint)).join(" + ");
+    return cause.effects.map(fittedWords).join(" + ");
   }
   if (cause.name === "none") return "no effect";
   return cause.name === "unknown" ? "something unknown" : cause.name;
@@ -122,6 +129,9 @@ export function sizesOf(effect: Fitted): { name: string; value: string; interval
   }));
 }
 
+/** Of the gap before and after: smaller than the miss that is stated first. */
+const HEALTHY_OUT = "Both without what every healthy machine of the type is off its twin by.";
+
 /**
  * How far the gap shrinks. Where the impact is no measure of the effect (a sensor moves none), the recorded
  * channels are, and metres say nothing about the share.
@@ -143,6 +153,7 @@ export function shrinkWords(shrink: Schema["Shrink"], measure: unknown): string 
       ? "The miss itself is no measure here: below, for comparison."
       : `${percent(shrink.removable_ratio)} of the gap is removable, the rest is noise and jitter.`,
   );
+  parts.push(HEALTHY_OUT);
   return parts.join(" ");
 }
 
@@ -160,7 +171,7 @@ export function additionWords(found: Diagnosis): string {
   const effects = found.causes[0]?.effects ?? [];
   const parts = effects.map((effect) => {
     const sizes = sizesOf(effect).map((size) => `${size.name} ${size.value}`);
-    return `${effectWords(effect.effect, effect.joint)}: ${sizes.join(", ")}`;
+    return `${fittedWords(effect)}: ${sizes.join(", ")}`;
   });
   return parts.length === 0 ? "Adds nothing." : `Adds ${parts.join("; ")}.`;
 }

@@ -4,6 +4,7 @@ import { RunList } from "../gap/RunList";
 import { RunResult } from "../gap/RunResult";
 import { StartPanel } from "../gap/StartPanel";
 import { useGapRun, useGapRuns } from "../gap/useGap";
+import type { Run } from "../gap/words";
 import { useMachineId } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
 import { errorWords } from "../words/errors";
@@ -22,7 +23,7 @@ function GapOf({ machineId }: { machineId: string }) {
   const { run: wanted } = useSearch({ from: "/frame/gap" });
   const navigate = useNavigate({ from: "/gap" });
   const runs = useGapRuns(machineId);
-  const shown = wanted ?? runs.rows[0]?.gap_run_id;
+  const shown = wanted ?? firstShown(runs.rows)?.gap_run_id;
   const select = (run: string) => void navigate({ search: { run } });
   return (
     <div className={classes.page}>
@@ -49,6 +50,10 @@ function GapOf({ machineId }: { machineId: string }) {
     </div>
   );
 }
+
+/** The newest that says something: one that was cancelled says nothing. */
+const firstShown = (rows: readonly Run[]) =>
+  rows.find((run) => run.state !== "cancelled") ?? rows[0];
 
 type OneRunProps = { machineId: string; runId: string; onStarted: (runId: string) => void };
 
