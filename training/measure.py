@@ -42,6 +42,9 @@ def act(actor: Layers, normaliser: Normaliser, observation: Field) -> Field:
     return apply_layers(actor, normalise(moments, observation))
 
 
+_Compiled = tuple[Callable[..., Any], Callable[..., Any]]
+
+
 class Measurement:
     """Throws that say what a policy does, at every distance on the ground and at the usual pace.
 
@@ -70,20 +73,21 @@ class Measurement:
         # The load flies at most a second and a half after the last chance to release.
         steps = int(task.episode.time_limit_s / POLICY_PERIOD_S) + 25
         self._reset_key, self._step_keys = reset_key, jax.random.split(run_key, steps)
-        self._compiled: Callable[..., Any] | None = None
+        self._compiled: _Compiled | None = None
 
     def prepare(self, actor: Layers, normaliser: Normaliser) -> None:
         """Compile for networks of these shapes."""
+        begin = jax.jit(self._begin).lower(self._reset_key).compile()
         state, end = jax.eval_shape(self._begin, self._reset_key)
-        lowered = jax.jit(self._step).lower(actor, normaliser, state, end, self._reset_key)
-        self._compiled = lowered.compile()
+        step = jax.jit(self._step).lower(actor, normaliser, state, end, self._reset_key).compile()
+        self._compiled = (begin, step)
 
     def accuracy(self, actor: Layers, normaliser: Normaliser) -> list[Accuracy]:
         """Throw once from every start; a row a distance."""
         if self._compiled is None:
             self.prepare(actor, normaliser)
-        step = cast(Callable[..., Any], self._compiled)
-        state, end = jax.jit(self._begin)(self._reset_key)
+        begin, step = cast(_Compiled, self._compiled)
+        state, end = begin(self._reset_key)
         # Not a scan over the steps: on the CPU that compiled, but never came back (JAX 0.10.2).
         for key in self._step_keys:
             state, end = step(actor, normaliser, state, end, key)
