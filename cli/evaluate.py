@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from cli.campaigns import Campaign, CampaignOptions, open_with, throw_campaign
 from cli.evaluation_report import More, write_report
+from cli.report_parts import FIRST_UNIT
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.policy_card import add_evaluation, load_card
@@ -43,6 +44,7 @@ def run(
     card: bool = False,
     report: Path | None = None,
     units: int = 0,
+    first_unit: int = FIRST_UNIT,
     trainings: tuple[Path, ...] = (),
 ) -> int:
     """Throw many times at targets on the x axis and print how accurately the loads land.
@@ -60,7 +62,7 @@ def run(
         plant: twin (velocity response), virtual (pressure-level stand-in for a real machine), or
             package.module:Class of your own simulated machine.
         targets: ranges in metres from the slew axis, FIRST:LAST:STEP with both ends, or 8,8.5,9; the paper's
-            if left out, 7.5:10:0.5 and for 3d in a report 7:9.5:0.5.
+            if left out, 7.5:10:0.5; in a report those and on to 10.87, in 3d from 7.
         throws: throws at each target.
         seed: of start poses and of everything random in the plant; the same seed gives the same throws.
         unit_seed: which machine of its kind the plant is; 0 is the nominal one.
@@ -74,8 +76,9 @@ def run(
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and what a miss hangs on into this folder.
-        units: for a report, throw with this many machines too that no training has seen (2000 and up), each
-            measured and registered by itself.
+        units: for a report, throw with this many machines too that no training has seen, each measured and
+            registered by itself.
+        first_unit: number of the first of them.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
@@ -89,7 +92,7 @@ def run(
                 "--report writes its own JSON and plots: leave --json, --plot, --card out"
             )
         modes = [mode] if mode != "both" else ["2d", "3d"]
-        return write_report(report, modes, options, More(units, trainings))
+        return write_report(report, modes, options, More(units, first_unit, trainings))
     if units or trainings:
         raise UsageError("--units and --trainings go with --report")
     _check_outputs(mode, heights, json, plot)

@@ -5,8 +5,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from cli.campaigns import (
     Campaign,
     CampaignOptions,
@@ -16,16 +14,18 @@ from cli.campaigns import (
     throw_campaign,
 )
 from cli.conditions import height_rows, pace_rows, table
-from cli.report_parts import check_parts, repeated_starts, training_rows, unit_rows
-from diagnosis.evaluation.measures import ModeEvaluation, evaluation
+from cli.report_parts import FIRST_UNIT, check_parts, repeated_starts, training_rows, unit_rows
+from diagnosis.evaluation.goals import examined_range_m
+from diagnosis.evaluation.measures import ModeEvaluation, evaluation, target_row
 from diagnosis.evaluation.page import evaluation_html
-from diagnosis.evaluation.paper import SCATTER_RANGE_M, TARGETS
+from diagnosis.evaluation.paper import TARGETS
 from diagnosis.evaluation.sensitivity import EffectPlantMaker, FactorShift, sensitivity
 from machine.errors import UsageError
 from machine.policy_card import load_card
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
 from sim_twin.faults.fault import PlantEffect
+from sim_twin.throws.campaign import ThrowResult
 from sim_twin.throws.plants import TWIN, VIRTUAL
 from sim_twin.throws.throw_logs import FailureRecorder, LogContext
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
@@ -40,6 +40,7 @@ class More(NamedTuple):
     """What is thrown beyond the campaign if it is asked for."""
 
     unit_count: int = 0
+    first_unit: int = FIRST_UNIT
     trainings: tuple[Path, ...] = ()
     """Folders of policy versions."""
 
@@ -52,7 +53,7 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, m
     """
     if options.policy is not None and len(modes) > 1:
         raise UsageError("--policy names one policy, of one mode: choose --mode 2d or 3d with it")
-    check_parts(options, more.unit_count, more.trainings)
+    check_parts(options, more.unit_count, more.first_unit, more.trainings)
     try:
         (folder / "logs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -104,7 +105,7 @@ def _part(
     }
     logs = [stored.path for stored in recorder.stored]
     part = evaluation(
-        about, campaign.ranges_m, results, logs, folder, _sensitivity(campaign, options)
+        about, campaign.ranges_m, results, logs, folder, _sensitivity(campaign, options, results)
     )
     of_policy = load_card(campaign.policy_folder).policy_sha256
     known = [r.policy_sha256 for r in campaign.params.calibration.registrations]
@@ -127,19 +128,19 @@ def _with_more(
     trainings = (own, *others) if more.trainings else ()
     return part.model_copy(
         update={
-            "units": unit_rows(part.mode, options, more.unit_count),
+            "units": unit_rows(part.mode, options, more.unit_count, more.first_unit),
             "trainings": training_rows(part.mode, options, trainings, TARGETS[part.mode]),
         }
     )
 
 
 def _sensitivity(
-    campaign: Campaign, options: CampaignOptions
+    campaign: Campaign, options: CampaignOptions, results: Sequence[Sequence[ThrowResult]]
 ) -> tuple[float | None, Sequence[FactorShift], str]:
     """Where, what shifts, and on what."""
     make = _maker(campaign, options)
-    ranges = np.asarray(campaign.ranges_m)
-    range_m = float(ranges[np.argmin(np.abs(ranges - SCATTER_RANGE_M))])
+    rows = [target_row(r, part) for r, part in zip(campaign.ranges_m, results, strict=True)]
+    range_m = examined_range_m(campaign.params.mode.value, rows)
     if make is None:
         return range_m, (), f"Plant {options.plant} takes no effects: nothing was changed."
     count = min(SENSITIVITY_THROWS, max(options.throws, 2))

@@ -43,12 +43,14 @@ def repeated_starts(campaign: Campaign, range_m: float, seed: int) -> SpreadPart
     return spread_parts(range_m, groups)
 
 
-def unit_rows(mode: str, options: CampaignOptions, count: int) -> tuple[UnitRow, ...]:
+def unit_rows(
+    mode: str, options: CampaignOptions, count: int, first: int = FIRST_UNIT
+) -> tuple[UnitRow, ...]:
     """The nominal machine and `count` that no training has seen, each registered by itself."""
     if count == 0:
         return ()
     found: list[UnitRow] = []
-    for unit in (NOMINAL_UNIT, *range(FIRST_UNIT, FIRST_UNIT + count)):
+    for unit in (NOMINAL_UNIT, *range(first, first + count)):
         here = options._replace(unit_seed=unit, targets=UNIT_RANGES, calibration=None, heights="0")
         rows = rows_of_unit(
             lambda path, here=here: open_with(here._replace(calibration=path), mode, UNIT_RANGES),
@@ -66,6 +68,7 @@ def unit_rows(mode: str, options: CampaignOptions, count: int) -> tuple[UnitRow,
                 unit_seed=unit,
                 landed_count=sum(row.landed_count for row in rows),
                 throw_count=sum(row.throw_count for row in rows),
+                targets=tuple(rows),
                 **{name: pooled(rows, name) for name in names},
             )
         )
@@ -97,7 +100,9 @@ def training_rows(
     return tuple(found)
 
 
-def check_parts(options: CampaignOptions, units: int, trainings: Sequence[Path]) -> None:
+def check_parts(
+    options: CampaignOptions, units: int, first_unit: int, trainings: Sequence[Path]
+) -> None:
     """Refuse what cannot be thrown, before anything is.
 
     Raises:
@@ -106,6 +111,8 @@ def check_parts(options: CampaignOptions, units: int, trainings: Sequence[Path])
     """
     if units < 0:
         raise UsageError(f"--units {units}: 0 or more")
+    if first_unit < 1:
+        raise UsageError(f"--first-unit {first_unit}: 1 or more; 0 is the nominal machine")
     if units and options.plant == "twin":
         raise UsageError("--units asks for other machines, the twin is one: use --plant virtual")
     for folder in trainings:

@@ -7,6 +7,7 @@ from html import escape
 import numpy as np
 
 from diagnosis.evaluation.conditions import ConditionRow
+from diagnosis.evaluation.goals import Goal
 from diagnosis.evaluation.measures import TargetRow
 from diagnosis.evaluation.paper import PaperScatter
 from diagnosis.evaluation.sensitivity import FactorShift
@@ -113,6 +114,40 @@ def range_plot(targets: Sequence[TargetRow], reach_m: float, words: str) -> str:
                 axes.line("mark", (target.range_m - across, at), (target.range_m + across, at))
             )
         parts.append(axes.dots("dot", np.array([[target.range_m, at]]), 3.0))
+    return _svg(axes, parts, words)
+
+
+def spread_plot(targets: Sequence[TargetRow], goals: Sequence[Goal], words: str) -> str:
+    """Standard deviations over the target range with their intervals, and the most that is asked."""
+    ranges = [t.range_m for t in targets]
+    ends = (min(ranges) - 0.5, max(ranges) + 0.5)
+    intervals = [
+        end
+        for t in targets
+        for estimate in (t.sd_downrange_m, t.sd_crossrange_m)
+        for end in estimate.ci95 or ()
+    ]
+    top = 1.08 * max([*intervals, *(goal.sd_m for goal in goals)])
+    axes = _Axes(ends, (0.0, top), 0.7 * SIZE)
+    parts = [axes.frame("target range / m", "standard deviation / m")]
+    left = ends[0]
+    steps: list[tuple[float, float]] = []
+    for goal in goals:
+        steps += [(left, goal.sd_m), (goal.range_max_m, goal.sd_m)]
+        left = goal.range_max_m
+    parts.append(axes.path("other", np.array(steps)))
+    for name, css, shift_m in (
+        ("sd_downrange_m", "dot", 0.0),
+        ("sd_crossrange_m", "dot hollow", 0.07),
+    ):
+        for target in targets:
+            estimate = getattr(target, name)
+            if estimate.value is None:
+                continue
+            at = target.range_m + shift_m
+            low, high = estimate.ci95 or (estimate.value, estimate.value)
+            parts.append(axes.line("interval thin", (at, low), (at, high)))
+            parts.append(axes.dots(css, np.array([[at, estimate.value]]), 3.5))
     return _svg(axes, parts, words)
 
 

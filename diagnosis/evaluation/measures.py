@@ -68,6 +68,8 @@ class UnitRow(BaseModel):
     sd_downrange_m: float | None
     mean_crossrange_error_m: float | None
     sd_crossrange_m: float | None
+    targets: tuple[ConditionRow, ...] = ()
+    """Each target by itself; empty in files of before."""
 
 
 class TrainingRow(BaseModel):

@@ -9,9 +9,11 @@ from diagnosis.evaluation.drawings import (
     front_plot,
     landing_plot,
     range_plot,
+    spread_plot,
 )
-from diagnosis.evaluation.goals import goal_at, shortfalls
+from diagnosis.evaluation.goals import GOALS, Goal, goal_at, shortfalls
 from diagnosis.evaluation.measures import CONFIDENCE_RATIO, ModeEvaluation, TargetRow
+from diagnosis.evaluation.page_asked import asked_section
 from diagnosis.evaluation.page_causes import (
     held_back,
     sensitivity_section,
@@ -37,6 +39,7 @@ def evaluation_html(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
     body = "".join(
         (
             _head(parts),
+            asked_section(parts),
             _ranges(parts, reach_m),
             _scatters(parts),
             *(_targets(part) for part in parts),
@@ -93,13 +96,16 @@ def _ranges(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
         f"<figure><figcaption>{part.mode.upper()} policy. Paper, simulated: "
         f"{escape(SIMULATED[part.mode])}.</figcaption>"
         f"{range_plot(part.targets, reach_m, f'{part.mode} mean impact and 1 sigma by target range')}"
+        f"{spread_plot(part.targets, GOALS[part.mode], f'{part.mode} spread by target range')}"
         "</figure>"
         for part in parts
     )
     return section(
         "Range",
-        '<p class="dim">Mean impact over the target; upright bar: one standard deviation downrange, level '
-        f'bar: crossrange.</p><div class="pair">{drawn}</div>',
+        '<p class="dim">Above: mean impact over the target; upright bar: one standard deviation downrange, '
+        "level bar: crossrange. Below: standard deviations with 95 % intervals, downrange filled, crossrange "
+        "hollow and a little to the right; dashed: the most that is asked.</p>"
+        f'<div class="pair">{drawn}</div>',
     )
 
 
@@ -182,8 +188,14 @@ def _row(mode: str, target: TargetRow) -> list[tuple[str, str]]:
             ("number large" if name in large else "number", cell(getattr(target, name), "m"))
             for name in names
         ),
-        ("number", NONE if goal is None else f"{fixed(goal.bias_m)}, {fixed(goal.sd_m)} m"),
+        ("number", _asked(goal)),
     ]
+
+
+def _asked(goal: Goal | None) -> str:
+    if goal is None:
+        return NONE
+    return f"{NONE if goal.bias_m is None else fixed(goal.bias_m)}, {fixed(goal.sd_m)} m"
 
 
 def _conditions(part: ModeEvaluation) -> str:

@@ -100,6 +100,9 @@ def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
     valve, speed = valve[order], speed[order]
     # Within the dead band a joint may creep against its command: that is no speed of the valve's.
     moving = speed * np.sign(valve) > SLOWEST_RAD_M_PER_S
+    # Nor is a motion at a smaller valve than one that moved nothing: the dead band ends outside of both.
+    moving[valve < 0] = np.logical_and.accumulate(moving[valve < 0])
+    moving[valve > 0] = np.logical_and.accumulate(moving[valve > 0][::-1])[::-1]
     speed = np.maximum.accumulate(np.where(moving, speed, 0.0))
     if min(np.sum(moving & (valve > 0)), np.sum(moving & (valve < 0))) < 2:
         raise PlantError(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.evaluation.conditions import condition_row
-from diagnosis.evaluation.goals import goal_at, shortfalls
+from diagnosis.evaluation.goals import examined_range_m, goal_at, shortfalls, verdicts
 from diagnosis.evaluation.measures import (
     Estimate,
     ModeEvaluation,
@@ -54,12 +54,23 @@ def test_goals_grow_with_the_range_and_end():
     bad = target_row(9.0, [throw(0.2, 0.1), throw(0.0, 0.1), throw(0.4, 0.1)])
     assert list(shortfalls("2d", bad)) == [
         "mean_downrange_error_m",
-        "sd_downrange_m",
         "mean_crossrange_error_m",
+        "sd_downrange_m",
     ]
     nothing = target_row(9.0, [throw(np.nan, np.nan, Outcome.COLLISION)])
     assert len(list(shortfalls("2d", nothing))) == 4
     assert list(shortfalls("2d", target_row(12.0, [throw(1.0), throw(-1.0)]))) == []
+
+
+def test_causes_are_looked_for_where_a_figure_is_exceeded_most():
+    near = target_row(8.0, [throw(0.01), throw(-0.02), throw(0.03)])
+    nine = target_row(9.5, [throw(0.01), throw(-0.01)])
+    assert examined_range_m("2d", [near, nine]) == 9.5
+    wide = target_row(7.5, [throw(0.2), throw(-0.2)])
+    assert examined_range_m("2d", [wide, near, nine]) == 7.5
+    # 2.5 times the spread that is asked at 10.87 m is less than 3.5 times the one at 7.5 m.
+    far = target_row(10.87, [throw(0.44), throw(-0.44)])
+    assert examined_range_m("2d", [wide, near, far]) == 7.5
 
 
 def evaluation(**more):
@@ -93,6 +104,37 @@ def test_the_largest_cause_comes_first_and_the_page_names_it():
     assert "0.020, 0.020, 0.030 m" in html
     assert "Machines never seen" in html
     assert "Trainings side by side" not in html
+
+
+def test_what_is_asked_is_judged_by_its_worst_figure():
+    near = target_row(9.0, [throw(0.01, 0.1), throw(-0.01, -0.1), throw(0.0, 0.0)])
+    lost = target_row(10.87, [throw(0.3), throw(-0.1), throw(np.nan, np.nan, Outcome.COLLISION)])
+    alone = evaluation(targets=(near, lost))
+    words = {v.asked: (v.holds, v.where) for v in verdicts(alone)}
+    assert words == {
+        "standard deviation, 9 m": (False, "crossrange at 9 m"),
+        "mean error, 9 m": (True, "downrange at 9 m"),
+        # Nothing is asked of the mean at 10.87 m, which is 0.1 m here.
+        "standard deviation, 10.87 m": (False, "downrange at 10.87 m"),
+        "throws that land": (False, "least at 10.87 m: 2 of 3"),
+    }
+    html = evaluation_html([alone], 7.5)
+    assert "1 of 4 hold. Not: 2D, standard deviation, 9 m;" in html
+    assert "83.3 %" in html
+
+
+def test_machines_never_seen_are_judged_against_what_is_asked_and_against_the_nominal_one():
+    row = condition_row(9.0, 0.0, 0.0, [throw(0.0), throw(0.1)])
+    units = tuple(
+        UnitRow(unit_seed=u, landed_count=2, throw_count=2, mean_downrange_error_m=0.0, sd_downrange_m=s,
+                mean_crossrange_error_m=0.0, sd_crossrange_m=0.01, targets=(row,))
+        for u, s in ((0, 0.04), (2000, 0.05), (2001, 0.07))
+    )  # fmt: skip
+    asked, beside = verdicts(evaluation(units=units))[-2:]
+    assert asked.worst == pytest.approx(0.1 / 2**0.5 / 0.08)
+    assert asked.holds
+    assert (beside.worst, beside.where) == (pytest.approx(1.75), "machine 2001, downrange")
+    assert not beside.holds
 
 
 def test_units_and_trainings_have_their_tables():

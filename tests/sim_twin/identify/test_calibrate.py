@@ -75,6 +75,17 @@ def test_creep_against_a_small_command_is_no_speed_of_the_valve():
     np.testing.assert_allclose(speeds[[0, -1]], [-0.43, 0.39], atol=1e-6)
 
 
+def test_a_creep_inside_the_dead_band_does_not_end_it():
+    # Telescope of virtual machine 44301: at -0.03 it sinks, at -0.05 it does not.
+    valve = np.array([-1.0, -0.45, -0.15, -0.1, -0.07, -0.05, -0.03, 0.03, 0.05, 0.1, 0.45, 1.0])
+    speed = np.array(
+        [-0.57, -0.21, -0.051, -0.027, -0.01, 0.0012, -0.0024, 0.0035, 0.0075, 0.024, 0.15, 0.38]
+    )
+    table = _table(3, valve, speed)
+    assert np.all(np.diff(table.actuator_speed_rad_m_per_s) > 0.0)
+    assert sum(-0.07 < v < 0.0 for v in table.valve_ratio) == 1
+
+
 def test_a_machine_that_does_not_move_is_refused():
     class Dead(VirtualMachine):
         def write(self, command: ValveCommand) -> None:

@@ -1,0 +1,51 @@
+"""The evaluation page's first answer: what is asked of the policies, and whether it holds."""
+
+from collections.abc import Sequence
+
+from diagnosis.evaluation.goals import Verdict, verdicts
+from diagnosis.evaluation.measures import ModeEvaluation
+from diagnosis.evaluation.page_cells import table
+from diagnosis.report.report_html import section
+from diagnosis.report.report_words import NONE, fixed
+
+
+def asked_section(parts: Sequence[ModeEvaluation]) -> str:
+    """One row for each thing that is asked, with the worst figure measured."""
+    rows: list[list[tuple[str, str]]] = []
+    missed: list[str] = []
+    for part in parts:
+        for verdict in verdicts(part):
+            mark = "" if verdict.holds else " large"
+            if not verdict.holds:
+                missed.append(f"{part.mode.upper()}, {verdict.asked}")
+            rows.append(
+                [
+                    ("", part.mode.upper()),
+                    ("name", verdict.asked),
+                    (
+                        "number",
+                        f"{'at least' if verdict.is_least else 'at most'} {_number(verdict, verdict.limit)}",
+                    ),
+                    (f"number{mark}", _number(verdict, verdict.worst)),
+                    ("", verdict.where),
+                    ("", "holds" if verdict.holds else "<b>does not hold</b>"),
+                ]
+            )
+    held = len(rows) - len(missed)
+    words = f"{held} of {len(rows)} hold."
+    if missed:
+        words += f" Not: {'; '.join(missed)}. What holds them back is measured below."
+    return section(
+        "What is asked, and whether it holds",
+        f"<p>{words}</p>" + table(("mode", "asked", "limit", "worst here", "where", ""), rows),
+    )
+
+
+def _number(verdict: Verdict, value: float | None) -> str:
+    if value is None:
+        return NONE
+    if verdict.unit == "%":
+        return f"{fixed(100.0 * value, 1)} %"
+    if verdict.unit == "x":
+        return f"{fixed(value)} times"
+    return f"{fixed(value, 3)} m"
