@@ -76,8 +76,7 @@ def run(
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and what a miss hangs on into this folder.
-        units: for a report, throw with this many machines too that no training has seen, each measured and
-            registered by itself.
+        units: for a report, this many machines too that no training has seen, each registered by itself.
         first_unit: number of the first of them.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
         card: also write the result onto the policy's card, in place of the last one on this plant.
