@@ -189,14 +189,20 @@ def _print_table(groups: Mapping[str, Mapping[str, Quantity]]) -> None:
     for group, quantities in groups.items():
         for name, known in quantities.items():
             label = f"  {group} {name}".replace("  ", " ")
+            # Ratios have the unit 1, which nobody writes.
+            unit = "" if known.unit == "1" else known.unit
             if known.value is None:
-                reached = "" if known.at_least is None else f"; reached {known.at_least:.3g}"
+                reached = (
+                    ""
+                    if known.at_least is None
+                    else f"; reached {known.at_least:.3g} {unit}".rstrip()
+                )
                 print(f" {label:<42} ? {known.why}{reached}")
                 continue
             low, high = known.ci90 or (known.value, known.value)
             more = f" ({known.why})" if known.why else ""
             interval = f"{low:.4g} .. {high:.4g}, n {known.count}{more}"
-            print(f" {label:<42} {known.value:8.4g} {known.unit:<6} {interval}")
+            print(f" {label:<42} {known.value:8.4g} {unit:<6} {interval}")
 
 
 def _finish(

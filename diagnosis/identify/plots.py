@@ -14,10 +14,12 @@ from diagnosis.identify.response import JointResponse
 from diagnosis.identify.response_bootstrap import simulate
 from diagnosis.identify.swing import AxisSwing
 from diagnosis.loading.logs import ThrowData
-from machine.conventions import CONTROL_PERIOD_S
+from machine.conventions import CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 
 SHOWN_TICKS = 1500
+BUSY_TICKS = 200
+"""Length of the motion that a drawn stretch is put about."""
 
 
 def _figure(rows: int, columns: int, title: str, size: tuple[float, float]) -> tuple[Figure, Any]:
@@ -30,25 +32,43 @@ def _figure(rows: int, columns: int, title: str, size: tuple[float, float]) -> t
 def response_figure(
     throws: Sequence[ThrowData], spec: MachineSpec, joints: Sequence[JointResponse], title: str
 ) -> Figure:
-    """Measured and modelled speed of each joint, the first 15 s of what was used."""
+    """Measured and modelled speed of each joint, 15 s of what was used: where it moves most, each way."""
     figure, axes = _figure(2, 2, title, (12.0, 7.0))
     for number, (axis, joint) in enumerate(zip(axes, joints, strict=True)):
         axis.set_title(joint.joint, fontsize=10)
-        axis.set_xlabel("time, logs one after the other / s")
+        axis.set_xlabel("time, the stretches with the most motion / s")
         axis.set_ylabel("speed / " + ("m/s" if number == 3 else "rad/s"))
         if joint.best is None:
             axis.text(0.5, 0.5, "cannot be known\nfrom these logs", ha="center", va="center")
             continue
         record = drive_record(throws, spec, number)
-        t = np.arange(min(record.steady.size, SHOWN_TICKS)) * CONTROL_PERIOD_S
         b = joint.best
         lag = 2.0 * b["damping_ratio"] / b["natural_frequency_rad_per_s"]
         x = np.array([[b["dead_time_s"], lag, b["damping_ratio"], b["gain_ratio"]]] * 2)
-        axis.plot(t, record.steady[: t.size], color="0.7", linewidth=0.8, label="commanded")
-        axis.plot(t, record.measured[: t.size], color="k", linewidth=0.8, label="measured")
-        axis.plot(t, simulate(record, x)[: t.size], color="tab:blue", linewidth=1.0, label="model")
-        axis.legend(fontsize=8, loc="upper right")
+        model = simulate(record, x)
+        begin = 0
+        for shown in _busiest(record.steady):
+            t = (begin + np.arange(shown.size)) * CONTROL_PERIOD_S
+            axis.plot(t, record.steady[shown], color="0.7", linewidth=0.8)
+            axis.plot(t, record.measured[shown], color="k", linewidth=0.8)
+            axis.plot(t, model[shown], color="tab:blue", linewidth=1.0)
+            begin += shown.size
+        # Every stretch has the same three lines.
+        axis.legend(axis.get_lines()[:3], ("commanded", "measured", "model"), fontsize=8)
     return figure
+
+
+def _busiest(speed: Array) -> list[IntArray]:
+    """Indices of the stretches about the most motion in each direction, in their order."""
+    if speed.size <= SHOWN_TICKS:
+        return [np.arange(speed.size)]
+    width = SHOWN_TICKS // 2
+    starts: list[int] = []
+    for side in (1.0, -1.0):
+        energy = np.concatenate([[0.0], np.cumsum(np.maximum(side * speed, 0.0) ** 2)])
+        busiest = int(np.argmax(energy[BUSY_TICKS:] - energy[:-BUSY_TICKS])) + BUSY_TICKS // 2
+        starts.append(min(max(busiest - width // 2, 0), speed.size - width))
+    return [np.arange(start, start + width) for start in sorted(set(starts))]
 
 
 def release_figure(found: ReleaseDelay, title: str) -> Figure:

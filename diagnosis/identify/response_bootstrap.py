@@ -144,11 +144,12 @@ def quantities(fitted: Fitted, direction: int, count: int) -> dict[str, Quantity
         value = float(values[k])
         low, high = min(low, value), max(high, value)
         widest = WIDEST_DEAD_TIME_S if k == 0 else WIDEST_RATIO * max(value, CONTROL_PERIOD_S)
+        shown = "" if unit == "1" else f" {unit}"
         if at_bound[k]:
-            why = f"the fit ends at a bound of the search ({value:.3g} {unit}): others fit as well"
+            why = f"the fit ends at a bound of the search ({value:.3g}{shown}): others fit as well"
             found[name] = unknown(unit, why, count=count)
         elif high - low > widest:
-            why = f"anything from {low:.3g} to {high:.3g} {unit} fits"
+            why = f"anything from {low:.3g} to {high:.3g}{shown} fits"
             found[name] = unknown(unit, why, count=count)
         else:
             spread = float(np.std(all_draws[:, k])) * math.sqrt(count)

@@ -8,6 +8,7 @@ import pytest
 from diagnosis.identify.apply import next_profile, with_response
 from diagnosis.identify.drive_record import DriveRecord, drive_record
 from diagnosis.identify.limits import acceleration_limit
+from diagnosis.identify.plots import SHOWN_TICKS, _busiest
 from diagnosis.identify.response import identify_response
 from diagnosis.identify.response_bootstrap import fit, quantities, simulate
 from diagnosis.identify.training_ranges import training_ranges
@@ -129,3 +130,14 @@ def test_open_loop_steps_give_no_ranges_for_training(steps):
     ranges = training_ranges(few, SPEC)
     assert "cannot be known" in ranges["telescope"]["dead_time_s"]
     assert drive_record(few, SPEC, 3).block_count == 6
+
+
+def test_what_is_drawn_lies_about_the_most_motion_each_way():
+    speed = np.zeros(20_000)
+    speed[3_000:3_100], speed[9_000:9_100], speed[15_000:15_100] = 0.1, 0.5, -0.4
+    first, second = _busiest(speed)
+    assert first[0] < 9_000 < 9_100 <= first[-1]
+    assert second[0] < 15_000 < 15_100 <= second[-1]
+    assert first.size + second.size == SHOWN_TICKS
+    (all_of_it,) = _busiest(speed[:900])
+    assert all_of_it.size == 900

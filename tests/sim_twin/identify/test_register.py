@@ -76,7 +76,10 @@ def test_a_policy_for_heights_is_registered_off_the_ground_too():
     before_m = [mean_miss_m(plain, *place) for place in places]
     after_m = [mean_miss_m(aimed, *place) for place in places]
     assert np.abs(before_m).mean() > 0.1
-    assert np.abs(after_m).max() < 0.08
+    # A gale of 4 m/s hangs on the height by more than the registration's prior lets a pit differ: of 0.35 m
+    # 0.05 to 0.07 m stay there, whatever the seed and the starts. Elsewhere at most 0.035 m stay.
+    assert abs(after_m[0]) < 0.08
+    assert np.abs(after_m[1:]).max() < 0.05
 
 
 def test_an_earlier_registration_does_not_count_twice(runner):
