@@ -18,7 +18,7 @@ from sim_twin.throws.campaign import run_throws
 REPEATED_STARTS, REPEATS = 25, 4
 FIRST_UNIT = 2000
 UNIT_RANGES = "7.5,8.5,9.5"
-UNIT_THROWS = 40
+UNIT_THROWS = 60
 TRAINING_THROWS = 60
 
 

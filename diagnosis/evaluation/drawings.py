@@ -179,24 +179,33 @@ def landing_plot(target: TargetRow, paper: PaperScatter | None, words: str) -> s
     return _svg(axes, parts, words)
 
 
-def front_plot(rows: Sequence[ConditionRow], words: str) -> str:
-    """Standard deviation downrange over the time to the release, a line a range; careful ends are ringed."""
-    known = [r for r in rows if r.sd_downrange_m is not None and r.start_to_release_s is not None]
-    points = np.array([(r.start_to_release_s, r.sd_downrange_m) for r in known]).reshape(-1, 2)
+def front_plot(rows: Sequence[ConditionRow], words: str, *, by_speed: bool) -> str:
+    """Standard deviation downrange over the time to the release or its speed, a line a range.
+
+    The careful end of each line is marked.
+    """
+    name = "release_speed_m_per_s" if by_speed else "start_to_release_s"
+    known = [r for r in rows if r.sd_downrange_m is not None and getattr(r, name) is not None]
+    points = np.array([(getattr(r, name), r.sd_downrange_m) for r in known]).reshape(-1, 2)
     if not known:
         return _svg(_Axes((0.0, 1.0), (0.0, 1.0)), [], words)
     axes = _Axes(
-        (float(points[:, 0].min()) - 0.2, float(points[:, 0].max()) + 0.4),
+        (float(points[:, 0].min()) - 0.4, float(points[:, 0].max()) + 0.4),
         (0.0, 1.15 * float(points[:, 1].max())),
     )
-    parts = [axes.frame("start to release / s", "sd downrange / m")]
+    x_words = "release speed / m/s" if by_speed else "start to release / s"
+    parts = [axes.frame(x_words, "sd downrange / m")]
     for range_m in sorted({r.range_m for r in known}):
         line = points[[r.range_m == range_m for r in known]]
         parts.append(axes.path("after thick", line))
         parts.append(axes.dots("dot", line, 3.0))
         parts.append(axes.dots("dot target", line[:1], 4.0))
         x, y = axes.at(*line[0].tolist())
-        parts.append(f'<text x="{x + 8:.1f}" y="{y + 4:.1f}">{range_m:g} m</text>')
+        # On the side to which no line goes: fast throws are released sooner, at more speed.
+        shift, anchor = (-8.0, "end") if by_speed else (8.0, "start")
+        parts.append(
+            f'<text x="{x + shift:.1f}" y="{y + 4:.1f}" text-anchor="{anchor}">{range_m:g} m</text>'
+        )
     return _svg(axes, parts, words)
 
 

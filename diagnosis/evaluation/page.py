@@ -20,11 +20,11 @@ from diagnosis.evaluation.page_causes import (
     trainings_section,
     units_section,
 )
-from diagnosis.evaluation.page_cells import cell, height, table
+from diagnosis.evaluation.page_cells import cell, height, share, table
 from diagnosis.evaluation.paper import SCATTER, SCATTER_RANGE_M, SIMULATED
 from diagnosis.intervals import share_interval
 from diagnosis.report.report_html import page, section
-from diagnosis.report.report_words import NONE, fixed, percent
+from diagnosis.report.report_words import NONE, fixed
 
 _STYLE = Path(__file__).with_name("evaluation.css")
 
@@ -88,7 +88,7 @@ def _where(part: ModeEvaluation) -> str:
 def _wilson(part: ModeEvaluation) -> str:
     landed, thrown = sum(t.landed for t in part.targets), sum(t.throws for t in part.targets)
     low, high = share_interval(landed, thrown, CONFIDENCE_RATIO)
-    return f'{landed} of {thrown}<br><span class="dim">{percent(low)} to {percent(high)}</span>'
+    return f'{landed} of {thrown}<br><span class="dim">{share(low)} to {share(high)}</span>'
 
 
 def _ranges(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
@@ -104,7 +104,7 @@ def _ranges(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
         "Range",
         '<p class="dim">Above: mean impact over the target; upright bar: one standard deviation downrange, '
         "level bar: crossrange. Below: standard deviations with 95 % intervals, downrange filled, crossrange "
-        "hollow and a little to the right; dashed: the most that is asked.</p>"
+        "hollow and a little to the right; steps: the most that is asked.</p>"
         f'<div class="pair">{drawn}</div>',
     )
 
@@ -182,7 +182,7 @@ def _row(mode: str, target: TargetRow) -> list[tuple[str, str]]:
         (
             "number",
             f"{target.landed} of {target.throws}<br>"
-            f'<span class="dim">{percent(low)} to {percent(high)}</span>',
+            f'<span class="dim">{share(low)} to {share(high)}</span>',
         ),
         *(
             ("number large" if name in large else "number", cell(getattr(target, name), "m"))
@@ -202,8 +202,11 @@ def _conditions(part: ModeEvaluation) -> str:
     """The front from careful to fast, and targets off the ground."""
     mode = part.mode.upper()
     paces = (
-        f"<figure>{front_plot(part.paces, f'{part.mode} spread over time and release speed')}</figure>"
-        f"{_condition_table(part.paces)}"
+        '<p class="dim">One line a range, from careful (pace 0, amber) to fast (pace 1).</p>'
+        '<div class="pair">'
+        f"<figure>{front_plot(part.paces, f'{part.mode} spread over time', by_speed=False)}</figure>"
+        f"<figure>{front_plot(part.paces, f'{part.mode} spread over release speed', by_speed=True)}</figure>"
+        f"</div>{_condition_table(part.paces)}"
         if part.paces
         else "<p>This policy was trained without a pace: it throws in one way.</p>"
     )

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from diagnosis.evaluation.goals import Verdict, verdicts
+from diagnosis.evaluation.goals import Verdict, shortfalls, verdicts
 from diagnosis.evaluation.measures import ModeEvaluation
-from diagnosis.evaluation.page_cells import table
+from diagnosis.evaluation.page_cells import share, table
 from diagnosis.report.report_html import section
 from diagnosis.report.report_words import NONE, fixed
 
@@ -28,13 +28,15 @@ def asked_section(parts: Sequence[ModeEvaluation]) -> str:
                     ),
                     (f"number{mark}", _number(verdict, verdict.worst)),
                     ("", verdict.where),
-                    ("", "holds" if verdict.holds else "<b>does not hold</b>"),
+                    ("verdict", "holds" if verdict.holds else "<b>does not hold</b>"),
                 ]
             )
     held = len(rows) - len(missed)
     words = f"{held} of {len(rows)} hold."
     if missed:
-        words += f" Not: {'; '.join(missed)}. What holds them back is measured below."
+        words += f" Not: {'; '.join(missed)}."
+    if any(shortfalls(part.mode, target) for part in parts for target in part.targets):
+        words += " What holds the machine back is measured below, where a figure is exceeded most."
     return section(
         "What is asked, and whether it holds",
         f"<p>{words}</p>" + table(("mode", "asked", "limit", "worst here", "where", ""), rows),
@@ -45,7 +47,7 @@ def _number(verdict: Verdict, value: float | None) -> str:
     if value is None:
         return NONE
     if verdict.unit == "%":
-        return f"{fixed(100.0 * value, 1)} %"
+        return share(value)
     if verdict.unit == "x":
         return f"{fixed(value)} times"
     return f"{fixed(value, 3)} m"

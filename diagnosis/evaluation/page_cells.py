@@ -31,6 +31,11 @@ def height(value_m: float) -> str:
     return "0 m" if value_m == 0.0 else f"{value_m:+g} m".replace("-", "\u2212")
 
 
+def share(ratio: float) -> str:
+    """A share, to a tenth of a percent: 1599 of 1600 are not all."""
+    return f"{fixed(100.0 * ratio, 1)} %"
+
+
 def cell(estimate: Estimate, unit: str) -> str:
     """A value over its interval."""
     if estimate.value is None:

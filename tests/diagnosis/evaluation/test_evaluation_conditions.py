@@ -48,7 +48,9 @@ def test_one_landing_has_no_spread_and_spoils_no_sum():
     assert pooled(rows, "sd_downrange_m") == pytest.approx(0.5)
     assert pooled([alone], "sd_downrange_m") is None
     assert "-" in table([alone]).splitlines()[1]
-    assert "nan" not in front_plot([alone], "w") + front_plot(rows, "w")
+    assert "nan" not in front_plot([alone], "w", by_speed=False) + front_plot(
+        rows, "w", by_speed=True
+    )
 
 
 def test_a_policy_is_asked_for_no_pace_and_no_height_that_it_does_not_know(swing_policies: Path):
