@@ -23,7 +23,7 @@ from diagnosis.alone.physics.response import (
 from diagnosis.alone.reading.commands import Command, read_command
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.motion import Motion
-from diagnosis.alone.selection import every_third, select, spread_blocks
+from diagnosis.alone.selection import Selection, every_third, select, spread_blocks
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.loading.clock_audit import ClockAudit
 from diagnosis.verdict import Diagnosis, Stage
@@ -34,6 +34,8 @@ MIN_SPAN_S: Final = 2.0
 RELEVANT_RATIO: Final = 0.015
 """Of the motion, by eye: what the stepwise simulation of a joint and its log's ticks leave undecided."""
 MAX_TICKS: Final = 5_000
+LEAST_EXPLAINED_RATIO: Final = 0.1
+"""Of the variance; by eye: five parameters read about 0.02 into noise of the shortest records."""
 POSITION_RATIO: Final = 0.25
 """A position that follows its command leaves less than this unexplained; a drifting one does not follow."""
 LONGEST_SPAN_S: Final = 150.0
@@ -157,6 +159,7 @@ def diagnose_joint(
         if tried.left_ratio < min(0.5 * selection.left_ratio, POSITION_RATIO):
             problem, selection, signal = other, tried, spread
             notes.append("the position follows the command: taken as a position command")
+    _check_follows(problem, selection, motion.unit)
     gain = selection.best.fit.as_mapping()["speed_per_command"]
     rate = "" if problem.kind == "position" else "/s"
     evidence: dict[str, Any] = {
@@ -188,6 +191,25 @@ def diagnose_joint(
             selection.best.fit.as_mapping(),
             motion.unit + rate,
         ),
+    )
+
+
+def _check_follows(problem: ActuationProblem, selection: Selection, unit: str) -> None:
+    """Refuse a motion that no response to the command explains better than none at all.
+
+    Raises:
+        RefusedTableError: it goes on as it likes; an effect would be read into noise.
+    """
+    varies = float(np.var(problem.measured))
+    explained_ratio = 1.0 - selection.best.fit.mean_square / max(varies, 1e-300)
+    if explained_ratio >= LEAST_EXPLAINED_RATIO:
+        return
+    what = "position" if problem.kind == "position" else "speed"
+    rate = "" if problem.kind == "position" else "/s"
+    raise RefusedTableError(
+        f"the command explains {max(explained_ratio, 0.0):.0%} of how the {what} varies (standard deviation "
+        f"{math.sqrt(varies):.3g} {unit}{rate}, of which noise {problem.noise:.3g}): the joint does not "
+        "follow it. Choose the columns of one joint, check sensor and valve, or record larger steps"
     )
 
 

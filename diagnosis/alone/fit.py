@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from scipy.stats import t as student_t
 
+from diagnosis.alone.solver import sensitivities, solve
 from machine.conventions import Array, BoolArray, IntArray
 
 QUICK_ITERATIONS: Final = 5
@@ -18,8 +19,6 @@ FULL_ITERATIONS: Final = 40
 SCANNED_COUNT: Final = 16
 NEAR_RATIO: Final = 1.25
 """Thresholds are tried at so many values over their range, then up to this factor about the best."""
-TOLERANCE_RATIO: Final = 1e-5
-"""Of the sum of squares: an iteration that gains less is the last."""
 
 
 class FreeParameter(NamedTuple):
@@ -183,16 +182,16 @@ def fit(
         margin = 1e-6 * (high - low)
         x0 = np.clip(np.array([first[name] for name in names]), low + margin, high - margin)
         limit = iterations if len(starts) == 1 else min(iterations, QUICK_ITERATIONS)
-        solved = _solve(weighted, x0, low, high, limit)
+        solved = solve(weighted, x0, low, high, limit)
         if solved.cost < best_cost:
             best_x, best_cost = solved.x, solved.cost
     thresholds = [k for k, p in enumerate(parameters.values()) if p.is_threshold]
     for index in thresholds:
         best_x = _scanned(weighted, best_x, index, low[index], high[index])
     if (len(starts) > 1 or thresholds) and iterations > QUICK_ITERATIONS:
-        best_x = _solve(weighted, best_x, low, high, iterations).x
+        best_x = solve(weighted, best_x, low, high, iterations).x
     residual = unweighted(best_x[None])[0]
-    jacobian = _jacobian(unweighted, best_x, low, high, residual)
+    jacobian = sensitivities(unweighted, best_x, low, high, residual)
     return Fit(options, names, best_x, residual, jacobian, iterations > QUICK_ITERATIONS)
 
 
@@ -337,59 +336,3 @@ def correlation_length(residual: Array, block: IntArray) -> float:
             break
         total += 2.0 * rho
     return min(total, count / 8.0)
-
-
-class _Solved(NamedTuple):
-    x: Array
-    cost: float
-
-
-def _solve(
-    function: Callable[[Array], Array], x0: Array, low: Array, high: Array, limit: int
-) -> _Solved:
-    """Levenberg-Marquardt with steps cut at the bounds; `limit` iterations.
-
-    Parameters at a bound that the gradient pushes outwards are held (active set); the rest still moves.
-    """
-    x = x0
-    residual = function(x[None])[0]
-    cost = float(residual @ residual)
-    damping = 1e-3
-    for _ in range(limit):
-        J = _jacobian(function, x, low, high, residual)
-        gradient = J.T @ residual
-        held = ((x <= low) & (gradient < 0.0)) | ((x >= high) & (gradient > 0.0))
-        A = J.T @ J
-        free = np.flatnonzero(~held)
-        scale = np.sqrt(np.maximum(np.diag(A)[free], 1e-30))
-        As = A[np.ix_(free, free)] / np.outer(scale, scale)
-        improved = 0.0
-        for _ in range(6):
-            step = np.zeros_like(x)
-            damped = As + damping * np.eye(len(free))
-            step[free] = np.linalg.solve(damped, gradient[free] / scale) / scale
-            moved = np.clip(x + step, low, high)
-            tried = function(moved[None])[0]
-            new_cost = float(tried @ tried)
-            if new_cost < cost:
-                improved = (cost - new_cost) / max(cost, 1e-300)
-                x, residual, cost = moved, tried, new_cost
-                damping = max(0.1 * damping, 1e-9)
-                break
-            damping = min(10.0 * max(damping, 1e-6), 1e9)
-        if improved < TOLERANCE_RATIO:
-            break
-    return _Solved(x, cost)
-
-
-def _jacobian(
-    function: Callable[[Array], Array], x: Array, low: Array, high: Array, residual: Array
-) -> Array:
-    """Sensitivities d simulated / d parameter = - d residual / d parameter, (samples, parameters).
-
-    Steps of 0.3 % are wide enough to cross the kinks of dead bands and of delays within a tick.
-    """
-    step = 3e-3 * np.maximum(np.abs(x), 0.01 * np.minimum(high - low, 10.0))
-    step = np.where(x + step > high, -step, step)
-    moved = function(x + np.diag(step))
-    return (residual - moved).T / step

@@ -299,14 +299,13 @@ def _options(frequency: float, reference: float, size: float, unit: str) -> tupl
 def _pull(values: Mapping[str, Array], is_linear: bool) -> Pull:
     """What acts on each particle, from its parameters by name."""
     square = values["frequency_rad_per_s"] ** 2
-    nothing = np.zeros_like(square)
     return Pull(
-        square / (1.0 + values.get("gripper_length.extra_length_ratio", nothing)),
+        square / (1.0 + values.get("gripper_length.extra_length_ratio", np.zeros_like(square))),
         values["rest_rad"],
-        values.get("hose_stiffness.stiffness_per_s2", nothing),
-        values.get("passive_viscous_friction.extra_viscous_per_s", nothing),
-        values.get("passive_coulomb_friction.extra_coulomb_rad_per_s2", nothing),
-        values.get("air_drag.quadratic_per_rad", nothing),
+        values.get("hose_stiffness.stiffness_per_s2"),
+        values.get("passive_viscous_friction.extra_viscous_per_s"),
+        values.get("passive_coulomb_friction.extra_coulomb_rad_per_s2"),
+        values.get("air_drag.quadratic_per_rad"),
         is_linear,
     )
 

@@ -128,9 +128,10 @@ class LoadedSet:
         if len(self.throws) >= MIN_THROWS_COUNT:
             return None
         reasons = "; ".join(f"{path.name}: {reason}" for path, reason in self.refused[:3])
+        count = len(self.refused)
+        refused = "1 log was refused" if count == 1 else f"{count} logs were refused"
         return (
-            f"{len(self.throws)} {what}, at least {MIN_THROWS_COUNT} are needed; "
-            f"{len(self.refused)} logs were refused. {reasons}"
+            f"{len(self.throws)} {what}, at least {MIN_THROWS_COUNT} are needed; {refused}. {reasons}"
         ).strip()
 
     def too_few(self) -> Diagnosis | None:

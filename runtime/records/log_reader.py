@@ -79,7 +79,10 @@ def read_throw_log(path: Path) -> ThrowLog:
     raw = _read_raw(path)
     if CONTEXT_RECORD not in raw.metadata:
         cause = raw.damage or "it has no metadata record 'throw'"
-        raise LogError(f"{path} is not a readable throw log: {cause}")
+        raise LogError(
+            f"{path} is not a readable throw log: {cause}. Another file, or cut off at its start: fetch it "
+            "from the machine again"
+        )
     context: dict[str, Any] = raw.metadata[CONTEXT_RECORD]
     version = context.get("log_schema_version")
     if not isinstance(version, int) or version > LOG_SCHEMA_VERSION:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from machine.errors import UsageError
 from machine.spec import MachineSpec
@@ -184,8 +184,14 @@ def load_profile(path: Path) -> TwinProfile:
         ) from error
     try:
         return TwinProfile.model_validate_json(text)
-    except ValueError as error:
-        raise UsageError(f"{path} is not a twin profile: {error}") from error
+    except ValidationError as error:
+        wrong = error.errors()
+        first = f"{'.'.join(map(str, wrong[0]['loc'])) or 'content'}: {wrong[0]['msg']}"
+        more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+        raise UsageError(
+            f"{path} is not a twin profile ({first}{more}); `downrange calibrate` writes one, "
+            "MACHINE.profile.json"
+        ) from error
 
 
 def save_profile(profile: TwinProfile, path: Path) -> None:

@@ -51,6 +51,16 @@ def key(machine_id: str, name: str) -> str:
     return machine_key(SITE, machine_id, name)
 
 
+def listen(session: zenoh.Session, name: str, seen: list[str]) -> None:
+    """Every machine's channel by its own key, as the server does.
+
+    A wildcard is not told to machines, whose rules cover their own keys only; what they put is kept back
+    as soon as they know that nobody listens. On a busy computer that is before their first put.
+    """
+    for machine_id in ("m001", "m002"):
+        session.declare_subscriber(key(machine_id, name), lambda s: seen.append(str(s.key_expr)))
+
+
 @pytest.mark.parametrize(
     ("user", "password"),
     [("m001", "wrong"), ("nobody", "one"), (None, None), ("m001", "two")],
@@ -118,7 +128,7 @@ def test_password_file_is_private(router, tmp_path) -> None:
 def test_machine_speaks_for_itself(router, endpoint) -> None:
     states: list[str] = []
     alive: list[str] = []
-    router.declare_subscriber(key("*", "state"), lambda s: states.append(str(s.key_expr)))
+    listen(router, "state", states)
     router.liveliness().declare_subscriber(
         key("*", "alive"), lambda s: alive.append(str(s.key_expr)), history=True
     )
@@ -136,7 +146,7 @@ def test_machine_cannot_speak_or_listen_for_another(router, endpoint) -> None:
     seen: list[str] = []
     stolen: list[str] = []
     for name in ("state", "joints"):
-        router.declare_subscriber(key("*", name), lambda s: seen.append(str(s.key_expr)))
+        listen(router, name, seen)
     router.liveliness().declare_subscriber(
         key("*", "alive"), lambda s: seen.append(str(s.key_expr)), history=True
     )
@@ -157,8 +167,9 @@ def test_machine_cannot_speak_or_listen_for_another(router, endpoint) -> None:
         )
         router.put(key("m002", "heartbeat"), b"secret")
         assert not list(router.get(key("m002", "command"), timeout=0.3))
-        machine.put(key("m001", "joints"), b"last")
-        assert wait_for(lambda: key("m001", "joints") in seen)
+        assert wait_for(
+            lambda: machine.put(key("m001", "joints"), b"last") or key("m001", "joints") in seen
+        )
         assert not [name for name in seen if "m002" in name]
         # A session hears its own puts without the router; only what the router sent would be stolen.
         assert key("m002", "heartbeat") not in stolen

@@ -125,6 +125,7 @@ def running(swing_policies: Path) -> Iterator[Running]:
 @pytest.fixture
 def machine(running: Running) -> Iterator[FakeMachine]:
     """Machine m001, connected, disarmed, nothing going wrong."""
+    assert not running.services.stops.is_pending("m001"), "an earlier test left a STOP unconfirmed"
     with running.machine() as fake:
         # Connected is not enough: what the registry knows may still be the last test's machine.
         wait_for(

@@ -75,6 +75,8 @@ def test_loss_is_seen_within_a_second(running):
             assert reply["is_pending"]
         machine.publishes_state = True
         wait_for(lambda: machine.stop_latched)
+        # Until it is confirmed it is repeated, also to the next machine of this name.
+        wait_for(lambda: not running.services.stops.is_pending("m001"))
 
 
 def test_a_second_server_on_the_same_folder_is_refused(tmp_path):

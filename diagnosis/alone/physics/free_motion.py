@@ -16,7 +16,7 @@ Law = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """What acts on each particle, (particles,) each; angles in rad, or ways in m on a spring.
+    """What acts on each particle, (particles,) each, or None; angles in rad, or ways in m on a spring.
 
     x'' = -w^2 sin(x - rest) - s (x - rest) - c x' - f sign(x') - q |x'| x'; on a spring the sine is x - rest.
     """
@@ -24,42 +24,41 @@ class Pull:
     square_per_s2: Array
     """w^2"""
     rest: Array
-    stiff_per_s2: Array
+    stiff_per_s2: Array | None
     """s"""
-    viscous_per_s: Array
+    viscous_per_s: Array | None
     """c"""
-    coulomb: Array
+    coulomb: Array | None
     """f, unit of the deflection/s^2"""
-    air: Array
+    air: Array | None
     """q, 1/unit of the deflection"""
     is_linear: bool = False
 
     def back(self, x: Array) -> Array:
         """Acceleration towards rest, without losses."""
         away = x - self.rest
-        bent = away if self.is_linear else np.sin(away)
-        return -self.square_per_s2 * bent - self.stiff_per_s2 * away
+        found = -self.square_per_s2 * (away if self.is_linear else np.sin(away))
+        if self.stiff_per_s2 is not None:
+            found -= self.stiff_per_s2 * away
+        return found
 
-    def law(self) -> Law:
-        """Acceleration over deflection, rate and side (1, -1; 0 where held), of what acts on any particle."""
-        is_dry, is_airy = bool(np.any(self.coulomb)), bool(np.any(self.air))
-
-        def acceleration(x: Array, v: Array, side: Array) -> Array:
-            found = self.back(x) - self.viscous_per_s * v
-            if is_dry:
-                found -= self.coulomb * side
-            if is_airy:
-                found -= self.air * np.abs(v) * v
-            return found
-
-        return acceleration
+    def acceleration(self, x: Array, v: Array, side: Array) -> Array:
+        """Of all that acts; `side` is 1 or -1, 0 where friction holds."""
+        found = self.back(x)
+        if self.viscous_per_s is not None:
+            found -= self.viscous_per_s * v
+        if self.coulomb is not None:
+            found -= self.coulomb * side
+        if self.air is not None:
+            found -= self.air * np.abs(v) * v
+        return found
 
     def side(self, x: Array, v: Array) -> Array:
         """Where each particle goes: as it moves, or at rest as it is pulled; 0 where friction holds it."""
         if np.all(v != 0.0):
             return np.sign(v)
         pull = self.back(x)
-        held = np.abs(pull) <= self.coulomb
+        held = np.abs(pull) <= (0.0 if self.coulomb is None else self.coulomb)
         return np.where(v != 0.0, np.sign(v), np.where(held, 0.0, np.sign(pull)))
 
     def of(self, chosen: BoolArray) -> "Pull":
@@ -67,11 +66,11 @@ class Pull:
         return Pull(
             self.square_per_s2[chosen],
             self.rest[chosen],
-            self.stiff_per_s2[chosen],
-            self.viscous_per_s[chosen],
-            self.coulomb[chosen],
-            self.air[chosen],
-            self.is_linear,
+            *(
+                None if part is None else part[chosen]
+                for part in (self.stiff_per_s2, self.viscous_per_s, self.coulomb, self.air)
+            ),
+            is_linear=self.is_linear,
         )
 
 
@@ -86,13 +85,14 @@ def move(pull: Pull, start: Array, rate: Array, grid_s: Array) -> tuple[Array, A
     """
     xs, vs = np.empty((len(grid_s), len(start))), np.empty((len(grid_s), len(start)))
     x, v, step_s = start, rate, np.full(len(start), grid_s[1])
-    is_dry, law, no_side = bool(np.any(pull.coulomb > 0.0)), pull.law(), np.zeros_like(start)
+    dry = np.zeros(len(start), bool) if pull.coulomb is None else pull.coulomb > 0.0
+    is_dry, law, no_side = bool(np.any(dry)), pull.acceleration, np.zeros_like(start)
     for index in range(len(grid_s)):
         xs[index], vs[index] = x, v
         side = pull.side(x, v) if is_dry else no_side
         moved_x, moved_v = _step(law, x, v, side, step_s)
         if is_dry:
-            turned = (pull.coulomb > 0.0) & (side * moved_v <= 0.0)
+            turned = dry & (side * moved_v <= 0.0)
             if np.any(turned):
                 moved_x[turned], moved_v[turned] = _turn(
                     pull.of(turned), x[turned], v[turned], side[turned], step_s[turned]
@@ -103,7 +103,7 @@ def move(pull: Pull, start: Array, rate: Array, grid_s: Array) -> tuple[Array, A
 
 def _turn(pull: Pull, x: Array, v: Array, side: Array, step_s: Array) -> tuple[Array, Array]:
     """A step in which each particle comes to rest: up to that moment, then back or held."""
-    law = pull.law()
+    law = pull.acceleration
     until_s = np.clip(_until_rest(law, x, v, side), 0.0, step_s)
     # Newton's method for the moment at which the rate is 0: it is nearly a line there, once is enough.
     near_x, near_v = _step(law, x, v, side, until_s)
@@ -123,14 +123,15 @@ def _until_rest(law: Law, x: Array, v: Array, side: Array) -> Array:
 
 def _step(law: Law, x: Array, v: Array, side: Array, h: Array) -> tuple[Array, Array]:
     """One step of the classical Runge-Kutta method, h (particles,) in s."""
+    half, sixth = 0.5 * h, h / 6.0
     a1 = law(x, v, side)
-    v2 = v + 0.5 * h * a1
-    a2 = law(x + 0.5 * h * v, v2, side)
-    v3 = v + 0.5 * h * a2
-    a3 = law(x + 0.5 * h * v2, v3, side)
+    v2 = v + half * a1
+    a2 = law(x + half * v, v2, side)
+    v3 = v + half * a2
+    a3 = law(x + half * v2, v3, side)
     v4 = v + h * a3
     a4 = law(x + h * v3, v4, side)
     return (
-        x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4),
-        v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
+        x + sixth * (v + 2.0 * (v2 + v3) + v4),
+        v + sixth * (a1 + 2.0 * (a2 + a3) + a4),
     )

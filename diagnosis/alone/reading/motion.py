@@ -46,6 +46,10 @@ def read_motion(
     values, unit = motion_in_si(table, output, table.numbers(output), is_speed)
     commands = table.numbers(command)
     runs = _runs_of(raw_s, labels, time)
+    if holes := int(np.sum(~np.isfinite(commands))):
+        table.notes.append(
+            f"the command {command!r} has no number in {holes} of {len(commands)} rows: held from before"
+        )
     parts: list[tuple[Array, Array, Array]] = []
     start_s = 0.0
     for number in np.unique(runs):

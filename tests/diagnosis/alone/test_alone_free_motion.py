@@ -43,7 +43,7 @@ def exact(omega: float, viscous: float, coulomb: float, start: float, t: np.ndar
 def pull(coulomb: np.ndarray, is_linear: bool = False) -> Pull:
     """Of 3 rad/s and dry friction alone, a particle a value."""
     nothing = np.zeros(len(coulomb))
-    return Pull(nothing + 9.0, nothing, nothing, nothing, coulomb, nothing, is_linear)
+    return Pull(nothing + 9.0, nothing, None, None, coulomb, None, is_linear)
 
 
 @pytest.mark.parametrize("coulomb", [0.0, 0.05, 0.4])

@@ -9,14 +9,11 @@ from diagnosis.alone.diagnose import actuation_from_csv, flight_from_csv, swing_
 from diagnosis.alone.reading.layout import RefusedTableError, read_layout
 from diagnosis.alone.reading.runs import time_seconds
 from diagnosis.alone.reading.tables import read_table
-from diagnosis.verdict import Diagnosis, VerdictKind
+from diagnosis.verdict import VerdictKind
+from tests.diagnosis.alone.answers import effects
 from tests.diagnosis.alone.planted import Columns, ball, joined, joint, pendulum, write
 
 DROPS = Path(__file__).parents[1] / "data" / "ball_drops" / "ball_drops.csv"
-
-
-def effects(found: Diagnosis) -> set[str]:
-    return {effect.effect for effect in found.causes[0].effects}
 
 
 @pytest.fixture
@@ -67,8 +64,8 @@ def test_a_table_without_names_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_gyro_alone_tells_the_friction(tmp_path: Path, swing: Columns) -> None:
-    del swing["theta_deg"]
-    found = swing_from_csv(write(tmp_path / "a.csv", swing))
+    short = {name: column[:300] for name, column in swing.items() if name != "theta_deg"}
+    found = swing_from_csv(write(tmp_path / "a.csv", short))
     assert effects(found) == {"passive_viscous_friction"}
     fitted = found.causes[0].effects[0].parameters["extra_viscous_per_s"]
     assert fitted.value == pytest.approx(0.1, rel=0.05)
@@ -187,13 +184,3 @@ def test_nothing_crashes_on_rubbish(tmp_path: Path, rows: list[str]) -> None:
     ):
         assert found.verdict is VerdictKind.BAD_DATA
         assert found.sentence
-
-
-def test_long_records_are_thinned_out(tmp_path: Path) -> None:
-    """100 000 rows at 5 kHz; a million take 10 times as long to read (docs/diagnosis.md)."""
-    t = np.arange(0.0, 20.0, 2e-4)
-    angle = 0.5 * np.exp(-0.05 * t) * np.cos(3.0 * t)
-    angle += np.random.default_rng(7).normal(0.0, 0.002, len(t))
-    found = swing_from_csv(write(tmp_path / "a.csv", {"t": t, "angle_rad": angle}))
-    assert effects(found) == {"passive_viscous_friction"}
-    assert found.evidence["samples"] <= 2000

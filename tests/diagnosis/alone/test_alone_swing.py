@@ -19,7 +19,7 @@ def swing(
     air: float = 0.0,
     start: float = 0.6,
     frequency: float = 3.0,
-    span_s: float = 20.0,
+    span_s: float = 14.0,
 ) -> np.ndarray:
     """Angles every millisecond, semi-implicit Euler with true dry friction."""
     angle, rate, rows = start, 0.0, []
@@ -76,7 +76,7 @@ def test_each_friction_is_told_from_the_others(
 
 
 def test_a_wrong_length_shows_against_a_reference(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", swing(viscous=0.06, span_s=10.0), rate_hz=25.0)
+    path = write(tmp_path / "a.csv", swing(viscous=0.06, span_s=7.0), rate_hz=25.0)
     found = swing_from_csv(path, length_m=0.9)
     named = {e.effect: e for e in found.causes[0].effects}
     assert "gripper_length" in named

@@ -12,11 +12,12 @@ from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.runs import split_runs, time_seconds
 from diagnosis.alone.reading.tables import read_table
 from diagnosis.verdict import Diagnosis
+from tests.diagnosis.alone.answers import effects
 
 
 def table(path: Path, header: str, *columns: np.ndarray) -> Path:
     rows = np.stack(columns, axis=1)
-    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.6g")
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9g")
     return path
 
 
@@ -39,6 +40,8 @@ def diagnose(tmp_path: Path, stage: str, path: Path, *more: str) -> tuple[int, D
         ((TIME_S[::10], STEPS[::10], MOVED[::10]), "5 Hz"),
         ((np.where(TIME_S > 6.0, TIME_S - 3.0, TIME_S), STEPS, MOVED), "go back"),
         ((TIME_S, STEPS, np.where(TIME_S % 1.0 < 0.5, np.nan, MOVED)), "NaN"),
+        ((TIME_S, STEPS, 0.5 * TIME_S), "does not follow"),
+        ((TIME_S, STEPS, np.random.default_rng(3).normal(size=TIME_S.size)), "does not follow"),
         ((TIME_S[40:130], STEPS[40:130], MOVED[40:130]), "at least 2 s"),
         ((TIME_S[:10], STEPS[:10], MOVED[:10]), "empty or cut off"),
     ],
@@ -51,6 +54,16 @@ def test_bad_tables_are_refused_with_exit_code_four(
     assert code == 4
     assert found.verdict == "bad_data"
     assert words in found.sentence
+
+
+def test_commands_that_are_missing_are_held_and_told(tmp_path: Path) -> None:
+    """Some programs leave out what has not changed; a cable that dropped out looks the same."""
+    changed = np.concatenate([[True], np.diff(STEPS) != 0.0]) | (np.arange(STEPS.size) % 3 > 0)
+    sparse = np.where(changed, STEPS, np.nan)
+    path = table(tmp_path / "a.csv", "time_s,command,position_rad", TIME_S, sparse, MOVED)
+    code, found = diagnose(tmp_path, "actuation", path, "--command", "command")
+    assert (code, found.verdict) == (0, "none")
+    assert any(f"no number in {int(np.sum(~changed))} of" in n for n in found.evidence["notes"])
 
 
 def test_missing_or_unclear_columns_are_named_with_the_option(tmp_path: Path) -> None:
@@ -126,3 +139,14 @@ def test_of_a_position_and_its_speed_the_position_is_taken(tmp_path: Path) -> No
         table(tmp_path / "b.csv", "time_s,joystick,slew_rad_per_s", TIME_S, STEPS, STEPS)
     )
     assert outputs_of(alone, ["time_s", "joystick"]) == (["slew_rad_per_s"], True)
+
+
+def test_long_records_are_thinned_out(tmp_path: Path) -> None:
+    """100 000 rows at 10 kHz; a million take 10 times as long to read (docs/diagnosis.md)."""
+    t = 1e-4 * np.arange(100_000)
+    angle = 0.5 * np.exp(-0.05 * t) * np.cos(3.0 * t)
+    angle += np.random.default_rng(7).normal(0.0, 0.002, len(t))
+    code, found = diagnose(tmp_path, "swing", table(tmp_path / "a.csv", "t,angle_rad", t, angle))
+    assert code == 0
+    assert effects(found) == {"passive_viscous_friction"}
+    assert found.evidence["samples"] <= 2000
