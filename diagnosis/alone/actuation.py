@@ -47,6 +47,10 @@ NOISE_RATIO: Final = 0.03
 """Of the top speed: what the window that turns positions into speeds leaves of the sensor's noise."""
 LONGEST_WINDOW_S: Final = 0.4
 BLOCKS_COUNT: Final = 15
+_NOT_SEPARABLE: Final = [
+    "dead time of the valve and latency of the joint's sensor: with one sensor they are one number",
+    "load, pump flow and temperature: they need a machine model or other channels",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +163,9 @@ def diagnose_joint(
         if tried.left_ratio < min(0.5 * selection.left_ratio, POSITION_RATIO):
             problem, selection, signal = other, tried, spread
             notes.append("the position follows the command: taken as a position command")
-    _check_follows(problem, selection, motion.unit)
-    gain = selection.best.fit.as_mapping()["speed_per_command"]
-    rate = "" if problem.kind == "position" else "/s"
+    unit = motion.unit if problem.kind == "position" else f"{motion.unit}/s"
+    _check_follows(problem, selection, unit)
+    base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
     evidence: dict[str, Any] = {
         "rate_hz": audit.rate_hz,
         "clock": audit.as_json(),
@@ -170,27 +174,19 @@ def diagnose_joint(
         "command_kind": problem.kind,
         "command_rest": command.rest,
         "command_full": command.full,
-        "gain_per_full_command": {"value": gain, "unit": f"{motion.unit}{rate}"},
+        "gain_per_full_command": {"value": best["speed_per_command"], "unit": unit},
         "window_s": len(problem.window) * problem.step_s,
-        "noise": {"value": problem.noise, "unit": f"{motion.unit}{rate}"},
-        "not_separable": [
-            "dead time of the valve and latency of the joint's sensor: with one sensor they are one number",
-            "load, pump flow and temperature: they need a machine model or other channels",
-        ],
+        "noise": {"value": problem.noise, "unit": unit},
+        "not_separable": _NOT_SEPARABLE,
         "notes": notes,
     }
     return diagnosis_of(
         problem,
         selection,
         problem.noise,
-        StageNames(Stage.ACTUATION, joint, f"{motion.unit}{rate}", _SEPARATING),
+        StageNames(Stage.ACTUATION, joint, unit, _SEPARATING),
         evidence,
-        _plots(
-            problem,
-            selection.base.fit.as_mapping(),
-            selection.best.fit.as_mapping(),
-            motion.unit + rate,
-        ),
+        _plots(problem, base, best, unit),
     )
 
 
@@ -205,10 +201,9 @@ def _check_follows(problem: ActuationProblem, selection: Selection, unit: str) -
     if explained_ratio >= LEAST_EXPLAINED_RATIO:
         return
     what = "position" if problem.kind == "position" else "speed"
-    rate = "" if problem.kind == "position" else "/s"
     raise RefusedTableError(
         f"the command explains {max(explained_ratio, 0.0):.0%} of how the {what} varies (standard deviation "
-        f"{math.sqrt(varies):.3g} {unit}{rate}, of which noise {problem.noise:.3g}): the joint does not "
+        f"{math.sqrt(varies):.3g} {unit}, of which noise {problem.noise:.3g}): the joint does not "
         "follow it. Choose the columns of one joint, check sensor and valve, or record larger steps"
     )
 

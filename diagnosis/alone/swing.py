@@ -40,6 +40,11 @@ UNKNOWN_RATIO: Final = 0.3
 MIN_SAMPLES_PER_PERIOD: Final = 6.0
 SPRING_RATIO: Final = 0.5
 """Mean square left on a spring over that left as a pendulum: below this it is a spring."""
+_NOT_SEPARABLE: Final = [
+    "latency of the angle sensor or IMU: it shifts the whole record; it needs a second sensor",
+    "length and stiffness: both change the frequency alone",
+    "mass: a free pendulum's swing does not depend on it",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,11 +174,7 @@ def diagnose_swing(
         "length_of_equal_pendulum_m": GRAVITY_M_PER_S2 / frequency**2,
         "notes": notes,
         "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in usable)),
-        "not_separable": [
-            "latency of the angle sensor or IMU: it shifts the whole record; it needs a second sensor",
-            "length and stiffness: both change the frequency alone",
-            "mass: a free pendulum's swing does not depend on it",
-        ],
+        "not_separable": _NOT_SEPARABLE,
     }
     return diagnosis_of(
         problem,

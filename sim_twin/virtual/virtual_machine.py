@@ -32,6 +32,7 @@ from sim_twin.virtual.body import (
 from sim_twin.virtual.hydraulics import Hydraulics
 from sim_twin.virtual.sensors import BallTracker, GripperImu, ImpactSurvey, JointSensors
 from sim_twin.virtual.thrown_load import GripMotion, ThrownLoad
+from sim_twin.virtual.truth import PlantTruth
 from sim_twin.virtual.units import MachineUnit, ThrowConditions, draw_conditions, make_unit
 
 STEP_NS = 2_000_000
@@ -44,29 +45,6 @@ START_NS = 1_000_000_000
 SWING_STICK_RAD_PER_S = 0.005
 """Rate at which the Coulomb friction of the swinging joints is fully developed."""
 THREADS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class PlantTruth:
-    """What really happened, for scoring and tests; leading axis N, frame `machine`."""
-
-    joint_position_rad_m: Array
-    """(N, 6)"""
-    joint_velocity_rad_m_per_s: Array
-    """(N, 6)"""
-    ball_position_m: Array
-    """(N, 3) centre of the load: in the gripper, in the air, or where it touched down."""
-    ball_velocity_m_per_s: Array
-    release_t_mono_ns: IntArray
-    """(N,) 0 = still held."""
-    release_position_m: Array
-    release_velocity_m_per_s: Array
-    impact_t_mono_ns: IntArray
-    """(N,) 0 = not yet."""
-    impact_position_m: Array
-    """(N, 3) point of the target surface that the load touched."""
-    pump_flow_m3_per_s: Array
-    """(N,) what the pump delivers at this instant."""
 
 
 @dataclass(frozen=True, slots=True)
