@@ -10,6 +10,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sqlalchemy import select
+
 from machine.errors import DownrangeError
 from server.accounts.audit import SERVER, Actor, AuditChain, Entry
 from server.accounts.auth import Session
@@ -24,7 +26,7 @@ from server.machines.twins import TwinFiles, content_sha256
 from server.schemas.events import GapUpdatedEvent
 from server.schemas.gap import GapRunPage, GapRunRequest, GapRunRow, GapRunView, GapState
 from server.store.database import Database
-from server.store.models import GapRun
+from server.store.models import GapRun, Throw
 from server.throws.throw_logs import LogStore
 from sim_twin.twin.profile import TwinProfile
 
@@ -238,9 +240,10 @@ class GapDesk:
 
         try:
             paths = self._paths(run.throws.throw_ids)
+            healthy = self._paths(run.throws.reference_throw_ids)
             title = f"{run.machine_id}, {len(paths)} throws, twin profile {profile.version_count}"
             answer = self._process.run(
-                GapJob(title, paths, profile, self._paths(run.throws.reference_throw_ids)),
+                GapJob(title, paths, profile, healthy, self._names(run.throws)),
                 tell,
                 lambda: run.cancelled.is_set() or self._is_closed,
             )
@@ -254,6 +257,18 @@ class GapDesk:
 
     def _paths(self, throw_ids: tuple[str, ...]) -> tuple[Path, ...]:
         return tuple(self._logs.path(throw_id) for throw_id in throw_ids)
+
+    def _names(self, throws: ChosenThrows) -> dict[str, str]:
+        """When each log's throw was, by the log's file name."""
+        ids = (*throws.throw_ids, *throws.reference_throw_ids)
+        with self._database.read() as session:
+            rows = session.execute(
+                select(Throw.throw_id, Throw.created_utc).where(Throw.throw_id.in_(ids))
+            ).all()
+        return {
+            self._logs.path(throw_id).name: f"throw of {created_utc:%Y-%m-%d %H:%M:%S} UTC"
+            for throw_id, created_utc in rows
+        }
 
     def _keep(self, run: Open, answer: GapAnswer) -> None:
         self._end(

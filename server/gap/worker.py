@@ -11,17 +11,20 @@ import os
 import threading
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from diagnosis.correction import found_effects
 from diagnosis.report.report_html import report_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
 from sim_twin.twin.profile import TwinProfile
+
+if TYPE_CHECKING:
+    from diagnosis.loading.logs import LoadedSet
 
 logger = logging.getLogger(__name__)
 
@@ -44,6 +47,8 @@ class GapJob:
     profile: TwinProfile
     reference_paths: tuple[Path, ...] = ()
     """Logs of the machine while it was healthy; none: it is compared with its type."""
+    names: Mapping[str, str] = field(default_factory=dict[str, str])
+    """What people call a log, by its file's name, which is a hash."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +77,19 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
     from diagnosis.loading.logs import load_throws
 
     progress(0.0, "reading logs")
-    loaded = load_throws(job.log_paths)
-    reference = load_throws(job.reference_paths) if job.reference_paths else None
+    loaded = _named(load_throws(job.log_paths), job.names)
+    reference = _named(load_throws(job.reference_paths), job.names) if job.reference_paths else None
     return diagnose_throws(loaded, job.profile, progress, reference=reference)
+
+
+def _named(loaded: "LoadedSet", names: Mapping[str, str]) -> "LoadedSet":
+    """With what people call the refused logs, instead of where the server keeps them."""
+
+    def told(path: Path, reason: str) -> tuple[Path, str]:
+        name = names.get(path.name, path.name)
+        return Path(name), reason.replace(f"{path} ", "it ").replace(str(path), name)
+
+    return replace(loaded, refused=tuple(told(*entry) for entry in loaded.refused))
 
 
 class GapProcess:

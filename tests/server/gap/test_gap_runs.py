@@ -160,7 +160,14 @@ def test_damaged_logs_are_bad_data_not_a_failure(ada, throws):
     """The real diagnosis in the real process."""
     view = ended(ada, start(ada), 90.0)
     assert view["row"]["verdict"] == "bad_data"
-    assert len(view["result"]["evidence"]["refused"]) == 6
+    refused = view["result"]["evidence"]["refused"]
+    assert len(refused) == 6
+    # Told by the throw, not by where the server keeps the file.
+    for entry in refused:
+        assert entry["path"].startswith("throw of 20")
+        assert entry["reason"].startswith("it is not a readable throw log")
+        assert ".mcap" not in entry["reason"]
+    assert ".mcap" not in view["row"]["sentence"]
 
 
 def test_rights(running, throws):
