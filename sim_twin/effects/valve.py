@@ -20,8 +20,8 @@ MIN_LAG_S = 0.01
 """A mean lag cannot be taken away beyond this: one control tick."""
 STOP_SHARE_RATIO = 0.1
 """A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
-
-
+STANDING_RAD_M_PER_S = 0.005
+"""A joint that is measured to be slower over a tenth of a second stands: twice what sensors scatter then."""
 BULK_MODULUS_PA = 0.8e9
 """Effective: mineral oil with little air (textbook 1.4-1.7 GPa) behind long hoses, which halve it; 0.5-0.9
 GPa were measured on a crane of this size (docs/virtual_machine.md, S)."""
@@ -105,6 +105,8 @@ class ValveEffects:
         self._at_rest = np.ones(shape, dtype=np.bool_)
         self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
         self._is_fresh = True
+        self._seen_before, self._push = np.zeros(shape), np.zeros(shape)
+        self._mean_lag_s = np.zeros(shape)
 
     def reset(self) -> None:
         """Spools centred, joints at rest, drives against the side of their gaps that carries the load."""
@@ -114,12 +116,15 @@ class ValveEffects:
         self._is_fresh = True
         self._at_rest[:] = True
         self._wound[:] = 0.0
+        self._push[:] = 0.0
+        self._seen_before = np.zeros_like(self._wound)
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
         """Natural frequencies whose mean lag 2 z / w is shorter by an extra lag below 0.
 
         Longer lags are a first-order lag of the spool's own (`on_command`).
         """
+        self._mean_lag_s = 2.0 * damping_ratio / natural_frequency_rad_per_s
         if self._lag_s is None:
             return natural_frequency_rad_per_s
         lag = 2.0 * damping_ratio / natural_frequency_rad_per_s
@@ -188,6 +193,7 @@ class ValveEffects:
         velocity: Array,
         slope: Array,
         active_position_rad_m: Array,
+        seen: Array | None = None,
     ) -> tuple[Array, Array]:
         """Drive velocity and its slope with joints that stick, or hang in the play of their drives.
 
@@ -197,6 +203,7 @@ class ValveEffects:
             velocity: what the lag makes of both.
             slope: the lag's second state.
             active_position_rad_m: joints.
+            seen: measured velocity, which then says when a joint comes to rest.
         """
         if self._gap is not None:
             velocity, slope = self._cross(
@@ -204,10 +211,17 @@ class ValveEffects:
             )
         if self._breakaway is None:
             return velocity, slope
-        small = (self._breakaway > 0.0) & (np.abs(target) <= self._breakaway)
-        turned = before * velocity <= 0.0
-        slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
-        self._at_rest = small & (self._at_rest | turned | slow)
+        # What pushes follows the valve as late as the motion does.
+        share = np.exp(-CONTROL_PERIOD_S / np.maximum(self._mean_lag_s, 1e-6))
+        self._push = target + share * (self._push - target)
+        small = (self._breakaway > 0.0) & (np.abs(self._push) <= self._breakaway)
+        if seen is None:
+            slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
+            stops = slow | (before * velocity <= 0.0)
+        else:
+            stops = (np.abs(seen) < STANDING_RAD_M_PER_S) | (self._seen_before * seen <= 0.0)
+            self._seen_before = seen
+        self._at_rest = small & (self._at_rest | stops)
         # The valve fills a stuck drive until the pressure is full.
         wound = np.clip(self._wound + target * CONTROL_PERIOD_S, -self._jump, self._jump)
         self._wound = np.where(self._at_rest, wound, self._wound)

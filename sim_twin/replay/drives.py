@@ -18,12 +18,19 @@ from sim_twin.replay.types import ReplayElement, ReplayInput
 from sim_twin.twin.profile import TwinProfile, exact_profile
 from sim_twin.twin.response import VelocityResponse
 
+STOP_RAD_M = 3e-3
+"""A joint that is measured to be nearer to its end is at its stop: twice what position sensors scatter."""
+STEADYING_TICKS = 9
+"""A tenth of a second, over which it is judged whether a joint stands."""
+
 
 def replay_drives(
     inputs: Sequence[ReplayInput],
     elements: Sequence[ReplayElement],
     profile: TwinProfile,
     calibration: ValveCalibration,
+    *,
+    as_measured: bool = False,
 ) -> Array:
     """True velocities (M, T, 4) of the driven joints at every tick, rad/s and m/s; no sensor's latency.
 
@@ -32,6 +39,8 @@ def replay_drives(
         elements: what to simulate; what they take as measured is not looked at.
         profile: of the machine; its own effects act in every element.
         calibration: of its valves.
+        as_measured: joints that stick or have play come to rest, and cylinders are at their end stops, when
+            the recorded ones were: whether a slow joint just stops decides all that follows.
     """
     spec, exact, count = load_spec(), exact_profile(profile), len(elements)
     throws = [inputs[e.throw] for e in elements]
@@ -50,11 +59,24 @@ def replay_drives(
     low, high = spec.position_range_rad_m
     ticks = max(t.valve_ratio.shape[0] for t in throws)
     valve = np.stack([padded(t.valve_ratio, ticks, hold=False) for t in throws], axis=1)
+    seen = np.stack([padded(_steadied(t), ticks, hold=False) for t in throws], axis=1)
+    place = np.stack([padded(t.position_rad_m, ticks, hold=True) for t in throws], axis=1)
+    if bias is not None:
+        place = place - bias
     out = np.zeros((count, ticks, ACTIVE_COUNT))
     for tick in range(ticks - 1):
-        reference = response.step(valve[tick], position)
+        reference = response.step(valve[tick], position, seen[tick + 1] if as_measured else None)
         # A cylinder at its end stop stands still, whatever its valve does.
-        reference = np.maximum(reference, (low - position) / CONTROL_PERIOD_S)
-        out[:, tick + 1] = np.minimum(reference, (high - position) / CONTROL_PERIOD_S)
+        least, most = (low - position) / CONTROL_PERIOD_S, (high - position) / CONTROL_PERIOD_S
+        if as_measured:
+            least = np.where(place[tick] < low + STOP_RAD_M, 0.0, -np.inf)
+            most = np.where(place[tick] > high - STOP_RAD_M, 0.0, np.inf)
+        out[:, tick + 1] = np.clip(reference, least, most)
         position = position + CONTROL_PERIOD_S * out[:, tick + 1]
     return out
+
+
+def _steadied(one: ReplayInput) -> Array:
+    """Measured velocities (T, 4) over `STEADYING_TICKS` about every tick."""
+    window = np.full(STEADYING_TICKS, 1.0 / STEADYING_TICKS)
+    return np.apply_along_axis(np.convolve, 0, one.velocity_rad_m_per_s, window, mode="same")

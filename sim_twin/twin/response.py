@@ -141,8 +141,12 @@ class VelocityResponse:
             out[:, joint] = np.interp(valve_ratio[:, joint], valve, speed)
         return out
 
-    def step(self, valve_ratio: Array, active_position_rad_m: Array) -> Array:
+    def step(
+        self, valve_ratio: Array, active_position_rad_m: Array, seen: Array | None = None
+    ) -> Array:
         """Joint velocities (N, 4) at the end of a tick during which the valves stood at `valve_ratio`.
+
+        Joints that stick or have play come to rest when `seen` velocities do, if there are any.
 
         A dead time between two ticks takes the mean of the two delayed commands that act in the tick.
         """
@@ -169,6 +173,6 @@ class VelocityResponse:
         self._slope = a21 * error + a22 * self._slope
         if effects is not None:
             self._velocity, self._slope = effects.on_motion(
-                target, before, self._velocity, self._slope, active_position_rad_m
+                target, before, self._velocity, self._slope, active_position_rad_m, seen
             )
         return self._velocity
