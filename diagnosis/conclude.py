@@ -13,6 +13,7 @@ from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
+from diagnosis.causes.shapes import shape_of
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.report.report_words import percent, probability, size_words
@@ -277,13 +278,19 @@ def _or_nothing(ranked: Ranked, why: str) -> Ambiguity:
 def _where(
     verdict: VerdictKind, ranked: Ranked, stages: Sequence[StageGap]
 ) -> dict[str, Any] | None:
-    """The stage and joint to look at: the cause's, the leftover's, or the largest term's."""
+    """The stage and joint to look at: the cause's or the leftover's.
+
+    Where there is none, those of the effect that would be most probable if there were one.
+    """
     if verdict is VerdictKind.UNKNOWN:
         signature = _signature(ranked)
         return {"stage": signature["stage"], "joint": signature["joint"]}
     if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
         named = ranked.best.effects or (ranked.jitter.effect(),)
         return {"stage": effect_stage(named[0]), "joint": named[0].joint}
+    likeliest = next((h.effects[0] for h in ranked.hypotheses if h.effects), None)
+    if likeliest is not None:
+        return {"stage": effect_stage(likeliest), "joint": likeliest.joint}
     largest = max(stages, key=lambda s: s.share_ratio, default=None)
     return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
 
@@ -297,15 +304,19 @@ def _named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 
 
 def _signature(ranked: Ranked) -> dict[str, Any]:
-    """Where an unknown effect shows."""
+    """Where an unknown effect shows, and what it looks like."""
     name = max(ranked.levels, key=lambda block: ranked.levels[block])
+    if ranked.shape is not None:
+        name = f"{Stage.ACTUATION}.{ranked.shape[1]}"
     stage, _, channel = name.partition(".")
     joint = channel if stage == Stage.ACTUATION else None
+    shape = None if ranked.shape is None else shape_of(ranked.shape[0])
     return {
         "stage": stage,
         "joint": joint,
         "channel": name,
-        "leftover_sd": round(ranked.levels[name], 1),
+        "leftover_sd": round(ranked.levels.get(name, 0.0), 1),
+        "looks_like": None if shape is None else shape.said,
         "nearest": _names(ranked.best.effects) or "none",
     }
 
@@ -316,6 +327,8 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
     base = screen(total(problem.information), problem.layout.priors)
     entries: list[dict[str, Any]] = []
     for group, name in enumerate(problem.layout.groups):
+        if problem.layout.is_unheard(group):
+            continue
         weighed = weigh(base, problem.layout.priors, (group,))
         entries.append(
             {"effect": name[0], "joint": name[1], "log_odds": round(weighed.log_odds, 2)}
@@ -341,6 +354,8 @@ def _sentence(
     if verdict is VerdictKind.UNKNOWN:
         signature = _signature(ranked)
         joint = "" if signature["joint"] is None else f" of the {signature['joint']}"
+        if signature["looks_like"] is not None:
+            return f"{size}Something unknown in {signature['stage']}{joint}: {signature['looks_like']}."
         return (
             f"{size}Something unknown in {signature['stage']}{joint}: the best known cause leaves "
             f"{signature['channel']} {signature['leftover_sd']:.0f} standard deviations above a "

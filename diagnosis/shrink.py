@@ -17,6 +17,7 @@ from diagnosis.causes.parameters import View, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import ALL, relinearise
 from diagnosis.causes.selection import members_index, screen, total, weigh
+from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.trials import fitted_effects
 from diagnosis.causes.whitening import DEAF_BLOCKS, leftovers, whiten_throw
 from diagnosis.healthy.filters import HealthyModel, correction
@@ -127,9 +128,10 @@ def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps
         [((), ())],
         tuple(view for view in View if view in views),
     )[0]
-    # The rest of the machine's scatter is not this effect's gap.
+    # The rest of the machine's scatter is not this effect's gap; shapes would take what the effect explains.
     others = hypothesis.mean.copy()
     others[constants] = 0.0
+    others[-len(unheard_names()) :] = 0.0
     power: list[tuple[float, float]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
         whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis(i))

@@ -89,7 +89,8 @@ def simulate(
     ]
     quick = [view is View.FLIGHT and not one for view, one in zip(views, slow, strict=True)]
     if drives:
-        velocity = replay_drives(inputs, [elements[r] for r in drives], profile, calibration)
+        chosen = [elements[r] for r in drives]
+        velocity = replay_drives(inputs, chosen, profile, calibration, as_measured=True)
         out.joint_velocity_rad_m_per_s[drives, : velocity.shape[1]] = velocity
     if swings:
         _swing(out, inputs, elements, swings, profile, calibration)

@@ -4,11 +4,12 @@ A first linearisation at "no effect" finds candidates; an effect of finite size 
 simulated again at its own estimate and compared by the evidence that the data then give.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from diagnosis.causes.parameters import ROUGH_EFFECTS
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
     Information,
@@ -24,17 +25,25 @@ from diagnosis.causes.selection import (
     total,
     weigh,
 )
+from diagnosis.causes.shapes import UNHEARD
 from diagnosis.causes.trials import (
+    Seen,
     Trial,
+    again,
+    evidence_in,
     fair_evidence,
+    fair_on_all,
     fitted_effects,
+    kept_at,
     own_evidence,
+    screens,
     settle,
     try_sets,
 )
 from diagnosis.causes.whitening import (
     Whitened,
     leftovers,
+    rough_blocks,
 )
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import DRIFT, Effect
@@ -45,6 +54,7 @@ PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
 WEIGHED_COUNT = 5
+SHAPED_COUNT = 5
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
@@ -87,36 +97,66 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     """
     priors = problem.layout.priors
     at_none = screen(total(problem.information), priors)
-    none = Trial((), np.zeros(0), problem.whitened, problem.information, priors, at_none)
+    nothing = np.zeros(0)
+    seen_as = problem.whitened, problem.information, priors, priors, at_none
+    none = Trial((), nothing, nothing, *seen_as)
     found = [none, *_singles(problem, at_none)]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
-        fair = fair_evidence(found)
-        best = sorted(
-            (t for t in found if len(t.members) == size - 1), key=lambda t: -fair[t.members][0]
-        )
-        leader = max(evidence for evidence, _ in fair.values())
-        seeds = _grown(best[:behind], kept, leader - MARGIN_LOG_ODDS)
+        fair = fair_on_all(found)
+        ordered = [found[i] for i in np.argsort(fair)[::-1]]
+        best = [t for t in ordered if len(t.members) == size - 1]
+        seeds = _grown(problem, best[:behind], kept, max(fair) - MARGIN_LOG_ODDS)
         if size == 2:
             seeds |= _partners_of_typical_size(problem, best[:PARTNERED_COUNT])
         found += settle(problem, seeds, 2 if size == 2 else 1)
         tick(0.4 + 0.2 * (size - 1))
-    fair = fair_evidence(found)
-    ranked = sorted(found, key=lambda t: -fair[t.members][0])
-    chosen = {t.members: t.sizes for t in ranked[:WEIGHED_COUNT] if t.members}
+    ranked = [found[i] for i in np.argsort(fair_on_all(found))[::-1]]
+    chosen = again(problem, [t for t in ranked[:WEIGHED_COUNT] if t.members])
     # A set must not win because it was simulated nearer to its best size than its own parts were.
     by_members = {t.members: t for t in found}
     for members in list(chosen)[:PART_COUNT]:
         for part in subsets(members):
             if part in by_members and part:
-                chosen.setdefault(part, by_members[part].sizes)
+                chosen = again(problem, [by_members[part]]) | chosen
     tick(0.9)
-    settled = {t.members: t.sizes for t in settle(problem, chosen, 1)}
+    settled = again(problem, settle(problem, chosen, 1))
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
     trials = [none, *try_sets(problem, settled, is_last=True)]
-    bases = [_bootstrapped(trial, weights) for trial in trials]
-    fair = fair_evidence(trials)
-    return [_weighed(problem, trial, bases[fair[trial.members][1]]) for trial in trials]
+    seen = [*((i, t.members) for i, t in enumerate(trials)), *_with_shapes(problem, trials)]
+    logs = np.array(
+        [
+            fair_evidence(trials, seen, [screens(t, total(t.information, w)) for t in trials])
+            for w in weights
+        ]
+    )
+    return [_weighed(problem, trials[i], m, logs[:, k]) for k, (i, m) in enumerate(seen)]
+
+
+def _with_shapes(problem: Problem, trials: Sequence[Trial]) -> list[Seen]:
+    """The best sets of a trial's effects and a shape of an unheard-of one.
+
+    Shapes are linear in their sizes: there is nothing to simulate. Where an effect makes a joint rough,
+    nobody knows the form of what it leaves.
+    """
+    groups = problem.layout.groups
+    shapes = [g for g in range(len(groups)) if problem.layout.is_unheard(g)]
+    found: list[tuple[float, Set, int]] = []
+    for place, t in enumerate(trials):
+        own = own_evidence(t)
+        rough = {groups[m][1] for m in t.members if groups[m][0] in ROUGH_EFFECTS}
+        for shape in (g for g in shapes if groups[g][1] not in rough):
+            members = (*t.members, shape)
+            log_evidence = evidence_in(t.base, t.priors, members)
+            if log_evidence > own:
+                found.append((log_evidence, members, place))
+    found.sort(key=lambda one: -one[0])
+    return [(place, members) for _, members, place in found[:SHAPED_COUNT]]
+
+
+def _of_library(problem: Problem) -> list[int]:
+    """Groups of effects of the library."""
+    return [g for g in range(len(problem.layout.groups)) if not problem.layout.is_unheard(g)]
 
 
 def _singles(problem: Problem, base: Screen) -> list[Trial]:
@@ -127,10 +167,11 @@ def _singles(problem: Problem, base: Screen) -> list[Trial]:
     slope at 0, so they also start from a typical size. `base` is the screen at "no effect".
     """
     priors = problem.layout.priors
-    first = search(base, priors)
+    first = search(base, priors, _of_library(problem))
     seeds = [e.members for e in first if len(e.members) == 1][:SINGLE_COUNT]
     seeds += [(g,) for e in first[:PART_COUNT] for g in e.members]
-    loud = [(g,) for g in _of_loud_joints(problem, problem.whitened, base.mean, LOUD_COUNT)]
+    joints = _loud_joints(problem, problem.whitened, base.mean, LOUD_COUNT)
+    loud = [(g,) for g in _of_joints(problem, joints)]
     linear = {m: weigh(base, priors, m).mean for m in dict.fromkeys([*seeds, *loud])}
     typical = {
         m: priors.slab_sd[priors.groups[m[0]]] for m in linear if _hides_from_slopes(problem, m[0])
@@ -142,9 +183,9 @@ def _singles(problem: Problem, base: Screen) -> list[Trial]:
             before = settled.get(trial.members)
             if before is None or own_evidence(before) < own_evidence(trial):
                 settled[trial.members] = trial
-    fair = fair_evidence(list(settled.values()))
-    best = sorted(settled.values(), key=lambda t: -fair[t.members][0])[:SINGLE_COUNT]
-    return try_sets(problem, {t.members: t.sizes for t in best})
+    trials = list(settled.values())
+    best = [trials[i] for i in np.argsort(fair_on_all(trials))[::-1][:SINGLE_COUNT]]
+    return try_sets(problem, again(problem, best))
 
 
 def _hides_from_slopes(problem: Problem, group: int) -> bool:
@@ -153,13 +194,15 @@ def _hides_from_slopes(problem: Problem, group: int) -> bool:
 
 
 def _partners_of_typical_size(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
-    """Pairs behind singles that leave a joint loud: with every effect there that slopes do not show."""
+    """Pairs behind singles that leave a joint loud, or with a shape: with all that slopes do not show."""
     priors, seeds = problem.layout.priors, dict[Set, Array]()
-    known = {t.members: t.sizes for t in singles if t.members}
+    known = again(problem, [t for t in singles if t.members])
     for trial in try_sets(problem, known, is_last=True):
         own, size = trial.members[0], weigh(trial.base, trial.priors, trial.members)
         mean = _mean_with(trial.base, total(trial.information), trial.priors, size)
-        for group in _of_loud_joints(problem, trial.whitened, mean, 1):
+        joints = _loud_joints(problem, trial.whitened, mean, 1)
+        joints += [problem.layout.groups[m[-1]][1] or "" for _, m in _with_shapes(problem, [trial])]
+        for group in _of_joints(problem, joints):
             if group == own or not _hides_from_slopes(problem, group):
                 continue
             sizes = {own: trial.sizes, group: priors.slab_sd[priors.groups[group]]}
@@ -168,10 +211,10 @@ def _partners_of_typical_size(problem: Problem, singles: Sequence[Trial]) -> dic
     return seeds
 
 
-def _of_loud_joints(
+def _loud_joints(
     problem: Problem, whitened: Sequence[Whitened], mean: Array, count: int
-) -> list[int]:
-    """Groups of constant effects at the driven joints furthest above healthy ones, `count` at most.
+) -> list[str]:
+    """The driven joints that are furthest above healthy ones, `count` at most, loudest first.
 
     Judged by what the parameters `mean` leave of the whitened throws.
     """
@@ -183,15 +226,19 @@ def _of_loud_joints(
         and (healthy := problem.model.unknown_level.get(name)) is not None
     }
     least = max(LOUD_SD, NEARLY_AS_LOUD_RATIO * max(levels.values(), default=0.0))
-    loud = sorted((j for j in levels if levels[j] >= least), key=lambda j: -levels[j])[:count]
+    return sorted((j for j in levels if levels[j] >= least), key=lambda j: -levels[j])[:count]
+
+
+def _of_joints(problem: Problem, joints: Collection[str]) -> list[int]:
+    """Groups of constant effects at some joints."""
     return [
         g
         for g, (effect, joint) in enumerate(problem.layout.groups)
-        if joint in loud and not effect.startswith(DRIFT)
+        if joint in joints and not effect.startswith((DRIFT, UNHEARD))
     ]
 
 
-def _grown(behind: Sequence[Trial], kept: int, least: float) -> dict[Set, Array]:
+def _grown(problem: Problem, behind: Sequence[Trial], kept: int, least: float) -> dict[Set, Array]:
     """Sets of one more effect, from the linearisation of the smaller set; first sizes of the best ones.
 
     Sets that promise less evidence than `least` are not worth a simulation.
@@ -199,38 +246,33 @@ def _grown(behind: Sequence[Trial], kept: int, least: float) -> dict[Set, Array]
     weighed: dict[Set, tuple[float, Array]] = {}
     for trial in behind:
         priors, base = trial.priors, trial.base
-        for group in range(len(priors.groups)):
+        for group in _of_library(problem):
             members = tuple(sorted({*trial.members, group}))
             if len(members) == len(trial.members):
                 continue
             evidence = weigh(base, priors, members)
             score = base.log_evidence + evidence.log_odds
             if members not in weighed or weighed[members][0] < score:
-                weighed[members] = score, evidence.mean
+                weighed[members] = score, kept_at(problem, trial, members, evidence.mean)
     hopeful = [members for members, (score, _) in weighed.items() if score > least]
     best = sorted(hopeful, key=lambda m: -weighed[m][0])[:kept]
     return {members: weighed[members][1] for members in best}
 
 
-def _bootstrapped(trial: Trial, weights: Array) -> list[Screen]:
-    """A trial on bootstraps of the throws (draws, throws)."""
-    return [screen(total(trial.information, w), trial.priors) for w in weights]
-
-
-def _weighed(problem: Problem, trial: Trial, draws: Sequence[Screen]) -> Hypothesis:
-    """A trial's set with its evidence on bootstraps of the trial in which it looks best."""
-    priors, members, base = trial.priors, trial.members, trial.base
+def _weighed(problem: Problem, trial: Trial, members: Set, logs: Array) -> Hypothesis:
+    """A set as the trial sees it, with its log evidence (draws,) on bootstraps of the throws."""
+    priors, base = trial.priors, trial.base
     data = total(trial.information)
-    logs = np.array([b.log_evidence + weigh(b, priors, members).log_odds for b in draws])
     evidence = weigh(base, priors, members)
     mean = _mean_with(base, data, priors, evidence)
+    effects = fitted_effects(problem.layout, members, evidence.mean)
     return Hypothesis(
         members=members,
-        effects=fitted_effects(problem.layout, members, evidence.mean),
+        effects=effects,
         evidence=evidence,
         log_evidence=logs,
         mean=mean,
-        levels=_levels(trial.whitened, mean),
+        levels=_levels(trial.whitened, mean, rough_blocks(effects)),
         information=trial.information,
     )
 
@@ -245,12 +287,14 @@ def _mean_with(base: Screen, data: Information, priors: Priors, found: SetEviden
     return mean
 
 
-def _levels(whitened: Sequence[Whitened], mean: Array) -> dict[str, float]:
+def _levels(
+    whitened: Sequence[Whitened], mean: Array, rough: Collection[str] = ()
+) -> dict[str, float]:
     """Log of the residual power per row of every block, after the parameters `mean`, over all throws."""
     power: dict[str, float] = {}
     rows: dict[str, int] = {}
     for one in whitened:
-        for name, (square, count) in leftovers(one, mean).items():
+        for name, (square, count) in leftovers(one, mean, rough).items():
             power[name] = power.get(name, 0.0) + square
             rows[name] = rows.get(name, 0) + count
     return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from diagnosis.causes.selection import Priors
+from diagnosis.causes.shapes import UNHEARD, unheard_groups, unheard_names, unheard_slab_sd
 from diagnosis.healthy.noise import NoiseModel
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
@@ -128,7 +129,7 @@ def index_of() -> Mapping[str, int]:
 
 
 Group = tuple[str, str | None]
-"""Effect and joint; ``warm_up_drift:<effect>.<parameter>`` for a drift."""
+"""Effect and joint; ``warm_up_drift:<effect>.<parameter>`` for a drift, ``unheard:<shape>`` for a shape."""
 
 
 def joint_index(joint: str | None) -> int:
@@ -138,7 +139,7 @@ def joint_index(joint: str | None) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The vector that selection works on: constants, then drifts, then nuisances of the whole set."""
+    """The vector that selection works on: constants, drifts, nuisances of the set, shapes (shapes.py)."""
 
     groups: tuple[Group, ...]
     """Names of the groups of `priors`."""
@@ -146,12 +147,19 @@ class Layout:
     parameter_count: int
     drift_count: int
 
+    def is_unheard(self, group: int) -> bool:
+        """Whether a group is a shape of an unheard-of effect, and no effect of the library."""
+        return self.groups[group][0].startswith(UNHEARD)
+
     @property
     def size_count(self) -> int:
         """Length of the vector."""
         return int(self.priors.slab_sd.size)
 
 
+ROUGH_EFFECTS = ("stiction", "backlash")
+"""Whose joint stands while its valve is open, breaks loose and meets its drive again by forces that the twin
+does not have."""
 DRIFTING = (
     "valve_dead_time",
     "valve_lag",
@@ -170,15 +178,27 @@ DRIFTING = (
 """What warms up, wears in, blows or creeps within an hour; lengths, masses and clocks do not."""
 GROUP_LOG_PRIOR = -6.0
 """About one effect in six data sets, of some seventy that could be."""
+ROUGH_LOG_PRIOR = -8.0
+"""Where a joint rests is taken from the throws (`replay_drives`), a freedom that no other effect has:
+a sticking telescope was 87 % probable on one healthy set with -6."""
 SPIKE_WIDENING_RATIO = 1.1
 """The scatter was measured on a finite number of machines."""
 DRIFT_LOG_PRIOR = -8.0
 """A slow change is rarer than a constant effect, and there are as many."""
 
 
+UNHEARD_LOG_PRIOR = -8.0
+"""A shape is rarer than an effect that somebody has named (by eye)."""
+
+
+def set_names() -> tuple[str, ...]:
+    """Of what differs from set to set beside the library's parameters, in the order of the vector."""
+    return (*SET_NUISANCES, *unheard_names())
+
+
 def scatter_names() -> tuple[str, ...]:
-    """Of what a healthy machine may be off: parameters, then nuisances of the set."""
-    return (*(p.key for p in library()), *SET_NUISANCES)
+    """Of what a healthy machine may be off: parameters, nuisances of the set, shapes of the unheard-of."""
+    return (*(p.key for p in library()), *set_names())
 
 
 def layout(model: NoiseModel) -> Layout:
@@ -187,7 +207,7 @@ def layout(model: NoiseModel) -> Layout:
     groups: dict[Group, list[int]] = {}
     for i, p in enumerate(constants):
         groups.setdefault(p.group, []).append(i)
-    logs = [GROUP_LOG_PRIOR] * len(groups)
+    logs = [ROUGH_LOG_PRIOR if e in ROUGH_EFFECTS else GROUP_LOG_PRIOR for e, _ in groups]
     for i, p in enumerate(constants):
         if p.effect not in DRIFTING:
             continue
@@ -195,7 +215,11 @@ def layout(model: NoiseModel) -> Layout:
         logs.append(DRIFT_LOG_PRIOR)
     slab = np.array([p.prior_sd for p in constants])
     low, high = np.array([p.low for p in constants]), np.array([p.high for p in constants])
-    nuisances = np.ones(len(SET_NUISANCES))
+    first = 2 * len(constants) + len(SET_NUISANCES)
+    for group, places in unheard_groups().items():
+        groups[group] = [first + place for place in places]
+        logs.append(UNHEARD_LOG_PRIOR)
+    nuisances = np.concatenate([np.ones(len(SET_NUISANCES)), unheard_slab_sd()])
     free = np.full(nuisances.size, np.inf)
     # A drift has half the size of its effect, in either direction.
     reach = high - low

@@ -1,20 +1,24 @@
 """One set of throws against one twin, linearised at "no effect"."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import Linear, linearise
-from diagnosis.causes.selection import (
-    Information,
-)
+from diagnosis.causes.selection import Information, screen, total
 from diagnosis.causes.whitening import (
     Basis,
     Whitened,
+    apart,
+    beside_named,
     factors,
     information,
+    left_of,
     whiten_throw,
+    widened,
 )
 from diagnosis.healthy.adapt import filters_help, misfit, scaled_to, stranger
 from diagnosis.healthy.filters import HealthyModel, nothing
@@ -36,16 +40,22 @@ class Problem:
     healthy: HealthyModel
     model: NoiseModel
     layout: Layout
+    plain: Sequence[Sequence[Array]]
+    """Cholesky factors of a healthy machine's noise, of every throw's blocks."""
     factor: Sequence[Sequence[Array]]
-    """Of every throw's blocks."""
+    """Those of the noise with which hypotheses are weighed (`widened`)."""
     linear: Sequence[Linear]
     """At "no effect"."""
     whitened: Sequence[Whitened]
     information: Sequence[Information]
+    beside: Array
+    """What named slopes explain of the shapes (`beside_named`)."""
+    off: Sequence[Array]
+    """What the twin without any effect leaves of every throw, (n,), in the channels' own units."""
 
     def basis(self, throw: int) -> Basis:
         """A throw at "no effect", whitened."""
-        return Basis(self.linear[throw], self.factor[throw], self.whitened[throw])
+        return Basis(self.linear[throw], self.factor[throw], self.whitened[throw], self.beside)
 
 
 def pose(
@@ -55,7 +65,36 @@ def pose(
     health: Health,
     layout: Layout,
 ) -> Problem:
-    """Linearise at "no effect", with as much of the healthy machines' model as suits this one."""
+    """Linearise at "no effect", with as much of the healthy machines' model as suits this one.
+
+    An effect's discrepancy is in the noise from here on (`widened`), wherever the twin without any is off.
+    """
+    first = _healthy(prepared, profile, calibration, health, layout)
+    data = total(first.information)
+    mean = screen(data, first.layout.priors).mean
+    off = [
+        _in_units(p, f, left_of(w, mean))
+        for p, f, w in zip(prepared, first.plain, first.whitened, strict=True)
+    ]
+    factor = [
+        widened(p, first.model, f, o) for p, f, o in zip(prepared, first.plain, off, strict=True)
+    ]
+    whitened = [
+        whiten_throw(p, one, first.model, f, beside=first.beside)
+        for p, one, f in zip(prepared, first.linear, factor, strict=True)
+    ]
+    found = information(whitened)
+    return replace(first, factor=factor, off=off, whitened=whitened, information=found)
+
+
+def _healthy(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    health: Health,
+    layout: Layout,
+) -> Problem:
+    """With the noise of a healthy machine."""
     healthy, model = health.filters, health.noise
     linear = linearise(prepared, profile, calibration, healthy)
     if health.is_own:
@@ -86,9 +125,11 @@ def _whitened(
     linear: Sequence[Linear],
 ) -> Problem:
     factor = [factors(p, model) for p in prepared]
-    whitened = [
+    raw = [
         whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
     ]
+    beside = beside_named(total(information(raw)), layout)
+    whitened = [apart(one, beside, model) for one in raw]
     return Problem(
         prepared,
         profile,
@@ -97,7 +138,18 @@ def _whitened(
         model,
         layout,
         factor,
+        factor,
         linear,
         whitened,
         information(whitened),
+        beside,
+        [],
     )
+
+
+def _in_units(prepared: PreparedThrow, factor: Sequence[Array], white: Array) -> Array:
+    """A whitened vector (n,) in the channels' own units."""
+    out = np.zeros_like(white)
+    for block, lower in zip(prepared.blocks, factor, strict=True):
+        out[block.rows] = lower @ white[block.rows]
+    return out

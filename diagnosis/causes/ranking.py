@@ -8,9 +8,10 @@ from scipy.special import expit
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JitterFit
+from diagnosis.causes.parameters import Group
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
-from diagnosis.causes.whitening import DEAF_BLOCKS
+from diagnosis.causes.whitening import DEAF_BLOCKS, SHAKEN_BLOCKS, rough_blocks
 from machine.conventions import Array
 
 UNKNOWN_LEVEL_SD = 5.0
@@ -36,9 +37,12 @@ class Ranked:
     """Hypotheses with their probabilities, best first."""
 
     hypotheses: list[Hypothesis]
+    """Of the library's effects."""
     probability: Array
     """(hypotheses,) that each is true; the rest is "unknown"."""
     unknown: float
+    shape: Group | None
+    """Of the best hypothesis that has one; None where it is less probable than not that something has it."""
     levels: Mapping[str, float]
     """By block: leftover power of the best hypothesis, in standard deviations of healthy sets."""
     jitter: JitterFit
@@ -74,18 +78,24 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     """Weigh the hypotheses against each other and against "unknown"."""
     logs = np.stack([h.log_evidence for h in hypotheses], axis=1)
     none = next(i for i, h in enumerate(hypotheses) if not h.members)
+    shapes = [_shape(problem, h) for h in hypotheses]
+    is_shaped = np.array([shape is not None for shape in shapes])
     probability = bagged_probability(logs, np.array([len(h.members) for h in hypotheses]))
-    order = np.argsort(-probability, kind="stable")
+    shaped = float(probability[is_shaped].sum())
+    order = np.argsort(-np.where(is_shaped, -1.0, probability), kind="stable")[: (~is_shaped).sum()]
+    named = probability[order] / max(1.0 - shaped, 1e-9)
     ordered = [hypotheses[int(i)] for i in order]
     levels = unknown_levels(problem, ordered[0], hypotheses[none])
-    unknown = float(
-        expit((max(levels.values(), default=0.0) - UNKNOWN_LEVEL_SD) / UNKNOWN_WIDTH_SD)
-    )
-    rival, expected = _rival(problem, ordered, probability[order])
+    left = float(expit((max(levels.values(), default=0.0) - UNKNOWN_LEVEL_SD) / UNKNOWN_WIDTH_SD))
+    unknown = 1.0 - (1.0 - left) * (1.0 - shaped)
+    rival, expected = _rival(problem, ordered, named)
     return Ranked(
         hypotheses=ordered,
-        probability=probability[order] * (1.0 - unknown),
+        probability=named * (1.0 - unknown),
         unknown=unknown,
+        shape=shapes[int(np.argmax(np.where(is_shaped, probability, -1.0)))]
+        if shaped > 0.5
+        else None,
         levels=levels,
         jitter=jitter,
         jitter_probability=float(expit(jitter.log_odds)),
@@ -94,15 +104,23 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     )
 
 
+def _shape(problem: Problem, hypothesis: Hypothesis) -> Group | None:
+    """The shape of an unheard-of effect that a hypothesis has beside effects of the library."""
+    layout = problem.layout
+    return next((layout.groups[g] for g in hypothesis.members if layout.is_unheard(g)), None)
+
+
 def unknown_levels(problem: Problem, best: Hypothesis, none: Hypothesis) -> dict[str, float]:
     """Leftover power of every block that has a say (`DEAF_BLOCKS`) against healthy sets, in their sd.
 
     A block that the best hypothesis has almost brought back to a healthy level counts as healthy.
     """
     healthy = problem.model.unknown_level
+    rough = rough_blocks(best.effects)
     levels: dict[str, float] = {}
     for name, level in best.levels.items():
-        if name not in healthy or name.startswith(DEAF_BLOCKS):
+        is_shaken = rough and name not in rough and name.startswith(SHAKEN_BLOCKS)
+        if name not in healthy or name.startswith(DEAF_BLOCKS) or is_shaken:
             continue
         middle, sd = healthy[name]
         before = np.exp(none.levels[name]) - np.exp(middle)

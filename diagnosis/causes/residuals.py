@@ -15,18 +15,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.causes.parameters import Parameter, View, index_of, joint_index, library
-from diagnosis.healthy.filters import HealthyModel, correction
-from diagnosis.loading.prepared import AXES, Block, PreparedThrow
-from diagnosis.simulate import Simulated, late, simulate
+from diagnosis.causes.parameters import Parameter, View, index_of, library
+from diagnosis.causes.predictions import predict, view_of
+from diagnosis.healthy.filters import HealthyModel
+from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.simulate import Simulated, simulate
 from machine.ballistics import drag_per_m, landing
 from machine.calibration import ValveCalibration
 from machine.conventions import (
     ACTIVE_COUNT,
-    CONTROL_PERIOD_S,
-    GRAVITY_M_PER_S2,
     Array,
-    IntArray,
 )
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect, resolve
@@ -63,6 +61,8 @@ class Linear:
     """(2, 6) of the impact by position and velocity at the release."""
     predicted_velocity: Array
     """(T, 4) driven joints from their valve commands, without any correction."""
+    change: Array
+    """(n,) what the effects change in the twin's prediction."""
 
 
 class _Plan:
@@ -232,13 +232,13 @@ def _linear(
 ) -> Linear:
     """A throw's residual and slopes from the batch; what was not simulated is as in `first`."""
     n = prepared.measured.size
-    predicted = _predicted(prepared, output, part, healthy)
+    predicted = _predicted(prepared, output, part, effects, healthy)
     residual = np.full(n, np.nan) if first is None else first.residual.copy()
     jacobian = np.zeros((n, len(library()))) if first is None else first.jacobian.copy()
     velocity = np.zeros((0, ACTIVE_COUNT)) if first is None else first.predicted_velocity
     for view, rows in predicted.items():
         for block in prepared.blocks:
-            if _view(block) is view:
+            if view_of(block) is view:
                 residual[block.rows] = (
                     prepared.measured[block.rows] - rows[part.bases[view]][block.rows]
                 )
@@ -254,7 +254,7 @@ def _linear(
         for block in prepared.blocks:
             # Behind its valve a joint moves alone; only the IMU and the load feel the others.
             own = view is not View.ACTUATION or joint is None or block.name.endswith(joint)
-            if own and _view(block) is view:
+            if own and view_of(block) is view:
                 jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows], nan=0.0)
     _compare_switch(prepared, effects, profile, residual, jacobian)
     start, opening = np.zeros((n, 4)), np.zeros(n)
@@ -266,7 +266,13 @@ def _linear(
         rows, base = predicted[View.FLIGHT], predicted[View.FLIGHT][part.bases[View.FLIGHT]]
         opening = np.nan_to_num((rows[part.nuisance[1]] - base) / OPENING_STEP_S)
     if first is not None:
-        return replace(first, residual=residual, jacobian=jacobian, predicted_velocity=velocity)
+        return replace(
+            first,
+            residual=residual,
+            jacobian=jacobian,
+            predicted_velocity=velocity,
+            change=np.nan_to_num(first.residual - residual),
+        )
     flight = part.bases[View.FLIGHT]
     slope = _landing_slope(
         output.release_position_m[flight],
@@ -274,12 +280,23 @@ def _linear(
         prepared.input.surface_height_m,
     )
     return Linear(
-        residual, jacobian, start, opening, float(output.release_t_s[flight]), slope, velocity
+        residual,
+        jacobian,
+        start,
+        opening,
+        float(output.release_t_s[flight]),
+        slope,
+        velocity,
+        np.zeros(n),
     )
 
 
 def _predicted(
-    prepared: PreparedThrow, output: Simulated, part: _Part, healthy: HealthyModel
+    prepared: PreparedThrow,
+    output: Simulated,
+    part: _Part,
+    effects: Sequence[Effect],
+    healthy: HealthyModel,
 ) -> dict[View, dict[int, Array]]:
     """What the twin says of the throw's vector (n,) in each simulated view, by element."""
     elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
@@ -290,16 +307,14 @@ def _predicted(
             elements[view].append(element)
     return {
         view: dict(
-            zip(chosen, _predict(prepared, output, np.asarray(chosen), view, healthy), strict=True)
+            zip(
+                chosen,
+                predict(prepared, output, np.asarray(chosen), view, effects, healthy),
+                strict=True,
+            )
         )
         for view, chosen in elements.items()
     }
-
-
-def _view(block: Block) -> View | None:
-    """The simulation that a block is compared with; none for the switch."""
-    stage = block.name.partition(".")[0]
-    return View(stage) if stage in tuple(View) else None
 
 
 def _compare_switch(
@@ -326,75 +341,3 @@ def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) 
     states = state + LANDING_STEP * np.vstack([np.zeros(6), np.eye(6)])
     end = landing(states[:, :3], states[:, 3:], height_m + ball.radius_m, drag_per_m(ball))
     return np.nan_to_num((end.position_m[1:, :2] - end.position_m[0, :2]).T / LANDING_STEP)
-
-
-def _predict(
-    prepared: PreparedThrow,
-    output: Simulated,
-    elements: IntArray,
-    view: View,
-    healthy: HealthyModel,
-) -> Array:
-    """What the twin says of the throw's vector (m, n) in a view; 0 in blocks of other views."""
-    out = np.zeros((elements.size, prepared.measured.size))
-    # Joints as they moved under the set of effects itself, the first element; others move one parameter each.
-    motion = prepared.motion.early(output.joint_latency_s[elements[0]])
-    for block in prepared.blocks:
-        if _view(block) is not view:
-            continue
-        channel = block.name.partition(".")[2]
-        if view is View.ACTUATION:
-            joint, rows = joint_index(channel), prepared.motion.t_s.size
-            track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
-            # What every machine is off its twin follows the motion that the effects lead to.
-            track = track + correction(healthy, motion, joint, track)
-            # The correction belongs to the motion, which a late sensor reports later.
-            latency_s = output.joint_latency_s[elements, joint]
-            track = np.stack([late(one, s) for one, s in zip(track, latency_s, strict=True)])
-            out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
-        elif view is View.SWING:
-            kind, letter = channel.split(".")
-            source = output.gyro_rad_per_s if kind == "gyro" else output.accel_m_per_s2
-            track = source[elements, :, AXES.index(letter)]
-            out[:, block.rows] = _at(track, prepared.imu_at_s) @ prepared.imu_pair.T
-        elif channel == "ball":
-            out[:, block.rows] = _ball(output, elements, prepared.throw.ball_t_s)
-        else:
-            out[:, block.rows] = output.impact_m[elements, :2]
-    return out
-
-
-def _at(track: Array, t_s: Array) -> Array:
-    """Linear interpolation of ticks (m, T) at times (n,), held beyond the ends."""
-    last = track.shape[1] - 1
-    place = np.clip(t_s / CONTROL_PERIOD_S, 0.0, last)
-    whole = np.minimum(np.floor(place).astype(np.int64), last - 1)
-    share = place - whole
-    return (
-        np.nan_to_num(track[:, whole]) * (1.0 - share) + np.nan_to_num(track[:, whole + 1]) * share
-    )
-
-
-def _ball(output: Simulated, elements: IntArray, t_s: Array) -> Array:
-    """Ball positions (m, 3 n) at times (n,): the simulated track, parabolas beyond its ends."""
-    out = np.full((elements.size, t_s.size, 3), np.nan)
-    for row, element in enumerate(elements):
-        flown = output.ball[element]
-        if flown is None or flown[1].shape[0] < 3:
-            continue
-        start_s, points = flown
-        ticks = start_s + CONTROL_PERIOD_S * np.arange(points.shape[0])
-        inside = (t_s >= ticks[0]) & (t_s <= ticks[-1])
-        for axis in range(3):
-            out[row, inside, axis] = np.interp(t_s[inside], ticks, points[:, axis])
-        early, late = t_s < ticks[0], t_s > ticks[-1]
-        out[row, early] = _parabola(points[0], points[1], t_s[early] - ticks[0])
-        out[row, late] = _parabola(points[-1], points[-2], ticks[-1] - t_s[late])
-    return out.reshape(elements.size, -1)
-
-
-def _parabola(end: Array, inner: Array, after_s: Array) -> Array:
-    """Free flight beyond an end of a track: points (n, 3), `after_s` counted towards `inner`."""
-    gravity = np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
-    speed = (inner - end) / CONTROL_PERIOD_S - 0.5 * gravity * CONTROL_PERIOD_S
-    return end + speed * after_s[:, None] + 0.5 * gravity * after_s[:, None] ** 2

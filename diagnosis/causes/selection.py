@@ -50,6 +50,10 @@ class Information(NamedTuple):
     """c"""
     log_volume: float
     """v: half the log determinant of the noise, nuisances included; hypotheses may differ in it."""
+    bare_gradient: Array
+    """b (p,) of the residual without any effect, in the same noise and against the same slopes."""
+    bare_square: float
+    """c of that residual."""
 
 
 class Priors(NamedTuple):
@@ -106,7 +110,7 @@ def inform(
         nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
         log_volume: half the log determinant of the noise that was whitened.
     """
-    table = np.column_stack([residual, jacobian, nuisance])
+    table = np.column_stack([residual, residual, jacobian, nuisance])
     return inform_gram(table.T @ table, jacobian.shape[1], log_volume)
 
 
@@ -114,16 +118,18 @@ def inform_gram(gram: Array, parameter_count: int, log_volume: float = 0.0) -> I
     """Marginalise a throw's nuisances, from all products of columns.
 
     Args:
-        gram: (1 + p + q, 1 + p + q) of residual, jacobian and nuisance, side by side.
+        gram: (2 + p + q, 2 + p + q) of residual, bare residual, jacobian and nuisance, side by side.
         parameter_count: p.
         log_volume: as in `inform`.
     """
-    data, noise = slice(0, 1 + parameter_count), slice(1 + parameter_count, None)
-    inner = gram[noise, noise] + np.eye(gram.shape[0] - 1 - parameter_count)
+    data, noise = slice(0, 2 + parameter_count), slice(2 + parameter_count, None)
+    inner = gram[noise, noise] + np.eye(gram.shape[0] - 2 - parameter_count)
     across = gram[noise, data]
     left = gram[data, data] - across.T @ np.linalg.solve(inner, across)
     volume = log_volume + 0.5 * float(np.linalg.slogdet(inner)[1])
-    return Information(left[1:, 1:], left[1:, 0], float(left[0, 0]), volume)
+    return Information(
+        left[2:, 2:], left[2:, 0], float(left[0, 0]), volume, left[2:, 1], float(left[1, 1])
+    )
 
 
 def total(informations: Sequence[Information], weights: Array | None = None) -> Information:
@@ -135,6 +141,8 @@ def total(informations: Sequence[Information], weights: Array | None = None) -> 
         gradient=np.sum([w * i.gradient for w, i in parts], axis=0),
         square=float(sum(w * i.square for w, i in parts)),
         log_volume=float(sum(w * i.log_volume for w, i in parts)),
+        bare_gradient=np.sum([w * i.bare_gradient for w, i in parts], axis=0),
+        bare_square=float(sum(w * i.bare_square for w, i in parts)),
     )
 
 
@@ -155,6 +163,15 @@ def screen(information: Information, priors: Priors) -> Screen:
         gradient - precision @ mean,
         -0.5 * (fit + log_volume) - information.log_volume,
     )
+
+
+def bare(information: Information) -> Information:
+    """What the residual without any effect says, in the same noise and against the same slopes.
+
+    A trial carries its residual back to size 0 along its slopes. An effect that bends does not come out where
+    it started, and "no effect", or a rival, must not gain from that.
+    """
+    return information._replace(gradient=information.bare_gradient, square=information.bare_square)
 
 
 def members_index(priors: Priors, members: Set) -> IntArray:
@@ -216,14 +233,19 @@ def _log_mass(mean: Array, sd: Array, low: Array, high: Array) -> Array:
 
 
 def search(
-    base: Screen, priors: Priors, *, width: int = 12, largest: int = 3, candidates: int = 40
+    base: Screen,
+    priors: Priors,
+    groups: Sequence[int],
+    *,
+    width: int = 12,
+    largest: int = 3,
+    candidates: int = 40,
 ) -> list[SetEvidence]:
-    """Hypotheses worth keeping, best first; "no effect" is always among them.
+    """Hypotheses worth keeping of these groups, best first; "no effect" is always among them.
 
     All singles; all pairs that contain one of the best `width` singles; triples that extend the best
     `width` pairs.
     """
-    groups = range(len(priors.groups))
     singles = sorted((weigh(base, priors, (g,)) for g in groups), key=_best_first)
     leaders = [single.members[0] for single in singles[:width]]
     found = {evidence.members: evidence for evidence in singles}

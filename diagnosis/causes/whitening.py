@@ -6,13 +6,22 @@ slopes times its standard deviation; all of them are marginalised, none is ever 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.causes.parameters import SET_NUISANCES, index_of, library
+from diagnosis.causes.parameters import (
+    ROUGH_EFFECTS,
+    SET_NUISANCES,
+    Layout,
+    index_of,
+    library,
+    set_names,
+)
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Information, inform_gram
+from diagnosis.causes.shapes import unheard_names
+from diagnosis.causes.unheard import unheard_columns
 from diagnosis.healthy.noise import NoiseModel, whiten, whitener
 from diagnosis.loading.prepared import PreparedThrow
 from machine.conventions import ACTIVE_JOINTS, Array, IntArray
@@ -40,13 +49,18 @@ FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
 effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives: 0.15,
 0.18, 0.18, 0.19, 0.3, 0.55, 0.6 (and 1.15 for a slew whose play began at a side that nobody knows); swing:
 0.03, 0.06, 0.08; flight: 0.06."""
-ROUGH_FORM_ERROR_RATIO = 0.5
-ROUGH_EFFECTS = ("stiction", "backlash")
-"""Whose joint stands, breaks loose and meets its drive again by forces that the twin does not have: from 0.6
-on in development sets."""
+JUMP_SD = 4.0
+"""A joint that breaks loose jumps within a tick: two samples of 20 standard deviations, and as the twin says
+before and after, on a development set with a telescope that sticks."""
+SHAKE_RATIO = 0.2
+"""Of what these effects change at a joint, the others move with it: the twin's joints move alone. On three
+development sets the telescope was off by 0.1, 0.2 and 0.3 of what the dipper was."""
 DEAF_BLOCKS = "swing.accel"
 """Joints that stop or break loose within a tick shake the gripper by more than smoothed joint motion can tell
 (up to 9 standard deviations on sets with stiction or backlash): no measure of what is left unexplained."""
+SHAKEN_BLOCKS = ("actuation", "swing.gyro")
+"""And the other joints: no measure where the best cause is of that kind (telescope 5.8 to 8.2 standard
+deviations on three sets with stiction or play of the dipper)."""
 OPENING = "release.switch"
 OIL_LAG_S = 0.05 * 0.06
 """Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
@@ -54,7 +68,7 @@ OIL_LAG_S = 0.05 * 0.06
 
 def slope_count() -> int:
     """Columns of `Whitened.slopes`."""
-    return len(library()) + len(SET_NUISANCES)
+    return len(library()) + len(set_names())
 
 
 def throw_nuisances() -> tuple[str, ...]:
@@ -67,8 +81,9 @@ class Whitened:
     """A throw in units of its own noise."""
 
     table: Array
-    """(n, 1 + p + s + q): residual; slopes by the library's parameters, then by the set's nuisances; and by
-    what differs from throw to throw, in independent directions of unit spread."""
+    """(n, 2 + p + s + q): residual, carried back to no effect along the slopes; residual without any effect;
+    slopes by the library's parameters, then by the set's nuisances; and by what differs from throw to throw,
+    in independent directions of unit spread."""
     progress_ratio: float
     """Share of a drift that acts in this throw."""
     rows: Mapping[str, slice]
@@ -76,7 +91,7 @@ class Whitened:
     log_volume: float
     """Sum of the logs of the noise's Cholesky diagonals."""
     gram: Array
-    """(1 + p + s + q,) squared: products of the table's columns."""
+    """(2 + p + s + q,) squared: products of the table's columns."""
 
     @property
     def residual(self) -> Array:
@@ -86,12 +101,12 @@ class Whitened:
     @property
     def slopes(self) -> Array:
         """By the parameters, then the nuisances of the set, (n, p + s)."""
-        return self.table[:, 1 : 1 + slope_count()]
+        return self.table[:, 2 : 2 + slope_count()]
 
     @property
     def nuisance(self) -> Array:
         """What differs from throw to throw, (n, q)."""
-        return self.table[:, 1 + slope_count() :]
+        return self.table[:, 2 + slope_count() :]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +116,7 @@ class Basis:
     linear: Linear
     factor: Sequence[Array]
     whitened: Whitened
+    beside: Array
 
 
 def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
@@ -120,32 +136,47 @@ def widened(
     prepared: PreparedThrow,
     model: NoiseModel,
     healthy: Sequence[Array],
-    change: Array,
+    off: Array,
+    change: Array | None = None,
     rough: Collection[str] = (),
 ) -> list[Array]:
-    """Factors under a hypothesis whose effects change the twin's prediction by `change` (n,).
+    """Factors with the discrepancy that an effect brings, whichever it is.
 
-    A real effect is never quite the library's: a share of what it changes is added to the discrepancy, a
-    larger one in the blocks named `rough`.
+    A real effect is never quite the library's: a share of what the twin is off is added to the discrepancy.
+    It is the same under every hypothesis, so that none is preferred for the noise that it brings.
+
+    Args:
+        prepared: the throw.
+        model: noise.
+        healthy: factors without it.
+        off: (n,) what the twin without any effect leaves of the throw.
+        change: (n,) what effects change that shake the other joints.
+        rough: blocks of the joints of these effects.
     """
+    shaking = [b.rows for b in prepared.blocks if b.name in rough]
     found: list[Array] = []
     for block, lower in zip(prepared.blocks, healthy, strict=True):
-        size = np.abs(np.nan_to_num(change[block.rows]))
-        if block.name == "release.switch" or not size.any():
-            found.append(lower)
-            continue
-        around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
+        extra = FORM_ERROR_RATIO.get(block.name.partition(".")[0], 0.0) * _clear(
+            off[block.rows], lower
+        )
+        if change is not None and block.name.startswith("actuation") and block.name not in rough:
+            for rows in shaking:
+                extra = extra + SHAKE_RATIO * _clear(change[rows], lower)
         channel = model.channels[block.name]
-        ratio = FORM_ERROR_RATIO[block.name.partition(".")[0]]
-        if block.name in rough:
-            ratio = ROUGH_FORM_ERROR_RATIO
-        # What drowns in a healthy machine's noise must not excuse more of it.
-        clear = np.maximum(around - 2.0 * np.sqrt(np.sum(lower**2, axis=1)), 0.0)
-        if not clear.any():
-            found.append(lower)
-            continue
-        found.append(whitener(channel, block.t_s, block.rate, block.push, ratio * clear))
+        found.append(
+            whitener(channel, block.t_s, block.rate, block.push, extra) if extra.any() else lower
+        )
     return found
+
+
+def _clear(change: Array, lower: Array) -> Array:
+    """Size (n,) of a change around each row, as far as it stands out of a healthy machine's noise.
+
+    What drowns in the noise must not excuse more of it.
+    """
+    size = np.abs(np.nan_to_num(change))
+    around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
+    return np.maximum(around - 2.0 * np.sqrt(np.sum(lower**2, axis=1)), 0.0)
 
 
 def whiten_throw(
@@ -154,6 +185,7 @@ def whiten_throw(
     model: NoiseModel,
     factor: Sequence[Array],
     basis: Basis | None = None,
+    beside: Array | None = None,
 ) -> Whitened:
     """Whiten a throw's blocks; rows that the twin could not predict count as no data.
 
@@ -164,29 +196,34 @@ def whiten_throw(
         factor: of the blocks' covariances.
         basis: the throw without effects: its nuisances follow its slopes, so that hypotheses differ in what
             they predict, not in what they call scatter; `linear` if left out.
+        beside: what named slopes explain of the shapes (`beside_named`); that of the basis if left out.
     """
     own = linear if basis is None else basis.linear
+    beside = basis.beside if beside is None and basis is not None else beside
     log_volume = float(sum(np.log(np.diag(lower)).sum() for lower in factor))
     names = {block.name: block.rows for block in prepared.blocks}
     changed = [
-        (block.rows, lower)
+        (block, lower)
         for place, (block, lower) in enumerate(zip(prepared.blocks, factor, strict=True))
         if basis is None or not _same(linear, lower, basis, block.rows, place)
     ]
     if basis is None:
-        table = np.empty((linear.residual.size, 1 + slope_count() + len(throw_nuisances())))
+        table = np.empty((linear.residual.size, 2 + slope_count() + len(throw_nuisances())))
         gram = np.zeros((table.shape[1],) * 2)
     else:
         table, gram = basis.whitened.table.copy(), basis.whitened.gram.copy()
     if changed:
-        rows = np.concatenate([np.arange(part.start, part.stop) for part, _ in changed])
+        rows = np.concatenate([np.arange(b.rows.start, b.rows.stop) for b, _ in changed])
         columns = _columns(prepared, linear, own, model, rows)
         first = 0
-        for part, lower in changed:
+        for block, lower in changed:
+            part = block.rows
             last = first + part.stop - part.start
             if basis is not None:
                 gram -= table[part].T @ table[part]
             table[part] = whiten(lower, columns[first:last])
+            if beside is not None:
+                _take_off(table[part], beside, model)
             gram += table[part].T @ table[part]
             first = last
     return Whitened(table, prepared.input.progress_ratio, names, log_volume, gram)
@@ -205,23 +242,52 @@ def _columns(
     prepared: PreparedThrow, linear: Linear, own: Linear, model: NoiseModel, rows: IntArray
 ) -> Array:
     """The table's columns before whitening, at some rows."""
-    of_set = _set_columns(prepared, linear)[rows]
+    of_set = np.column_stack([_set_columns(prepared, linear), unheard_columns(prepared, own)])[rows]
     middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
     middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
     jacobian = linear.jacobian[rows]
     of_throw = np.column_stack([_throw_columns(prepared, own)[rows], own.jacobian[rows]])
     root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
+    healthy = jacobian @ middle + of_set[:, : len(SET_NUISANCES)] @ middle_of_set
     columns = np.column_stack(
         [
-            linear.residual[rows] - jacobian @ middle - of_set @ middle_of_set,
+            linear.residual[rows] - healthy,
+            own.residual[rows] - healthy,
             jacobian,
             of_set,
             of_throw @ root,
         ]
     )
     # Only the ball and the impact can be missing, and their noise is white.
-    columns[~np.isfinite(linear.residual[rows])] = 0.0
+    columns[~np.isfinite(linear.residual[rows] + own.residual[rows])] = 0.0
     return columns
+
+
+def beside_named(data: Information, plan: Layout) -> Array:
+    """What named parameters explain of the shapes over all throws, (p, u).
+
+    A gain that is the same all along is a gain. Otherwise healthy machines would scatter along both, and hide
+    a gain three times as large. Sizes of the named ones have their wide prior.
+    """
+    named, first = plan.parameter_count, plan.size_count - len(unheard_names())
+    precision = data.precision[:named, :named] + np.diag(plan.priors.slab_sd[:named] ** -2)
+    return np.asarray(np.linalg.solve(precision, data.precision[:named, first:]), dtype=np.float64)
+
+
+def _take_off(table: Array, beside: Array, model: NoiseModel) -> None:
+    """Leave of the shapes, in place, what the named do not explain; and take off what all machines have."""
+    named, last = 2 + len(library()), 2 + slope_count()
+    shapes = table[:, last - beside.shape[1] : last]
+    shapes -= table[:, 2:named] @ beside
+    middle = np.array([model.healthy_mean.get(name, 0.0) for name in unheard_names()])
+    table[:, :2] -= (shapes @ middle)[:, None]
+
+
+def apart(whitened: Whitened, beside: Array, model: NoiseModel) -> Whitened:
+    """A throw that was whitened with the shapes as they are, with what is left of them beside the named."""
+    table = whitened.table.copy()
+    _take_off(table, beside, model)
+    return replace(whitened, table=table, gram=table.T @ table)
 
 
 def information(whitened: Sequence[Whitened]) -> list[Information]:
@@ -236,7 +302,11 @@ def _in_layout(whitened: Whitened, count: int) -> Information:
     share = np.ones(order.size)
     share[count : 2 * count] = whitened.progress_ratio
     precision = found.precision[np.ix_(order, order)] * share[:, None] * share
-    return found._replace(precision=precision, gradient=found.gradient[order] * share)
+    return found._replace(
+        precision=precision,
+        gradient=found.gradient[order] * share,
+        bare_gradient=found.bare_gradient[order] * share,
+    )
 
 
 def explained(whitened: Whitened, mean: Array) -> Array:
@@ -246,17 +316,31 @@ def explained(whitened: Whitened, mean: Array) -> Array:
     return whitened.slopes @ np.concatenate([acting, mean[2 * count :]])
 
 
-def leftovers(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
-    """Power of what is left in each block of a throw after the parameters `mean` (p,), and its rows.
-
-    The throw's nuisances are set to their best values first.
-    """
+def left_of(whitened: Whitened, mean: Array) -> Array:
+    """What parameters `mean` and the throw's nuisances at their best values leave of it, (n,), whitened."""
     unexplained = whitened.residual - explained(whitened, mean)
     nuisance = whitened.nuisance
     inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
-    left = unexplained - nuisance @ np.linalg.solve(inner, nuisance.T @ unexplained)
+    return unexplained - nuisance @ np.linalg.solve(inner, nuisance.T @ unexplained)
+
+
+def leftovers(
+    whitened: Whitened, mean: Array, rough: Collection[str] = ()
+) -> dict[str, tuple[float, int]]:
+    """Power of what is left in each block of a throw after the parameters `mean` (p,), and its rows.
+
+    The throw's nuisances are set to their best values first. In the blocks named `rough` no row counts for
+    more than `JUMP_SD`.
+    """
+    unexplained = whitened.residual - explained(whitened, mean)
+    nuisance = whitened.nuisance
+    left = left_of(whitened, mean)
+    left = {
+        name: np.clip(left[rows], -JUMP_SD, JUMP_SD) if name in rough else left[rows]
+        for name, rows in whitened.rows.items()
+    }
     power = {
-        name: (float(left[rows] @ left[rows]), rows.stop - rows.start)
+        name: (float(left[name] @ left[name]), rows.stop - rows.start)
         for name, rows in whitened.rows.items()
     }
     if OPENING in whitened.rows:

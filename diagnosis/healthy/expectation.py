@@ -15,8 +15,11 @@ from scipy.optimize import nnls
 from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import screen, total
+from diagnosis.causes.shapes import unheard_least_sd, unheard_slab_sd
 from diagnosis.causes.whitening import (
     Whitened,
+    apart,
+    beside_named,
     explained,
     factors,
     information,
@@ -75,11 +78,14 @@ class Fit:
 def fit(one: HealthySet, model: NoiseModel) -> Fit:
     """Posterior of a set's parameters, of its throws' nuisances, and what they leave."""
     factor = [factors(p, model) for p in one.prepared]
-    white = [
+    plan = layout(model)
+    raw = [
         whiten_throw(p, linear, model, f)
         for p, linear, f in zip(one.prepared, one.linear, factor, strict=True)
     ]
-    data, plan = total(information(white)), layout(model)
+    beside = beside_named(total(information(raw)), plan)
+    white = [apart(throw, beside, model) for throw in raw]
+    data = total(information(white))
     base = screen(data, plan.priors)
     moments: list[Array] = []
     left: list[Array] = []
@@ -148,10 +154,24 @@ def with_scatter_of(
                 name: model.healthy_mean.get(name, 0.0) + float(moved)
                 for name, moved in zip(names, levels.mean, strict=True)
             },
-            "machine_scatter": Scatter.of(names, levels.machine),
-            "set_scatter": Scatter.of(names, levels.within),
+            "machine_scatter": Scatter.of(names, _shapes_apart(levels.machine)),
+            "set_scatter": Scatter.of(names, _shapes_apart(levels.within)),
         }
     )
+
+
+def _shapes_apart(covariance: Array) -> Array:
+    """Shapes of the unheard-of scatter by themselves, and never less than `unheard_least_sd`.
+
+    They are taken beside all that has a name (unheard.py), and are too many for correlations of their own.
+    """
+    least = unheard_least_sd()
+    named = covariance.shape[0] - least.size
+    apart = np.zeros_like(covariance)
+    apart[:named, :named] = covariance[:named, :named]
+    places = np.arange(named, covariance.shape[0])
+    apart[places, places] = np.diag(covariance)[named:] + 0.5 * least**2
+    return apart
 
 
 def first_scatter_sd() -> Array:
@@ -160,7 +180,9 @@ def first_scatter_sd() -> Array:
         0.03 if "accel" in name else 0.003 if "gyro" in name or name.endswith("_s") else 0.01
         for name in SET_NUISANCES
     ]
-    return np.array([*(FIRST_SCATTER_RATIO * p.tolerance for p in library()), *offsets])
+    return np.array(
+        [*(FIRST_SCATTER_RATIO * p.tolerance for p in library()), *offsets, *unheard_slab_sd()]
+    )
 
 
 def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel) -> Scatter:

@@ -42,7 +42,7 @@ class Scatter(BaseModel):
     names: tuple[str, ...]
     sd: tuple[float, ...]
     correlation: tuple[tuple[float, ...], ...]
-    """Lower triangle, row by row, without the diagonal of ones."""
+    """Lower triangle, row by row, without the diagonal of ones and zeros at the end of a row."""
 
     def covariance(self, names: Sequence[str]) -> Array:
         """Covariance (n, n) of these names, in their order."""
@@ -71,8 +71,9 @@ class Scatter(BaseModel):
         """From a covariance (n, n)."""
         sd = np.sqrt(np.diag(covariance))
         ratio = covariance / sd[:, None] / sd
-        rows = tuple(tuple(round(float(v), 4) for v in ratio[i, :i]) for i in range(sd.size))
-        return cls(names=tuple(names), sd=tuple(float(f"{v:.4g}") for v in sd), correlation=rows)
+        rows = [np.trim_zeros(np.round(ratio[i, :i], 4), "b").tolist() for i in range(sd.size)]
+        sizes = tuple(float(f"{v:.4g}") for v in sd)
+        return cls(names=tuple(names), sd=sizes, correlation=tuple(map(tuple, rows)))
 
 
 class NoiseModel(BaseModel):

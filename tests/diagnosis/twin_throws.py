@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
+from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.causes.whitening import THROW_NUISANCES, throw_nuisances
 from diagnosis.healthy.filters import nothing
 from diagnosis.healthy.health import Health
@@ -146,7 +147,7 @@ def health() -> Health:
     tolerance = [p.tolerance for p in library()]
     of_throw = [THROW_SD.get(name, 0.003) for name in THROW_NUISANCES]
     of_throw += [0.2 * sd for sd in tolerance]
-    of_set = [*tolerance, *(0.003 for _ in SET_NUISANCES)]
+    of_set = [*tolerance, *(0.003 for _ in SET_NUISANCES), *unheard_least_sd()]
     return Health(
         nothing(),
         NoiseModel(

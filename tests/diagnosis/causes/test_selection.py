@@ -16,9 +16,11 @@ from diagnosis.causes.selection import (
     Priors,
     SetEvidence,
     bagged_probability,
+    bare,
     bootstrap_weights,
     expected_log_odds,
     inform,
+    inform_gram,
     screen,
     search,
     total,
@@ -72,6 +74,24 @@ def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
     assert found.square == pytest.approx(float(residual @ inverse @ residual))
 
 
+def test_bare_information_is_that_of_the_residual_without_effects() -> None:
+    rng = np.random.default_rng(9)
+    carried, plain, jacobian, nuisance = (
+        rng.standard_normal((12, 1)),
+        rng.standard_normal((12, 1)),
+        rng.standard_normal((12, 3)),
+        rng.standard_normal((12, 2)),
+    )
+    table = np.column_stack([carried, plain, jacobian, nuisance])
+    both = inform_gram(table.T @ table, 3)
+    prior = priors(3, spike=0.5)
+    found = screen(bare(both), prior)
+    alone = screen(inform(plain[:, 0], jacobian, nuisance), prior)
+    assert found.log_evidence == pytest.approx(alone.log_evidence)
+    np.testing.assert_allclose(found.mean, alone.mean, atol=1e-12)
+    np.testing.assert_allclose(found.gradient, alone.gradient, atol=1e-10)
+
+
 def test_evidence_equals_the_dense_gaussian() -> None:
     rng = np.random.default_rng(1)
     jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
@@ -96,7 +116,7 @@ def test_true_pair_is_found_and_nothing_else() -> None:
     truth[[3, 11]] = 0.5, -0.3
     prior = priors(20)
     base = screen(total(throws(truth, rng).information), prior)
-    best = search(base, prior)[0]
+    best = search(base, prior, range(len(prior.groups)))[0]
     assert best.members == (3, 11)
     np.testing.assert_allclose(best.mean, [0.5, -0.3], atol=0.12)
 
@@ -106,7 +126,7 @@ def test_scatter_within_the_spike_is_no_effect() -> None:
     prior = priors(20, spike=0.1)
     truth = 0.1 * rng.standard_normal(20)
     base = screen(total(throws(truth, rng).information), prior)
-    assert search(base, prior)[0].members == ()
+    assert search(base, prior, range(len(prior.groups)))[0].members == ()
 
 
 def test_what_healthy_machines_do_together_is_no_effect() -> None:
@@ -122,9 +142,9 @@ def test_what_healthy_machines_do_together_is_no_effect() -> None:
         screen(total(throws(truth, rng, rows=200).information), correlated)
         for truth in (together, apart)
     ]
-    assert search(bases[0], correlated)[0].members == ()
+    assert search(bases[0], correlated, range(len(correlated.groups)))[0].members == ()
     # Either of them is off: the other is then scatter.
-    assert search(bases[1], correlated)[0].members in {(1,), (2,)}
+    assert search(bases[1], correlated, range(len(correlated.groups)))[0].members in {(1,), (2,)}
 
 
 def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:

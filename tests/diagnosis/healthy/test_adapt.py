@@ -35,7 +35,7 @@ def louder(problem: Problem, joints: tuple[str, ...], sd: float) -> dict[str, fl
             assert block is not None
             residual[block.rows] += sd * rng.standard_normal(block.t_s.size)
         moved = replace(linear, residual=residual)
-        found.append(whiten_throw(p, moved, problem.model, factor))
+        found.append(whiten_throw(p, moved, problem.model, factor, beside=problem.beside))
     return misfit(found, problem.layout.priors, problem.model)
 
 

@@ -1,0 +1,73 @@
+"""Columns of the shapes of unheard-of effects (shapes.py): slopes of the library times something measured."""
+
+import numpy as np
+
+from diagnosis.causes.parameters import index_of
+from diagnosis.causes.residuals import Linear
+from diagnosis.causes.shapes import PLACE_WAVES, PLAY_POWERS, WAY_POWERS, unheard_names
+from diagnosis.loading.prepared import Block, PreparedThrow
+from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
+from machine.spec import load_spec
+
+DIRECTIONS = ("positive", "negative")
+WAY_RAD_M = 0.12
+"""Bumps on the way are about this wide: half of what a joint at speed passes in 0.6 s (by eye)."""
+
+
+def unheard_columns(prepared: PreparedThrow, at_none: Linear) -> Array:
+    """Columns (n, u) of a throw in the order of `unheard_names`.
+
+    Args:
+        prepared: the throw.
+        at_none: linearised without any effect.
+    """
+    out = np.zeros((at_none.residual.size, len(unheard_names())))
+    width = out.shape[1] // ACTIVE_COUNT
+    for joint, name in enumerate(ACTIVE_JOINTS):
+        block = prepared.block(f"actuation.{name}")
+        if block is not None:
+            columns = _of_joint(prepared, at_none, block, joint)
+            out[block.rows, joint * width : (joint + 1) * width] = columns
+    return out
+
+
+def _of_joint(prepared: PreparedThrow, linear: Linear, block: Block, joint: int) -> Array:
+    """Columns (n, u) in the order of `SHAPES`, in the joint's rows."""
+    motion, rated = prepared.motion, load_spec().limits.speed_positive_rad_m_per_s
+    slopes, name = linear.jacobian[block.rows], ACTIVE_JOINTS[joint]
+    gain = slopes[:, [index_of()[f"valve_gain.{name}.{way}_ratio"] for way in DIRECTIONS]].sum(
+        axis=1
+    )
+    play = slopes[:, index_of()[f"valve_hysteresis.{name}.half_width_ratio"]]
+
+    def at_rows(track: Array) -> Array:
+        return np.interp(block.t_s, motion.t_s, track)
+
+    speed = np.abs(motion.velocity_rad_m_per_s[:, joint])
+    way = at_rows(np.cumsum(speed) * CONTROL_PERIOD_S) / WAY_RAD_M
+    bumps = [_bump(way, k) for k in WAY_POWERS]
+    place = at_rows(_place(motion.position_rad_m[:, joint], joint))
+    others = [k for k in range(ACTIVE_COUNT) if k != joint]
+    share = np.abs(gain) / rated[joint]
+    columns = [
+        *(gain * bump for bump in bumps),
+        *(gain * np.cos(np.pi * k * place) for k in PLACE_WAVES),
+        *(play * bump for bump in bumps[: len(PLAY_POWERS)]),
+        *(rated[joint] / rated[k] * at_rows(linear.predicted_velocity[:, k]) for k in others),
+        gain * share,
+        gain * share**2,
+    ]
+    return np.column_stack(columns)
+
+
+def _place(position_rad_m: Array, joint: int) -> Array:
+    """0 to 1 of a joint's range; the slew, which goes round, in half turns."""
+    low, high = (float(end[joint]) for end in load_spec().position_range_rad_m)
+    if not np.isfinite(high - low):
+        return position_rad_m / np.pi
+    return (position_rad_m - low) / (high - low)
+
+
+def _bump(way: Array, power: int) -> Array:
+    """Along a way in bump widths: highest, with 1, at `power` widths."""
+    return np.asarray((way / max(power, 1)) ** power * np.exp(power - way))
