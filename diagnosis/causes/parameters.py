@@ -179,8 +179,8 @@ DRIFTING = (
 GROUP_LOG_PRIOR = -6.0
 """About one effect in six data sets, of some seventy that could be."""
 ROUGH_LOG_PRIOR = -8.0
-"""Where a joint rests is taken from the throws (`replay_drives`), a freedom that no other effect has:
-a sticking telescope was 87 % probable on one healthy set with -6."""
+"""Where a joint that sticks rests is taken from the throws (`replay_drives`), a freedom that no other effect
+has: with -6 a sticking telescope was named on one of 12 healthy sets. Play, as rough, is treated alike."""
 SPIKE_WIDENING_RATIO = 1.1
 """The scatter was measured on a finite number of machines."""
 DRIFT_LOG_PRIOR = -8.0

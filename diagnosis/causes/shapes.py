@@ -32,9 +32,9 @@ class Shape(NamedTuple):
     """What is seen, after "something unknown: "."""
     columns: tuple[str, ...]
     slab_sd: float
-    """Prior width of a size."""
+    """Prior width of a size (by eye)."""
     least_sd: float
-    """No healthy machine is nearer to its twin than this."""
+    """No healthy machine is nearer to its twin than this (by eye)."""
 
 
 SHAPES: Final[Mapping[str, Shape]] = {

@@ -234,8 +234,8 @@ def settle(problem: Problem, seeds: dict[Set, Array], rounds: int) -> list[Trial
 def again(problem: Problem, trials: Sequence[Trial]) -> dict[Set, Array]:
     """Where to simulate trials once more: at their estimates, but rough effects where they were.
 
-    Slopes by a size at which a joint breaks loose are no guide: from 0.05 m/s, where a telescope that broke
-    loose at 0.066 m/s was 499 ahead, they led in three steps to 0.027 m/s and 238.
+    Slopes by a size at which a joint breaks loose are no guide: with the noise of a version on the way they
+    led from 0.05 m/s (499 ahead) in three steps to 0.027 m/s (238), where a telescope broke loose at 0.066.
     """
     return {t.members: t.at if is_rough(problem, t.members) else t.sizes for t in trials}
 

@@ -127,7 +127,7 @@ class ValveEffects:
         self._mean_lag_s = 2.0 * damping_ratio / natural_frequency_rad_per_s
         if self._lag_s is None:
             return natural_frequency_rad_per_s
-        lag = 2.0 * damping_ratio / natural_frequency_rad_per_s
+        lag = self._mean_lag_s
         faster = 2.0 * damping_ratio / np.maximum(lag + self._lag_s, np.minimum(lag, MIN_LAG_S))
         return np.where(self._lag_s >= 0.0, natural_frequency_rad_per_s, faster)
 
@@ -203,7 +203,7 @@ class ValveEffects:
             velocity: what the lag makes of both.
             slope: the lag's second state.
             active_position_rad_m: joints.
-            seen: measured velocity, which then says when a joint comes to rest.
+            seen: measured velocity, which then says when a joint that sticks comes to rest.
         """
         if self._gap is not None:
             velocity, slope = self._cross(

@@ -39,8 +39,8 @@ def replay_drives(
         elements: what to simulate; what they take as measured is not looked at.
         profile: of the machine; its own effects act in every element.
         calibration: of its valves.
-        as_measured: joints that stick or have play come to rest, and cylinders are at their end stops, when
-            the recorded ones were: whether a slow joint just stops decides all that follows.
+        as_measured: joints that stick come to rest, and cylinders are at their end stops, when the recorded
+            ones were: whether a slow joint just stops decides all that follows.
     """
     spec, exact, count = load_spec(), exact_profile(profile), len(elements)
     throws = [inputs[e.throw] for e in elements]

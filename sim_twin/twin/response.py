@@ -146,9 +146,8 @@ class VelocityResponse:
     ) -> Array:
         """Joint velocities (N, 4) at the end of a tick during which the valves stood at `valve_ratio`.
 
-        Joints that stick or have play come to rest when `seen` velocities do, if there are any.
-
-        A dead time between two ticks takes the mean of the two delayed commands that act in the tick.
+        A dead time between two ticks takes the mean of the two delayed commands that act in the tick. Joints
+        that stick come to rest when measured velocities do, if there are any (`seen`).
         """
         depth, tick, effects = self._depth, self._tick, self._effects
         if effects is None:
