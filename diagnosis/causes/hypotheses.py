@@ -55,6 +55,7 @@ GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
 WEIGHED_COUNT = 5
 SHAPED_COUNT = 5
+"""Sets with a shape that are weighed."""
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 WITH_THRESHOLD = ("valve_dead_band", "valve_hysteresis", "speed_limit", "backlash", "stiction")
@@ -97,9 +98,16 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     """
     priors = problem.layout.priors
     at_none = screen(total(problem.information), priors)
-    nothing = np.zeros(0)
-    seen_as = problem.whitened, problem.information, priors, priors, at_none
-    none = Trial((), nothing, nothing, *seen_as)
+    none = Trial(
+        members=(),
+        at=np.zeros(0),
+        sizes=np.zeros(0),
+        whitened=problem.whitened,
+        information=problem.information,
+        priors=priors,
+        plain=priors,
+        base=at_none,
+    )
     found = [none, *_singles(problem, at_none)]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import Linear, linearise
@@ -15,6 +13,7 @@ from diagnosis.causes.whitening import (
     apart,
     beside_named,
     factors,
+    in_units,
     information,
     left_of,
     whiten_throw,
@@ -69,50 +68,23 @@ def pose(
 
     An effect's discrepancy is in the noise from here on (`widened`), wherever the twin without any is off.
     """
-    first = _healthy(prepared, profile, calibration, health, layout)
-    data = total(first.information)
-    mean = screen(data, first.layout.priors).mean
-    off = [
-        _in_units(p, f, left_of(w, mean))
-        for p, f, w in zip(prepared, first.plain, first.whitened, strict=True)
-    ]
-    factor = [
-        widened(p, first.model, f, o) for p, f, o in zip(prepared, first.plain, off, strict=True)
-    ]
-    whitened = [
-        whiten_throw(p, one, first.model, f, beside=first.beside)
-        for p, one, f in zip(prepared, first.linear, factor, strict=True)
-    ]
-    found = information(whitened)
-    return replace(first, factor=factor, off=off, whitened=whitened, information=found)
-
-
-def _healthy(
-    prepared: Sequence[PreparedThrow],
-    profile: TwinProfile,
-    calibration: ValveCalibration,
-    health: Health,
-    layout: Layout,
-) -> Problem:
-    """With the noise of a healthy machine."""
     healthy, model = health.filters, health.noise
     linear = linearise(prepared, profile, calibration, healthy)
-    if health.is_own:
-        return _whitened(prepared, profile, calibration, healthy, model, layout, linear)
-    is_stranger = not filters_help(prepared, linear, healthy)
+    is_stranger = not health.is_own and not filters_help(prepared, linear, healthy)
     if is_stranger:
         healthy, model = nothing(), stranger(model)
         layout = layout_of(model)
         linear = linearise(prepared, profile, calibration, healthy)
-    first = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
-    excess = misfit(first.whitened, layout.priors, model)
-    if not is_stranger:
-        # Machines of the type are never much nearer to their twin than the others.
-        excess = {stage: max(factor, 1.0) for stage, factor in excess.items()}
-    if all(factor == 1.0 for factor in excess.values()):
-        return first
-    scaled = scaled_to(model, excess)
-    return _whitened(prepared, profile, calibration, healthy, scaled, layout, linear)
+    found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    if not health.is_own:
+        excess = misfit(found.whitened, layout.priors, model)
+        if not is_stranger:
+            # Machines of the type are never much nearer to their twin than the others.
+            excess = {stage: max(factor, 1.0) for stage, factor in excess.items()}
+        if any(factor != 1.0 for factor in excess.values()):
+            model = scaled_to(model, excess)
+            found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    return _with_form_error(found)
 
 
 def _whitened(
@@ -147,9 +119,18 @@ def _whitened(
     )
 
 
-def _in_units(prepared: PreparedThrow, factor: Sequence[Array], white: Array) -> Array:
-    """A whitened vector (n,) in the channels' own units."""
-    out = np.zeros_like(white)
-    for block, lower in zip(prepared.blocks, factor, strict=True):
-        out[block.rows] = lower @ white[block.rows]
-    return out
+def _with_form_error(first: Problem) -> Problem:
+    """With the discrepancy that effects bring wherever the twin without any is off."""
+    prepared, model = first.prepared, first.model
+    mean = screen(total(first.information), first.layout.priors).mean
+    off = [
+        in_units(p, f, left_of(w, mean))
+        for p, f, w in zip(prepared, first.plain, first.whitened, strict=True)
+    ]
+    factor = [widened(p, model, f, o) for p, f, o in zip(prepared, first.plain, off, strict=True)]
+    whitened = [
+        whiten_throw(p, one, model, f, beside=first.beside)
+        for p, one, f in zip(prepared, first.linear, factor, strict=True)
+    ]
+    found = information(whitened)
+    return replace(first, factor=factor, off=off, whitened=whitened, information=found)

@@ -45,15 +45,15 @@ THROW_NUISANCES = (
 )
 """What differs from throw to throw on any machine, beside all parameters of the library, which follow."""
 FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
-"""Discrepancy of a real effect from the library's by stage, as a share of what it changes there: what true
-effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives: 0.15,
-0.18, 0.18, 0.19, 0.3, 0.55, 0.6 (and 1.15 for a slew whose play began at a side that nobody knows); swing:
-0.03, 0.06, 0.08; flight: 0.06."""
+"""Discrepancy of a real effect from the library's by stage, as a share of what the twin is off there: what
+true effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives:
+0.15, 0.18, 0.18, 0.19, 0.3, 0.55, 0.6 (and 1.15 for a slew whose play began at a side that nobody knows);
+swing: 0.03, 0.06, 0.08; flight: 0.06."""
 JUMP_SD = 4.0
 """A joint that breaks loose jumps within a tick: two samples of 20 standard deviations, and as the twin says
 before and after, on a development set with a telescope that sticks."""
 SHAKE_RATIO = 0.2
-"""Of what these effects change at a joint, the others move with it: the twin's joints move alone. On three
+"""Of what stiction or play changes at a joint, the others move with it: the twin's move alone. On three
 development sets the telescope was off by 0.1, 0.2 and 0.3 of what the dipper was."""
 DEAF_BLOCKS = "swing.accel"
 """Joints that stop or break loose within a tick shake the gripper by more than smoothed joint motion can tell
@@ -117,6 +117,7 @@ class Basis:
     factor: Sequence[Array]
     whitened: Whitened
     beside: Array
+    """What named slopes explain of the shapes (`beside_named`)."""
 
 
 def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
@@ -314,6 +315,14 @@ def explained(whitened: Whitened, mean: Array) -> Array:
     count = len(library())
     acting = mean[:count] + whitened.progress_ratio * mean[count : 2 * count]
     return whitened.slopes @ np.concatenate([acting, mean[2 * count :]])
+
+
+def in_units(prepared: PreparedThrow, factor: Sequence[Array], white: Array) -> Array:
+    """A whitened vector (n,) in the channels' own units."""
+    out = np.zeros_like(white)
+    for block, lower in zip(prepared.blocks, factor, strict=True):
+        out[block.rows] = lower @ white[block.rows]
+    return out
 
 
 def left_of(whitened: Whitened, mean: Array) -> Array:

@@ -22,6 +22,7 @@ from diagnosis.causes.whitening import (
     beside_named,
     explained,
     factors,
+    in_units,
     information,
     throw_nuisances,
     whiten_throw,
@@ -92,10 +93,7 @@ def fit(one: HealthySet, model: NoiseModel) -> Fit:
     for w, p, lower in zip(white, one.prepared, factor, strict=True):
         rest, moment = _without_nuisances(w, base.mean)
         moments.append(moment)
-        raw = np.zeros_like(rest)
-        for block, one_factor in zip(p.blocks, lower, strict=True):
-            raw[block.rows] = one_factor @ rest[block.rows]
-        left.append(raw)
+        left.append(in_units(p, lower, rest))
     return Fit(base.mean, base.covariance, np.mean(moments, axis=0), left, told(data, plan))
 
 

@@ -1,9 +1,10 @@
 """Effects that no library has are called unknown, with what they look like; healthy throws are not."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.problem import Problem, pose
@@ -83,22 +84,18 @@ def test_columns_act_at_their_own_joint_and_follow_what_they_are_named_for() -> 
     assert np.corrcoef(leak, twin)[0, 1] > 0.99
 
 
-def test_motion_that_follows_another_joint_is_unknown_and_says_so() -> None:
+@pytest.mark.parametrize(
+    ("changed", "ratio", "shape"), [(leaking, 0.25, "neighbours"), (fading, 0.6, "way")]
+)
+def test_what_no_library_has_is_unknown_and_says_what_it_looks_like(
+    changed: Callable[[ThrowData, float], ThrowData], ratio: float, shape: str
+) -> None:
     loaded = throws((), THROWS)
-    verdict, signature = diagnosed([leaking(t, 0.25) for t in loaded.throws], loaded)
+    verdict, signature = diagnosed([changed(t, ratio) for t in loaded.throws], loaded)
     assert verdict is VerdictKind.UNKNOWN
     assert isinstance(signature, dict)
     assert (signature["stage"], signature["joint"]) == ("actuation", "dipper")
-    assert signature["looks_like"] == SHAPES["neighbours"].said
-
-
-def test_speed_that_recovers_on_the_way_is_unknown_and_says_so() -> None:
-    loaded = throws((), THROWS)
-    verdict, signature = diagnosed([fading(t, 0.6) for t in loaded.throws], loaded)
-    assert verdict is VerdictKind.UNKNOWN
-    assert isinstance(signature, dict)
-    assert (signature["stage"], signature["joint"]) == ("actuation", "dipper")
-    assert signature["looks_like"] == SHAPES["way"].said
+    assert signature["looks_like"] == SHAPES[shape].said
 
 
 def test_the_same_throws_without_it_have_no_effect() -> None:
