@@ -5,6 +5,7 @@ import pytest
 from cli.throw import parse_target, run
 from machine.errors import UsageError
 from server.throws.throw_client import ServerError, ThrowClient, login_from_file
+from tests.server.server_bench import wait_for
 
 PASSWORD = "correct horse battery"
 
@@ -21,7 +22,8 @@ def throw(running, login, **arguments):
 
 
 def test_one_command_throws_and_reports(running, machine, login, capsys):
-    machine.payload_held = False  # it asks for a load itself
+    machine.payload_held = False  # the client asks for a load by itself
+    wait_for(lambda: not running.services.registry.get("m001").state.payload_held)
     assert throw(running, login, target="6.03", as_json=True) == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) >= {"throw_id", "state", "predicted", "impact", "seconds"}
