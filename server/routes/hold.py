@@ -84,7 +84,11 @@ async def _watch(websocket: WebSocket, services: Services, session: Session) -> 
     while True:
         await asyncio.sleep(RECHECK_S)
         found = await asyncio.to_thread(services.accounts.session_of, websocket.cookies.get(COOKIE))
-        if found is None or found.session_id != session.session_id:
+        if (
+            found is None
+            or found.session_id != session.session_id
+            or not found.may(Permission.THROW)
+        ):
             services.holds.let_go_all(session.session_id)
             await websocket.close(CLOSED_SESSION_ENDED, "session ended")
             return

@@ -13,8 +13,8 @@ router = APIRouter(tags=["logs"])
 
 MAX_BODY_BYTES = 512 * 1024 * 1024
 """Outer bound; the limit that counts is a setting (DOWNRANGE_LOG_MAX_BYTES)."""
-_SHA256 = re.compile(r"^[0-9a-f]{64}$")
-_THROW_ID = re.compile(r"^[A-Za-z0-9_-]{1,64}$")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_THROW_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 @router.put(
@@ -39,7 +39,7 @@ async def put_throw_log(
     token = authorization.removeprefix("Bearer ")
     if token == authorization or not services.registry.is_token_of(machine_id, token):
         raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
-    if not _SHA256.match(x_content_sha256) or not _THROW_ID.match(throw_id):
+    if not _SHA256.fullmatch(x_content_sha256) or not _THROW_ID.fullmatch(throw_id):
         raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
     scratch, size_bytes = await services.logs.receive(request.stream(), x_content_sha256)
     is_new = await asyncio.to_thread(

@@ -88,11 +88,11 @@ class LogStore:
         try:
             with self._database.write() as database:
                 throw = database.get(Throw, throw_id)
-                if throw is not None and throw.machine_id != machine_id:
+                row = database.get(ThrowLog, throw_id)
+                if any(known and known.machine_id != machine_id for known in (throw, row)):
                     raise ForbiddenError(
                         "wrong_machine", f"Throw {throw_id} was not made by {machine_id}."
                     )
-                row = database.get(ThrowLog, throw_id)
                 if row is not None and row.log_sha256 == log_sha256 and target.exists():
                     return False
                 target.parent.mkdir(parents=True, exist_ok=True)

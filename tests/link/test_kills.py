@@ -28,7 +28,7 @@ def records_are_whole(yard):
 
 
 def wait_for_end(server: Server, throw_id: str) -> str:
-    wait_for(lambda: server.ends(throw_id), 40.0)
+    wait_for(lambda: server.ends(throw_id))
     return server.ends(throw_id)[0]
 
 
@@ -40,7 +40,7 @@ def test_control_killed(yard, moment):
     yard.machine.kill_child(CONTROL)
     assert server.wait_state(ThrowState.FAULT).fault
     # It comes back by itself, disarmed, with the epoch it knew and the throw it must not repeat.
-    wait_for(lambda: server.state.boot_id != boot_id, 40.0)
+    wait_for(lambda: server.state.boot_id != boot_id)
     state = server.wait_state(ThrowState.DISARMED)
     assert (state.epoch_count, state.throw_id) == (yard.epoch, None)
     assert wait_for_end(server, throw_id) == "interrupted"

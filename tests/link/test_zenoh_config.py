@@ -1,6 +1,5 @@
 """The router's passwords and rules, against a real router and real sessions."""
 
-import socket
 import stat
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ import zenoh
 from machine.channels import machine_key
 from machine.errors import UsageError
 from runtime.link.zenoh_config import RouterTls, client_config, router_config
+from tests.ports import free_port
 
 SITE = "yard"
 USERS = {"m001": "one", "m002": "two", "server": "three"}
@@ -20,9 +20,7 @@ USERS = {"m001": "one", "m002": "two", "server": "three"}
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
@@ -38,7 +36,7 @@ def router(tmp_path: Path, endpoint: str) -> Iterator[zenoh.Session]:
         yield session
 
 
-def wait_for(condition, timeout_s: float = 5.0) -> bool:
+def wait_for(condition, timeout_s: float = 60.0) -> bool:
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         if condition():

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -40,6 +39,7 @@ from machine.spec import load_spec
 from runtime.control.policy import find_policy
 from runtime.link.zenoh_config import router_config
 from tests.link.relay import Relay
+from tests.ports import free_port
 
 SITE = "yard"
 MACHINE = "m001"
@@ -47,7 +47,7 @@ PASSWORD = "rust-and-oil"
 ROOT = Path(__file__).parents[2]
 
 
-def wait_for(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
+def wait_for(condition: Callable[[], Any], timeout_s: float = 60.0) -> Any:
     """Wait until something is true; fails the test when it does not become so."""
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
@@ -55,12 +55,6 @@ def wait_for(condition: Callable[[], Any], timeout_s: float = 20.0) -> Any:
             return found
         time.sleep(0.01)
     raise AssertionError(f"not within {timeout_s} s: {condition}")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class Server:
@@ -134,7 +128,7 @@ class Server:
     def state(self) -> MachineState:
         return self.states[-1]
 
-    def send(self, command: Command, timeout_s: float = 2.0) -> CommandReply | None:
+    def send(self, command: Command, timeout_s: float = 20.0) -> CommandReply | None:
         replies = self._session.get(
             self._key("command"), payload=command.model_dump_json(), timeout=timeout_s
         )
@@ -144,7 +138,7 @@ class Server:
 
     def ask(self, payload: bytes) -> bytes:
         """Any payload as a command; the one answer."""
-        replies = self._session.get(self._key("command"), payload=payload, timeout=2.0)
+        replies = self._session.get(self._key("command"), payload=payload, timeout=20.0)
         (answer,) = [bytes(reply.ok.payload) for reply in replies]
         return answer
 
@@ -154,7 +148,7 @@ class Server:
     def put(self, name: str, text: str) -> None:
         self._session.put(self._key(name), text, express=True)
 
-    def wait_state(self, *wanted: ThrowState, timeout_s: float = 20.0) -> MachineState:
+    def wait_state(self, *wanted: ThrowState, timeout_s: float = 60.0) -> MachineState:
         known = len(self.states)
         return wait_for(
             lambda: next((s for s in self.states[known:] if s.state in wanted), None), timeout_s
@@ -335,11 +329,16 @@ class Yard:
         self.server.go_silent()
         if self.machine.process is None or self.machine.process.poll() is not None:
             self.machine.start()
-        wait_for(lambda: self.server.is_alive and self.server.states, 40.0)
+        wait_for(lambda: self.server.is_alive and self.server.states)
         self.epoch += 1
-        assert wait_for(lambda: self.server.order(LeaseNotice, epoch_count=self.epoch)).accepted
-        self.server.order(StopClearRequest, epoch_count=self.epoch)
-        self.server.wait_state(ThrowState.DISARMED, timeout_s=60.0)
+        # The test before may have killed a process of the machine: until it is back it does not accept.
+        wait_for(lambda: self._is_accepted(LeaseNotice))
+        wait_for(lambda: self.server.order(StopClearRequest, epoch_count=self.epoch))
+        self.server.wait_state(ThrowState.DISARMED)
+
+    def _is_accepted(self, kind: type[Any]) -> bool:
+        reply = self.server.order(kind, epoch_count=self.epoch)
+        return reply is not None and reply.accepted
 
     def new_throw_id(self) -> str:
         self._throw_count += 1
@@ -376,7 +375,7 @@ class Yard:
         )
 
     def wait_for_log(self, throw_id: str) -> None:
-        wait_for(lambda: "log_stored" in self.server.kinds(throw_id), 40.0)
+        wait_for(lambda: "log_stored" in self.server.kinds(throw_id))
 
     def log_path(self, throw_id: str) -> Path:
         return self.machine.folder / "throws" / f"{throw_id}.mcap"

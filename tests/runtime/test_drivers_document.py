@@ -15,6 +15,7 @@ from machine.messages import StopRequest, ThrowState
 from machine.starts import safe_pose
 from runtime.driver import Driver
 from runtime.process.driver_loader import load_driver
+from tests.ports import free_port
 from tests.runtime.machine_bench import Bench, make
 
 DOCUMENT = Path(__file__).parents[2] / "docs/drivers.md"
@@ -28,10 +29,8 @@ class Controller:
     def __init__(self) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(5.0)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.driver_port = probe.getsockname()[1]
+        self.socket.settimeout(30.0)
+        self.driver_port = free_port(socket.SOCK_DGRAM)
         self.joints = [float(value) for value in safe_pose()[:4]]
         self.switches = 3
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from sqlalchemy import delete
 
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
@@ -18,6 +19,7 @@ from server.gap.runs import GapDesk
 from server.gap.worker import Diagnose, GapProcess
 from server.schemas.console import Role
 from server.services import Services
+from server.store.models import Throw
 from tests.server.server_bench import wait_for
 
 RUNS = "/machines/m001/gap-runs"
@@ -61,6 +63,12 @@ def add_throws(
     return throw_ids
 
 
+def forget_throws(services: Services) -> None:
+    """Begin with none: how many throws there are, and which are the newest, is then one file's alone."""
+    with services.database.write() as database:
+        database.execute(delete(Throw))
+
+
 def keep_log(services: Services, machine_id: str, throw_id: str, content: bytes) -> None:
     folder = services.settings.data_dir / "throws"
     folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +88,7 @@ def diagnosing(services: Services, diagnose: Diagnose) -> Generator[GapDesk]:
     finally:
         for run in list(desk._open.values()):
             run.cancelled.set()
-        wait_for(lambda: not desk._open, 20.0)
+        wait_for(lambda: not desk._open)
         desk._process = before
 
 
@@ -91,7 +99,7 @@ def start(client: httpx.Client, **body: Any) -> dict[str, Any]:
     return reply.json()
 
 
-def ended(client: httpx.Client, run: dict[str, Any], timeout_s: float = 30.0) -> dict[str, Any]:
+def ended(client: httpx.Client, run: dict[str, Any], timeout_s: float = 150.0) -> dict[str, Any]:
     """Wait until a run has ended; the whole of it."""
     path = f"{RUNS}/{run['gap_run_id']}"
     wait_for(lambda: client.get(path).json()["row"]["ended_utc"], timeout_s)

@@ -1,34 +1,34 @@
 """A running server on a free port, and people to use it."""
 
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
 
 from machine.conventions import Mode
 from machine.policy_card import load_card
+from server.clock import utc_now
 from server.schemas.console import Role
 from server.serve import make_server, open_socket
 from server.services import Services
 from server.settings import Settings
+from server.store.models import LoginSession
+from tests.ports import free_port
 from tests.server.fake_machine import FakeMachine
 
 PASSWORD = "correct horse battery"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> object:
+    """Poll until a condition holds; fails the test if it never does.
 
-
-def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> object:
-    """Poll until a condition holds; fails the test if it never does."""
+    What is waited for takes fractions of a second; the limit is for computers that are busy with other work.
+    """
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:
         found = condition()
@@ -52,7 +52,7 @@ class Running:
         with httpx.Client(
             base_url=f"{self.url}/api/v1",
             headers={"Origin": self.url, "X-Requested-With": "downrange"},
-            timeout=20.0,
+            timeout=60.0,
         ) as client:
             if username:
                 body = {"username": username, "password": password}
@@ -89,7 +89,7 @@ def running_server(settings: Settings) -> Iterator[Running]:
             yield Running(url, settings, app.state.services)
         finally:
             server.should_exit = True
-            thread.join(timeout=30.0)
+            thread.join(timeout=60.0)
             assert not thread.is_alive(), "the server did not stop"
 
 
@@ -105,6 +105,15 @@ def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settin
         "lease_ttl_s": 300.0,
     }
     return Settings.model_validate(values | overrides)
+
+
+def run_out(services: Services, client: httpx.Client) -> None:
+    """Let the session of a client reach its end, without a logout."""
+    session_id = client.get("/auth/me").json()["session_id"]
+    with services.database.write() as database:
+        row = database.get(LoginSession, session_id)
+        assert row is not None
+        row.expires_utc = utc_now() - timedelta(seconds=1.0)
 
 
 def add_people(services: Services) -> None:

@@ -36,7 +36,7 @@ def found(running, ada):
     def make():
         run = ada.post(RUNS, json={"throw_ids": throw_ids}).json()
         path = f"{RUNS}/{run['gap_run_id']}"
-        wait_for(lambda: ada.get(path).json()["row"]["state"] == "done", 30.0)
+        wait_for(lambda: ada.get(path).json()["row"]["state"] == "done", 150.0)
         return path
 
     yield make

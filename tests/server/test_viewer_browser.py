@@ -95,7 +95,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
     assert not any(chrome.nth(i).is_visible() for i in range(chrome.count()))
 
     page.mouse.click(300, 190)
-    wait_for(lambda: page.wait_for_timeout(50) or app.picks, "the pick", timeout_s=30.0)
+    wait_for(lambda: page.wait_for_timeout(50) or app.picks, "the pick")
     session_id, (x, y, z) = app.picks[-1]
     assert session_id == "s1"
     assert 2.0 < x < 14.0

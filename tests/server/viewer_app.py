@@ -78,11 +78,11 @@ class ViewerApp:
 
     def close(self) -> None:
         self._server.should_exit = True
-        self._thread.join(timeout=10.0)
+        self._thread.join(timeout=30.0)
         self.scene.close()
 
 
-def wait_for(is_true: Callable[[], object], what: str, timeout_s: float = 20.0) -> None:
+def wait_for(is_true: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not is_true():
         if time.monotonic() > deadline_s:
@@ -150,7 +150,7 @@ class ViewClient:
     def send(self, message: object) -> None:
         self.socket.send(msgpack.packb(message))
 
-    def read(self, timeout_s: float = 20.0) -> list[dict[str, Any]]:
+    def read(self, timeout_s: float = 60.0) -> list[dict[str, Any]]:
         raw = self.socket.recv(timeout=timeout_s)
         assert isinstance(raw, bytes)
         size, packed = (int.from_bytes(raw[i : i + 8], "little") for i in (0, 8))
@@ -175,7 +175,7 @@ class ViewClient:
             node.update(message.get("updates", {}))
             node.update({k: message[k] for k in ("wxyz", "position", "visible") if k in message})
 
-    def until(self, is_true: Callable[[], object], what: str, timeout_s: float = 20.0) -> None:
+    def until(self, is_true: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
         deadline_s = time.monotonic() + timeout_s
         while not is_true():
             try:

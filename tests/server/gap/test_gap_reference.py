@@ -9,12 +9,13 @@ from sqlalchemy import create_engine, text
 from server.gap.store import GapStore
 from server.store.database import Database, alembic_config, upgrade
 from tests.server import gap_fakes
-from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, start
+from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
 
 
 @pytest.fixture(scope="module")
 def throws(running):
     """Twelve throws of m001, oldest first: four while it was healthy, eight after."""
+    forget_throws(running.services)
     return add_throws(running.services, 12)
 
 

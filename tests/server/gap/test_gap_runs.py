@@ -19,7 +19,7 @@ from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.units import nominal_unit
 from tests.server import gap_fakes
-from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, start
+from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
 from tests.server.server_bench import PASSWORD, make_settings, running_server, wait_for
 from tests.server.test_events import Listener
 
@@ -28,6 +28,7 @@ from tests.server.test_events import Listener
 def throws(running):
     """Eight throws of m001, the last two in 2D; and some that cannot be used."""
     services = running.services
+    forget_throws(services)
     used = add_throws(services, 6) + add_throws(services, 2, mode=Mode.PLANAR)
     add_throws(services, 1, has_log=False)
     add_throws(services, 1, outcome="aborted")
@@ -40,8 +41,8 @@ def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
         run = start(ada, newest_count=7)
         assert (run["state"], run["throw_count"]) == ("queued", 7)
         view = ended(ada, run)
-        wait_for(lambda: listener.of("gap.updated")[-1:], 5.0)
-        wait_for(lambda: listener.of("gap.updated")[-1]["run"]["state"] == "done", 5.0)
+        wait_for(lambda: listener.of("gap.updated")[-1:])
+        wait_for(lambda: listener.of("gap.updated")[-1]["run"]["state"] == "done")
     seen = [event["run"] for event in listener.of("gap.updated")]
     assert seen[0]["state"] == "queued"
     assert any(r["step"] == "half way" and r["progress_ratio"] == 0.5 for r in seen)
@@ -158,7 +159,7 @@ def test_a_diagnosis_that_fails_says_so_and_the_next_one_runs(running, ada, thro
 
 def test_damaged_logs_are_bad_data_not_a_failure(ada, throws):
     """The real diagnosis in the real process."""
-    view = ended(ada, start(ada), 90.0)
+    view = ended(ada, start(ada))
     assert view["row"]["verdict"] == "bad_data"
     refused = view["result"]["evidence"]["refused"]
     assert len(refused) == 6
@@ -170,11 +171,11 @@ def test_damaged_logs_are_bad_data_not_a_failure(ada, throws):
     assert ".mcap" not in view["row"]["sentence"]
 
 
-def test_rights(running, throws):
+def test_rights(running, ada, throws):
     with running.client("vic") as vic, diagnosing(running.services, gap_fakes.nothing_found):
         assert vic.post(RUNS, json={"newest_count": 6}).status_code == 403
         assert vic.get(RUNS).status_code == 200
-        run_id = vic.get(RUNS).json()["rows"][0]["gap_run_id"]
+        run_id = ended(ada, start(ada))["row"]["gap_run_id"]
         assert vic.delete(f"{RUNS}/{run_id}").status_code == 403
         assert vic.get(f"{RUNS}/{run_id}").status_code == 200
     with running.client() as nobody:
@@ -183,6 +184,9 @@ def test_rights(running, throws):
 
 
 def test_pages_of_runs(running, ada, throws):
+    with diagnosing(running.services, gap_fakes.patient):
+        for run in [start(ada) for _ in range(4)]:
+            assert ada.delete(f"{RUNS}/{run['gap_run_id']}").status_code == 200
     rows = ada.get(RUNS, params={"limit": 200}).json()["rows"]
     assert len(rows) >= 4
     first = ada.get(RUNS, params={"limit": 2}).json()

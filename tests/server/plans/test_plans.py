@@ -25,7 +25,7 @@ def create(client, target=NEAR, mode="2d", rollout_count=0):
 
 def finished(client, plan):
     path = f"/plans/{plan['plan_id']}"
-    wait_for(lambda: client.get(path).json()["is_complete"], 60.0)
+    wait_for(lambda: client.get(path).json()["is_complete"], 120.0)
     return client.get(path).json()
 
 

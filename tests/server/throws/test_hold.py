@@ -7,7 +7,10 @@ from websockets.sync.client import connect
 
 from server.accounts.auth import COOKIE
 from server.metrics import Metrics
+from server.schemas.console import Role
+from server.store.models import User
 from server.throws.hold import GRANT_S, HoldDesk
+from tests.server.server_bench import PASSWORD, run_out
 
 
 def open_hold(running, client, machine_id="m001", **headers):
@@ -51,7 +54,7 @@ def test_nonsense_closes_the_socket(running, ada, message):
     with open_hold(running, ada) as socket:
         socket.send(message)
         with pytest.raises(ConnectionClosed) as caught:
-            socket.recv(timeout=5.0)
+            socket.recv(timeout=30.0)
     assert caught.value.rcvd.code == 4400
 
 
@@ -59,14 +62,14 @@ def test_bytes_close_the_socket(running, ada):
     with open_hold(running, ada) as socket:
         socket.send(b"\x00\x01")
         with pytest.raises(ConnectionClosed):
-            socket.recv(timeout=5.0)
+            socket.recv(timeout=30.0)
 
 
 def test_holding_nothing_is_answered_and_relayed_to_nobody(running, machine, ada):
     with open_hold(running, ada) as socket:
         for _ in range(3):
             socket.send(json.dumps({"throw_id": "t", "holding": True}))
-        reply = json.loads(socket.recv(timeout=5.0))
+        reply = json.loads(socket.recv(timeout=30.0))
         assert not reply["is_relayed"]
         assert reply["detail"]
     assert not machine.heartbeats
@@ -77,7 +80,27 @@ def test_signing_out_closes_the_socket(running, monkeypatch):
     with running.client("bob") as bob, open_hold(running, bob) as socket:
         bob.post("/auth/logout")
         with pytest.raises(ConnectionClosed) as caught:
-            socket.recv(timeout=10.0)
+            socket.recv(timeout=30.0)
+    assert caught.value.rcvd.code == 4401
+
+
+def test_a_session_that_runs_out_closes_the_socket(running, monkeypatch):
+    monkeypatch.setattr("server.routes.hold.RECHECK_S", 0.1)
+    with running.client("bob") as bob, open_hold(running, bob) as socket:
+        run_out(running.services, bob)
+        with pytest.raises(ConnectionClosed) as caught:
+            socket.recv(timeout=30.0)
+    assert caught.value.rcvd.code == 4401
+
+
+def test_a_person_who_may_not_throw_any_more_holds_nothing(running, monkeypatch):
+    monkeypatch.setattr("server.routes.hold.RECHECK_S", 0.1)
+    running.services.accounts.create_user("tom", PASSWORD, Role.OPERATOR)
+    with running.client("tom") as tom, open_hold(running, tom) as socket:
+        with running.services.database.write() as database:
+            database.get(User, "tom").role = Role.VIEWER.value
+        with pytest.raises(ConnectionClosed) as caught:
+            socket.recv(timeout=30.0)
     assert caught.value.rcvd.code == 4401
 
 

@@ -44,7 +44,7 @@ def test_words_for_people(running, machine, login, capsys):
 
 
 def test_an_aborted_throw_has_its_own_exit_code(running, machine, login, monkeypatch):
-    machine.swing_s = 3.0
+    machine.swing_s = 60.0
     monkeypatch.setattr("server.throws.throw_client.Holding._run", lambda self: None)
     assert throw(running, login, target="6.03") == 3
 

@@ -3,7 +3,7 @@ import time
 import pytest
 
 from machine.messages import EventKind, RejectReason, ThrowState
-from server.store.models import Audit, Throw
+from server.store.models import Audit
 from tests.server.hold_client import Hold
 from tests.server.server_bench import wait_for
 
@@ -18,7 +18,7 @@ def plan_id(ada, machine):
 
 def make_plan(client):
     plan = client.post("/machines/m001/plans", json=PLAN).json()
-    wait_for(lambda: client.get(f"/plans/{plan['plan_id']}").json()["state"] != "previewing", 60.0)
+    wait_for(lambda: client.get(f"/plans/{plan['plan_id']}").json()["state"] != "previewing")
     plan = client.get(f"/plans/{plan['plan_id']}").json()
     assert plan["state"] == "ready", plan["refusals"]
     return plan["plan_id"]
@@ -34,7 +34,6 @@ def ended(client, throw_id):
             row := client.get(f"/throws/{throw_id}").json()["row"],
             row if row["phase"] == "ended" else None,
         )[1],
-        20.0,
     )
 
 
@@ -124,7 +123,7 @@ def test_taking_over_disarms(running, machine, ada, plan_id):
 
 
 def test_letting_go_aborts_before_the_commit_point(running, machine, ada, plan_id):
-    machine.swing_s = 2.0
+    machine.swing_s = 60.0
     ada.post(f"/plans/{plan_id}/arm", json={})
     with Hold(running.url, ada) as hold:
         hold.throw_id = ada.post(f"/plans/{plan_id}/fire").json()["throw_id"]
@@ -135,7 +134,7 @@ def test_letting_go_aborts_before_the_commit_point(running, machine, ada, plan_i
 
 
 def test_closing_the_browser_lets_go_at_once(running, machine, ada, plan_id):
-    machine.swing_s = 5.0
+    machine.swing_s = 60.0
     ada.post(f"/plans/{plan_id}/arm", json={})
     with Hold(running.url, ada) as hold:
         hold.throw_id = ada.post(f"/plans/{plan_id}/fire").json()["throw_id"]
@@ -232,8 +231,6 @@ def test_if_the_audit_cannot_be_written_nothing_is_sent(
     monkeypatch.undo()
     assert len(machine.commands) == sent
     assert throw_count(running) == before
-    with running.services.database.read() as database:
-        assert database.query(Throw).filter_by(phase="requested").count() == 0
 
 
 def test_intent_is_on_disk_when_the_command_arrives(running, machine, ada, plan_id, monkeypatch):

@@ -116,6 +116,15 @@ def test_another_machines_throw_is_refused(running, content, throw_id):
     assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
 
 
+def test_a_log_cannot_be_put_in_place_of_another_machines(running, content):
+    """Also for a throw that the server does not know (yet): its log may be there before its events."""
+    throw_id = new_id()
+    assert put(running, throw_id, content).status_code == 204
+    token = running.services.registry.secret_path("m002").read_text().strip()
+    reply = put(running, throw_id, content + b"x", machine_id="m002", token=token)
+    assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
+
+
 def test_damaged_uploads_leave_nothing_and_may_be_repeated(running, content, throw_id):
     before = stored_files(running)
     reply = put(running, throw_id, content, sha256="0" * 64)
@@ -123,6 +132,8 @@ def test_damaged_uploads_leave_nothing_and_may_be_repeated(running, content, thr
     assert put(running, throw_id, b"", sha256=hashlib.sha256(b"").hexdigest()).status_code == 503
     assert put(running, throw_id, content, sha256="zz").status_code == 400
     assert put(running, "..%2f..%2fetc", content).status_code in (400, 404)
+    for odd in ("a%0A", "a%00", "a%20b", "%2e%2e", "a" * 65):
+        assert put(running, odd, content).status_code in (400, 404)
     assert stored_files(running) == before
 
 

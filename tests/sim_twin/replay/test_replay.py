@@ -1,6 +1,6 @@
 """Replays against the twin that made the recording: exact where they must be, refused where they cannot."""
 
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 import pytest
@@ -223,7 +223,10 @@ def test_inputs_that_do_not_fit_are_refused(plain: Recorded) -> None:
 
 
 def test_a_whole_library_is_replayed_in_seconds(plain: Recorded) -> None:
-    """Target: 700 elements x 300 ticks within 4 s on two idle cores; a busy machine gets five times that."""
+    """Target: 700 elements x 300 ticks within 4 s on two idle cores; here 20 s of processor time for as many.
+
+    Processor time, because a computer that is busy with other work must not fail it.
+    """
     effects = [
         Effect(effect=name, joint=joint, parameters={p.name: p.step})
         for name, spec in EFFECTS.items()
@@ -232,8 +235,8 @@ def test_a_whole_library_is_replayed_in_seconds(plain: Recorded) -> None:
         for p in spec.parameters
     ]
     elements = [ReplayElement(0, (effects[i % len(effects)],)) for i in range(200)]
-    started = perf_counter()
+    started_s = process_time()
     out = run(plain, *elements)
     share = 200 * TICKS / (700 * 300)
-    assert perf_counter() - started < 5.0 * 4.0 * share
+    assert process_time() - started_s < 20.0 * share
     assert np.isfinite(out.impact_m).all()

@@ -1,0 +1,80 @@
+"""Every operation of the interface against every role: nobody may do more than the table says."""
+
+import pytest
+
+from server.app import create_app
+from server.schemas.console import Role
+from server.settings import Settings
+
+ROLES = tuple(Role)
+USERS = dict(zip(ROLES, ("vic", "ada", "sue", "eve", "root"), strict=True))
+LEAST = {
+    Role.VIEWER: """
+        logout read_me list_machines read_machine stop_machine stop_all read_plan read_plan_frames list_throws
+        read_throw_stats export_throws read_throw read_throw_series read_throw_log read_throw_csv replay_throw
+        set_view read_site list_policies read_policy list_gap_runs read_gap_run read_gap_report
+        read_twin_profile stream_events""",
+    Role.OPERATOR: """
+        propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
+        fire_plan mark_impact change_site undo_site create_gap_run cancel_gap_run preview_gap_run""",
+    Role.SUPERVISOR: "clear_stop take_lease list_audit verify_audit",
+    Role.ENGINEER: "apply_gap_run undo_twin_profile",
+    Role.ADMIN: "enrol_machine",
+}
+"""The least role that may do what; `login` and `read_health` are open, `put_throw_log` is for machines."""
+OPEN = {"login", "read_health"}
+OF_MACHINES = {"put_throw_log"}
+NOT_CALLED = {"stop_all", "logout"}
+"""Would stop the machines of other tests, or end the session; both are for everybody."""
+
+
+def operations():
+    paths = create_app(Settings(data_dir="/nonexistent")).openapi()["paths"]
+    return {
+        operation["operationId"]: (method.upper(), path.removeprefix("/api/v1"))
+        for path, methods in paths.items()
+        for method, operation in methods.items()
+    }
+
+
+OPERATIONS = operations()
+NEEDED = {name: role for role, names in LEAST.items() for name in names.split()}
+
+
+def test_the_table_knows_every_operation():
+    assert set(NEEDED) | OPEN | OF_MACHINES == set(OPERATIONS)
+
+
+def answer(client, operation):
+    """Status and error code of a call about things that do not exist."""
+    method, path = OPERATIONS[operation]
+    for name in ("machine_id", "plan_id", "throw_id", "gap_run_id", "policy_sha256"):
+        path = path.replace(f"{{{name}}}", "nobody")
+    assert "{" not in path
+    with client.stream(method, path) as reply:
+        if reply.status_code < 400:
+            return reply.status_code, ""  # an event stream never ends
+        reply.read()
+        return reply.status_code, reply.json()["error"]["code"]
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_role_may_do_what_is_its_own_and_no_more(running, role):
+    place = ROLES.index(role)
+    with running.client(USERS[role]) as client:
+        for operation, least in NEEDED.items():
+            if ROLES.index(least) > place:
+                assert answer(client, operation) == (403, "not_allowed"), operation
+            elif operation not in NOT_CALLED:
+                status, code = answer(client, operation)
+                assert status != 401, operation
+                assert code != "not_allowed", operation
+                assert status < 500, operation
+        for operation in OF_MACHINES:
+            assert answer(client, operation) == (401, "wrong_token")
+
+
+def test_what_is_open_is_all_that_is_open(running):
+    with running.client() as nobody:
+        for operation in NEEDED:
+            assert answer(nobody, operation) == (401, "not_signed_in"), operation
