@@ -15,7 +15,8 @@ from cli.campaigns import (
 )
 from cli.conditions import height_rows, pace_rows, table
 from cli.report_parts import FIRST_UNIT, check_parts, repeated_starts, training_rows, unit_rows
-from diagnosis.evaluation.goals import examined_range_m
+from cli.wide_unit import examine
+from diagnosis.evaluation.goals import examined_range_m, widest
 from diagnosis.evaluation.measures import ModeEvaluation, evaluation, target_row
 from diagnosis.evaluation.page import evaluation_html
 from diagnosis.evaluation.paper import TARGETS
@@ -126,12 +127,17 @@ def _with_more(
     """With other machines and other trainings, beside the policy's `own` where there are any."""
     others = [folder for folder in more.trainings if folder.resolve() != own.resolve()]
     trainings = (own, *others) if more.trainings else ()
-    return part.model_copy(
+    rows = unit_rows(part.mode, options, more.unit_count, more.first_unit)
+    part = part.model_copy(
         update={
-            "units": unit_rows(part.mode, options, more.unit_count, more.first_unit),
+            "units": rows,
             "trainings": training_rows(part.mode, options, trainings, TARGETS[part.mode]),
         }
     )
+    chosen = widest(part)
+    if chosen is None or options.plant != VIRTUAL:
+        return part
+    return part.model_copy(update={"wide_unit": examine(part.mode, options, chosen)})
 
 
 def _sensitivity(

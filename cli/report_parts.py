@@ -7,7 +7,7 @@ import numpy as np
 
 from cli.campaigns import Campaign, CampaignOptions, campaign_starts, open_with
 from cli.conditions import rows_of
-from cli.units import NOMINAL_UNIT, rows_of_unit
+from cli.units import NOMINAL_UNIT, registered
 from diagnosis.evaluation.conditions import pooled
 from diagnosis.evaluation.measures import TrainingRow, UnitRow
 from diagnosis.evaluation.spread import SpreadParts, spread_parts
@@ -52,11 +52,8 @@ def unit_rows(
     found: list[UnitRow] = []
     for unit in (NOMINAL_UNIT, *range(first, first + count)):
         here = options._replace(unit_seed=unit, targets=UNIT_RANGES, calibration=None, heights="0")
-        rows = rows_of_unit(
-            lambda path, here=here: open_with(here._replace(calibration=path), mode, UNIT_RANGES),
-            min(options.throws, UNIT_THROWS),
-            options.seed,
-        )
+        campaign = registered(open_with(here, mode, UNIT_RANGES), options.seed)
+        rows = rows_of(campaign, min(options.throws, UNIT_THROWS), options.seed)
         names = (
             "mean_downrange_error_m",
             "sd_downrange_m",

@@ -1,8 +1,6 @@
 """`downrange units`: the same throws on many machines of a kind that no training has seen."""
 
 import json as json_text
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -63,15 +61,12 @@ def run(
     units: dict[int, list[ConditionRow]] = {}
     print("unit  landed  down mean/sd, m  cross mean/sd, m")
     for unit in (NOMINAL_UNIT, *range(first, first + count)):
-
-        def opened(calibration: Path | None, unit: int = unit) -> Campaign:
-            return open_campaign(
-                mode=Mode(mode), plant=plant, targets=targets, throws=throws, seed=seed,
-                unit_seed=unit, policies=policies, policy=policy, calibration=calibration,
-                profile=None, pace_ratio=pace,
-            )  # fmt: skip
-
-        units[unit] = rows_of_unit(opened, throws, seed)
+        campaign = open_campaign(
+            mode=Mode(mode), plant=plant, targets=targets, throws=throws, seed=seed,
+            unit_seed=unit, policies=policies, policy=policy, calibration=None,
+            profile=None, pace_ratio=pace,
+        )  # fmt: skip
+        units[unit] = rows_of(registered(campaign, seed), throws, seed)
         print(_line(unit, units[unit]), flush=True)
     summary = _summary(units)
     for name, value in summary.items():
@@ -84,31 +79,15 @@ def run(
     return 0
 
 
-def rows_of_unit(
-    opened: Callable[[Path | None], Campaign], throws: int, seed: int
-) -> list[ConditionRow]:
-    """Measure and register a machine as at its first start, then throw.
-
-    Args:
-        opened: its campaign with a calibration file, or with its valves measured and no registration.
-        throws: at each target.
-        seed: of the registration and of the throws.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "calibration.json"
-        _register(opened(None), seed, path)
-        return rows_of(opened(path), throws, seed)
-
-
-def _register(campaign: Campaign, seed: int, path: Path) -> None:
-    """The unit's calibration with its registration."""
+def registered(campaign: Campaign, seed: int) -> Campaign:
+    """The campaign of a machine that has been registered as at its first start, its valves being measured."""
     machine = campaign.make(registration_throw_count(load_card(campaign.policy_folder)))
     try:
         found = register_machine(machine, campaign.params, campaign.spec, seed)
     finally:
         machine.close()
     tables = campaign.params.calibration.model_copy(update={"registrations": (found,)})
-    path.write_text(tables.model_dump_json(), encoding="utf-8")
+    return campaign._replace(params=campaign.params.with_calibration(tables))
 
 
 def _line(unit: int, rows: list[ConditionRow]) -> str:

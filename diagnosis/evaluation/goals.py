@@ -1,10 +1,11 @@
 """The accuracy that is asked of a policy on a machine it was not trained on, and whether rows keep it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from diagnosis.evaluation.measures import ModeEvaluation, TargetRow
+from diagnosis.evaluation.measures import ModeEvaluation, TargetRow, UnitRow
 from diagnosis.evaluation.paper import SCATTER_RANGE_M
+from diagnosis.evaluation.wide_unit import Way, Widest
 
 
 class Goal(NamedTuple):
@@ -26,7 +27,7 @@ LANDED_RATIO = {"2d": 0.99, "3d": 0.98}
 """Share of the throws that must land."""
 UNSEEN_RATIO = 1.5
 """How much wider than asked, and than the nominal machine, one that no training has seen may throw."""
-_SPREADS = {"sd_downrange_m": "downrange", "sd_crossrange_m": "crossrange"}
+_SPREADS: dict[str, Way] = {"sd_downrange_m": "downrange", "sd_crossrange_m": "crossrange"}
 _MEANS = {"mean_downrange_error_m": "downrange", "mean_crossrange_error_m": "crossrange"}
 
 
@@ -103,7 +104,9 @@ def verdicts(part: ModeEvaluation) -> list[Verdict]:
     return found + _unseen(part)
 
 
-def _worst(asked: str, limit: float, rows: Sequence[TargetRow], names: dict[str, str]) -> Verdict:
+def _worst(
+    asked: str, limit: float, rows: Sequence[TargetRow], names: Mapping[str, str]
+) -> Verdict:
     """The largest of these numbers over targets."""
     sizes = [
         (_size(row, n), f"{way} at {row.range_m:g} m") for row in rows for n, way in names.items()
@@ -117,30 +120,59 @@ def _worst(asked: str, limit: float, rows: Sequence[TargetRow], names: dict[str,
 
 def _unseen(part: ModeEvaluation) -> list[Verdict]:
     """Machines that no training has seen: against what is asked, and against the nominal one."""
-    if len(part.units) < 2:
-        return []
-    nominal, others = part.units[0], part.units[1:]
+    count = f"{len(part.units) - 1} machines never seen: standard deviation over"
     asked = [
-        (sd / goal.sd_m, f"machine {unit.unit_seed}, {way} at {row.range_m:g} m")
-        for unit in others
-        for row in unit.targets
-        for name, way in _SPREADS.items()
-        if (sd := getattr(row, name)) is not None and (goal := goal_at(part.mode, row.range_m))
+        (factor, f"machine {found.unit_seed}, {found.way} at {found.range_m:g} m")
+        for factor, found in _over_asked(part)
     ]
     beside = [
-        (sd / own, f"machine {unit.unit_seed}, {way}")
-        for unit in others
-        for name, way in _SPREADS.items()
-        if (sd := getattr(unit, name)) is not None and (own := getattr(nominal, name))
+        (factor, f"machine {unit.unit_seed}, {way}") for factor, unit, way in _over_nominal(part)
     ]
-    count = f"{len(others)} machines never seen: standard deviation over"
     return [
         Verdict(f"{count} {what}", UNSEEN_RATIO, *max(ratios), "x")
-        for what, ratios in (
-            ("the asked one", asked),
-            (f"that of machine {nominal.unit_seed}", beside),
-        )
+        for what, ratios in (("the asked one", asked), ("that of machine 0", beside))
         if ratios
+    ]
+
+
+def widest(part: ModeEvaluation) -> Widest | None:
+    """The machine that comes nearest to the factor asked for or exceeds it most, and its widest target."""
+    ratios = _over_asked(part)
+    for factor, unit, way in _over_nominal(part):
+        targets = _beside_nominal(part, unit, way)
+        if targets:
+            ratios.append((factor, max(targets, key=lambda at: at.sd_m / at.nominal_sd_m)))
+    return max(ratios, key=lambda ratio: ratio[0])[1] if ratios else None
+
+
+def _over_asked(part: ModeEvaluation) -> list[tuple[float, Widest]]:
+    """Every target's standard deviation over the asked one."""
+    return [
+        (at.sd_m / goal.sd_m, at)
+        for unit in part.units[1:]
+        for way in _SPREADS.values()
+        for at in _beside_nominal(part, unit, way)
+        if (goal := goal_at(part.mode, at.range_m))
+    ]
+
+
+def _over_nominal(part: ModeEvaluation) -> list[tuple[float, UnitRow, Way]]:
+    """Every machine's standard deviation, over all targets, over the nominal machine's."""
+    return [
+        (sd / own, unit, way)
+        for unit in part.units[1:]
+        for name, way in _SPREADS.items()
+        if (sd := getattr(unit, name)) is not None and (own := getattr(part.units[0], name))
+    ]
+
+
+def _beside_nominal(part: ModeEvaluation, unit: UnitRow, way: Way) -> list[Widest]:
+    """The machine's targets where both it and the nominal machine have a standard deviation."""
+    name = f"sd_{way}_m"
+    return [
+        Widest(unit.unit_seed, row.range_m, way, sd, own)
+        for row, nominal in zip(unit.targets, part.units[0].targets, strict=True)
+        if (sd := getattr(row, name)) is not None and (own := getattr(nominal, name))
     ]
 
 

@@ -11,6 +11,7 @@ from diagnosis.evaluation.conditions import ConditionRow
 from diagnosis.evaluation.paper import SCATTER_RANGE_M
 from diagnosis.evaluation.sensitivity import FactorShift
 from diagnosis.evaluation.spread import SpreadParts
+from diagnosis.evaluation.wide_unit import WideUnit
 from diagnosis.intervals import Interval, deviation_interval, mean_interval, share_interval
 from machine.conventions import Array
 from sim_twin.throws.accuracy import landing_errors, outcome_counts
@@ -110,6 +111,8 @@ class ModeEvaluation(BaseModel):
     """What the spread is made of."""
     units: tuple[UnitRow, ...] = ()
     """Machines that no training has seen; the first is the nominal one. Empty where none were asked for."""
+    wide_unit: WideUnit | None = None
+    """What makes the widest of them wide."""
     trainings: tuple[TrainingRow, ...] = ()
     """Other trainings of the same mode."""
     is_registered: bool = False

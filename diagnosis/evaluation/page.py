@@ -19,6 +19,7 @@ from diagnosis.evaluation.page_causes import (
     sensitivity_section,
     trainings_section,
     units_section,
+    wide_section,
 )
 from diagnosis.evaluation.page_cells import cell, height, share, table
 from diagnosis.evaluation.paper import SCATTER, SCATTER_RANGE_M, SIMULATED
@@ -47,6 +48,7 @@ def evaluation_html(parts: Sequence[ModeEvaluation], reach_m: float) -> str:
             *(sensitivity_section(part) for part in parts),
             *(_conditions(part) for part in parts),
             *(units_section(part) for part in parts),
+            *(wide_section(part) for part in parts),
             *(trainings_section(part) for part in parts),
             *(_failures(part) for part in parts),
         )

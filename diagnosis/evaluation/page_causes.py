@@ -11,6 +11,8 @@ from diagnosis.evaluation.goals import UNSEEN_RATIO
 from diagnosis.evaluation.measures import Estimate, ModeEvaluation, UnitRow
 from diagnosis.evaluation.page_cells import cell, table
 from diagnosis.evaluation.sensitivity import FactorShift
+from diagnosis.evaluation.wide_unit import WideUnit
+from diagnosis.intervals import Interval
 from diagnosis.report.report_html import section
 from diagnosis.report.report_words import NONE, fixed
 
@@ -166,6 +168,73 @@ def _factors(units: Sequence[UnitRow], way: Literal["downrange", "crossrange"]) 
         f"{fixed(float(np.median([factor for factor, _ in known])))}, worst {fixed(max(known)[0])}; "
         f"asked: {fixed(UNSEEN_RATIO)}, {beyond}.</p>"
     )
+
+
+def wide_section(part: ModeEvaluation) -> str:
+    """One property of the widest machine at a time as drawn."""
+    wide = part.wide_unit
+    if wide is None:
+        return ""
+    where = f"{wide.way} at {wide.range_m:g} m"
+    words = (
+        f"Unit {wide.unit_seed}, {where}, comes nearest to the factor asked for, or exceeds it most: "
+        f"{fixed(wide.chosen_sd_m, 3)} m beside {fixed(wide.chosen_nominal_sd_m, 3)} m of unit 0. In "
+        f"{wide.pair_count} throws from other starts it has <b>{fixed(wide.sd_m, 3)} m</b> as built and "
+        f"<b>{fixed(wide.drawn_sd_m, 3)} m</b> with everything as drawn. {_together(wide)}"
+    )
+    rows = [
+        (
+            ("name", escape(row.name)),
+            ("number", f"{fixed(row.sd_m, 3)} m"),
+            ("number", _share(row.share_ratio, row.share_ci95_ratio)),
+            ("number", str(row.failed_count)),
+        )
+        for row in wide.properties
+    ]
+    added = (
+        ("name", "added up"),
+        ("number", NONE),
+        ("number", _share(wide.single_sum_ratio, wide.single_sum_ci95_ratio)),
+        ("number", ""),
+    )
+    return section(
+        f"What makes a machine wide, {part.mode.upper()}",
+        f'<p>{words}</p><p class="dim">The same throws with one property at a time as drawn, the machine '
+        "measured and registered anew each time. Shares are of the variance that it has beyond the drawing's "
+        "machine, with 95 % intervals by resampling throws.</p>"
+        + table(
+            ("as drawn", f"sd {wide.way}", "takes away of what is added", "failed"), [*rows, added]
+        ),
+    )
+
+
+def _share(ratio: float | None, ends: Interval | None) -> str:
+    if ratio is None or ends is None:
+        return NONE
+    low, high = (fixed(100.0 * end, 0) for end in ends)
+    return f'{fixed(100.0 * ratio, 0)} %<br><span class="dim">{low} to {high} %</span>'
+
+
+def _together(wide: WideUnit) -> str:
+    """What the single properties say of the whole."""
+    ends = wide.single_sum_ci95_ratio
+    if ends is None:
+        return "That is not wider beyond chance: what made it the widest was luck, not how it is built."
+    known = [
+        f"{escape(row.name)} ({fixed(100.0 * (row.share_ratio or 0.0), 0)} %)"
+        for row in wide.properties
+        if row.share_ci95_ratio is not None and row.share_ci95_ratio[0] > 0.0
+    ]
+    single = (
+        f"Each alone as drawn takes away: {', '.join(known)}."
+        if known
+        else "No property stands out."
+    )
+    if ends[0] > 1.0:
+        return f"{single} Added up that is more than all: several must meet, a rare combination."
+    if ends[1] < 1.0:
+        return f"{single} Added up that is less than all: one of several is enough to make it wide."
+    return f"{single} Whether several must meet does not show in these throws."
 
 
 def trainings_section(part: ModeEvaluation) -> str:

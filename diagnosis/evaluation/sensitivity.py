@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from diagnosis.intervals import Interval, mean_interval
-from machine.conventions import ACTIVE_JOINTS, Array
+from machine.conventions import ACTIVE_JOINTS, Array, IntArray
 from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
@@ -78,6 +78,30 @@ FACTORS: Sequence[Factor] = (
 )  # fmt: skip
 
 
+class PairedErrors(NamedTuple):
+    """Errors of throws that landed in all runs, shape (runs, pairs), m, frame `throw`."""
+
+    downrange_m: Array
+    crossrange_m: Array
+    failed_count: IntArray
+    """(runs,) throws that landed in the first run and not in this one."""
+    any_failed_count: int
+    """Throws that landed in the first run and not in all others."""
+
+
+def paired_errors(runs: Sequence[Sequence[ThrowResult]]) -> PairedErrors:
+    """Put runs of the same throws side by side."""
+    landed = np.array([[r.outcome is Outcome.LANDED for r in run] for run in runs])
+    both = landed.all(axis=0)
+    lost = landed[0] & ~landed
+    return PairedErrors(
+        np.array([[r.downrange_error_m for r in run] for run in runs])[:, both],
+        np.array([[r.crossrange_error_m for r in run] for run in runs])[:, both],
+        lost.sum(axis=1),
+        int(lost.any(axis=0).sum()),
+    )
+
+
 def sensitivity(
     make: EffectPlantMaker,
     params: ControlParams,
@@ -114,27 +138,25 @@ def _shift(
     low: Sequence[ThrowResult],
     high: Sequence[ThrowResult],
 ) -> FactorShift:
-    landed = np.array([[r.outcome is Outcome.LANDED for r in run] for run in (plain, low, high)])
-    all_three = landed.all(axis=0)
-    down = np.array([[r.downrange_error_m for r in run] for run in (plain, low, high)])
-    cross = np.array([[r.crossrange_error_m for r in run] for run in (plain, high)])
+    runs = paired_errors((plain, low, high))
+    down, cross = runs.downrange_m, runs.crossrange_m
     values: dict[str, Any] = {}
-    if int(all_three.sum()) >= 2:
+    if down.shape[1] >= 2:
         shifts = {
-            "low": (down[1] - down[0])[all_three],
-            "high": (down[2] - down[0])[all_three],
-            "crossrange_high": (cross[1] - cross[0])[all_three],
+            "low": down[1] - down[0],
+            "high": down[2] - down[0],
+            "crossrange_high": cross[2] - cross[0],
         }
         for name, shift in shifts.items():
             values[f"{name}_m"] = float(shift.mean())
             values[f"{name}_ci95_m"] = mean_interval(shift, CONFIDENCE_RATIO)
-        sd = down[:, all_three].std(axis=1, ddof=1)
+        sd = down.std(axis=1, ddof=1)
         values["sd_ratio"] = float(sd[2] / sd[0]) if sd[0] > 0.0 else None
         values |= dict(zip(("plain_sd_m", "low_sd_m", "high_sd_m"), sd.tolist(), strict=True))
     return FactorShift(
         name=factor.name,
         change=f"-/+ {factor.change}",
-        pair_count=int(all_three.sum()),
-        failed_count=int((landed[0] & ~all_three).sum()),
+        pair_count=down.shape[1],
+        failed_count=runs.any_failed_count,
         **values,
     )

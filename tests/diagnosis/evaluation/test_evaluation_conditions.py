@@ -86,13 +86,13 @@ def test_units_are_registered_and_put_beside_unit_0(
     swing_policies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """With a stand-in for registration: 160 throws a unit are not for a quick test."""
-    registered: list[int] = []
+    seeds: list[int] = []
 
-    def note(campaign: Campaign, seed: int, path: Path) -> None:
-        registered.append(seed)
-        path.write_text(campaign.params.calibration.model_dump_json(), encoding="utf-8")
+    def note(campaign: Campaign, seed: int) -> Campaign:
+        seeds.append(seed)
+        return campaign
 
-    monkeypatch.setattr("cli.units._register", note)
+    monkeypatch.setattr("cli.units.registered", note)
     out = tmp_path / "units.json"
     words = [
         "units",
@@ -109,7 +109,7 @@ def test_units_are_registered_and_put_beside_unit_0(
     ]
     assert main([*words, "--policies", str(swing_policies), "--json", str(out)]) == 0
     found = json.loads(out.read_text())
-    assert sorted(found["units"]) == ["0", "2000"] and registered == [2, 2]
+    assert sorted(found["units"]) == ["0", "2000"] and seeds == [2, 2]
     assert found["units"]["0"][0]["throw_count"] == 3
     assert 0.0 <= found["summary"]["landed share of the units"] <= 1.0
 
