@@ -35,6 +35,7 @@ from server.routes import (
     plans,
     policies,
     sites,
+    stops,
     view,
 )
 from server.schemas.console import ErrorBody
@@ -67,6 +68,7 @@ def _api_router() -> APIRouter:
     for module in (
         auth,
         machines,
+        stops,
         leases,
         plans,
         hold,

@@ -96,7 +96,6 @@ def requires(
 
 
 Viewer = Annotated[Session, Depends(requires(Permission.VIEW))]
-Stopper = Annotated[Session, Depends(requires(Permission.STOP))]
 Lessee = Annotated[Session, Depends(requires(Permission.LEASE))]
 Thrower = Annotated[Session, Depends(requires(Permission.THROW))]
 ImpactMarker = Annotated[Session, Depends(requires(Permission.IMPACT_MARK))]

@@ -3,6 +3,7 @@
 Same policy, pose, calibration and random numbers, so that all of the difference is the profile's.
 """
 
+import threading
 from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, TimeoutError
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from machine.messages import Target
 from machine.reach import check_target
 from machine.starts import safe_pose
 from server.clock import new_id
-from server.errors import UnavailableError, from_refusal
+from server.errors import TooManyRequestsError, UnavailableError, from_refusal
 from server.gap.twin_versions import TwinVersions
 from server.machines.machines import Registry
 from server.machines.twins import TwinFiles
@@ -31,6 +32,8 @@ from sim_twin.twin.profile import save_profile
 FOLDER = "gap"
 ROLLOUT_COUNT = 60
 WAIT_S = 60.0
+AT_ONCE_COUNT = 4
+"""Comparisons that may wait for the preview processes; each keeps one of the server's threads."""
 SEED = 1
 
 
@@ -60,6 +63,7 @@ class GapPreviews:
         self._twins = twins
         self._versions = versions
         self._folder = data_dir / FOLDER
+        self._places = threading.BoundedSemaphore(AT_ONCE_COUNT)
 
     def compare(
         self, machine_id: str, gap_run_id: str, mode: Mode, target: Target
@@ -67,7 +71,7 @@ class GapPreviews:
         """Preview a target without and with what a run found, also while that is in use.
 
         Raises:
-            ApiError: nothing to apply, target out of reach, no policy, or previews are away.
+            ApiError: nothing to apply, target out of reach, no policy, or previews are busy or away.
         """
         known = self._registry.get(machine_id)
         profiles = self._versions.compared(machine_id, gap_run_id)
@@ -113,6 +117,11 @@ class GapPreviews:
         )
 
     def _previews(self, jobs: list[PreviewJob]) -> list[ThrowPreview]:
+        if not self._places.acquire(blocking=False):
+            raise TooManyRequestsError(
+                "previews_busy",
+                f"{AT_ONCE_COUNT} comparisons are being previewed already. Try again in a moment.",
+            )
         futures: list[Future[ThrowPreview]] = []
         try:
             futures = [self._pool.submit(job, lambda _: None) for job in jobs]
@@ -123,6 +132,8 @@ class GapPreviews:
             raise UnavailableError(
                 "preview", f"The previews did not come within {WAIT_S:.0f} s. Try again."
             ) from error
+        finally:
+            self._places.release()
 
 
 def _six(values: Iterable[float]) -> Six:

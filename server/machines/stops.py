@@ -4,14 +4,16 @@ STOP waits for nobody: if the audit row is not on disk within 50 ms it is sent a
 follows. A stop that is not confirmed survives a restart of the server.
 """
 
+import asyncio
 import logging
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
 
 from sqlalchemy import select, update
 
@@ -32,6 +34,7 @@ REPEAT_S = 0.1
 AUDIT_WAIT_S = 0.05
 STATE_DELAY_S = 0.3
 _PERSIST_AFTER_S = 0.5
+_Answer = TypeVar("_Answer")
 
 
 @dataclass(slots=True)
@@ -66,6 +69,7 @@ class StopDesk:
         self._is_closing = threading.Event()
         self._writer = ThreadPoolExecutor(1, "stop-audit")
         self._senders = ThreadPoolExecutor(16, "stop-send")
+        self._lane = ThreadPoolExecutor(8, "stop-lane")
         self._thread = threading.Thread(target=self._run, name="stop-repeat", daemon=True)
         registry.on_state.append(self._take_state)
 
@@ -86,8 +90,13 @@ class StopDesk:
         self._work.set()
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
+        self._lane.shutdown(wait=True, cancel_futures=True)
         self._senders.shutdown(wait=True, cancel_futures=True)
         self._writer.shutdown(wait=True)
+
+    async def in_lane(self, job: Callable[[], _Answer]) -> _Answer:
+        """Run what a press of STOP needs on threads that nothing else uses."""
+        return await asyncio.get_running_loop().run_in_executor(self._lane, job)
 
     def is_pending(self, machine_id: str) -> bool:
         """Whether a stop is still being repeated."""

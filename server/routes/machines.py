@@ -1,4 +1,4 @@
-"""Machines: their state, targets in mind, and the commands that are not a throw."""
+"""Machines: their state, targets in mind, and the commands that are neither a throw nor STOP."""
 
 from fastapi import APIRouter
 
@@ -9,14 +9,13 @@ from machine.messages import (
     LoadRequest,
     StopClearRequest,
 )
-from server.accounts.access import Enroller, StopClearer, Stopper, Thrower, Viewer
+from server.accounts.access import Enroller, StopClearer, Thrower, Viewer
 from server.accounts.auth import Session
 from server.clock import new_id
 from server.schemas.console import (
     CommandView,
     MachineEnrolRequest,
     MachineView,
-    StopView,
     TargetRequest,
     TargetView,
 )
@@ -86,23 +85,6 @@ def abort(machine_id: str, session: Thrower, services: ServicesDep) -> CommandVi
 def disarm(machine_id: str, session: Thrower, services: ServicesDep) -> CommandView:
     """Give an armed plan back."""
     return _command(services, session, machine_id, DisarmRequest)
-
-
-@router.post("/machines/{machine_id}/stop")
-def stop_machine(machine_id: str, session: Stopper, services: ServicesDep) -> StopView:
-    """STOP one machine; any role, no lease."""
-    services.registry.get(machine_id)
-    services.throw_desk.forget(machine_id)
-    return services.stops.stop([machine_id], session.actor)[0]
-
-
-@router.post("/stop")
-def stop_all(session: Stopper, services: ServicesDep) -> list[StopView]:
-    """STOP all machines; any role, no lease."""
-    machine_ids = [known.machine_id for known in services.registry.listed()]
-    for machine_id in machine_ids:
-        services.throw_desk.forget(machine_id)
-    return services.stops.stop(machine_ids, session.actor)
 
 
 @router.post("/machines/{machine_id}/stop/clear")

@@ -1,5 +1,7 @@
 """Twin profiles from diagnoses: apply, undo, versions, previews before and after."""
 
+import threading
+
 import pytest
 
 from diagnosis.correction import corrected_profile, found_effects
@@ -118,6 +120,15 @@ def test_previews_use_the_new_profile_at_once(running, machine, ada, eve, found)
     for side in ("before", "after"):
         for key in ("impact_m", "ellipse"):
             assert again[side]["prediction"][key] == compared[side]["prediction"][key]
+
+
+def test_few_comparisons_are_previewed_at_once(running, ada, found, monkeypatch):
+    path = found()
+    monkeypatch.setattr(running.services.gap_previews, "_places", threading.BoundedSemaphore(1))
+    with running.services.gap_previews._places:
+        busy = ada.get(f"{path}/preview", params={"mode": "2d", "range_m": 6.03})
+    assert (busy.status_code, busy.json()["error"]["code"]) == (429, "previews_busy")
+    assert ada.get(f"{path}/preview", params={"mode": "2d", "range_m": 6.03}).status_code == 200
 
 
 def test_a_lost_machine_is_compared_from_the_pose_for_throwing(running, ada, found):

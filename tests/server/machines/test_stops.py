@@ -1,3 +1,4 @@
+import threading
 import time
 
 import pytest
@@ -102,6 +103,35 @@ def test_stop_is_sent_even_if_the_database_is_busy(running, machine, clear):
         # Not over HTTP: the check of rights reads, but records a denial only if there is one.
         assert viewer.post("/machines/m001/stop").json()["is_latched"]
         assert machine.stop_latched
+    clear()
+
+
+def test_stop_is_sent_although_every_thread_of_the_server_waits(
+    running, machine, clear, monkeypatch
+):
+    is_over, waiting = threading.Event(), []
+
+    def wait(*_):
+        waiting.append(1)
+        is_over.wait(60.0)
+        return True
+
+    # Forty threads serve all that is not STOP; more readers than that wait for something slow.
+    monkeypatch.setattr(running.services.statistics, "of", wait)
+    threads = []
+    with running.client("ada") as reader, running.client("vic") as viewer:
+        try:
+            for _ in range(50):
+                thread = threading.Thread(target=reader.get, args=("/throws/stats",))
+                thread.start()
+                threads.append(thread)
+            wait_for(lambda: len(waiting) >= 40)
+            assert viewer.post("/machines/m001/stop", timeout=20.0).json()["is_latched"]
+            assert machine.stop_latched
+        finally:
+            is_over.set()
+            for thread in threads:
+                thread.join()
     clear()
 
 
