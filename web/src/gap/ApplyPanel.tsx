@@ -4,6 +4,7 @@ import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import classes from "./ApplyPanel.module.css";
 import { PreviewCompare } from "./PreviewCompare";
+import { useFocusKept } from "./useFocusKept";
 import { useGapActions, useTwinProfile } from "./useGap";
 import { additionWords, type Diagnosis, doubtWords, type Run } from "./words";
 
@@ -21,6 +22,7 @@ export function ApplyPanel({ run, found }: Props) {
   const next = (twin?.version_count ?? run.profile_version_count) + 1;
   const doubt = doubtWords(found);
   const error = apply.error ?? undo.error;
+  const kept = useFocusKept<HTMLDivElement>();
   return (
     <>
       <p className={classes.words}>
@@ -41,7 +43,7 @@ export function ApplyPanel({ run, found }: Props) {
           isInUse={isInUse}
         />
       )}
-      <div className={classes.actions}>
+      <div className={classes.actions} {...kept}>
         {!isApplied && (
           <Confirm
             label="Apply to the twin"

@@ -4,6 +4,7 @@ import type { Schema } from "../session/client";
 import { errorWords } from "../words/errors";
 import { crossrangeWords, downrangeWords, metres, speed } from "../words/format";
 import classes from "./PreviewCompare.module.css";
+import { useFocusKept } from "./useFocusKept";
 import { useGapPreview } from "./useGap";
 
 type Props = { machineId: string; runId: string; isInUse: boolean };
@@ -14,6 +15,7 @@ export function PreviewCompare({ machineId, runId, isInUse }: Props) {
   const [range_m, setRange] = useState(9);
   const [azimuth_deg, setAzimuth] = useState(0);
   const preview = useGapPreview(machineId, runId);
+  const kept = useFocusKept<HTMLDivElement>();
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
     preview.mutate({ mode, range_m, azimuth_rad: (azimuth_deg * Math.PI) / 180 });
@@ -51,9 +53,11 @@ export function PreviewCompare({ machineId, runId, isInUse }: Props) {
           value={azimuth_deg}
           onChange={(value) => typeof value === "number" && setAzimuth(value)}
         />
-        <Button type="submit" variant="default" loading={preview.isPending}>
-          Preview both
-        </Button>
+        <div {...kept}>
+          <Button type="submit" variant="default" loading={preview.isPending}>
+            Preview both
+          </Button>
+        </div>
       </div>
       {preview.isError && (
         <p className={classes.problem} role="alert">

@@ -2,8 +2,8 @@ import { Button, Progress } from "@mantine/core";
 import type { Schema } from "../session/client";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
-import { count, metres, percent } from "../words/format";
-import { localStamp } from "../words/time";
+import { count, metres, percent, unbroken } from "../words/format";
+import { zonedStamp } from "../words/time";
 import classes from "./RunHead.module.css";
 import { reportHref, useGapActions } from "./useGap";
 import { comparedWords, type Diagnosis, isLook, isOpen, type Run, runTitle } from "./words";
@@ -55,7 +55,7 @@ export function RunHead({ run, found, again, onStarted }: Props) {
         <span className={`${classes.dim} ${classes.about}`}>
           {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
           {run.profile_version_count}, compared with {comparedWords(run)},{" "}
-          {localStamp(run.created_utc)}, {run.created_by}
+          {zonedStamp(run.created_utc)}, {run.created_by}
         </span>
       </div>
       {start.isError && (
@@ -63,7 +63,7 @@ export function RunHead({ run, found, again, onStarted }: Props) {
           {errorWords(start.error)}
         </p>
       )}
-      {run.sentence && <p className={classes.sentence}>{run.sentence}</p>}
+      {run.sentence && <p className={classes.sentence}>{unbroken(run.sentence)}</p>}
       {run.detail && (
         <p className={classes.detail} role="alert">
           {run.detail}
@@ -106,7 +106,7 @@ function Facts({ found }: { found: Diagnosis }) {
   if (typeof gap.impact_rms_m === "number")
     facts.push(["Twin misses by, root mean square", metres(gap.impact_rms_m)]);
   if (typeof gap.trajectory_rms_ratio === "number")
-    facts.push(["Residual over a healthy machine's", gap.trajectory_rms_ratio.toFixed(2)]);
+    facts.push(["Residual, times a healthy machine's", gap.trajectory_rms_ratio.toFixed(2)]);
   if (facts.length === 0) return null;
   return (
     <dl className={classes.facts}>

@@ -1,4 +1,4 @@
-import { fixed } from "../words/format";
+import { fixed, unbroken } from "../words/format";
 import classes from "./ShrinkBars.module.css";
 import { type Diagnosis, shrinkWords } from "./words";
 
@@ -15,7 +15,9 @@ export function ShrinkBars({ found }: { found: Diagnosis }) {
   ];
   return (
     <>
-      <p className={classes.words}>{shrinkWords(shrink, found.evidence.shrink_measure)}</p>
+      <p className={classes.words}>
+        {unbroken(shrinkWords(shrink, found.evidence.shrink_measure))}
+      </p>
       <dl className={classes.bars}>
         {rows.map((row) => (
           <div key={row.name} className={classes.row}>

@@ -7,6 +7,7 @@ import { count } from "../words/format";
 import { ReferenceChoice } from "./ReferenceChoice";
 import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
+import { useFocusKept } from "./useFocusKept";
 import { useGapActions, useThrowsToDiagnose } from "./useGap";
 import { diagnosedOf, fittingOf, MIN_THROWS, type Wish, wishOf } from "./wish";
 
@@ -22,6 +23,7 @@ export function StartPanel({ machineId, onStarted }: Props) {
   const throws = useThrowsToDiagnose(machineId);
   const { start } = useGapActions(machineId);
   const mayRun = useMay("gap.run");
+  const kept = useFocusKept<HTMLDivElement>();
   const all = throws.data ?? [];
   const diagnosed = diagnosedOf(wish, all, chosen);
   const { body, problem } = wishOf(wish, all, chosen, healthy);
@@ -93,9 +95,16 @@ export function StartPanel({ machineId, onStarted }: Props) {
           {problem}
         </p>
       )}
-      <Button type="submit" loading={start.isPending} disabled={!mayRun || body === null}>
-        Start diagnosis
-      </Button>
+      <div {...kept}>
+        <Button
+          type="submit"
+          fullWidth
+          loading={start.isPending}
+          disabled={!mayRun || body === null}
+        >
+          Start diagnosis
+        </Button>
+      </div>
       {!mayRun && <p className={classes.note}>Your role may look, not start. Ask an operator.</p>}
       {start.isError && (
         <p className={classes.error} role="alert">

@@ -1,7 +1,7 @@
 import { Link } from "@tanstack/react-router";
 import type { Schema } from "../session/client";
 import { count, fixed, metres, shortHash } from "../words/format";
-import { localStamp } from "../words/time";
+import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
 import classes from "./PolicyCard.module.css";
 
@@ -41,7 +41,7 @@ export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: b
         <dt>Commit</dt>
         <dd>{shortHash(training.commit)}</dd>
         <dt>First seen</dt>
-        <dd>{localStamp(policy.first_seen_utc)}</dd>
+        <dd>{zonedStamp(policy.first_seen_utc)}</dd>
         <dt>Thrown</dt>
         <dd>
           <Link to="/throws" search={{ policy: policy.policy_sha256 }}>

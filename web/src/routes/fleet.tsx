@@ -16,12 +16,7 @@ export function FleetPage() {
     <div className={classes.page}>
       <header className={classes.head}>
         <h1>Fleet</h1>
-        <Button
-          color="red"
-          size="md"
-          onClick={() => void stop()}
-          loading={status.kind === "sending"}
-        >
+        <Button color="var(--stop)" size="md" onClick={() => void stop()}>
           STOP all machines
         </Button>
       </header>

@@ -1,4 +1,5 @@
 import { useNavigate, useSearch } from "@tanstack/react-router";
+import { useEffect, useState } from "react";
 import { RunHead } from "../gap/RunHead";
 import { RunList } from "../gap/RunList";
 import { RunResult } from "../gap/RunResult";
@@ -13,14 +14,29 @@ import classes from "./gap.module.css";
 /** Gap: why a machine and its twin differ; throws at the left, what was found at the right. */
 export function GapPage() {
   const [machineId] = useMachineId();
+  const wanted = useWantedRun(machineId);
   if (machineId === null) {
     return <GateSentence sentence="No machine is known yet. Fleet shows how one is added." />;
   }
-  return <GapOf key={machineId} machineId={machineId} />;
+  return <GapOf key={machineId} machineId={machineId} wanted={wanted} />;
 }
 
-function GapOf({ machineId }: { machineId: string }) {
-  const { run: wanted } = useSearch({ from: "/frame/gap" });
+/** The run that the address names; it goes when another machine is chosen, whose run it is not. */
+function useWantedRun(machineId: string | null): string | undefined {
+  const { run } = useSearch({ from: "/frame/gap" });
+  const navigate = useNavigate({ from: "/gap" });
+  const [of, setOf] = useState(machineId);
+  const isOthers = of !== null && of !== machineId;
+  useEffect(() => {
+    if (isOthers && run) void navigate({ search: {}, replace: true });
+    else if (of !== machineId) setOf(machineId);
+  }, [isOthers, run, of, machineId, navigate]);
+  return isOthers ? undefined : run;
+}
+
+type GapOfProps = { machineId: string; wanted: string | undefined };
+
+function GapOf({ machineId, wanted }: GapOfProps) {
   const navigate = useNavigate({ from: "/gap" });
   const runs = useGapRuns(machineId);
   const shown = wanted ?? firstShown(runs.rows)?.gap_run_id;

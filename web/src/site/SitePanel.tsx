@@ -5,7 +5,7 @@ import type { Schema } from "../session/client";
 import type { Machine } from "../session/live";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
-import { localStamp } from "../words/time";
+import { zonedStamp } from "../words/time";
 import { ObjectForm } from "./ObjectForm";
 import { isSameSite, KINDS, type Kind, newObject, placeWords, type SiteObject } from "./objects";
 import classes from "./SitePanel.module.css";
@@ -55,7 +55,7 @@ export function SitePanel({ machine, site }: Props) {
         <p className={classes.note}>
           {site.version_count === 0
             ? "Nobody has described this site yet."
-            : `Version ${site.version_count} by ${site.changed_by}, ${localStamp(site.changed_utc ?? "")}`}
+            : `Version ${site.version_count} by ${site.changed_by}, ${zonedStamp(site.changed_utc)}`}
         </p>
       </header>
       {objects.length === 0 ? (

@@ -11,6 +11,7 @@ import {
   heightWords,
   metres,
   signed,
+  unbroken,
 } from "./format";
 
 describe("errors carry a sign and a word", () => {
@@ -66,5 +67,14 @@ describe("numbers", () => {
     expect(count(1, "throw")).toBe("1 throw");
     expect(count(12345, "throw")).toBe("12,345 throws");
     expect(bytes(1_234_567)).toBe("1.2 MB");
+  });
+});
+
+describe("sentences", () => {
+  it("keep numbers and their units on one line", () => {
+    expect(unbroken("misses by 0.73 m (94 % sure): 75.1 ms on 12 throws at 3 m/s")).toBe(
+      "misses by 0.73\u00a0m (94\u00a0% sure): 75.1\u00a0ms on 12 throws at 3\u00a0m/s",
+    );
+    expect(unbroken("12 more")).toBe("12 more");
   });
 });

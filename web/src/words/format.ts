@@ -87,6 +87,10 @@ export function bytes(count: Maybe): string {
 /** First eight digits of a hash: enough to tell versions apart on a screen. */
 export const shortHash = (sha256: string | null | undefined) => sha256?.slice(0, 8) ?? NONE;
 
+/** A sentence whose numbers keep their units on the same line. */
+export const unbroken = (text: string) =>
+  text.replace(/(?<=\d) (?=(?:%|m|mm|ms|s|m\/s|rad|kg|Hz)(?![\w/]))/g, "\u00a0");
+
 /** Count with its noun: "1 throw", "12 throws". */
 export const count = (value: number, noun: string) =>
   `${value.toLocaleString("en")} ${noun}${value === 1 ? "" : "s"}`;

@@ -1,5 +1,13 @@
 import { describe, expect, it } from "vitest";
-import { ageSeconds, clockTime, localDate, localStamp, shortStamp, zoneName } from "./time";
+import {
+  ageSeconds,
+  clockTime,
+  localDate,
+  localStamp,
+  shortStamp,
+  zonedStamp,
+  zoneName,
+} from "./time";
 
 describe("local time", () => {
   const date = new Date(2026, 10, 21, 4, 3, 9);
@@ -13,11 +21,13 @@ describe("local time", () => {
 
   it("names the zone", () => {
     expect(zoneName(date).length).toBeGreaterThan(1);
+    expect(zonedStamp(date.toISOString())).toBe(`2026-11-21 04:03:09 ${zoneName(date)}`);
   });
 
   it("does not invent times", () => {
     expect(localStamp(null)).toBe("–");
     expect(localStamp("soon")).toBe("–");
+    expect(zonedStamp("soon")).toBe("–");
     expect(ageSeconds(undefined, 0)).toBeNull();
   });
 

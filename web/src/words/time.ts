@@ -27,6 +27,12 @@ export function localStamp(iso: string | null | undefined): string {
   return Number.isNaN(date.getTime()) ? "–" : `${localDate(date)} ${clockTime(date)}`;
 }
 
+/** "2026-11-21 14:03:21 CET": where nothing beside it shows the zone. */
+export function zonedStamp(iso: string | null | undefined): string {
+  const stamp = localStamp(iso);
+  return iso && stamp !== "–" ? `${stamp} ${zoneName(new Date(iso))}` : stamp;
+}
+
 /** "11-21 14:03:21": as `localStamp` without the year, for narrow tables. */
 export const shortStamp = (iso: string | null | undefined) =>
   localStamp(iso).replace(/^\d{4}-/, "");
