@@ -6,6 +6,7 @@ says is shown with its problem and never used.
 
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.messages import RejectReason
 from machine.policy_card import CARD_FILE, PolicyCard, load_card
-from machine.reach import MIN_RANGE_M
+from machine.reach import MIN_RANGE_M, reach_m
 from machine.spec import MachineSpec
 from runtime.control.observation import PACE_NAME
 from runtime.control.policy import ACTIVE_FILE, find_policy
@@ -156,6 +157,7 @@ class PolicyShelf:
                     policy_sha256=policy.card.policy_sha256,
                     range_min_m=max(policy.card.target_range_min_m, MIN_RANGE_M[mode]),
                     range_max_m=policy.card.target_range_max_m,
+                    raised_range_max_m=reach_m(policy.card, policy.card.target_height_max_m),
                     height_min_m=policy.card.target_height_min_m,
                     height_max_m=policy.card.target_height_max_m,
                     has_pace=PACE_NAME in policy.card.observation_names,
@@ -163,6 +165,11 @@ class PolicyShelf:
                 for mode, policy in sorted(self._active.items())
             ),
         )
+
+    def farthest_m(self, modes: Collection[Mode], height_m: float) -> float:
+        """As far as any active policy of these modes reaches at a height; 0 where there is none."""
+        cards = [policy.card for mode, policy in self._active.items() if mode in modes]
+        return max((reach_m(card, height_m) for card in cards), default=0.0)
 
     def views(self) -> list[PolicyView]:
         """All versions ever seen, the active ones first."""

@@ -20,6 +20,8 @@ from server.viewer.state import Reach
 from server.viewer_door.pick import PickRefusedError
 
 Source = Literal["pick", "fields"]
+SAME_REACH_M = 0.05
+"""Rings nearer to each other than this would be one line: half a tenth, as their labels round. By eye."""
 
 
 @dataclass(slots=True)
@@ -29,6 +31,8 @@ class Outlook:
     machine_id: str | None = None
     mode: Mode | None = None
     targets: dict[str, Target] = field(default_factory=dict[str, Target])
+    reach: Reach | None = None
+    """As last drawn."""
 
 
 class TargetDesk:
@@ -68,6 +72,7 @@ class TargetDesk:
         outlook.mode = mode or outlook.mode
         if source == "fields" and outlook.machine_id == machine_id:
             self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
+        self._draw_reach(session_id)
         view = TargetView.of(target)
         self._tell(session_id, machine_id, view, source, self._refusal(target, outlook.mode))
         return view
@@ -77,6 +82,7 @@ class TargetDesk:
         self._outlook(session_id).targets.pop(machine_id, None)
         self._scene.set_target(session_id, None)
         self._scene.clear_plan(session_id)
+        self._draw_reach(session_id)
         self._tell(session_id, machine_id, None, "fields", "")
 
     def take_pick(self, session_id: str, point_m: tuple[float, float, float]) -> None:
@@ -104,7 +110,7 @@ class TargetDesk:
         if request.mode is not None:
             outlook.mode = request.mode
         if request.machine_id is not None or request.mode is not None:
-            self._scene.set_reach(session_id, self._reach(outlook.mode))
+            self._draw_reach(session_id)
         if request.theme is not None:
             self._scene.set_theme(session_id, request.theme)
         if request.camera is not None:
@@ -131,17 +137,31 @@ class TargetDesk:
         with self._lock:
             self._outlooks.pop(session_id, None)
 
-    def _reach(self, mode: Mode | None) -> Reach:
+    def _draw_reach(self, session_id: str) -> None:
+        """Draw the rings where mode, policies or the height of the session's target have changed."""
+        outlook = self._outlook(session_id)
+        reach = self._reach(outlook.mode, outlook.targets.get(outlook.machine_id or ""))
+        if reach != outlook.reach:
+            outlook.reach = reach
+            self._scene.set_reach(session_id, reach)
+
+    def _reach(self, mode: Mode | None, target: Target | None) -> Reach:
         reach = self._policies.reach()
         by_mode = {item.mode: item for item in reach.modes}
         chosen = [by_mode[mode]] if mode is not None and mode in by_mode else list(by_mode.values())
         planar, spatial = by_mode.get(Mode.PLANAR), by_mode.get(Mode.SPATIAL)
+        height_m = 0.0 if target is None else target.z_m
+        modes = [item.mode for item in chosen]
+        on_ground_m, raised_m = (self._policies.farthest_m(modes, h) for h in (0.0, height_m))
+        is_flat = on_ground_m - raised_m < SAME_REACH_M
         return Reach(
             static_m=reach.static_reach_m,
             planar_m=None if planar is None else planar.range_max_m,
             spatial_m=None if spatial is None else spatial.range_max_m,
             min_m=min((item.range_min_m for item in chosen), default=0.0),
-            mode=mode,
+            mode=mode if mode in by_mode else None,
+            raised_m=None if is_flat else raised_m,
+            height_m=0.0 if is_flat else height_m,
         )
 
     def _refusal(self, target: Target, mode: Mode | None) -> str:

@@ -183,6 +183,9 @@ class ModeReach(View):
     policy_sha256: str
     range_min_m: float
     range_max_m: float
+    """On the ground; a raised target is reached less far."""
+    raised_range_max_m: float
+    """At `height_max_m`."""
     height_min_m: float
     height_max_m: float
     has_pace: bool

@@ -86,7 +86,7 @@ class MarkNodes:
         )
 
     def draw_reach(self, state: SessionView, ground: GroundNodes) -> None:
-        """Range rings with labels, and the dimmed ground out of reach."""
+        """Range rings with labels, that of the target's height too, and the dimmed ground out of reach."""
         nodes = self._clear("reach")
         reach = state.reach
         if reach is None:
@@ -99,14 +99,28 @@ class MarkNodes:
         if reach.spatial_m is not None:
             rings.append(("spatial", reach.spatial_m, f"{reach.spatial_m:.1f} m 3D", 103.0))
         for name, radius, text, degrees in rings:
-            solid = name == "static"
-            circle = (
-                shapes.polyline(shapes.circle(radius)) if solid else shapes.dashed_circle(radius)
-            )
-            nodes.append(self._lines(f"/reach/{name}", circle, theme.ring, 1.6, (0, 0, LIFT_M)))
-            angle = math.radians(degrees)
-            at = (radius * math.cos(angle), radius * math.sin(angle), LIFT_M)
-            nodes.append(self._label(f"/reach/{name}_label", text, at, 1.0))
+            nodes += self._ring(name, radius, LIFT_M, text, degrees, theme.ring)
+        if reach.raised_m is not None:
+            # In the air at the target's height: beyond it the surface there is out of reach.
+            label = "" if reach.mode is None else f" {reach.mode.value.upper()}"
+            text = f"{reach.raised_m:.1f} m{label} at {reach.height_m:+.2f} m"
+            height_m = reach.height_m + LIFT_M
+            nodes += self._ring("raised", reach.raised_m, height_m, text, 108.0, theme.accent)
+
+    def _ring(
+        self, name: str, radius_m: float, height_m: float, text: str, degrees: float, colour: Rgb
+    ) -> list[Node]:
+        """A ring about the slew axis with its label; the static reach is drawn through, others dashed."""
+        solid = name == "static"
+        circle = (
+            shapes.polyline(shapes.circle(radius_m)) if solid else shapes.dashed_circle(radius_m)
+        )
+        angle = math.radians(degrees)
+        at = (radius_m * math.cos(angle), radius_m * math.sin(angle), height_m)
+        return [
+            self._lines(f"/reach/{name}", circle, colour, 1.6, (0, 0, height_m)),
+            self._label(f"/reach/{name}_label", text, at, 1.0),
+        ]
 
     def draw_impacts(self, state: SessionView) -> None:
         """Past impacts as crosses; the newest one larger, with its miss in words."""

@@ -117,5 +117,6 @@ def range_label(target_m: tuple[float, float, float]) -> str:
         if abs(bearing) < 0.05
         else f"{abs(bearing):.1f}° {'left' if bearing > 0 else 'right'}"
     )
-    height = "" if abs(target_m[2]) < 0.005 else f", {target_m[2]:+.2f} m high"
-    return f"{range_m:.2f} m, {side}{height}"
+    z_m = target_m[2]
+    height = f", {z_m:+.2f} m high" if z_m > 0.0 else f", {-z_m:.2f} m deep"
+    return f"{range_m:.2f} m, {side}{'' if abs(z_m) < 0.005 else height}"

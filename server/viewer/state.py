@@ -25,6 +25,10 @@ class Reach:
     min_m: float = 0.0
     mode: Mode | None = None
     """Ground out of this mode's reach is dimmed; None dims what no mode reaches."""
+    raised_m: float | None = None
+    """As far as this mode (or any) reaches at the target's height; None where it is as on the ground."""
+    height_m: float = 0.0
+    """Of the target, above ground."""
 
     @property
     def dimmed_beyond_m(self) -> float:

@@ -127,6 +127,12 @@ def test_rings_labels_and_dimmed_ground(app: ViewerApp, session: str, client: Vi
     texts = {client.nodes[f"/reach/{n}_label"]["text"] for n in ("static", "planar", "spatial")}
     assert texts == {"7.5 m static reach", "10.9 m 2D", "11.4 m 3D"}
     assert {"/dim/beyond", "/dim/near"} <= set(client.nodes)
+    assert "/reach/raised" not in client.nodes
+    raised = Reach(7.5, 10.9, 11.4, 5.0, Mode.PLANAR, raised_m=10.3, height_m=1.2)
+    app.scene.set_reach(session, raised)
+    client.until(lambda: "/reach/raised_label" in client.nodes, "the ring of the target's height")
+    assert client.nodes["/reach/raised_label"]["text"] == "10.3 m 2D at +1.20 m"
+    assert client.nodes["/reach/raised"]["position"][2] == pytest.approx(1.23)
     app.scene.set_reach(session, None)
     client.until(lambda: "/reach/static" not in client.nodes, "the rings to go")
     client.until(lambda: "/dim/beyond" not in client.nodes, "the dimming to go")

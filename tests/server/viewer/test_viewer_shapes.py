@@ -104,7 +104,7 @@ def test_crosses_are_centred_on_their_points(
         ((8.0, 1.0, 0.0), "8.06 m, 7.1° left"),
         ((0.0, -7.5, 0.0), "7.50 m, 90.0° right"),
         ((6.0, 0.0, 1.2), "6.00 m, ahead, +1.20 m high"),
-        ((6.0, 0.0, -0.5), "6.00 m, ahead, -0.50 m high"),
+        ((6.0, 0.0, -0.5), "6.00 m, ahead, 0.50 m deep"),
     ],
 )
 def test_range_and_bearing_in_words(target: tuple[float, float, float], text: str) -> None:

@@ -1789,6 +1789,8 @@ export interface components {
             policy_id: string;
             /** Policy Sha256 */
             policy_sha256: string;
+            /** Raised Range Max M */
+            raised_range_max_m: number;
             /** Range Max M */
             range_max_m: number;
             /** Range Min M */

@@ -104,14 +104,15 @@ export function TargetStep(props: Props) {
   );
 }
 
-/** "2D reaches 5.50 m to 10.90 m, heights -1.00 to +3.00 m." */
-function reachWords(reach: Schema["ModeReach"]): string {
-  const ranges = `${metres(reach.range_min_m)} to ${metres(reach.range_max_m)}`;
+/** "2D reaches 5.50 m to 10.90 m on the ground, 9.20 m at +3.00 m; heights −1.00 to +3.00 m." */
+export function reachWords(reach: Schema["ModeReach"]): string {
+  const ranges = `${metres(reach.range_min_m)} to ${metres(reach.range_max_m)} on the ground`;
   const isFlat = reach.height_min_m === 0 && reach.height_max_m === 0;
   const heights = isFlat
-    ? "on the ground only"
-    : `heights ${signed(reach.height_min_m)} to ${signed(reach.height_max_m)} m`;
-  return `${reach.mode.toUpperCase()} reaches ${ranges}, ${heights}.`;
+    ? " only"
+    : `, ${metres(reach.raised_range_max_m)} at ${signed(reach.height_max_m)} m; ` +
+      `heights ${signed(reach.height_min_m)} to ${signed(reach.height_max_m)} m`;
+  return `${reach.mode.toUpperCase()} reaches ${ranges}${heights}.`;
 }
 
 function isNumber(value: number | string): value is number {

@@ -3,7 +3,15 @@ import { IconDownload } from "@tabler/icons-react";
 import { paceWords } from "../operate/pace";
 import type { Schema } from "../session/client";
 import { outcomeSentence } from "../throws/outcome";
-import { bearingWords, bytes, metres, seconds, shortHash, signed, speed } from "../words/format";
+import {
+  bearingWords,
+  bytes,
+  heightWords,
+  metres,
+  seconds,
+  shortHash,
+  speed,
+} from "../words/format";
 import { localStamp, zoneName } from "../words/time";
 import classes from "./Facts.module.css";
 
@@ -16,7 +24,7 @@ export function Facts({ detail }: { detail: Detail }) {
     ["Outcome", outcomeSentence(row)],
     [
       "Target",
-      `${metres(row.target.range_m)}, ${bearingWords(row.target.azimuth_rad)}, ${signed(row.target.z_m)} m high`,
+      `${metres(row.target.range_m)}, ${bearingWords(row.target.azimuth_rad)}${heightWords(row.target.z_m)}`,
     ],
     ["Pace", paceWords(row.pace_ratio)],
     ["Person", row.operator],

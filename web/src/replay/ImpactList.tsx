@@ -1,5 +1,5 @@
 import type { Schema } from "../session/client";
-import { crossrangeWords, downrangeWords, metres, signed } from "../words/format";
+import { crossrangeWords, downrangeWords, heightWords, metres } from "../words/format";
 import { localStamp } from "../words/time";
 import classes from "./Facts.module.css";
 
@@ -14,7 +14,7 @@ export function ImpactList({ impacts }: { impacts: readonly Impact[] }) {
         <li key={impact.impact_id} data-current={impact.is_current || undefined}>
           <span>
             {downrangeWords(impact.downrange_error_m)}, {crossrangeWords(impact.crossrange_error_m)}
-            , {signed(impact.z_m)} m high
+            {heightWords(impact.z_m)}
             {impact.is_current && <strong> counts</strong>}
           </span>
           <span className={classes.note}>

@@ -52,6 +52,7 @@ describe("numbers", () => {
     expect(bearingWords(-Math.PI / 6)).toBe("30.0° right");
     expect(bearingWords(0)).toBe("0.0° ahead");
     expect(heightWords(1.2)).toBe(", +1.20 m high");
+    expect(heightWords(-0.8, " · ")).toBe(" · 0.80 m deep");
     expect(heightWords(0)).toBe("");
   });
 

@@ -61,9 +61,10 @@ export function bearingWords(azimuth_rad: Maybe): string {
   return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "left" : "right"}`;
 }
 
-/** Height of a target off the ground, to follow its range: ", +1.20 m high"; nothing on the ground. */
+/** Height of a target off the ground, to follow its range: ", +1.20 m high", ", 0.80 m deep"; nothing on it. */
 export function heightWords(z_m: Maybe, before = ", "): string {
-  return missing(z_m) || Math.abs(z_m) < 0.005 ? "" : `${before}${signed(z_m)} m high`;
+  if (missing(z_m) || Math.abs(z_m) < 0.005) return "";
+  return before + (z_m > 0 ? `${signed(z_m)} m high` : `${fixed(-z_m)} m deep`);
 }
 
 /** How long ago, coarse enough not to flicker: "3 s", "14 min", "2 h", "5 d". */
