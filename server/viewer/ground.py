@@ -14,6 +14,9 @@ GRID_RADIUS_M = 60.0
 GROUND_LIFT_M = -0.02
 """The ground is drawn a little below its marks."""
 LABEL_AWAY_M = 0.5
+DIM_SLOPE_RATIO = 0.005
+"""The dimmed ground rises outwards: far away the depth buffer cannot tell 24 mm from nothing, and white
+spikes of the ground came through (24 bits for 0.01 to 1000 m: steps of 0.02 m at 60 m, 0.2 m at 190 m)."""
 HAZE_NEAR_M = 45.0
 HAZE_FAR_M = 190.0
 
@@ -115,7 +118,9 @@ class GroundNodes:
     def dim_outside(self, inner_m: float, outer_m: float) -> list[viser.SceneNodeHandle]:
         """Dim the ground nearer than `inner_m` and beyond `outer_m`; returns the new nodes."""
         full = self._theme.dim_ratio
-        meshes = {"beyond": (shapes.annulus(outer_m, GROUND_RADIUS_M), full)}
+        meshes = {
+            "beyond": (shapes.rising_annulus(outer_m, GROUND_RADIUS_M, DIM_SLOPE_RATIO), full)
+        }
         if inner_m > 0.0:
             # Weaker: the machine stands there, and nobody takes that ground for a target.
             meshes["near"] = (shapes.disc(inner_m), 0.4 * full)

@@ -47,6 +47,14 @@ def annulus(inner_m: float, outer_m: float, count: int = RING_POINTS) -> Mesh:
     return vertices, np.concatenate([first, second]).astype(np.uint32)
 
 
+def rising_annulus(inner_m: float, outer_m: float, slope_ratio: float) -> Mesh:
+    """Ring that faces up and rises outwards from height 0, metres upwards per metre outwards."""
+    vertices, faces = annulus(inner_m, outer_m)
+    outwards_m = np.hypot(vertices[:, 0], vertices[:, 1]) - inner_m
+    vertices[:, 2] = slope_ratio * outwards_m
+    return vertices, faces
+
+
 def disc(radius_m: float, count: int = RING_POINTS) -> Mesh:
     """Flat disc that faces up."""
     rim = circle(radius_m, count)[:-1]

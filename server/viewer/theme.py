@@ -1,5 +1,6 @@
 """Colours and camera positions of the 3D view, for light and dark rooms. One accent; red is for faults."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -77,6 +78,11 @@ THEMES: dict[ThemeName, Theme] = {
 }
 
 
+WHOLE_ASPECT_RATIO = 1.3
+"""Width over height at which the viewpoints, chosen by eye, still hold the whole machine."""
+MIN_ASPECT_RATIO = 0.5
+
+
 @dataclass(frozen=True)
 class Viewpoint:
     """A camera pose, frame `machine`."""
@@ -84,6 +90,16 @@ class Viewpoint:
     position_m: Vector
     look_at_m: Vector
     fov_rad: float
+    """From top to bottom, of a picture at least `WHOLE_ASPECT_RATIO` times as wide as high."""
+
+    def fov_of(self, aspect_ratio: float) -> float:
+        """Angle from top to bottom, rad, with which a narrower picture shows as much from left to right.
+
+        Args:
+            aspect_ratio: width over height of the picture.
+        """
+        wider_ratio = max(WHOLE_ASPECT_RATIO / max(aspect_ratio, MIN_ASPECT_RATIO), 1.0)
+        return 2.0 * math.atan(math.tan(0.5 * self.fov_rad) * wider_ratio)
 
 
 VIEWPOINTS: dict[CameraPreset, Viewpoint] = {

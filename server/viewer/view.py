@@ -68,7 +68,7 @@ class ClientView:
         self._camera_count = state.camera_count
         view = VIEWPOINTS[state.camera]
         with self.client.atomic():
-            self.client.camera.fov = view.fov_rad
+            self.client.camera.fov = view.fov_of(self.client.camera.aspect)
             self.client.camera.position = view.position_m
             self.client.camera.look_at = view.look_at_m
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from machine.messages import LandingEllipse
 from server.viewer import shapes
+from server.viewer.theme import VIEWPOINTS, WHOLE_ASPECT_RATIO
 
 radii = st.floats(0.5, 60.0)
 points = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-1.0, 3.0))
@@ -109,3 +110,20 @@ def test_crosses_are_centred_on_their_points(
 )
 def test_range_and_bearing_in_words(target: tuple[float, float, float], text: str) -> None:
     assert shapes.range_label(target) == text
+
+
+def test_a_rising_ring_leaves_the_ground_outwards() -> None:
+    vertices, faces = shapes.rising_annulus(10.0, 400.0, 0.005)
+    flat, same_faces = shapes.annulus(10.0, 400.0)
+    np.testing.assert_array_equal(vertices[:, :2], flat[:, :2])
+    np.testing.assert_array_equal(faces, same_faces)
+    assert sorted({round(float(z), 3) for z in vertices[:, 2]}) == [0.0, 1.95]
+
+
+@pytest.mark.parametrize("aspect", [0.3, 0.73, 1.0, 1.29])
+def test_a_narrow_picture_shows_as_much_from_left_to_right(aspect: float) -> None:
+    for view in VIEWPOINTS.values():
+        whole = math.tan(0.5 * view.fov_rad) * WHOLE_ASPECT_RATIO
+        assert math.tan(0.5 * view.fov_of(aspect)) * max(aspect, 0.5) == pytest.approx(whole)
+        assert view.fov_of(1.7) == pytest.approx(view.fov_rad)
+        assert view.fov_of(aspect) < 2.0

@@ -1,10 +1,10 @@
 import { symmetricLimit } from "../charts/scale";
+import { useSize } from "../charts/useSize";
 import { fixed } from "../words/format";
 import type { EvaluationRow } from "./evaluation";
 import classes from "./RangePlot.module.css";
 
-const WIDTH = 440;
-const HEIGHT = 150;
+const HEIGHT = 180;
 const LEFT = 44;
 const BOTTOM = 26;
 const TOP = 8;
@@ -14,6 +14,7 @@ const MOST_LABELS = 10;
 
 /** Mean error and one standard deviation at each target range, along and across; ground targets. */
 export function RangePlot({ rows, where }: { rows: readonly EvaluationRow[]; where: string }) {
+  const { ref, width } = useSize<HTMLElement>();
   const ground = rows.filter((row) => row.height_m === 0);
   if (ground.length < 2) return null;
   const ranges = ground.map((row) => row.range_m);
@@ -27,20 +28,20 @@ export function RangePlot({ rows, where }: { rows: readonly EvaluationRow[]; whe
     0.1,
   );
   const x = (range: number) =>
-    LEFT + 14 + ((WIDTH - LEFT - 28) * (range - first)) / Math.max(last - first, 1e-9);
+    LEFT + 14 + ((width - LEFT - 28) * (range - first)) / Math.max(last - first, 1e-9);
   const y = (error: number) => TOP + ((HEIGHT - TOP - BOTTOM) * (limit - error)) / (2 * limit);
   const tick = limit > 0.25 ? 0.2 : 0.1;
   const words = `Mean error and standard deviation by target range, ${where}`;
   const every = Math.ceil(ground.length / MOST_LABELS);
   return (
-    <figure className={classes.plot}>
-      <svg viewBox={`0 0 ${WIDTH} ${HEIGHT}`} role="img" aria-label={words}>
+    <figure className={classes.plot} ref={ref}>
+      <svg width={width} height={HEIGHT} role="img" aria-label={words}>
         <title>{words}</title>
         {[-tick, 0, tick].map((value) => (
           <g key={value}>
             <path
               className={value === 0 ? classes.zero : classes.grid}
-              d={`M${LEFT} ${y(value)}H${WIDTH}`}
+              d={`M${LEFT} ${y(value)}H${width}`}
             />
             <text x={LEFT - 6} y={y(value) + 4} textAnchor="end">
               {fixed(value, 1)}

@@ -10,7 +10,7 @@ import { useMay } from "../session/useSession";
 import { useViewSlot } from "../view/slot";
 import { errorWords } from "../words/errors";
 import { bearingWords, heightWords, metres } from "../words/format";
-import { localStamp } from "../words/time";
+import { zonedStamp } from "../words/time";
 import classes from "./throw.module.css";
 
 /** One throw: replay, time series and facts, linked by one moment in time. */
@@ -44,7 +44,7 @@ export function ThrowPage() {
           {heightWords(row.target.z_m)}
         </h1>
         <span>
-          {row.machine_id}, {localStamp(row.created_utc)}
+          {row.machine_id}, {zonedStamp(row.created_utc)}
         </span>
       </header>
       <div className={classes.body}>

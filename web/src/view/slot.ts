@@ -34,8 +34,9 @@ export function useViewSlot<T extends HTMLElement>() {
       set({ left, top, width, height });
     };
     const observer = new ResizeObserver(measure);
-    observer.observe(element);
-    observer.observe(document.body);
+    // All around it, too: a banner above that goes moves the element without a change of its size.
+    for (let each: Element | null = element; each; each = each.parentElement)
+      observer.observe(each);
     window.addEventListener("scroll", measure, { capture: true, passive: true });
     measure();
     return () => {
