@@ -98,11 +98,13 @@ class Trainer:
 
     def prepared(self, key: Field, iterations: int) -> Learner:
         """`start`, while the host also compiles `advance` by so many iterations."""
-        lowered = Trainer.start.lower(self, key)
         learner = jax.eval_shape(self.start, key)
         chunk = Trainer._advance.lower(self, learner, iterations)
         with ThreadPoolExecutor() as pool:
-            start, self._compiled[iterations] = pool.map(lambda x: x.compile(), (lowered, chunk))
+            # The longest first: it is what everything waits for.
+            advance = pool.submit(chunk.compile)
+            start = Trainer.start.lower(self, key).compile()
+            self._compiled[iterations] = advance.result()
         return start(key)
 
     @partial(jax.jit, static_argnums=0)

@@ -1,6 +1,7 @@
 """One training run: learn, report, checkpoint, resume, measure, export."""
 
 import hashlib
+import importlib
 import json
 import subprocess
 import tempfile
@@ -30,6 +31,7 @@ from training.environment.state import random_table
 from training.environment.task import PpoConfig, TaskConfig
 from training.export import export_policy
 from training.measure import Accuracy, Measurement
+from training.networks import Layers, Normaliser
 from training.ppo import Learner, Trainer
 from training.progress import (
     CSV_FILE,
@@ -84,14 +86,14 @@ def train(
     """Train to the end, from the checkpoint in `options.out` if there is one, and export the policy."""
     _check(config, options)
     learner, trainer, fingerprint = _prepare(spec, task, config, options, say)
-    throws = _measurement(spec, task, options)
     with ThreadPoolExecutor() as pool:
         # A GPU's host has nothing else to do while its GPU learns.
         shapes = jax.eval_shape(lambda: (learner.networks.actor, learner.normaliser))
-        prepared = pool.submit(throws.prepare, *shapes) if throws is not None else None
+        measuring = pool.submit(_measurement, spec, task, options, shapes)
+        drawing = pool.submit(importlib.import_module, "matplotlib.figure")
         learner, wall_s = _learn(learner, trainer, fingerprint, options, say)
-        if prepared is not None:
-            prepared.result()
+        throws = measuring.result()
+        drawing.result()
     accuracy: list[Accuracy] = []
     if throws is not None:
         accuracy = throws.accuracy(learner.networks.actor, learner.normaliser)
@@ -127,15 +129,19 @@ def train(
         )
 
 
-def _measurement(spec: MachineSpec, task: TaskConfig, options: RunOptions) -> Measurement | None:
-    """What is thrown once the policy has learned; None without throws."""
+def _measurement(
+    spec: MachineSpec, task: TaskConfig, options: RunOptions, shapes: tuple[Layers, Normaliser]
+) -> Measurement | None:
+    """What is thrown once a policy of these shapes has learned, compiled; None without throws."""
     if not options.measured_throw_count:
         return None
     near, far = task.episode.target_range_m
     ranges = [r for r in MEASURED_RANGES_M if near <= r <= far]
-    return Measurement(
+    throws = Measurement(
         spec, task, ranges, options.measured_throw_count, seed=options.seed_count + 1
     )
+    throws.prepare(*shapes)
+    return throws
 
 
 def _check(config: PpoConfig, options: RunOptions) -> None:
