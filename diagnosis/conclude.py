@@ -12,11 +12,11 @@ from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import members_index, screen, total, weigh
-from diagnosis.causes.separating import acting_name, alone_motion, separating_motion
 from diagnosis.causes.shapes import shape_of
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.report.report_words import percent, probability, size_words
+from diagnosis.separating import acting_name, alone_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
     Ambiguity,

@@ -17,6 +17,7 @@ from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect, acting_effect, resolve
 from sim_twin.replay.drives import replay_drives
+from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, fly, replay
 from sim_twin.twin.profile import TwinProfile
 
@@ -115,8 +116,7 @@ def late(track: Array, latency_s: float) -> Array:
     """A track (T,) of control ticks as a sensor reports it that is this late; at rest before."""
     if latency_s <= 0.0:
         return track
-    ticks = np.arange(track.size) - latency_s / CONTROL_PERIOD_S
-    return np.interp(ticks, np.arange(track.size), track)
+    return shifted(track, np.asarray(-latency_s / CONTROL_PERIOD_S))
 
 
 def _has_memory(effects: Sequence[Effect]) -> bool:

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.causes.parameters import Parameter, View, index_of, library
-from diagnosis.causes.predictions import predict, view_of
 from diagnosis.healthy.filters import HealthyModel
 from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.predictions import predict, view_of
 from diagnosis.simulate import Simulated, simulate
 from machine.ballistics import drag_per_m, landing
 from machine.calibration import ValveCalibration

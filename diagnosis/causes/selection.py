@@ -199,6 +199,16 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     return SetEvidence(members, log_odds + set_log_prior(priors, members), best[1], best[2])
 
 
+def mean_with(base: Screen, data: Information, priors: Priors, found: SetEvidence) -> Array:
+    """Posterior mean of all parameters: members at their sizes, and the scatter that the data then want."""
+    if not found.members:
+        return base.mean
+    index = members_index(priors, found.members)
+    mean = base.mean - base.covariance @ (data.precision[:, index] @ found.mean)
+    mean[index] += found.mean
+    return mean
+
+
 def set_log_prior(priors: Priors, members: Set) -> float:
     """Log odds of a set against "no effect" before the data."""
     alone = float(sum(priors.log_prior[group] for group in members))

@@ -3,7 +3,7 @@
 An effect of finite size bends; so a set is judged about its own sizes, and others about theirs.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,9 +37,11 @@ from diagnosis.causes.whitening import (
     whiten_throw,
     widened,
 )
-from machine.conventions import Array, IntArray
+from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect, resolve
 
+BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis")
+"""Joints stand, or valves hang in their play, for a time that grows with the size in jumps."""
 BATCH_COUNT = 10
 """Sets simulated side by side: 12 throws with the slopes of 30 sets took 1.7 GiB."""
 
@@ -62,34 +64,50 @@ class Trial:
     """Without it."""
     base: Screen
     """On all throws."""
+    bent: Set = ()
+    """Members whose slopes at their sizes are no guide to other sizes."""
 
 
 def _formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Priors:
     """Spikes under a hypothesis: what other parameters can make of its effects' form error.
 
     A real effect is never quite the library's, in the same way in every throw. Where another parameter's
-    slopes lie along the hypothesis' signal, a share of that signal may look like it.
+    slopes lie along the effects' signal, a share of that signal may look like it.
+
+    Args:
+        priors: without form error.
+        data: on all throws.
+        members: the hypothesis.
+        sizes: of its parameters, group after group.
     """
     index = members_index(priors, members)
-    precision = data.precision
-    signal = np.sqrt(max(float(sizes @ precision[np.ix_(index, index)] @ sizes), 0.0))
-    own = np.sqrt(np.maximum(np.diag(precision), 1e-12))
-    along = np.abs(precision[:, index] @ sizes) / (own * max(signal, 1e-12))
-    along[index] = 0.0
-    extra = _form_error_ratio(index) * signal * along / own
-    return priors._replace(scatter=priors.scatter + np.diag(extra**2))
+    own = np.sqrt(np.maximum(np.diag(data.precision), 1e-12))
+    ratio = np.array([_form_error_ratio(int(i)) for i in index])
+    # Effects of one ratio are off as a whole: alike ones may be large against each other.
+    extra = [
+        r * np.abs(data.precision[:, index[ratio == r]] @ sizes[ratio == r]) / own**2
+        for r in np.unique(ratio)
+    ]
+    variance = np.sum(np.square(extra), axis=0)
+    variance[index] = 0.0
+    return priors._replace(scatter=priors.scatter + np.diag(variance))
 
 
-def _form_error_ratio(index: IntArray) -> float:
-    """Of a hypothesis with these parameters: the same in every throw, as far as anybody knows."""
-    constants = library()
-    stages = {constants[int(i) % len(constants)].stage for i in index}
-    return FORM_ERROR_RATIO["actuation" if "actuation" in stages else "swing"]
+def _form_error_ratio(place: int) -> float:
+    """Of a parameter of the layout: the same in every throw, as far as anybody knows."""
+    stage = library()[place % len(library())].stage
+    return FORM_ERROR_RATIO["actuation" if stage == "actuation" else "swing"]
 
 
-def try_sets(problem: Problem, seeds: dict[Set, Array], *, is_last: bool = False) -> list[Trial]:
+Seed = tuple[Set, Array]
+"""A set, and the sizes at which it is to be simulated."""
+
+
+def try_sets(
+    problem: Problem, seeds: Mapping[Set, Array] | Sequence[Seed], *, is_last: bool = False
+) -> list[Trial]:
     """Simulate every set at its sizes, in batches, and estimate the sizes again."""
-    waiting = list(seeds.items())
+    waiting = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
     found: list[Trial] = []
     for first in range(0, len(waiting), BATCH_COUNT):
         found += _try_batch(problem, waiting[first : first + BATCH_COUNT], is_last=is_last)
@@ -165,7 +183,10 @@ def _with_form(
     priors = _formed(problem.layout.priors, data, members, start)
     base = screen(data, priors)
     mean = weigh(base, priors, members).mean
-    return Trial(members, start, mean, kept, informations, priors, problem.layout.priors, base)
+    bent = tuple(m for m in members if problem.layout.groups[m][0] in BENT_EFFECTS)
+    return Trial(
+        members, start, mean, kept, informations, priors, problem.layout.priors, base, bent
+    )
 
 
 def _sizes_of(effect: Effect) -> list[float]:
@@ -217,43 +238,75 @@ def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, 
     return tuple(effects)
 
 
-def settle(problem: Problem, seeds: dict[Set, Array], rounds: int) -> list[Trial]:
-    """Simulate and estimate again, some rounds; of sets with rough effects the best round counts."""
-    sizes = dict(seeds)
+def settle(problem: Problem, seeds: Mapping[Set, Array], rounds: int) -> list[Trial]:
+    """Simulate and estimate again, some rounds."""
+    found = try_sets(problem, seeds)
+    for _ in range(rounds - 1):
+        found = refined(problem, found)
+    return found
+
+
+def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
+    """Simulated once more, at their estimates; of sets with bent effects the better trial counts."""
+    found = try_sets(problem, {t.members: t.sizes for t in trials})
+    return [
+        old if old.bent and own_evidence(old) > own_evidence(new) else new
+        for old, new in zip(trials, found, strict=True)
+    ]
+
+
+def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials; once more, where the estimate is further than its uncertainty from what was simulated."""
+    moved = {t.members: t for t in trials if not (t.bent or _is_near(t))}
+    moved |= {t.members: t for t in refined(problem, list(moved.values()))}
+    return [moved.get(t.members, t) for t in trials]
+
+
+def _is_near(trial: Trial) -> bool:
+    variance = np.diag(weigh(trial.base, trial.priors, trial.members).covariance)
+    return bool(np.all(np.square(trial.sizes - trial.at) <= variance))
+
+
+def best_of_each(trials: Sequence[Trial]) -> list[Trial]:
+    """Of trials of the same set from different sizes the best."""
     found: dict[Set, Trial] = {}
-    for _ in range(rounds):
-        for t in try_sets(problem, sizes):
-            before = found.get(t.members)
-            is_worse = before is not None and own_evidence(t) < own_evidence(before)
-            if not (is_worse and is_rough(problem, t.members)):
-                found[t.members] = t
-        sizes = {members: t.sizes for members, t in found.items()}
+    for trial in trials:
+        before = found.get(trial.members)
+        if before is None or own_evidence(before) < own_evidence(trial):
+            found[trial.members] = trial
     return list(found.values())
 
 
-def again(problem: Problem, trials: Sequence[Trial]) -> dict[Set, Array]:
-    """Where to simulate trials once more: at their estimates, but rough effects where they were.
+def again(trials: Sequence[Trial]) -> dict[Set, Array]:
+    """Where to simulate trials once more: at their estimates, but bent effects where they were.
 
     Slopes by a size at which a joint breaks loose are no guide: with the noise of a version on the way they
-    led from 0.05 m/s (499 ahead) in three steps to 0.027 m/s (238), where a telescope broke loose at 0.066.
+    led from 0.05 m/s (499 ahead) in three steps to 0.027 m/s (238), where a telescope broke loose at 0.066;
+    and a valve's play from 0.17 (1202 ahead) to 0.07 (404), where it was 0.18.
     """
-    return {t.members: t.at if is_rough(problem, t.members) else t.sizes for t in trials}
+    return {t.members: t.at if t.bent else t.sizes for t in trials}
 
 
-def kept_at(problem: Problem, trial: Trial, members: Set, sizes: Array) -> Array:
-    """Sizes for a larger set, group after group: rough effects of the trial stay where they were."""
-    places = problem.layout.priors.groups
-    parts = np.split(sizes, np.cumsum([places[m].size for m in members])[:-1])
-    own = np.split(trial.at, np.cumsum([places[m].size for m in trial.members])[:-1])
-    rough = {
-        m: part for m, part in zip(trial.members, own, strict=False) if is_rough(problem, (m,))
-    }
-    return np.concatenate([rough.get(m, part) for m, part in zip(members, parts, strict=True)])
+def kept_at(trial: Trial, members: Set, sizes: Array) -> Array:
+    """Sizes for a larger set, group after group: bent effects of the trial stay where they were."""
+    own = by_member(trial.plain, trial.members, trial.at)
+    return np.concatenate(
+        [
+            own[m] if m in trial.bent else part
+            for m, part in by_member(trial.plain, members, sizes).items()
+        ]
+    )
 
 
-def is_rough(problem: Problem, members: Set) -> bool:
-    """Whether a set has an effect whose form nobody knows well (`ROUGH_EFFECTS`)."""
-    return any(problem.layout.groups[m][0] in ROUGH_EFFECTS for m in members)
+def by_member(priors: Priors, members: Set, sizes: Array) -> dict[int, Array]:
+    """Sizes of every group of a set."""
+    found: dict[int, Array] = {}
+    at = 0
+    for member in members:
+        width = priors.groups[member].size
+        found[member] = sizes[at : at + width]
+        at += width
+    return found
 
 
 Seen = tuple[int, Set]
@@ -261,7 +314,7 @@ Seen = tuple[int, Set]
 
 
 def fair_evidence(
-    trials: Sequence[Trial], seen: Sequence[Seen], bases: Sequence[tuple[Screen, Screen]]
+    trials: Sequence[Trial], seen: Sequence[Seen], data: Sequence[Information]
 ) -> Array:
     """Log evidence (sets,) of sets, each in its trial, so that noise and slopes are evidence for nobody.
 
@@ -272,8 +325,9 @@ def fair_evidence(
     Args:
         trials: simulated sets.
         seen: the sets, "no effect" among them; more than one may be of a trial.
-        bases: the trials' screens (`screens`).
+        data: what all throws, or a bootstrap of them, say in each of the trials.
     """
+    bases = [screens(t, d) for t, d in zip(trials, data, strict=True)]
     own = np.array([evidence_in(bases[i][0], trials[i].priors, m) for i, m in seen])
     without = np.array([bases[i][1].log_evidence for i, _ in seen])
     is_none = np.array([not m for _, m in seen])
@@ -286,16 +340,17 @@ def fair_evidence(
     none = max(none, float(without[leader]))
     found = np.where(is_none, none, np.where(counts, own, none + own - without))
     for k, (_, part) in enumerate(seen):
-        if part and set(part) < set(members):
-            base = base_of(bases[place], trials[place], part)
+        # Slopes do not carry a bent effect back to where it is not.
+        if part and set(part) < set(members) and set(trials[place].bent) <= set(part):
+            base = _base_of_part(trials[place], data[place], part)
             found[k] = max(found[k], evidence_in(base, trials[place].plain, part))
     return found
 
 
 def fair_on_all(trials: Sequence[Trial]) -> list[float]:
     """Fair evidence of every trial's own set, on all throws."""
-    bases = [screens(t, total(t.information)) for t in trials]
-    return fair_evidence(trials, [(i, t.members) for i, t in enumerate(trials)], bases).tolist()
+    seen = [(i, t.members) for i, t in enumerate(trials)]
+    return fair_evidence(trials, seen, [total(t.information) for t in trials]).tolist()
 
 
 def screens(trial: Trial, data: Information) -> tuple[Screen, Screen]:
@@ -306,9 +361,14 @@ def screens(trial: Trial, data: Information) -> tuple[Screen, Screen]:
     return screen(data, trial.priors), screen(bare(data), trial.plain)
 
 
-def base_of(both: tuple[Screen, Screen], trial: Trial, members: Set) -> Screen:
-    """Of a trial's two screens the one for a set: only the trial's own effects are carried back."""
-    return both[0] if set(members) & set(trial.members) else both[1]
+def _base_of_part(trial: Trial, data: Information, part: Set) -> Screen:
+    """A trial's screen for a part of its set: nothing may look like effects that the part does not have."""
+    sizes = by_member(trial.plain, trial.members, trial.at)
+    own = {m: size for m, size in sizes.items() if m in part}
+    if not own:
+        return screen(bare(data), trial.plain)
+    kept = np.concatenate(list(own.values()))
+    return screen(data, _formed(trial.plain, total(trial.information), tuple(own), kept))
 
 
 def evidence_in(base: Screen, priors: Priors, members: Set) -> float:

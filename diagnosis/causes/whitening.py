@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.causes.nuisances import set_columns, throw_columns, throw_nuisances
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
     SET_NUISANCES,
     Layout,
-    index_of,
     library,
     set_names,
 )
@@ -24,26 +24,9 @@ from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.unheard import unheard_columns
 from diagnosis.healthy.noise import NoiseModel, whiten, whitener
 from diagnosis.loading.prepared import PreparedThrow
-from machine.conventions import ACTIVE_JOINTS, Array, IntArray
-from machine.kinematics import rotate_z
+from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect
 
-THROW_NUISANCES = (
-    "oil_flow_ratio",
-    "start_pitch_rad",
-    "start_roll_rad",
-    "start_pitch_rate_rad_per_s",
-    "start_roll_rate_rad_per_s",
-    "release_delay_s",
-    "switch_lag_s",
-    "grasp_x_m",
-    "grasp_y_m",
-    "grasp_z_m",
-    "slip_x_m_per_s",
-    "slip_y_m_per_s",
-    "slip_z_m_per_s",
-)
-"""What differs from throw to throw on any machine, beside all parameters of the library, which follow."""
 FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
 """Discrepancy of a real effect from the library's by stage, as a share of what the twin is off there: what
 true effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives:
@@ -62,18 +45,11 @@ SHAKEN_BLOCKS = ("actuation", "swing.gyro")
 """And the other joints: no measure where the best cause is of that kind (telescope 5.8 to 8.2 standard
 deviations on three sets with stiction or play of the dipper)."""
 OPENING = "release.switch"
-OIL_LAG_S = 0.05 * 0.06
-"""Change of the spools' lag that comes with 1 % of flow: warm oil is faster."""
 
 
 def slope_count() -> int:
     """Columns of `Whitened.slopes`."""
     return len(library()) + len(set_names())
-
-
-def throw_nuisances() -> tuple[str, ...]:
-    """Names of what differs from throw to throw, in the order of the throw's scatter."""
-    return (*THROW_NUISANCES, *(p.key for p in library()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,17 +219,17 @@ def _columns(
     prepared: PreparedThrow, linear: Linear, own: Linear, model: NoiseModel, rows: IntArray
 ) -> Array:
     """The table's columns before whitening, at some rows."""
-    of_set = np.column_stack([_set_columns(prepared, linear), unheard_columns(prepared, own)])[rows]
+    of_set = np.column_stack([set_columns(prepared, linear), unheard_columns(prepared, own)])[rows]
     middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
     middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
     jacobian = linear.jacobian[rows]
-    of_throw = np.column_stack([_throw_columns(prepared, own)[rows], own.jacobian[rows]])
+    of_throw = np.column_stack([throw_columns(prepared, own)[rows], own.jacobian[rows]])
     root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
-    healthy = jacobian @ middle + of_set[:, : len(SET_NUISANCES)] @ middle_of_set
+    usual = of_set[:, : len(SET_NUISANCES)] @ middle_of_set
     columns = np.column_stack(
         [
-            linear.residual[rows] - healthy,
-            own.residual[rows] - healthy,
+            linear.residual[rows] - jacobian @ middle - usual,
+            own.residual[rows] - own.jacobian[rows] @ middle - usual,
             jacobian,
             of_set,
             of_throw @ root,
@@ -360,64 +336,14 @@ def leftovers(
     return power
 
 
-def _set_columns(prepared: PreparedThrow, linear: Linear) -> Array:
-    """Slopes (n, q) by the set's nuisances."""
-    out = np.zeros((linear.residual.size, len(SET_NUISANCES)))
-    for kind, first in (("gyro", 0), ("accel", 3)):
-        for axis, letter in enumerate("xyz"):
-            block = prepared.block(f"swing.{kind}.{letter}")
-            if block is not None:
-                out[block.rows, first + axis] = 1.0
-    _switch_and_flight(prepared, linear, out[:, 6])
-    angle = np.interp(
-        prepared.input.opening_t_s, prepared.motion.t_s, prepared.motion.position_rad_m[:, 0]
-    )
-    directions = rotate_z(np.eye(3), np.full(3, angle))
-    for axis in range(3):
-        _flight_shift(prepared, linear, out[:, 7 + axis], np.r_[directions[axis], np.zeros(3)])
-    return out
-
-
-def _switch_and_flight(prepared: PreparedThrow, linear: Linear, out: Array) -> None:
-    """Column of a switch that reports late: the opening was earlier than we think."""
-    switch = prepared.block("release.switch")
-    if switch is not None:
-        out[switch.rows] = 1.0
-    out -= linear.opening
-
-
-def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
-    """Column of a shift (6,) of position and velocity at the release."""
-    ball, impact = prepared.block("flight.ball"), prepared.block("flight.impact")
-    if ball is not None:
-        since = (prepared.throw.ball_t_s - linear.release_t_s)[:, None]
-        out[ball.rows] = (state[:3] + since * state[3:]).ravel()
-    if impact is not None:
-        out[impact.rows] = linear.landing_slope @ state
-
-
-def _throw_columns(prepared: PreparedThrow, linear: Linear) -> Array:
-    """Slopes (n, q) by the throw's own nuisances (`THROW_NUISANCES`)."""
-    index, slopes = index_of(), linear.jacobian
-    n = linear.residual.size
-    gains = [
-        slopes[:, index[f"valve_gain.{joint}.positive_ratio"]]
-        + slopes[:, index[f"valve_gain.{joint}.negative_ratio"]]
-        for joint in ACTIVE_JOINTS
-    ]
-    lags = [slopes[:, index[f"valve_lag.{joint}.extra_lag_s"]] for joint in ACTIVE_JOINTS]
-    # Warm oil is faster, too.
-    found = [np.sum(gains, axis=0) - OIL_LAG_S / 0.01 * np.sum(lags, axis=0)]
-    found += list(linear.start.T)
-    jitter = np.zeros(n)
-    switch = prepared.block("release.switch")
-    if switch is not None:
-        jitter[switch.rows] = 1.0
-    late = np.zeros(n)
-    _switch_and_flight(prepared, linear, late)
-    found += [jitter, late]
-    for axis in range(6):
-        shift = np.zeros(n)
-        _flight_shift(prepared, linear, shift, np.eye(6)[axis])
-        found.append(shift)
-    return np.column_stack(found)
+def levels(
+    whitened: Sequence[Whitened], mean: Array, rough: Collection[str] = ()
+) -> dict[str, float]:
+    """Log of the residual power per row of every block, after the parameters `mean`, over all throws."""
+    power: dict[str, float] = {}
+    rows: dict[str, int] = {}
+    for one in whitened:
+        for name, (square, count) in leftovers(one, mean, rough).items():
+            power[name] = power.get(name, 0.0) + square
+            rows[name] = rows.get(name, 0) + count
+    return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}

@@ -10,6 +10,7 @@ from scipy.linalg import solveh_banded
 
 from diagnosis.loading.logs import ThrowData
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
+from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayInput
 
 POSITION_SD_RAD_M = 1.3e-3
@@ -52,19 +53,11 @@ class MeasuredMotion(NamedTuple):
         """The motion as it was when the driven joints' sensors are late by (4,); held at the end."""
         if not (latency_s > 0.0).any():
             return self
-        ticks = np.arange(self.t_s.size)
-
-        def moved(track: Array) -> Array:
-            columns = [
-                np.interp(ticks + late / CONTROL_PERIOD_S, ticks, column)
-                for late, column in zip(latency_s, track.T, strict=True)
-            ]
-            return np.column_stack(columns)
-
+        ticks = latency_s / CONTROL_PERIOD_S
         return self._replace(
-            position_rad_m=moved(self.position_rad_m),
-            velocity_rad_m_per_s=moved(self.velocity_rad_m_per_s),
-            acceleration_rad_m_per_s2=moved(self.acceleration_rad_m_per_s2),
+            position_rad_m=shifted(self.position_rad_m, ticks),
+            velocity_rad_m_per_s=shifted(self.velocity_rad_m_per_s, ticks),
+            acceleration_rad_m_per_s2=shifted(self.acceleration_rad_m_per_s2, ticks),
         )
 
 

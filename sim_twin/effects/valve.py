@@ -101,6 +101,7 @@ class ValveEffects:
         )
         self._spool, self._lagging = np.zeros(shape), np.zeros(shape)
         self._lost, self._free = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        self._anywhere = np.zeros(shape, dtype=np.bool_)
         self._slope_before = np.zeros(shape)
         self._at_rest = np.ones(shape, dtype=np.bool_)
         self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
@@ -207,7 +208,7 @@ class ValveEffects:
         """
         if self._gap is not None:
             velocity, slope = self._cross(
-                self._gap, target, before, velocity, slope, active_position_rad_m
+                self._gap, target, before, velocity, slope, active_position_rad_m, seen
             )
         if self._breakaway is None:
             return velocity, slope
@@ -235,18 +236,20 @@ class ValveEffects:
         velocity: Array,
         slope: Array,
         active_position_rad_m: Array,
+        seen: Array | None,
     ) -> tuple[Array, Array]:
         """Velocity and slope of joints whose drives may be crossing their play.
 
         What lags is the arm on its oil. A drive alone in its play runs at the steady speed at once, the joint
         stays where it came to rest, and moves off from rest when the drive meets it again. Nothing loads the
-        slew, which starts in the middle of its play.
+        slew, which starts in the middle of its play, or where the measured velocity says.
         """
         half = 0.5 * gap
         if self._is_fresh:
             load = gravity_load_ratio(self._spec, active_position_rad_m)
             self._lost, self._is_fresh = np.sign(load) * half, False
             self._free = (half > 0.0) & (load == 0.0)
+            self._anywhere = self._free & (seen is not None)
         side = np.sign(self._lost)
         leaves = ~self._free & (side * target < 0.0) & (side * velocity < 0.0) & (half > 0.0)
         # The joint comes to rest within the tick; the rest of the tick is the drive's.
@@ -254,12 +257,16 @@ class ValveEffects:
         share = np.where(leaves, np.abs(velocity) / np.maximum(swing, 1e-12), 1.0)
         free = self._free | leaves
         lost = self._lost + np.where(free, target * share * CONTROL_PERIOD_S, 0.0)
-        over = np.abs(lost) - half
+        over = np.abs(lost) - np.where(self._anywhere, gap, half)
         arrived = free & (over >= 0.0)
+        if seen is not None:
+            arrived |= self._anywhere & (seen * np.sign(lost) > STANDING_RAD_M_PER_S)
+            self._anywhere &= ~arrived
         used = over / np.maximum(np.abs(target) * share * CONTROL_PERIOD_S, 1e-12)
         moved = np.where(arrived, np.clip(used, 0.0, 1.0), np.where(free, 0.0, 1.0))
         self._free = free & ~arrived
-        self._lost = np.clip(lost, -half, half)
+        reach = np.where(self._anywhere, gap, half)
+        self._lost = np.clip(lost, -reach, reach)
         eased = np.where(free, math.exp(-CONTROL_PERIOD_S / SLIP_S), 1.0)
         resting = self._slope_before * np.where(self._free, eased, 1.0)
         changed = np.where(

@@ -65,7 +65,11 @@ def replay_drives(
         place = place - bias
     out = np.zeros((count, ticks, ACTIVE_COUNT))
     for tick in range(ticks - 1):
-        reference = response.step(valve[tick], position, seen[tick + 1] if as_measured else None)
+        reference = response.step(
+            valve[tick],
+            place[tick] if as_measured else position,
+            seen[tick + 1] if as_measured else None,
+        )
         # A cylinder at its end stop stands still, whatever its valve does.
         least, most = (low - position) / CONTROL_PERIOD_S, (high - position) / CONTROL_PERIOD_S
         if as_measured:

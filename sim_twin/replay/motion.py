@@ -16,6 +16,28 @@ def padded(values: Array, ticks: int, *, hold: bool) -> Array:
     return np.pad(values, [(0, missing), (0, 0)], mode="edge" if hold else "constant")
 
 
+def shifted(values: Array, ticks: Array) -> Array:
+    """Values (T, ...) as they are `ticks` (...) rows further on; held beyond the ends.
+
+    Cubic through the four rows around: straight lines would smooth away part of the noise, and a sensor would
+    look late where the motion is rough.
+    """
+    last = values.shape[0] - 1
+    whole = np.floor(ticks + 1e-9).astype(np.int64)
+    s = ticks - whole
+    weights = (
+        -s * (s - 1.0) * (s - 2.0) / 6.0,
+        (s + 1.0) * (s - 1.0) * (s - 2.0) / 2.0,
+        -(s + 1.0) * s * (s - 2.0) / 2.0,
+        (s + 1.0) * s * (s - 1.0) / 6.0,
+    )
+    row = np.arange(last + 1).reshape(-1, *(1,) * (values.ndim - 1)) + whole
+    out = np.zeros_like(values)
+    for step, weight in enumerate(weights, start=-1):
+        out += weight * np.take_along_axis(values, np.clip(row + step, 0, last), axis=0)
+    return out
+
+
 class MeasuredMotion:
     """Starts and prescribed joints of M elements; a late sensor saw the true motion earlier."""
 
@@ -69,17 +91,12 @@ class MeasuredMotion:
         """Move joints (ticks, M, 6) earlier by their sensors' latencies (M, 6)."""
         if latency_s is None:
             return
-        tick = np.arange(self._ticks)[:, None, None] + latency_s / CONTROL_PERIOD_S
-        last = self._ticks - 1
-        whole = np.minimum(np.floor(tick + 1e-9).astype(np.int64), last)
-        part = np.clip(tick - whole, 0.0, 1.0)
-        rows = np.arange(self._mask.shape[0])[:, None], np.arange(JOINT_COUNT)
-        here, after = (whole, *rows), (np.minimum(whole + 1, last), *rows)
+        ticks = latency_s / CONTROL_PERIOD_S
+        beyond = np.arange(self._ticks)[:, None, None] + ticks - (self._ticks - 1)
         # Beyond the record a joint keeps its last speed.
-        late = np.maximum(tick - last, 0.0) * CONTROL_PERIOD_S * self._velocity[last]
-        for values in (self._position, self._velocity):
-            values[:] = values[here] + part * (values[after] - values[here])
-        self._position += late
+        coasted = np.maximum(beyond, 0.0) * CONTROL_PERIOD_S * self._velocity[-1]
+        self._position = shifted(self._position, ticks) + coasted
+        self._velocity = shifted(self._velocity, ticks)
 
     def _correct(self, twin: Twin, hung: BoolArray) -> None:
         for tick in range(self._ticks):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
 from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
 from diagnosis.causes.shapes import unheard_least_sd
-from diagnosis.causes.whitening import THROW_NUISANCES, throw_nuisances
 from diagnosis.healthy.filters import nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from diagnosis.causes.jitter import fit_jitter
+from diagnosis.causes.nuisances import throw_nuisances
 from diagnosis.causes.parameters import layout, library, scatter_names
-from diagnosis.causes.separating import separating_motion
-from diagnosis.causes.whitening import throw_nuisances
 from diagnosis.healthy.filters import HealthyModel, correction, inputs, learn, nothing
 from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, whiten, whitener
 from diagnosis.loading.prepared import prepare
+from diagnosis.separating import separating_motion
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
 

@@ -179,6 +179,24 @@ def test_backlash_is_lost_at_each_reversal() -> None:
     assert (np.diff(crossing) == 1).all()
 
 
+def test_the_slew_s_play_begins_where_the_measured_slew_says() -> None:
+    """Nothing loads the slew: whether all of its play or none comes first, only the measurement knows."""
+    valve = np.zeros((300, 4))
+    valve[:, 0] = 0.4
+    gap, free = effect("backlash", joint="slew", gap_rad_m=0.05), drive(valve)[:, 0]
+    way = 0.01 * np.cumsum(free)
+
+    def lost(moves_at: int) -> float:
+        seen = np.where(np.arange(300)[:, None] < moves_at, 0.0, 0.3) * np.ones(4)
+        return float(way[-1] - 0.01 * drive(valve, gap, seen=seen)[:, 0].sum())
+
+    assert way[-1] - 0.01 * drive(valve, gap)[:, 0].sum() == pytest.approx(0.025, abs=5e-3)
+    assert lost(0) == pytest.approx(0.0, abs=5e-3)
+    assert lost(300) == pytest.approx(0.05, abs=5e-3), "never more than the play"
+    # The drive alone is faster than the joint, which has to gather speed.
+    assert lost(20) == pytest.approx(0.02, abs=5e-3)
+
+
 def test_a_vanishing_gap_loses_in_proportion() -> None:
     lost = [
         0.01

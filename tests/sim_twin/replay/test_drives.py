@@ -16,6 +16,11 @@ BIAS = Effect(effect="joint_sensor_bias", joint="boom", parameters={"bias_rad_m"
 TELESCOPE_BIAS = Effect(
     effect="joint_sensor_bias", joint="telescope", parameters={"bias_rad_m": -0.06}
 )
+SLOW = Effect(
+    effect="valve_gain",
+    joint="dipper",
+    parameters={"positive_ratio": -0.3, "negative_ratio": -0.3},
+)
 LATE = Effect(effect="joint_sensor_latency", joint="boom", parameters={"extra_latency_s": 0.05})
 
 
@@ -39,13 +44,25 @@ def test_velocities_are_true_ones_whatever_the_sensor_s_latency(plain: Recorded)
     np.testing.assert_array_equal(alone[1], alone[0])
 
 
-def test_what_the_recorded_joint_did_changes_nothing_on_a_healthy_machine(plain: Recorded) -> None:
-    elements = [ReplayElement(0), ReplayElement(0, (LAG,))]
-    one = [plain.replay_input]
-    np.testing.assert_array_equal(
-        replay_drives(one, elements, PROFILE, CALIBRATION, as_measured=True),
-        replay_drives(one, elements, PROFILE, CALIBRATION),
+def test_a_healthy_machine_s_own_recording_changes_nothing(plain: Recorded) -> None:
+    one, element = [plain.replay_input], [ReplayElement(0)]
+    np.testing.assert_allclose(
+        replay_drives(one, element, PROFILE, CALIBRATION, as_measured=True),
+        replay_drives(one, element, PROFILE, CALIBRATION),
+        atol=1e-4,
     )
+
+
+def test_levers_are_where_the_recorded_joint_was(plain: Recorded) -> None:
+    """What an effect does to a speed now does not depend on what it did to the way so far."""
+    elements = [ReplayElement(0), ReplayElement(0, (SLOW,))]
+    fast, slow = replay_drives(
+        [plain.replay_input], elements, PROFILE, CALIBRATION, as_measured=True
+    )[:, :, 2]
+    assert np.abs(fast).max() > 0.2
+    np.testing.assert_allclose(slow, 0.7 * fast, atol=1e-12)
+    own = replay_drives([plain.replay_input], elements, PROFILE, CALIBRATION)[:, :, 2]
+    assert np.abs(own[1] - 0.7 * own[0]).max() > 1e-3
 
 
 def test_end_stops_are_where_the_recorded_joint_meets_them(plain: Recorded) -> None:

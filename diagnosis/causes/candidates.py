@@ -1,0 +1,242 @@
+"""Candidates: which sets of effects are worth a simulation, and from which sizes it should begin."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from diagnosis.causes.parameters import ROUGH_EFFECTS
+from diagnosis.causes.problem import Problem
+from diagnosis.causes.selection import (
+    SLAB_SCALES_RATIO,
+    Screen,
+    Set,
+    SetEvidence,
+    mean_with,
+    members_index,
+    search,
+    total,
+    weigh,
+)
+from diagnosis.causes.shapes import UNHEARD
+from diagnosis.causes.trials import (
+    Seed,
+    Seen,
+    Trial,
+    again,
+    best_of_each,
+    by_member,
+    evidence_in,
+    fair_on_all,
+    kept_at,
+    own_evidence,
+    refined,
+    try_sets,
+)
+from diagnosis.causes.whitening import Whitened, levels
+from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
+from sim_twin.effects.effect import DRIFT
+
+SINGLE_COUNT = 6
+PART_COUNT = 3
+"""Sets whose members alone, or whose parts, are looked at."""
+LOUD_SD = 3.0
+"""A joint's leftover power that calls for a look at everything that could act on it."""
+LOUD_COUNT = 2
+NEARLY_AS_LOUD_RATIO = 0.5
+"""A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""
+PLAIN_LOG_ODDS = 10.0
+"""An effect that slopes at "no effect" show so plainly makes its joint suspect, loud or not."""
+WITH_THRESHOLD = (
+    "valve_dead_band",
+    "valve_hysteresis",
+    "speed_limit",
+    "backlash",
+    "stiction",
+    "pump_flow_sharing",
+)
+LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency")
+"""A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
+FAR_RATIO = 3.0
+"""Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
+0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
+PARTNER_SIZE_COUNT = 2
+"""Sizes from which a second effect starts."""
+PARTNER_COUNT = 4
+"""Pairs that no slope shows which are worth more than one simulation."""
+MARGIN_LOG_ODDS = 3.0
+"""A grown set must promise to come this close to the best one."""
+SHAPED_COUNT = 5
+"""Sets with a shape that are weighed."""
+
+
+def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
+    """The most hopeful effects alone, each simulated at its own size.
+
+    Candidates are the best by slopes at "no effect", the members of the best sets (alone they may look worse
+    than they are), and everything that could act on suspect joints. `base` is the screen at "no effect".
+    """
+    priors = problem.layout.priors
+    library = _of_library(problem)
+    alone = sorted((weigh(base, priors, (g,)) for g in library), key=lambda e: -e.log_odds)
+    first = [e.members[0] for e in alone[:SINGLE_COUNT]]
+    first += [g for e in search(base, priors, library)[:PART_COUNT] for g in e.members]
+    suspects = _suspects(problem, base, alone)
+    seeds: list[Seed] = []
+    for group in dict.fromkeys([*first, *suspects]):
+        linear = weigh(base, priors, (group,)).mean
+        beyond = _sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
+        shows = not beyond or bool(_is_some(problem, (group,), linear).any())
+        seeds += [((group,), size) for size in [linear] * shows + beyond]
+    trials = best_of_each(try_sets(problem, seeds))
+    best = [trials[i] for i in np.argsort(fair_on_all(trials))[::-1][:SINGLE_COUNT]]
+    return refined(problem, best)
+
+
+def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
+    """Pairs behind singles, best first: with all that slopes do not show at suspect joints.
+
+    These are the best one's own, those that they leave loud, and those where a shape helps.
+    """
+    seeds: list[Seed] = []
+    known = again([t for t in singles if t.members])
+    for place, trial in enumerate(try_sets(problem, known, is_last=True)):
+        own, size = trial.members[0], weigh(trial.base, trial.priors, trial.members)
+        mean = mean_with(trial.base, total(trial.information), trial.priors, size)
+        suspects = [own] if place == 0 else []
+        suspects += [m[-1] for _, m in with_shapes(problem, [trial])]
+        joints = [problem.layout.groups[g][1] or "" for g in suspects]
+        joints += _loud_joints(problem, trial.whitened, mean, 1)
+        at = again([trial])[trial.members]
+        for group in _of_joints(problem, joints):
+            members = tuple(sorted((own, group)))
+            if group != own:
+                seeds += [
+                    (members, np.concatenate([at if m == own else other for m in members]))
+                    for other in _sizes_beyond_slopes(problem, group)[:PARTNER_SIZE_COUNT]
+                ]
+    found = sorted(best_of_each(try_sets(problem, seeds)), key=lambda t: -own_evidence(t))
+    return again(found[:PARTNER_COUNT])
+
+
+def grown_sets(
+    problem: Problem, behind: Sequence[Trial], kept: int, best: float
+) -> dict[Set, Array]:
+    """Sets of one more effect, from the linearisation of the smaller set; first sizes of the best ones.
+
+    Sets that promise much less evidence than `best` are not worth a simulation.
+    """
+    weighed: dict[Set, tuple[float, Array]] = {}
+    for trial in behind:
+        priors, base = trial.priors, trial.base
+        for group in _of_library(problem):
+            members = tuple(sorted({*trial.members, group}))
+            if len(members) == len(trial.members):
+                continue
+            evidence = weigh(base, priors, members)
+            score = base.log_evidence + evidence.log_odds
+            if members not in weighed or weighed[members][0] < score:
+                weighed[members] = score, kept_at(trial, members, evidence.mean)
+    hopeful = [members for members, (score, _) in weighed.items() if score > best - MARGIN_LOG_ODDS]
+    ordered = sorted(hopeful, key=lambda m: -weighed[m][0])
+    return {members: weighed[members][1] for members in ordered[:kept]}
+
+
+def with_shapes(problem: Problem, trials: Sequence[Trial]) -> list[Seen]:
+    """The best sets of a trial's effects and a shape of an unheard-of one.
+
+    Shapes are linear in their sizes: there is nothing to simulate. Where an effect makes a joint rough,
+    nobody knows the form of what it leaves.
+    """
+    groups = problem.layout.groups
+    shapes = [g for g in range(len(groups)) if problem.layout.is_unheard(g)]
+    found: list[tuple[float, Set, int]] = []
+    for place, t in enumerate(trials):
+        own = own_evidence(t)
+        rough = {groups[m][1] for m in t.members if groups[m][0] in ROUGH_EFFECTS}
+        for shape in (g for g in shapes if groups[g][1] not in rough):
+            members = (*t.members, shape)
+            log_evidence = evidence_in(t.base, t.priors, members)
+            if log_evidence > own:
+                found.append((log_evidence, members, place))
+    found.sort(key=lambda one: -one[0])
+    return [(place, members) for _, members, place in found[:SHAPED_COUNT]]
+
+
+def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials all of whose effects are larger than the narrowest prior that they could have.
+
+    A sensor of the slew that is 3 ms late explained how the gripper shook when its gears met, and was named.
+    """
+    return [t for t in trials if _is_some(problem, t.members, t.sizes).all()]
+
+
+def _is_some(problem: Problem, members: Set, sizes: Array) -> BoolArray:
+    """Of which groups of a set any size counts."""
+    priors = problem.layout.priors
+    ratio = np.abs(sizes) / priors.slab_sd[members_index(priors, members)]
+    parts = by_member(priors, members, ratio).values()
+    return np.array([part.max() > SLAB_SCALES_RATIO[-1] for part in parts], dtype=np.bool_)
+
+
+def _of_library(problem: Problem) -> list[int]:
+    """Groups of effects of the library."""
+    return [g for g in range(len(problem.layout.groups)) if not problem.layout.is_unheard(g)]
+
+
+def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> list[int]:
+    """Groups that could act on joints that are loud, or where slopes show an effect plainly.
+
+    What hides from slopes may drift, too, where a drift shows plainly; and all joints share the pump.
+    """
+    groups = problem.layout.groups
+    plain = [groups[e.members[0]] for e in alone if e.log_odds > PLAIN_LOG_ODDS]
+    shown = [joint for _, joint in plain if joint is not None]
+    loud = _loud_joints(problem, problem.whitened, base.mean, LOUD_COUNT)
+    joints = list(dict.fromkeys([*shown[:LOUD_COUNT], *loud]))
+    drifts = any(effect.startswith(DRIFT) for effect, _ in plain[:LOUD_COUNT])
+    hidden = [
+        g
+        for g, (effect, joint) in enumerate(groups)
+        if (joint in joints or (joint is None and joints))
+        and effect.startswith(DRIFT) == drifts
+        and _sizes_beyond_slopes(problem, g)
+    ]
+    return list(dict.fromkeys([*_of_joints(problem, joints), *hidden]))
+
+
+def _sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
+    """A typical size and large ones of an effect, or drift, that is unlike a multiple of its slope at 0."""
+    priors = problem.layout.priors
+    effect = problem.layout.groups[group][0].removeprefix(f"{DRIFT}:").partition(".")[0]
+    if effect not in (*WITH_THRESHOLD, *LATE):
+        return []
+    typical = priors.slab_sd[priors.groups[group]]
+    # Of two directions, one would hide the other.
+    return [typical, *(FAR_RATIO * typical * way for way in np.eye(typical.size))]
+
+
+def _loud_joints(
+    problem: Problem, whitened: Sequence[Whitened], mean: Array, count: int
+) -> list[str]:
+    """The driven joints that are furthest above healthy ones, `count` at most, loudest first.
+
+    Judged by what the parameters `mean` leave of the whitened throws.
+    """
+    left = levels(whitened, mean)
+    loud = {
+        joint: (left[name] - healthy[0]) / healthy[1]
+        for joint in ACTIVE_JOINTS
+        if (name := f"actuation.{joint}") in left
+        and (healthy := problem.model.unknown_level.get(name)) is not None
+    }
+    least = max(LOUD_SD, NEARLY_AS_LOUD_RATIO * max(loud.values(), default=0.0))
+    return sorted((j for j in loud if loud[j] >= least), key=lambda j: -loud[j])[:count]
+
+
+def _of_joints(problem: Problem, joints: Collection[str]) -> list[int]:
+    """Groups of constant effects at some joints."""
+    return [
+        g
+        for g, (effect, joint) in enumerate(problem.layout.groups)
+        if joint in joints and not effect.startswith((DRIFT, UNHEARD))
+    ]

@@ -1,0 +1,95 @@
+"""How sets of effects, and parts of them, are compared."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnosis.causes.candidates import of_some_size
+from diagnosis.causes.parameters import layout
+from diagnosis.causes.selection import Priors, inform, screen
+from diagnosis.causes.trials import Trial, _formed, evidence_in, fair_evidence
+from diagnosis.healthy.noise import load_noise
+
+SIZES = np.array([3.0, 0.6])
+PRIORS = Priors(
+    scatter=1e-6 * np.eye(3),
+    slab_sd=np.ones(3),
+    low=np.full(3, -10.0),
+    high=np.full(3, 10.0),
+    groups=tuple(np.array([i]) for i in range(3)),
+    log_prior=np.full(3, -6.0),
+)
+
+
+def data():
+    """A large effect, a small one, and a third parameter that looks like the small one."""
+    rng = np.random.default_rng(5)
+    slopes, _ = np.linalg.qr(rng.normal(size=(400, 3)))
+    slopes *= 20.0
+    slopes[:, 2] = slopes[:, 1] + 0.1 * slopes[:, 2]
+    residual = slopes[:, :2] @ SIZES + rng.normal(size=400)
+    return inform(residual, slopes, np.zeros((400, 0)))
+
+
+def trial(members=(), sizes=None, bent=()):
+    sizes = np.zeros(0) if sizes is None else sizes
+    informed = data()
+    priors = _formed(PRIORS, informed, members, sizes) if members else PRIORS
+    base = screen(informed, priors)
+    return Trial(members, sizes, sizes, [], [informed], priors, PRIORS, base, bent)
+
+
+def compared(*trials):
+    seen = [(i, t.members) for i, t in enumerate(trials)]
+    found = fair_evidence(trials, seen, [t.information[0] for t in trials])
+    return dict(zip((t.members for t in trials), found, strict=True))
+
+
+def test_a_part_has_the_form_error_of_its_own_effects_only():
+    """Or the effect that it lacks passes for an error of those that it has."""
+    both, one = trial((0, 1), SIZES), trial((0,), SIZES[:1])
+    found = compared(trial(), both, one)
+    assert found[0, 1] - found[0,] > 40.0
+    borrowed = evidence_in(both.base, PRIORS, (0,))
+    assert found[0, 1] - borrowed < 30.0, "with the form error of both"
+
+
+def test_the_form_error_of_every_stage_is_its_own():
+    groups, priors = layout(load_noise()).groups, layout(load_noise()).priors
+    aim = groups.index(("base_yaw_drift", None))
+    place = int(priors.groups[aim][0])
+    precision = np.eye(priors.slab_sd.size)
+    other = int(priors.groups[groups.index(("payload_mass", None))][0])
+    precision[place, other] = precision[other, place] = 1.0
+    informed = data()._replace(precision=precision)
+    alone = _formed(priors, informed, (aim,), np.array([1.0])).scatter
+    dead = groups.index(("valve_dead_time", "boom"))
+    with_drive = _formed(priors, informed, (dead, aim), np.array([1.0, 1.0])).scatter
+    assert alone[other, other] > priors.scatter[other, other]
+    assert with_drive[other, other] == pytest.approx(alone[other, other])
+
+
+def test_what_slopes_cannot_take_back_is_given_to_no_part():
+    both, one = trial((0, 1), SIZES), trial((0,), 0.5 * SIZES[:1])
+    smooth = compared(trial(), both, one)
+    bent = compared(trial(), trial((0, 1), SIZES, bent=(1,)), one)
+    assert bent[0,] == pytest.approx(evidence_in(one.base, one.priors, (0,)))
+    assert smooth[0, 1] == pytest.approx(bent[0, 1])
+
+
+def test_effects_too_small_to_be_any_are_left_out():
+    plan = layout(load_noise())
+    problem = SimpleNamespace(layout=plan)
+    late = plan.groups.index(("joint_sensor_latency", "slew"))
+    band = plan.groups.index(("valve_dead_band", "dipper"))
+    members = tuple(sorted((late, band)))
+
+    def one(latency_s, band_ratio):
+        sizes = {late: [latency_s], band: [band_ratio, 0.0]}
+        at = np.concatenate([sizes[m] for m in members])
+        return Trial(members, at, at, [], [], plan.priors, plan.priors, None)
+
+    none = Trial((), np.zeros(0), np.zeros(0), [], [], plan.priors, plan.priors, None)
+    large, small = one(0.02, 0.1), one(0.003, 0.1)
+    assert of_some_size(problem, [none, large, small]) == [none, large]
