@@ -14,6 +14,7 @@ from diagnosis.causes.selection import (
     mean_with,
     members_index,
     search,
+    subsets,
     total,
     weigh,
 )
@@ -162,6 +163,21 @@ def with_shapes(problem: Problem, trials: Sequence[Trial]) -> list[Seen]:
     return [(place, members) for _, members, place in found[:SHAPED_COUNT]]
 
 
+def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set, Array]:
+    """Parts of the leading sets that were not simulated, at the sizes that they have there.
+
+    A set may lead that was found behind its lesser part.
+    """
+    known = {t.members for t in found}
+    seeds: dict[Set, Array] = {}
+    for trial in leading:
+        sizes = by_member(trial.plain, trial.members, again([trial])[trial.members])
+        for part in subsets(trial.members):
+            if part and part not in known:
+                seeds.setdefault(part, np.concatenate([sizes[m] for m in part]))
+    return seeds
+
+
 def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """Trials all of whose effects are larger than the narrowest prior that they could have.
 
@@ -171,9 +187,10 @@ def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _is_some(problem: Problem, members: Set, sizes: Array) -> BoolArray:
-    """Of which groups of a set any size counts."""
+    """Of which groups of a set any size counts, as far as it is possible at all."""
     priors = problem.layout.priors
-    ratio = np.abs(sizes) / priors.slab_sd[members_index(priors, members)]
+    index = members_index(priors, members)
+    ratio = np.abs(np.clip(sizes, priors.low[index], priors.high[index])) / priors.slab_sd[index]
     parts = by_member(priors, members, ratio).values()
     return np.array([part.max() > SLAB_SCALES_RATIO[-1] for part in parts], dtype=np.bool_)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnosis.causes.candidates import (
     grown_sets,
+    missing_parts,
     of_some_size,
     partnered,
     settled_singles,
@@ -98,6 +99,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         found += of_some_size(problem, settle(problem, seeds, 2 if size == 2 else 1))
         tick(0.4 + 0.2 * (size - 1))
     ranked = [found[i] for i in np.argsort(fair_on_all(found))[::-1]]
+    found += settle(problem, missing_parts(found, ranked[:PART_COUNT]), 1)
     by_members = {t.members: t for t in found}
     chosen = [t.members for t in ranked[:WEIGHED_COUNT] if t.members]
     # A set must not win because it was simulated nearer to its best size than its own parts were.

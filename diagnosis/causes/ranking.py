@@ -65,8 +65,10 @@ class Ranked:
 
     @property
     def is_unknown(self) -> bool:
-        """Whether something unknown is more probable than every hypothesis."""
-        return self.unknown > float(self.probability[0])
+        """Whether something unknown is more probable than what would be named: the best, and its rival."""
+        either = zip(self.hypotheses, self.probability, strict=True)
+        named = sum(float(p) for h, p in either if h is self.best or h is self.rival)
+        return self.unknown > named
 
     @property
     def best(self) -> Hypothesis:

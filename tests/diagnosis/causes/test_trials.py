@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.causes.candidates import of_some_size
+from diagnosis.causes.candidates import missing_parts, of_some_size
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.trials import Trial, _formed, evidence_in, fair_evidence
@@ -92,4 +92,12 @@ def test_effects_too_small_to_be_any_are_left_out():
 
     none = Trial((), np.zeros(0), np.zeros(0), [], [], plan.priors, plan.priors, None)
     large, small = one(0.02, 0.1), one(0.003, 0.1)
-    assert of_some_size(problem, [none, large, small]) == [none, large]
+    impossible = one(-0.05, 0.1)
+    assert of_some_size(problem, [none, large, small, impossible]) == [none, large]
+
+
+def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():
+    both, one = trial((0, 1), SIZES), trial((0,), SIZES[:1])
+    seeds = missing_parts([trial(), one, both], [both])
+    assert list(seeds) == [(1,)]
+    np.testing.assert_array_equal(seeds[1,], SIZES[1:])

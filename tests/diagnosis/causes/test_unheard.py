@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.problem import Problem, pose
+from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import total
 from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import unheard_columns
@@ -121,3 +123,20 @@ def test_shapes_leave_the_evidence_of_named_effects_as_it_is() -> None:
     ]
     assert len(gains) >= 4
     assert told[gains].max() < 0.1
+
+
+def test_two_causes_that_cannot_be_told_apart_are_not_unknown_together():
+    """Each of two alike is less probable than "unknown"; one of them is more probable."""
+    one, other = (SimpleNamespace(members=(m,)) for m in (1, 2))
+    kept = {
+        "hypotheses": [one, other],
+        "probability": np.array([0.30, 0.28]),
+        "unknown": 0.37,
+        "shape": None,
+        "levels": {},
+        "jitter": None,
+        "jitter_probability": 0.0,
+        "rival_log_odds": 0.0,
+    }
+    assert not Ranked(**kept, rival=other).is_unknown
+    assert Ranked(**kept, rival=None).is_unknown
