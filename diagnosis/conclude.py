@@ -15,7 +15,7 @@ from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.shapes import shape_of
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
-from diagnosis.report.report_words import percent, probability, size_words
+from diagnosis.report.report_words import channel_words, percent, probability, size_words
 from diagnosis.separating import acting_name, alone_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import (
@@ -358,8 +358,8 @@ def _sentence(
             return f"{size}Something unknown in {signature['stage']}{joint}: {signature['looks_like']}."
         return (
             f"{size}Something unknown in {signature['stage']}{joint}: the best known cause leaves "
-            f"{signature['channel']} {signature['leftover_sd']:.0f} standard deviations above a "
-            "healthy machine."
+            f"{channel_words(signature['channel'])} {signature['leftover_sd']:.0f} standard deviations "
+            "above a healthy machine."
         )
     closes = ""
     if found is not None:

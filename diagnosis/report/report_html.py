@@ -15,6 +15,7 @@ from diagnosis.report.report_words import (
     STAGE_WORDS,
     VERDICT_WORDS,
     cause_words,
+    channel_words,
     compared_words,
     crossrange,
     downrange,
@@ -24,6 +25,7 @@ from diagnosis.report.report_words import (
     percent,
     probability,
     size_words,
+    unknown_facts,
 )
 from diagnosis.verdict import Cause, Diagnosis, Stage, StageGap, VerdictKind
 
@@ -233,7 +235,9 @@ def _next(found: Diagnosis) -> str:
 def _unknown(signature: Any) -> str:
     if not isinstance(signature, Mapping):
         return ""
-    return section("What is left unexplained", _tree(signature))
+    return section(
+        "What is left unexplained", _tree(unknown_facts(cast("Mapping[str, Any]", signature)))
+    )
 
 
 def _shrink(found: Diagnosis) -> str:
@@ -333,6 +337,9 @@ def _refused(entries: Any, is_open: bool) -> str:
 
 def _evidence(evidence: Mapping[str, Any]) -> str:
     rest = {key: value for key, value in evidence.items() if key not in _TOLD and value is not None}
+    if isinstance(rest.get("leftover_sd"), Mapping):
+        levels = cast("Mapping[Any, Any]", rest["leftover_sd"])
+        rest["leftover_sd"] = {channel_words(str(name)): level for name, level in levels.items()}
     if not rest:
         return ""
     rows = "".join(

@@ -31,6 +31,35 @@ STAGE_WORDS: Mapping[Stage, tuple[str, str]] = {
 """Title of a stage and what it leads from and to."""
 
 
+_CHANNEL_WORDS: Mapping[str, str] = {
+    "release.switch": "the time of the opening",
+    "flight.ball": "the tracked flight of the load",
+    "flight.impact": "the impact",
+}
+
+
+def channel_words(channel: str) -> str:
+    """What was measured in a channel of residuals (diagnosis.causes.residuals): "the speed of the boom"."""
+    stage, _, rest = channel.partition(".")
+    if stage == Stage.ACTUATION:
+        return f"the speed of the {rest}"
+    kind, _, axis = rest.partition(".")
+    if stage == Stage.SWING and kind == "gyro":
+        return f"the gripper's turning about its {axis} axis"
+    if stage == Stage.SWING and kind == "accel":
+        return f"the gripper's acceleration along its {axis} axis"
+    return _CHANNEL_WORDS.get(channel, channel.replace(".", " ").replace("_", " "))
+
+
+def unknown_facts(signature: Mapping[str, Any]) -> dict[str, Any]:
+    """Where an unknown effect shows and what it looks like, by names that people read."""
+    names = {"channel": "shows in", "leftover_sd": "standard deviations above a healthy machine"}
+    facts = {names.get(key, key): value for key, value in signature.items() if value is not None}
+    if "shows in" in facts:
+        facts["shows in"] = channel_words(str(facts["shows in"]))
+    return facts
+
+
 def compared_words(evidence: Mapping[str, Any]) -> str | None:
     """What throws were compared with; None where nothing was compared, as for one stage alone."""
     if "reference" not in evidence:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from html import unescape
 from html.parser import HTMLParser
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from diagnosis.report.report_html import report_html
 from diagnosis.report.report_svg import figure
-from diagnosis.report.report_words import crossrange, downrange, probability
+from diagnosis.report.report_words import channel_words, crossrange, downrange, probability
 from diagnosis.verdict import (
     Ambiguity,
     Cause,
@@ -202,6 +203,27 @@ def test_every_verdict_has_a_page_even_with_nothing_else(verdict: VerdictKind) -
     page = report_html(Diagnosis(verdict=verdict))
     Page(page)
     assert "<h2>Which" not in page
+
+
+@pytest.mark.parametrize(
+    ("channel", "said"),
+    [
+        ("actuation.boom", "the speed of the boom"),
+        ("swing.gyro.x", "the gripper's turning about its x axis"),
+        ("swing.accel.z", "the gripper's acceleration along its z axis"),
+        ("release.switch", "the time of the opening"),
+        ("flight.ball", "the tracked flight of the load"),
+        ("flight.impact", "the impact"),
+        ("some.other_thing", "some other thing"),
+    ],
+)
+def test_channels_are_told_in_words(channel: str, said: str) -> None:
+    signature = {"stage": "flight", "channel": channel, "leftover_sd": 7.0, "nearest": "wind"}
+    evidence = {"unknown": signature, "leftover_sd": {channel: 7.0}}
+    text = unescape(text_of(report_html(diagnosis(VerdictKind.UNKNOWN, evidence=evidence))))
+    assert channel_words(channel) == said
+    assert text.count(said) == 2
+    assert channel not in text
 
 
 def test_an_ambiguous_result_names_the_next_experiment() -> None:
