@@ -94,10 +94,13 @@ class MarkNodes:
         theme = THEMES[state.theme]
         nodes += ground.dim_outside(reach.min_m, reach.dimmed_beyond_m)
         rings = [("static", reach.static_m, f"{reach.static_m:.1f} m static reach", 122.0)]
-        if reach.planar_m is not None:
-            rings.append(("planar", reach.planar_m, f"{reach.planar_m:.1f} m 2D", 114.0))
-        if reach.spatial_m is not None:
-            rings.append(("spatial", reach.spatial_m, f"{reach.spatial_m:.1f} m 3D", 103.0))
+        planar_m, spatial_m = reach.planar_m, reach.spatial_m
+        is_same = f"{planar_m or 0.0:.1f}" == f"{spatial_m or 0.0:.1f}"
+        if planar_m is not None:
+            modes = "2D and 3D" if is_same else "2D"
+            rings.append(("planar", planar_m, f"{planar_m:.1f} m {modes}", 114.0))
+        if spatial_m is not None and not is_same:
+            rings.append(("spatial", spatial_m, f"{spatial_m:.1f} m 3D", 103.0))
         for name, radius, text, degrees in rings:
             nodes += self._ring(name, radius, LIFT_M, text, degrees, theme.ring)
         if reach.raised_m is not None:

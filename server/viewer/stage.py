@@ -7,7 +7,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 import numpy as np
@@ -211,7 +211,28 @@ class ViewerStage:
         if session_id is None:
             return
         client.scene.on_click()(lambda event: self._clicked(session_id, event))
+        client.camera.on_update(self._reshaped(session_id, client))
         self._jobs.put(lambda: self._add_view(session_id, client))
+
+    def _reshaped(
+        self, session_id: str, client: viser.ClientHandle
+    ) -> Callable[[viser.CameraHandle], Coroutine[None, None, None]]:
+        """Fits the camera when a browser's picture or lens is another; most updates are only of its place."""
+        last = (0.0, 0.0)
+
+        async def updated(camera: viser.CameraHandle) -> None:
+            nonlocal last
+            # The lens too: a browser that was slow to follow has told its old one in between.
+            if (camera.aspect, camera.fov) != last:
+                last = (camera.aspect, camera.fov)
+                self._jobs.put(lambda: self._fit(session_id, client.client_id))
+
+        return updated
+
+    def _fit(self, session_id: str, client_id: int) -> None:
+        _, view = self._views.get(client_id, ("", None))
+        if view is not None and ViewerGate.is_open(view.client):
+            view.fit_camera(self._state_of(session_id))
 
     def _add_view(self, session_id: str, client: viser.ClientHandle) -> None:
         if self._kit is None or not ViewerGate.is_open(client):

@@ -78,8 +78,6 @@ THEMES: dict[ThemeName, Theme] = {
 }
 
 
-WHOLE_ASPECT_RATIO = 1.3
-"""Width over height at which the viewpoints, chosen by eye, still hold the whole machine."""
 MIN_ASPECT_RATIO = 0.5
 
 
@@ -90,7 +88,9 @@ class Viewpoint:
     position_m: Vector
     look_at_m: Vector
     fov_rad: float
-    """From top to bottom, of a picture at least `WHOLE_ASPECT_RATIO` times as wide as high."""
+    """From top to bottom, of a picture at least `whole_aspect_ratio` times as wide as high."""
+    whole_aspect_ratio: float
+    """Width over height at which machine and reach, by eye, are still in the picture."""
 
     def fov_of(self, aspect_ratio: float) -> float:
         """Angle from top to bottom, rad, with which a narrower picture shows as much from left to right.
@@ -98,17 +98,17 @@ class Viewpoint:
         Args:
             aspect_ratio: width over height of the picture.
         """
-        wider_ratio = max(WHOLE_ASPECT_RATIO / max(aspect_ratio, MIN_ASPECT_RATIO), 1.0)
+        wider_ratio = max(self.whole_aspect_ratio / max(aspect_ratio, MIN_ASPECT_RATIO), 1.0)
         return 2.0 * math.atan(math.tan(0.5 * self.fov_rad) * wider_ratio)
 
 
 VIEWPOINTS: dict[CameraPreset, Viewpoint] = {
-    # From the right and above: long is to the right. The console's panel covers the right edge.
+    # From the right and above: long is to the right. The machine's rear and a target 11 m ahead are in it.
     # Near enough for shadows: viser draws them up to 20 m from the camera.
-    "3d": Viewpoint((3.5, -14.0, 9.2), (6.2, -0.9, 0.0), 0.88),
-    # From far above with a narrow lens: close to a map, left of the panel. A hair of tilt keeps x upward.
-    "top": Viewpoint((-0.2, -4.5, 52.0), (0.0, -4.5, 0.0), 0.52),
-    "side": Viewpoint((3.6, -27.0, 3.4), (3.6, 0.0, 1.9), 0.52),
+    "3d": Viewpoint((2.4, -14.0, 9.2), (5.1, -0.9, 0.0), 0.88, 1.2),
+    # From far above with a narrow lens: close to a map. A hair of tilt keeps x upward.
+    "top": Viewpoint((-0.2, 0.0, 52.0), (0.0, 0.0, 0.0), 0.52, 1.0),
+    "side": Viewpoint((3.6, -27.0, 3.4), (3.6, 0.0, 1.9), 0.52, 1.25),
 }
 MIN_ORBIT_M = 2.0
 MAX_ORBIT_M = 90.0

@@ -32,7 +32,8 @@ class ClientView:
         self._replay: MachineNodes | None = None
         self._balls: dict[str, viser.GlbHandle] = {}
         self._shown: tuple[int, bool] | None = None
-        self._camera_count = 0
+        self._camera_count = -1
+        """Of the last preset gone to; a fresh browser goes to the session's, fitted to its picture."""
         self._lost_text: str | None = None
         self.ground = self._make_ground(state)
         client.camera.min_orbit_distance = MIN_ORBIT_M
@@ -68,9 +69,14 @@ class ClientView:
         self._camera_count = state.camera_count
         view = VIEWPOINTS[state.camera]
         with self.client.atomic():
-            self.client.camera.fov = view.fov_of(self.client.camera.aspect)
+            self.fit_camera(state)
             self.client.camera.position = view.position_m
             self.client.camera.look_at = view.look_at_m
+
+    def fit_camera(self, state: SessionView) -> None:
+        """Show as much from left to right after the picture got another shape, from the same place."""
+        camera = self.client.camera
+        camera.fov = VIEWPOINTS[state.camera].fov_of(camera.aspect)
 
     def show_live(self, sample: LiveSample | None, *, is_hidden: bool) -> None:
         """Follow the live machine; hidden while a throw is replayed or no machine is chosen."""

@@ -31,6 +31,11 @@
       // The server is away; the viewer keeps trying once a second.
     }
   };
+  // The sky is the page behind the picture: it follows the scene's theme, which the console may change.
+  const colour = (messages) => {
+    const news = messages.findLast((message) => message.type === "ThemeConfigurationMessage");
+    if (news) document.documentElement.dataset.theme = news.dark_mode ? "dark" : "light";
+  };
   const NativeWorker = window.Worker;
   window.Worker = class extends NativeWorker {
     constructor(...args) {
@@ -40,7 +45,9 @@
         if (data?.type === "connected") {
           isDrawn = false;
           tell("connected");
-        } else if (data?.type === "message_batch" && !isDrawn) {
+        } else if (data?.type === "message_batch") {
+          colour(data.messages);
+          if (isDrawn) return;
           isDrawn = data.messages.some((message) => message.name === "/ground");
           if (isDrawn) tell("drawn");
         } else if (data?.type === "closed") {

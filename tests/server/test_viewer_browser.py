@@ -80,6 +80,10 @@ def yellow_pixels(page: Page) -> int:
         return 0
 
 
+def background(page: Page) -> str:
+    return page.frames[1].evaluate("getComputedStyle(document.documentElement).backgroundColor")
+
+
 def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page: Page) -> None:
     wait_state(page, "drawn")
     wait_for(
@@ -93,6 +97,38 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
         ".mantine-Paper-root, .mantine-Notification-root, .mantine-Image-root"
     )
     assert not any(chrome.nth(i).is_visible() for i in range(chrome.count()))
+
+    # The sky behind the picture follows the scene's theme.
+    for theme, sky in (("dark", "rgb(26, 29, 33)"), ("light", "rgb(226, 231, 236)")):
+        app.scene.set_theme("s1", theme)
+        wait_for(
+            lambda sky=sky: page.wait_for_timeout(100) or background(page) == sky,
+            f"a {theme} sky",
+            timeout_s=90.0,
+        )
+
+    # A picture that got another shape is fitted: as much of the machine from left to right as before.
+    fovs = [client.camera.fov for client in app.scene.gate.server.get_clients().values()]
+    page.set_viewport_size({"width": 300, "height": 480})
+    wait_for(
+        lambda: (
+            page.wait_for_timeout(100)
+            or min(c.camera.fov for c in app.scene.gate.server.get_clients().values())
+            > fovs[0] + 0.2
+        ),
+        "a wider lens",
+        timeout_s=90.0,
+    )
+    page.set_viewport_size(SIZE)
+    wait_for(
+        lambda: (
+            page.wait_for_timeout(100)
+            or min(c.camera.fov for c in app.scene.gate.server.get_clients().values())
+            < fovs[0] + 0.01
+        ),
+        "the lens of before",
+        timeout_s=90.0,
+    )
 
     page.mouse.click(300, 190)
     wait_for(lambda: page.wait_for_timeout(50) or app.picks, "the pick")

@@ -12,11 +12,18 @@ function verdict(check: Check): keyof typeof ICONS {
   return check.severity === "error" ? "refused" : "warning";
 }
 
+type Props = {
+  checks: readonly Check[];
+  /** Whether a check that did not pass stands elsewhere already; it is then folded like those that passed. */
+  isTold: (check: Check) => boolean;
+};
+
 /** The machine's arming checks: refused first, each with its number and remedy; passed ones folded. */
-export function CheckList({ checks }: { checks: readonly Check[] }) {
+export function CheckList({ checks, isTold }: Props) {
   const [isOpen, setOpen] = useState(false);
-  const open = checks.filter((check) => !check.passed);
   const passed = checks.filter((check) => check.passed);
+  const failed = checks.filter((check) => !check.passed);
+  const open = isOpen ? failed : failed.filter((check) => !isTold(check));
   if (checks.length === 0) return null;
   return (
     <div className={classes.checks}>

@@ -1,5 +1,5 @@
 import { useEffect, useState } from "react";
-import { bearingWords, fixed, heightWords, metres } from "../words/format";
+import { fixed } from "../words/format";
 import { ActionFooter } from "./ActionFooter";
 import classes from "./Panel.module.css";
 import { PreviewStep } from "./PreviewStep";
@@ -8,6 +8,7 @@ import { Step } from "./Step";
 import { STEPS, type StepName } from "./steps";
 import { TargetStep } from "./TargetStep";
 import { ThrowStep } from "./ThrowStep";
+import { targetSummary } from "./targetSummary";
 import type { Operate } from "./useOperate";
 
 /** Target, Preview, Throw, Result: the present step open, the others as one line. */
@@ -40,7 +41,7 @@ export function OperatePanel({ operate }: { operate: Operate }) {
         onPace={operate.setPace}
       />
     ),
-    preview: <PreviewStep machine={machine} plan={plan} />,
+    preview: <PreviewStep machine={machine} plan={plan} gate={operate.gate} />,
     throw: <ThrowStep operate={operate} />,
     result: operate.result ? (
       <ResultStep thrown={operate.result} plan={plan} />
@@ -95,9 +96,7 @@ function summariesOf({ mode, target, plan, result }: Operate): Record<StepName, 
     ? `${fixed(ellipse.sd_downrange_m)} × ${fixed(ellipse.sd_crossrange_m)} m, 1σ`
     : (plan?.state ?? "");
   return {
-    target: target
-      ? `${mode.toUpperCase()} · ${metres(target.range_m)} · ${bearingWords(target.azimuth_rad)}${heightWords(target.z_m, " · ")}`
-      : mode.toUpperCase(),
+    target: targetSummary(mode, target),
     preview,
     throw: "",
     result: result ? (result.outcome ?? "") : "",

@@ -2,11 +2,20 @@ import { Loader } from "@mantine/core";
 import { LandingPlot } from "../charts/LandingPlot";
 import type { Machine, Plan } from "../session/live";
 import { CheckList } from "./CheckList";
+import type { Gate } from "./gate";
 import classes from "./Panel.module.css";
 import { PreviewNumbers } from "./PreviewNumbers";
+import { isToldCheck, untoldRefusals } from "./told";
+
+type Props = {
+  machine: Machine;
+  plan: Plan | null;
+  /** What the foot of the panel says; it is not said twice. */
+  gate: Gate | null;
+};
 
 /** What the twin says: landing ellipse, numbers, and every check with its number and remedy. */
-export function PreviewStep({ machine, plan }: { machine: Machine; plan: Plan | null }) {
+export function PreviewStep({ machine, plan, gate }: Props) {
   const prediction = plan?.prediction ?? null;
   return (
     <>
@@ -15,13 +24,13 @@ export function PreviewStep({ machine, plan }: { machine: Machine; plan: Plan | 
           <Loader size={12} mr={8} /> The twin throws it first.
         </p>
       )}
-      {plan?.refusals.map((refusal) => (
+      {untoldRefusals(plan?.refusals ?? [], gate).map((refusal) => (
         <p key={refusal.detail} className={classes.refusal} role="alert">
           {refusal.detail}
         </p>
       ))}
       {prediction && (
-        <>
+        <div className={classes.landing}>
           <LandingPlot
             ellipse={prediction.ellipse}
             predicted={{
@@ -31,9 +40,12 @@ export function PreviewStep({ machine, plan }: { machine: Machine; plan: Plan | 
             measured={null}
           />
           <PreviewNumbers prediction={prediction} isComplete={plan?.is_complete ?? false} />
-        </>
+        </div>
       )}
-      <CheckList checks={machine.state?.checks ?? []} />
+      <CheckList
+        checks={machine.state?.checks ?? []}
+        isTold={(check) => isToldCheck(check, gate)}
+      />
     </>
   );
 }

@@ -28,17 +28,19 @@ export function ResultStep({ thrown, plan }: { thrown: Throw; plan: Plan | null 
           {outcomeSentence(thrown)}
         </p>
       )}
-      {prediction && (
-        <LandingPlot
-          ellipse={prediction.ellipse}
-          predicted={{
-            downrange_m: prediction.downrange_error_m,
-            crossrange_m: prediction.crossrange_error_m,
-          }}
-          measured={measured}
-        />
-      )}
-      <MissTable thrown={thrown} />
+      <div className={classes.landing}>
+        {prediction && (
+          <LandingPlot
+            ellipse={prediction.ellipse}
+            predicted={{
+              downrange_m: prediction.downrange_error_m,
+              crossrange_m: prediction.crossrange_error_m,
+            }}
+            measured={measured}
+          />
+        )}
+        <MissTable thrown={thrown} />
+      </div>
       {verdict && (
         <p className={verdict.isInside ? classes.note : classes.refusal}>{verdict.text}</p>
       )}

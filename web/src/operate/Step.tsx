@@ -31,7 +31,7 @@ export function Step({ number, title, summary, isOpen, isPresent, onToggle, chil
           <span className={classes.number}>{number}</span>
           <span className={classes.title}>{title}</span>
           <span className={classes.summary}>{isOpen ? "" : summary}</span>
-          <Chevron size={16} aria-hidden />
+          <Chevron size={16} aria-hidden className={classes.chevron} />
         </button>
       </h2>
       <div id={id} hidden={!isOpen} className={classes.content}>

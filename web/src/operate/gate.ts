@@ -8,6 +8,7 @@ import type { Machine, Plan } from "../session/live";
 import type { Permission } from "../session/useSession";
 import { age, metres } from "../words/format";
 import type { Target } from "./target";
+import { checkSentence } from "./told";
 
 export type GateAction =
   | "take_control"
@@ -180,5 +181,5 @@ const preview: Rule = ({ plan, planError, target }) => {
 const checks: Rule = ({ machine }) => {
   const failed = machine?.state?.checks?.find((c) => !c.passed && c.severity === "error");
   if (!failed) return null;
-  return { id: "check", sentence: `${failed.text} ${failed.remedy}`.trim(), action: null };
+  return { id: "check", sentence: checkSentence(failed), action: null };
 };

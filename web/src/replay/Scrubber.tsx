@@ -39,8 +39,9 @@ export function Scrubber({ duration_s, at_s, isPlaying, bands, onSeek, onToggle 
               className={classes.band}
               data-odd={index % 2 === 1 || undefined}
               style={{ left: share(band.start_s), width: share(band.end_s - band.start_s) }}
+              title={band.name}
             >
-              {band.name}
+              <span className={classes.name}>{band.name}</span>
             </span>
           ))}
           {flight && (

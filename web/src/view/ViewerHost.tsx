@@ -15,7 +15,7 @@ const LOADING: ViewerNews = { state: "loading", detail: "" };
 export function ViewerHost() {
   const slot = useSlot();
   const wasWanted = useWasWanted();
-  const scheme = useComputedColorScheme("dark");
+  const scheme = useComputedColorScheme("dark", { getInitialValueInEffect: false });
   const session = useSession();
   // Only the first paint needs the scheme in the address; later the server colours the scene.
   const [firstScheme] = useState(scheme);
