@@ -24,7 +24,7 @@ from sim_twin.twin.profile import TwinProfile
 LATEST_SENSOR_S = 0.2
 """Longer than any sensor's latency: measured motion is needed this far ahead."""
 BEFORE_OPENING_TICKS = 3
-HAS_MEMORY = ("chassis_compliance",)
+HAS_MEMORY = ("chassis_compliance", "imu_misalignment")
 """Effects whose state at the opening follows from the whole throw even where all joints are measured."""
 
 Track = tuple[float, Array]
@@ -199,6 +199,7 @@ def sliced(one: ReplayInput, first: int, until_s: float) -> ReplayInput:
     last = math.ceil(until_s / CONTROL_PERIOD_S) + 1 if np.isfinite(until_s) else total
     rows, begin_s = slice(first, max(last, first + 2)), first * CONTROL_PERIOD_S
     swing, rate = one.swing_rad, one.swing_rate_rad_per_s
+    gyro = one.gyro_rad_per_s
     start, start_rate = one.swing_start_rad, one.swing_rate_start_rad_per_s
     if first > 0 and swing is not None and rate is not None:
         start, start_rate = swing[first], rate[first]
@@ -213,4 +214,6 @@ def sliced(one: ReplayInput, first: int, until_s: float) -> ReplayInput:
         opening_t_s=one.opening_t_s - begin_s,
         swing_rad=None if swing is None else swing[rows],
         swing_rate_rad_per_s=None if rate is None else rate[rows],
+        gyro_rad_per_s=None if gyro is None else gyro[rows],
+        start_force_m_per_s2=one.start_force_m_per_s2 if first == 0 else None,
     )

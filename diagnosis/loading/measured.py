@@ -12,6 +12,7 @@ from diagnosis.loading.logs import ThrowData
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
 from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayInput
+from sim_twin.replay.turned_imu import swing_from_gyro, tilt_at_start
 
 POSITION_SD_RAD_M = 1.3e-3
 VELOCITY_SD_RAD_M_PER_S = 7e-3
@@ -20,6 +21,8 @@ JERK_SD_RAD_M_PER_S3 = 60.0
 REST_S = 0.06
 """Before the valves' dead time is over the gripper hangs still: the gyro then reads its bias."""
 REST_RATE_RAD_PER_S = 0.04
+SAME_START_RAD = 0.015
+"""A machine whose estimate began this near to what the first specific forces say took it from them."""
 SWITCH_LAG_S = 0.0275
 """Free load to the gripper switch's report: latch and debounce, 15 to 40 ms."""
 SETTLED_S = 1.0
@@ -48,6 +51,10 @@ class MeasuredMotion(NamedTuple):
     """(T, 2) pitch and roll joint angles."""
     swing_rate_rad_per_s: Array
     """(T, 2)"""
+    gyro_rad_per_s: Array | None = None
+    """(T, 3) its bias off."""
+    start_force_m_per_s2: Array | None = None
+    """(3,) specific force at the start, where the machine took the swing's start from it."""
 
     def early(self, latency_s: Array) -> "MeasuredMotion":
         """The motion as it was when the driven joints' sensors are late by (4,); held at the end."""
@@ -117,7 +124,6 @@ def measured_motion(throw: ThrowData) -> MeasuredMotion:
     """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
 
     Without an IMU the machine's own estimate of pitch and roll stands in.
-    In the swing frame the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
     """
     t_s = throw.t_s[rows_of_interest(throw)]
     position, velocity, acceleration = smooth_joints(throw, t_s)
@@ -125,36 +131,30 @@ def measured_motion(throw: ThrowData) -> MeasuredMotion:
         rows, free = rows_of_interest(throw), slice(ACTIVE_COUNT, None)
         swung, rates = throw.joint_position_rad_m[rows, free], throw.joint_velocity_rad_m_per_s
         return MeasuredMotion(t_s, position, velocity, acceleration, swung, rates[rows, free])
-    start = int(np.flatnonzero(throw.t_s >= -1e-9)[0])
-    gyro = throw.gyro_rad_per_s
-    calm = (throw.imu_t_s <= REST_S) & (np.abs(gyro).max(axis=1) < REST_RATE_RAD_PER_S)
-    bias = gyro[calm].mean(axis=0) if np.count_nonzero(calm) >= 2 else np.zeros(3)
-    rate = np.stack([np.interp(t_s, throw.imu_t_s, gyro[:, axis]) for axis in range(3)], axis=1)
-    rate -= bias
-    estimate = throw.joint_position_rad_m[start]
-    swing = np.empty(t_s.size)
-    roll = np.empty(t_s.size)
-    rates = np.empty((t_s.size, 2))
-    swing[0], roll[0] = estimate[1] + estimate[2] + estimate[4], estimate[5]
-    for k in range(t_s.size):
-        rates[k, 0] = np.sin(roll[k]) * rate[k, 2] - np.cos(roll[k]) * rate[k, 1]
-        rates[k, 1] = rate[k, 0] - velocity[k, 0] * np.sin(swing[k])
-        if k + 1 < t_s.size:
-            # Trapezoid with the next sample's rate at the present angles.
-            ahead0 = np.sin(roll[k]) * rate[k + 1, 2] - np.cos(roll[k]) * rate[k + 1, 1]
-            ahead1 = rate[k + 1, 0] - velocity[k + 1, 0] * np.sin(swing[k])
-            swing[k + 1] = swing[k] + 0.5 * CONTROL_PERIOD_S * (rates[k, 0] + ahead0)
-            roll[k + 1] = roll[k] + 0.5 * CONTROL_PERIOD_S * (rates[k, 1] + ahead1)
-    pitch = swing - position[:, 1] - position[:, 2]
-    pitch_rate = rates[:, 0] - velocity[:, 1] - velocity[:, 2]
+    gyro, force = _imu_at(throw, t_s)
+    estimate = throw.joint_position_rad_m[int(np.flatnonzero(throw.t_s >= -1e-9)[0])]
+    start = np.array([[estimate[1] + estimate[2] + estimate[4], estimate[5]]])
+    angle, rate = swing_from_gyro(gyro[:, None], velocity[:, :1], start)
+    swing, swing_rate = angle[:, 0], rate[:, 0]
+    swing[:, 0] -= position[:, 1] + position[:, 2]
+    swing_rate[:, 0] -= velocity[:, 1] + velocity[:, 2]
+    told = force is not None and np.abs(start - tilt_at_start(force)).max() < SAME_START_RAD
     return MeasuredMotion(
-        t_s,
-        position,
-        velocity,
-        acceleration,
-        np.stack([pitch, roll], axis=1),
-        np.stack([pitch_rate, rates[:, 1]], axis=1),
+        t_s, position, velocity, acceleration, swing, swing_rate, gyro, force if told else None
     )
+
+
+def _imu_at(throw: ThrowData, t_s: Array) -> tuple[Array, Array | None]:
+    """Turning rate (T, 3) at `t_s`, its bias off; specific force (3,) of a gripper at rest, or None."""
+    calm = (throw.imu_t_s <= REST_S) & (
+        np.abs(throw.gyro_rad_per_s).max(axis=1) < REST_RATE_RAD_PER_S
+    )
+    rate = np.stack(
+        [np.interp(t_s, throw.imu_t_s, throw.gyro_rad_per_s[:, axis]) for axis in range(3)], axis=1
+    )
+    if np.count_nonzero(calm) < 2:
+        return rate, None
+    return rate - throw.gyro_rad_per_s[calm].mean(axis=0), throw.accel_m_per_s2[calm].mean(axis=0)
 
 
 def measured_opening_s(throw: ThrowData) -> float:
@@ -190,4 +190,6 @@ def replay_input(
         opening_t_s=opening if np.isfinite(opening) else default_opening_s,
         swing_rad=motion.swing_rad,
         swing_rate_rad_per_s=motion.swing_rate_rad_per_s,
+        gyro_rad_per_s=motion.gyro_rad_per_s,
+        start_force_m_per_s2=motion.start_force_m_per_s2,
     )

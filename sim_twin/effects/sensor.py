@@ -66,11 +66,11 @@ class SensorEffects:
                 self.latency_s[:, :ACTIVE_COUNT] = late
             if late_imu is not None:
                 self.latency_s[:, ACTIVE_COUNT:] = _columns(late_imu, 2)
-        self._axes: Array | None = None
+        self.axes: Array | None = None
+        """(N, 3, 3) from the IMU's axes to the gripper's."""
         if arrays.has("imu_misalignment"):
             angles = (arrays.filled("imu_misalignment", f"{a}_rad") for a in _ANGLES)
-            # From the IMU's axes to the gripper's.
-            self._axes = rotation_zyx(*angles)
+            self.axes = rotation_zyx(*angles)
 
     def start(self, joints: Array, imu: Array) -> None:
         """Begin at rest: joint positions and velocities (N, 8), gyro and accelerometer (N, 6)."""
@@ -94,11 +94,11 @@ class SensorEffects:
         """Reported turning rate and specific force (N, 3) for the newest true ones (N, 6)."""
         values = true if self._imu is None else self._imu.read()
         gyro, accel = values[:, :3], values[:, 3:]
-        if self._axes is None:
+        if self.axes is None:
             return gyro, accel
         return (
-            np.einsum("nji,nj->ni", self._axes, gyro),
-            np.einsum("nji,nj->ni", self._axes, accel),
+            np.einsum("nji,nj->ni", self.axes, gyro),
+            np.einsum("nji,nj->ni", self.axes, accel),
         )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, JOINT_COUNT, Array, BoolArray
+from sim_twin.replay.turned_imu import swing_from_gyro, tilt_at_start
 from sim_twin.replay.types import ReplayElement, ReplayInput
 from sim_twin.twin.twin import Twin
 from sim_twin.twin.twin_effects import PrescribedMotion
@@ -39,7 +40,10 @@ def shifted(values: Array, ticks: Array) -> Array:
 
 
 class MeasuredMotion:
-    """Starts and prescribed joints of M elements; a late sensor saw the true motion earlier."""
+    """Starts and prescribed joints of M elements.
+
+    A late sensor saw the true motion earlier, a turned IMU another swing.
+    """
 
     def __init__(
         self,
@@ -69,10 +73,18 @@ class MeasuredMotion:
             self._mask[row, :ACTIVE_COUNT] = element.measured_joints
             self._mask[row, ACTIVE_COUNT:] = element.measured_swing
         hung = np.array([t.hung_at_rest for t in throws])
-        true = twin.true_pose(self.reported_start, hung)
+        axes = twin.imu_axes()
+        start = self.reported_start
+        if axes is not None:
+            start = start + np.stack(
+                [_start_shift(t, a) for t, a in zip(throws, axes, strict=True)]
+            )
+        true = twin.true_pose(start, hung)
         self._is_given = bool(self._mask.any())
         if self._is_given:
             self._position, self._velocity = _reported(throws, ticks)
+            if axes is not None:
+                self._turn(throws, axes, start)
             self._advance(twin.sensor_latency_s())
             self._correct(twin, hung)
             true = np.where(self._mask, self._position[0], true)
@@ -86,6 +98,24 @@ class MeasuredMotion:
             return None
         row = min(tick + 1, self._ticks - 1)
         return PrescribedMotion(self._mask, self._position[row], self._velocity[row])
+
+    def _turn(self, throws: Sequence[ReplayInput], axes: Array, start: Array) -> None:
+        """Measure the swing anew, from starts (M, 6), with IMUs of these axes (M, 3, 3)."""
+        gyros = {i: t.gyro_rad_per_s for i, t in enumerate(throws)}
+        known = {i: gyro for i, gyro in gyros.items() if gyro is not None}
+        if not known:
+            return
+        rows = list(known)
+        gyro = np.stack([padded(g, self._ticks, hold=True) for g in known.values()], axis=1)
+        rate = np.einsum("nij,tnj->tni", axes[rows], gyro)
+        position, velocity = self._position[:, rows], self._velocity[:, rows]
+        angle, rates = swing_from_gyro(rate, velocity[..., 0], _swing(start[rows]))
+        for measured, driven, new in (
+            (self._position, position, angle),
+            (self._velocity, velocity, rates),
+        ):
+            measured[:, rows, ACTIVE_COUNT] = new[..., 0] - driven[..., 1] - driven[..., 2]
+            measured[:, rows, ACTIVE_COUNT + 1] = new[..., 1]
 
     def _advance(self, latency_s: Array | None) -> None:
         """Move joints (ticks, M, 6) earlier by their sensors' latencies (M, 6)."""
@@ -101,6 +131,20 @@ class MeasuredMotion:
     def _correct(self, twin: Twin, hung: BoolArray) -> None:
         for tick in range(self._ticks):
             self._position[tick] = twin.true_pose(self._position[tick], hung)
+
+
+def _start_shift(throw: ReplayInput, axes: Array) -> Array:
+    """(6,) how much further the gripper began than reported, if the IMU has these axes (3, 3)."""
+    shift = np.zeros(JOINT_COUNT)
+    force = throw.start_force_m_per_s2
+    if force is not None:
+        shift[ACTIVE_COUNT:] = tilt_at_start(axes @ force) - tilt_at_start(force)
+    return shift
+
+
+def _swing(pose: Array) -> Array:
+    """Swing from the machine's vertical and roll (N, 2) of reported joint positions (N, 6)."""
+    return np.stack([pose[:, 1] + pose[:, 2] + pose[:, 4], pose[:, 5]], axis=1)
 
 
 def _reported(throws: Sequence[ReplayInput], ticks: int) -> tuple[Array, Array]:

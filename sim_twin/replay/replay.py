@@ -104,6 +104,8 @@ def _check(inputs: Sequence[ReplayInput], elements: Sequence[ReplayElement]) -> 
             "swing_rate_start_rad_per_s": (2,),
             "swing_rad": (ticks, 2),
             "swing_rate_rad_per_s": (ticks, 2),
+            "gyro_rad_per_s": (ticks, 3),
+            "start_force_m_per_s2": (3,),
         }
         for name, shape in wanted.items():
             value = getattr(throw, name)

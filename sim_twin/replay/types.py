@@ -42,6 +42,11 @@ class ReplayInput(NamedTuple):
     """(T, 2) measured pitch and roll joint angles; for elements with `measured_swing`."""
     swing_rate_rad_per_s: Array | None = None
     """(T, 2)"""
+    gyro_rad_per_s: Array | None = None
+    """(T, 3) reported by the IMU, its bias off; a swing was something else if the IMU is mounted askew."""
+    start_force_m_per_s2: Array | None = None
+    """(3,) specific force reported by the IMU at row 0; None where the machine did not take the swing's
+    start from it."""
 
 
 class ReplayElement(NamedTuple):

@@ -242,6 +242,10 @@ class Twin:
         """How late (N, 6) sensors report joint motion; None where all are in time."""
         return None if self._effects is None else self._effects.latency_s()
 
+    def imu_axes(self) -> Array | None:
+        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None where they are the same."""
+        return None if self._effects is None else self._effects.imu_axes()
+
     def advance(self, until_ns: int) -> None:
         """Step whole control ticks up to `until_ns`."""
         while self._now_ns + CONTROL_PERIOD_NS <= until_ns:

@@ -81,6 +81,10 @@ class TwinEffects:
         """How late (N, 6) joint sensors and IMU report joint motion; None where all are in time."""
         return None if self._sensors is None else self._sensors.latency_s
 
+    def imu_axes(self) -> Array | None:
+        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None where they are the same."""
+        return None if self._sensors is None else self._sensors.axes
+
     def begin(self, position: Array, velocity: Array) -> None:
         """Machines are put into these true states (N, 6); before the physics looks at them."""
         self._rest = position[:, ACTIVE_COUNT:].copy()

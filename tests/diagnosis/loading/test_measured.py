@@ -1,0 +1,51 @@
+"""Where a throw's swing begins, and who said so."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.measured import measured_motion
+from machine.conventions import ACTIVE_COUNT
+from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
+
+
+@pytest.fixture
+def throw(tmp_path: Path) -> ThrowData:
+    _, loaded = both(tmp_path, throw_csv(make_log()))
+    return loaded.throws[0]
+
+
+def began_at(throw: ThrowData, swing_rad: float, tilt_rad: float) -> ThrowData:
+    """The machine's estimate begins at a swing, its IMU at rest feels another tilt."""
+    estimate = throw.joint_position_rad_m.copy()
+    rows = throw.t_s >= -1e-9
+    estimate[rows, ACTIVE_COUNT] = swing_rad - estimate[rows, 1] - estimate[rows, 2]
+    estimate[rows, ACTIVE_COUNT + 1] = 0.0
+    gyro, accel = throw.gyro_rad_per_s.copy(), throw.accel_m_per_s2.copy()
+    early = throw.imu_t_s <= 0.1
+    gyro[early] *= 0.01
+    accel[early] = 9.81 * np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
+    return replace(throw, joint_position_rad_m=estimate, gyro_rad_per_s=gyro, accel_m_per_s2=accel)
+
+
+def test_a_start_as_the_imu_felt_it_can_be_wrong_with_it(throw: ThrowData):
+    """The machine takes 30 mrad of a first tilt for friction and bias."""
+    told = measured_motion(began_at(throw, swing_rad=0.07, tilt_rad=0.1))
+    assert told.start_force_m_per_s2 is not None
+    np.testing.assert_allclose(
+        told.start_force_m_per_s2, 9.81 * np.array([np.sin(0.1), 0.0, np.cos(0.1)])
+    )
+    knew = measured_motion(began_at(throw, swing_rad=0.0, tilt_rad=0.1))
+    assert knew.start_force_m_per_s2 is None
+
+
+def test_a_gripper_that_moves_at_the_start_tells_no_bias_and_no_tilt(throw: ThrowData):
+    moving = began_at(throw, swing_rad=0.07, tilt_rad=0.1)
+    moving = replace(moving, gyro_rad_per_s=moving.gyro_rad_per_s + 0.5)
+    motion = measured_motion(moving)
+    assert motion.start_force_m_per_s2 is None
+    assert motion.gyro_rad_per_s is not None
+    assert motion.gyro_rad_per_s[0].min() > 0.4
