@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 
-from fastapi import APIRouter, FastAPI, Request
+from fastapi import APIRouter, FastAPI, Request, WebSocket
 from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.routing import APIRoute
 from pydantic.json_schema import models_json_schema
@@ -20,6 +20,7 @@ from machine.spec import load_spec
 from server.accounts.auth import COOKIE, Session
 from server.error_shape import add_error_handlers
 from server.errors import NotFoundError
+from server.limits.streams import Place, StreamKind
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
@@ -46,7 +47,7 @@ from server.store.instance_lock import instance_lock
 from server.version import SOFTWARE
 from server.viewer.scene import ViewerScene
 from server.viewer_door.pick import PickRefusedError
-from server.viewer_door.proxy import ViewerProxy
+from server.viewer_door.proxy import ViewerProxy, ViewerSession
 
 logger = logging.getLogger(__name__)
 
@@ -110,8 +111,13 @@ def create_app(settings: Settings) -> FastAPI:
         services: Services = app.state.services
         return await asyncio.to_thread(services.accounts.session_of, connection.cookies.get(COOKIE))
 
+    def admit(session: ViewerSession, websocket: WebSocket) -> Place:
+        services: Services = app.state.services
+        assert isinstance(session, Session)
+        return services.streams.take(StreamKind.VIEW, session.username, websocket)
+
     scene = ViewerScene(load_spec(), pick, on_pick_refused=refused_pick)
-    proxy = ViewerProxy(scene, session_of, allowed_origins=settings.allowed_origins)
+    proxy = ViewerProxy(scene, session_of, allowed_origins=settings.allowed_origins, admit=admit)
     app = FastAPI(
         title="Downrange",
         version=SOFTWARE,

@@ -29,14 +29,19 @@ def error_response(
     return JSONResponse(body, status_code=status_code, headers={"Cache-Control": "no-store"})
 
 
-async def _api_error(_request: Request, error: Exception) -> Response:
-    assert isinstance(error, ApiError)
+def api_error_response(error: ApiError) -> JSONResponse:
+    """An error of ours in the one shape, also for a WebSocket that is not accepted."""
     response = error_response(error.status_code, error.code, error.message, error.detail)
     if isinstance(error, TooManyRequestsError) and isinstance(error.detail, dict):
         wait_s = error.detail.get("retry_after_s")
         if isinstance(wait_s, float):
             response.headers["Retry-After"] = str(int(wait_s) + 1)
     return response
+
+
+async def _api_error(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, ApiError)
+    return api_error_response(error)
 
 
 async def _own_error(_request: Request, error: Exception) -> Response:

@@ -33,6 +33,11 @@ class Metrics:
         self.unreadable_count = self._counter(
             "downrange_unreadable_messages", "Messages from machines that could not be read"
         )
+        self.streams_refused_count = self._counter(
+            "downrange_streams_refused",
+            "Streams beyond what one person or address may open",
+            ["kind"],
+        )
         self.requests_s = prometheus_client.Histogram(
             "downrange_http_request_seconds",
             "HTTP requests by operation",

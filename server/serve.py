@@ -12,6 +12,7 @@ from fastapi import FastAPI
 
 from machine.errors import DownrangeError, UsageError
 from server.app import create_app
+from server.limits.connections import WaitingRoom, allow_open_files, patient_protocol
 from server.settings import Settings
 
 logger = logging.getLogger(__name__)
@@ -74,6 +75,7 @@ def make_server(
     app = create_app(settings)
     config = uvicorn.Config(
         app,
+        http=patient_protocol(WaitingRoom()),
         log_config=None,
         access_log=False,
         ws_max_size=WEBSOCKET_MAX_BYTES,
@@ -95,7 +97,8 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
     Raises:
         DownrangeError: it cannot start; with the remedy.
     """
-    logging.getLogger("uvicorn.error").addFilter(_without_traceback)
+    logging.getLogger("uvicorn.error").addFilter(_is_news)
+    allow_open_files()
     with open_socket(settings.host, settings.port_count) as listener:
         server, app = make_server(settings, on_ready)
         # uvicorn ends in order and then sends itself the signal again; by default that would kill the
@@ -111,6 +114,9 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
             raise UsageError("the service could not start; its log says why")
 
 
-def _without_traceback(record: logging.LogRecord) -> bool:
-    # A failed start is told in one line by the caller.
-    return not str(record.msg).startswith("Traceback")
+def _is_news(record: logging.LogRecord) -> bool:
+    # A failed start is told in one line by the caller; and a WebSocket that was refused with an answer is
+    # complete, whatever uvicorn 0.54 says of it.
+    return not str(record.msg).startswith(
+        ("Traceback", "ASGI callable returned without completing")
+    )

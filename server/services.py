@@ -19,6 +19,7 @@ from server.events import EventHub
 from server.gap.preview import GapPreviews
 from server.gap.runs import GapDesk
 from server.gap.twin_versions import TwinVersions
+from server.limits.streams import StreamDesk
 from server.machines.commands import CommandDesk
 from server.machines.lease_notices import LeaseNotices
 from server.machines.leases import LeaseBook
@@ -66,6 +67,7 @@ class Services:
     accounts: Accounts
     metrics: Metrics
     hub: EventHub
+    streams: StreamDesk
     registry: Registry
     link: MachineLink
     commands: CommandDesk
@@ -237,6 +239,7 @@ def assemble(
         accounts=accounts,
         metrics=metrics,
         hub=hub,
+        streams=StreamDesk(metrics),
         registry=registry,
         link=link,
         commands=commands,

@@ -9,7 +9,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from server.accounts.access import check_origin
 from server.accounts.auth import COOKIE, Session
-from server.errors import ForbiddenError
+from server.error_shape import api_error_response
+from server.errors import ForbiddenError, TooManyRequestsError
+from server.limits.streams import StreamKind
 from server.schemas.console import Permission
 from server.schemas.plans import HoldMessage, HoldReply
 from server.services import Services, get_services
@@ -35,6 +37,18 @@ async def hold(websocket: WebSocket, machine_id: str) -> None:
         # Closing before accepting answers the handshake with 403.
         await websocket.close(CLOSED_REFUSED)
         return
+    try:
+        place = services.streams.take(StreamKind.HOLD, session.username, websocket)
+    except TooManyRequestsError as error:
+        await websocket.send_denial_response(api_error_response(error))
+        return
+    with place:
+        await _serve(websocket, services, session, machine_id)
+
+
+async def _serve(
+    websocket: WebSocket, services: Services, session: Session, machine_id: str
+) -> None:
     await websocket.accept()
     watch = asyncio.create_task(_watch(websocket, services, session))
     throw_id: str | None = None

@@ -9,6 +9,7 @@ import inspect
 import logging
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -20,6 +21,8 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from server.error_shape import api_error_response
+from server.errors import ApiError
 from server.viewer.scene import ViewerScene
 from server.viewer_door.frames import MalformedFrameError, filter_frame
 from server.viewer_door.gate import SECRET_HEADER, SESSION_HEADER
@@ -45,6 +48,8 @@ class ViewerSession(Protocol):
         ...
 
 
+Admit = Callable[["ViewerSession", WebSocket], AbstractContextManager[object]]
+"""Gives a socket of a session its place, or refuses it with an `ApiError`."""
 Authenticate = Callable[[HTTPConnection], "ViewerSession | Awaitable[ViewerSession | None] | None"]
 
 
@@ -76,6 +81,7 @@ class ViewerProxy:
         authenticate: Authenticate,
         *,
         allowed_origins: frozenset[str] | None = None,
+        admit: Admit | None = None,
     ) -> None:
         """Prepare the routes.
 
@@ -83,10 +89,12 @@ class ViewerProxy:
             scene: the view; started before the first request.
             authenticate: session of a request or WebSocket by its cookie, or None; may be a coroutine.
             allowed_origins: exact origins that may open the view; by default the host that is asked.
+            admit: how many sockets there may be; all of them by default.
         """
         self._scene = scene
         self._authenticate = authenticate
         self._allowed_origins = allowed_origins
+        self._admit = admit or (lambda *_: nullcontext())
         self._open: dict[str, set[WebSocket]] = {}
         self.dropped_count = 0
         """Frames that were not passed on, of all sockets since the start."""
@@ -144,12 +152,21 @@ class ViewerProxy:
             # Closing before accepting answers the handshake with 403.
             await websocket.close(CLOSED_SESSION_ENDED)
             return
+        try:
+            place = self._admit(session, websocket)
+        except ApiError as error:
+            await websocket.send_denial_response(api_error_response(error))
+            return
+        with place:
+            await self._connect(websocket, session, offered[0])
+
+    async def _connect(self, websocket: WebSocket, session: ViewerSession, protocol: str) -> None:
         gate = self._scene.gate
         headers = {SESSION_HEADER: session.session_id, SECRET_HEADER: gate.secret}
         try:
             upstream = await connect(
                 f"ws://127.0.0.1:{gate.port}/",
-                subprotocols=[Subprotocol(offered[0])],
+                subprotocols=[Subprotocol(protocol)],
                 additional_headers=headers,
                 compression=None,
                 max_size=None,
@@ -161,7 +178,7 @@ class ViewerProxy:
             await websocket.close(CLOSED_VIEW_AWAY)
             return
         async with upstream:
-            await websocket.accept(subprotocol=offered[0])
+            await websocket.accept(subprotocol=protocol)
             await self._relay(websocket, upstream, session.session_id)
 
     async def _relay(
