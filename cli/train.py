@@ -30,7 +30,7 @@ def run(
     Args:
         mode: within the arm plane, or with the cabin turning.
         out: folder for checkpoint, metrics.csv, learning_curve.png and the exported policy.
-        iterations: learning iterations (default 4000, the paper's).
+        iterations: learning iterations (default 4000, the paper's; 3000 in 2D with our reward).
         environments: parallel machines (default 8192, the paper's).
         device: where to compute; `any` takes a GPU if JAX finds one.
         reward: ours, or the paper's terms.

@@ -1,20 +1,37 @@
 """Numbers and configurations that the paper states, one by one (docs/training.md lists where)."""
 
+import json
 from collections import Counter
 from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
 
 from machine.conventions import CONTROL_PERIOD_S, POLICY_PERIOD_S, RELEASE_THRESHOLD_RATIO, Mode
+from machine.policy_card import load_card
 from machine.spec import load_spec
 from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from runtime.control.policy import find_policy
 from training.environment.environment import ThrowEnvironment
-from training.environment.task import PassiveConfig, PpoConfig, RewardConfig, task_for
+from training.environment.task import (
+    PassiveConfig,
+    PpoConfig,
+    RewardConfig,
+    learner_for,
+    task_for,
+)
 from training.networks import make_networks
 
 SPEC = load_spec()
+POLICIES = Path(__file__).parents[2] / "policies"
 YEAR_S = 365.25 * 24 * 3600.0
+
+
+def as_json(config: Any) -> dict[str, Any]:
+    """A configuration as a card holds it."""
+    return json.loads(json.dumps(asdict(config)))
 
 
 def test_simulator_at_100_hertz_control_at_12_and_a_half():
@@ -22,12 +39,24 @@ def test_simulator_at_100_hertz_control_at_12_and_a_half():
     assert pytest.approx(0.08) == POLICY_PERIOD_S
 
 
-def test_the_default_training_is_the_papers_experience():
+@pytest.mark.parametrize("mode", list(Mode))
+def test_training_with_the_papers_reward_has_the_papers_experience(mode: Mode):
     """8192 environments, 32 control steps, 4000 iterations: 2.66 years."""
-    ppo = PpoConfig()
+    ppo = learner_for(mode, "paper")
     assert (ppo.environment_count, ppo.step_count, ppo.iteration_count) == (8192, 32, 4000)
     steps = ppo.environment_count * ppo.step_count * ppo.iteration_count
     assert steps * POLICY_PERIOD_S / YEAR_S == pytest.approx(2.66, abs=0.01)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_the_active_policy_is_what_its_one_command_trains(mode: Mode):
+    """Learner and task on the card are those of `downrange train --mode MODE` (docs/training.md)."""
+    card = load_card(find_policy(POLICIES, mode))
+    assert card.training is not None
+    told = card.training.config
+    # A setting that came after the training is at the value that leaves everything as it was.
+    assert {**as_json(PpoConfig()), **told["ppo"]} == as_json(learner_for(mode))
+    assert {**as_json(task_for(mode)), **told["task"]} == as_json(task_for(mode))
 
 
 @pytest.mark.parametrize("mode", list(Mode))
