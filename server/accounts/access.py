@@ -1,9 +1,10 @@
 """Who may call: session cookie, exact origin and own header on writes, rights; for HTTP and WebSockets."""
 
+import asyncio
 from collections.abc import Callable, Mapping
 from typing import Annotated
 
-from fastapi import Depends
+from fastapi import Depends, WebSocket
 from starlette.requests import HTTPConnection
 
 from server.accounts.audit import Entry
@@ -93,6 +94,22 @@ def requires(
         )
 
     return check
+
+
+async def socket_session(
+    websocket: WebSocket, services: Services, permission: Permission
+) -> Session | None:
+    """The caller's session for a WebSocket; None for another origin, no session or without the right."""
+
+    def find() -> Session | None:
+        try:
+            check_origin(websocket.headers, services)
+        except ForbiddenError:
+            return None
+        session = services.accounts.session_of(websocket.cookies.get(COOKIE))
+        return session if session is not None and session.may(permission) else None
+
+    return await asyncio.to_thread(find)
 
 
 Viewer = Annotated[Session, Depends(requires(Permission.VIEW))]

@@ -1,20 +1,28 @@
-"""Server-sent events: one stream a browser."""
+"""What happens, as it happens: over a WebSocket for the console, as server-sent events for programs.
+
+A browser opens six HTTP/1.1 connections to a server and no more, of all its pages together. Six pages that
+each held a stream open left none for a seventh page, nor for STOP; WebSockets are not counted among the six.
+"""
 
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query, Request, WebSocket
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect, WebSocketState
 
-from server.accounts.access import Viewer
+from server.accounts.access import Viewer, socket_session
 from server.accounts.auth import COOKIE
+from server.errors import TooManyRequestsError
 from server.events import Frame, HubClient
 from server.limits.streams import StreamKind
+from server.schemas.console import Permission
 from server.schemas.events import ServerEvent
-from server.services import Services, ServicesDep
+from server.services import Services, ServicesDep, get_services
 
 router = APIRouter(tags=["events"])
 
@@ -22,6 +30,12 @@ KEEP_ALIVE_S = 2.0
 """A browser that hears nothing for longer calls itself not live (web/src/session/connection.ts)."""
 RECHECK_S = 2.0
 """How often a stream's session is checked again: it may run out, or its person may be disabled."""
+
+CLOSED_REFUSED = 4403
+CLOSED_ENDED = 4401
+CLOSED_TOO_MANY = 4429
+MAX_REASON_COUNT = 120
+"""Bytes; a close frame takes 123."""
 
 
 @router.get(
@@ -61,9 +75,68 @@ class _EventStream(StreamingResponse):
             self._end()
 
 
+@router.websocket("/events/socket")
+async def events_socket(
+    websocket: WebSocket, machine_id: Annotated[str | None, Query(max_length=32)] = None
+) -> None:
+    """The same as JSON lists of events; an empty list says that the server is there."""
+    services = get_services(websocket)
+    session = await socket_session(websocket, services, Permission.VIEW)
+    if session is None:
+        # Closing before accepting answers the handshake with 403.
+        await websocket.close(CLOSED_REFUSED)
+        return
+    try:
+        place = services.streams.take(StreamKind.EVENTS, session.username, websocket)
+    except TooManyRequestsError as error:
+        # Accepted first: a page is told why a socket was closed, not why it was not opened.
+        await websocket.accept()
+        await websocket.close(CLOSED_TOO_MANY, error.message[:MAX_REASON_COUNT])
+        return
+    client = services.hub.subscribe(session.session_id, machine_id)
+    try:
+        await websocket.accept()
+        await _serve(websocket, client, services)
+    finally:
+        services.hub.unsubscribe(client)
+        place.give_back()
+
+
+async def _serve(websocket: WebSocket, client: HubClient, services: Services) -> None:
+    sending = asyncio.create_task(_send(websocket, client, services))
+    listening = asyncio.create_task(_until_gone(websocket))
+    try:
+        await asyncio.wait((sending, listening), return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in (sending, listening):
+            task.cancel()
+        await asyncio.gather(sending, listening, return_exceptions=True)
+    if websocket.client_state is not WebSocketState.DISCONNECTED:
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await websocket.close(CLOSED_ENDED, "stream ended")
+
+
+async def _send(websocket: WebSocket, client: HubClient, services: Services) -> None:
+    async for frames in _batches(client, services, websocket.cookies.get(COOKIE)):
+        await websocket.send_text(f"[{','.join(frame.data for frame in frames)}]")
+
+
+async def _until_gone(websocket: WebSocket) -> None:
+    """A browser has nothing to say here; what it says ends its stream."""
+    await websocket.receive()
+
+
 async def _frames(client: HubClient, services: Services, token: str | None) -> AsyncIterator[bytes]:
-    checked_s = time.monotonic()
     yield b"retry: 1000\n\n: connected\n\n"
+    async for frames in _batches(client, services, token):
+        yield b"".join(_encode(frame) for frame in frames) or b"event: ping\ndata: {}\n\n"
+
+
+async def _batches(
+    client: HubClient, services: Services, token: str | None
+) -> AsyncIterator[list[Frame]]:
+    """What comes in until the stream or its session ends; nothing every `KEEP_ALIVE_S`."""
+    checked_s = time.monotonic()
     while not client.is_closed:
         frames = await client.wait(KEEP_ALIVE_S)
         # By the clock: a machine's states leave no pause in which the end of a session would be noticed.
@@ -71,7 +144,7 @@ async def _frames(client: HubClient, services: Services, token: str | None) -> A
             if await asyncio.to_thread(services.accounts.session_of, token) is None:
                 return
             checked_s = time.monotonic()
-        yield b"".join(_encode(frame) for frame in frames) or b"event: ping\ndata: {}\n\n"
+        yield frames
 
 
 def _encode(frame: Frame) -> bytes:

@@ -7,10 +7,10 @@ from fastapi import APIRouter, WebSocket
 from pydantic import ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from server.accounts.access import check_origin
+from server.accounts.access import socket_session
 from server.accounts.auth import COOKIE, Session
 from server.error_shape import api_error_response
-from server.errors import ForbiddenError, TooManyRequestsError
+from server.errors import TooManyRequestsError
 from server.limits.streams import StreamKind
 from server.schemas.console import Permission
 from server.schemas.plans import HoldMessage, HoldReply
@@ -32,7 +32,7 @@ RECHECK_S = 5.0
 async def hold(websocket: WebSocket, machine_id: str) -> None:
     """Relay the operator's hold; silence, closing and `holding: false` all let go."""
     services = get_services(websocket)
-    session = await asyncio.to_thread(_admit, websocket, services)
+    session = await socket_session(websocket, services, Permission.THROW)
     if session is None:
         # Closing before accepting answers the handshake with 403.
         await websocket.close(CLOSED_REFUSED)
@@ -61,15 +61,6 @@ async def _serve(
         await asyncio.gather(watch, return_exceptions=True)
         services.holds.let_go(machine_id, session.session_id)
         logger.debug("hold of %s on %s ended at throw %s", session.username, machine_id, throw_id)
-
-
-def _admit(websocket: WebSocket, services: Services) -> Session | None:
-    try:
-        check_origin(websocket.headers, services)
-    except ForbiddenError:
-        return None
-    session = services.accounts.session_of(websocket.cookies.get(COOKIE))
-    return session if session is not None and session.may(Permission.THROW) else None
 
 
 async def _relay(

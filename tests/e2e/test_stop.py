@@ -83,3 +83,23 @@ def test_stop_while_the_3d_view_has_the_keyboard(
     page.frame_locator("iframe").locator("body").focus()
     page.keyboard.press("Shift+S")
     lamp(page, "stopped").wait_for()
+
+
+def test_stop_with_more_pages_open_than_a_browser_has_connections(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    """A browser opens six HTTP connections to a server for all its pages together."""
+    first = open_page(demo)
+    without_view(first)
+    sign_in(first, demo, path="/throws")
+    pages = [first]
+    for _ in range(7):
+        page = first.context.new_page()
+        without_view(page)
+        page.goto("/throws")
+        lamp(page, "disarmed").wait_for()
+        pages.append(page)
+    first.bring_to_front()
+    first.keyboard.press("Shift+S")
+    for page in pages:
+        lamp(page, "stopped").wait_for()

@@ -5,7 +5,10 @@ import time
 
 import httpx
 import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
+from server.accounts.auth import COOKIE
 from server.events import QUEUE_LENGTH, EventHub
 from server.schemas.events import AlertEvent, ServerEvent
 from tests.server.server_bench import run_out, wait_for
@@ -160,3 +163,69 @@ def test_states_replace_each_other_and_are_made_only_when_due(state_event):
         assert len(made) == 2
 
     asyncio.run(main())
+
+
+# Over a WebSocket -----------------------------------------------------------------------------------
+
+
+def open_events(running, client, **headers):
+    given = {"Origin": running.url, "Cookie": f"{COOKIE}={client.cookies.get(COOKIE)}"}
+    return connect(
+        f"ws{running.url.removeprefix('http')}/api/v1/events/socket?machine_id=m001",
+        additional_headers=given | headers,
+        proxy=None,
+    )
+
+
+def test_the_console_has_the_same_events_over_a_websocket(running, ada):
+    with open_events(running, ada) as socket, running.machine():
+        kinds = set()
+        while not {"machine.state", "lease.changed"} <= kinds:
+            for event in json.loads(socket.recv(timeout=30.0)):
+                ServerEvent.model_validate(event)
+                if event["kind"] == "machine.state" and "machine.state" not in kinds:
+                    ada.post("/machines/m001/lease")
+                kinds.add(event["kind"])
+        ada.delete("/machines/m001/lease")
+
+
+def test_a_quiet_socket_says_that_the_server_is_there(running, ada):
+    with open_events(running, ada) as socket:
+        wait_for(lambda: json.loads(socket.recv(timeout=30.0)) == [])
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "https://evil.example"}, {"Cookie": ""}, {"Cookie": f"{COOKIE}=guess"}]
+)
+def test_strangers_have_no_events(running, ada, headers):
+    with pytest.raises(InvalidStatus) as caught, open_events(running, ada, **headers):
+        pass
+    assert caught.value.response.status_code == 403
+
+
+def test_a_socket_ends_with_its_session(running):
+    with running.client("bob") as bob, open_events(running, bob) as socket:
+        bob.post("/auth/logout")
+        with pytest.raises(ConnectionClosed) as caught:
+            while True:
+                socket.recv(timeout=30.0)
+    assert caught.value.rcvd.code == 4401
+
+
+def test_a_socket_ends_when_its_session_runs_out(running):
+    with running.client("bob") as bob, open_events(running, bob) as socket:
+        run_out(running.services, bob)
+        with pytest.raises(ConnectionClosed) as caught:
+            while True:
+                socket.recv(timeout=30.0)
+    assert caught.value.rcvd.code == 4401
+
+
+def test_a_browser_that_talks_loses_its_socket_and_leaves_nothing(running, ada):
+    listening_count = running.services.hub.client_count
+    with open_events(running, ada) as socket:
+        socket.send("hello")
+        with pytest.raises(ConnectionClosed):
+            while True:
+                socket.recv(timeout=30.0)
+    wait_for(lambda: running.services.hub.client_count == listening_count)

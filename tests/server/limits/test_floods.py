@@ -6,7 +6,7 @@ import socket
 
 import httpx
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from server.accounts.auth import COOKIE
@@ -31,6 +31,10 @@ def websocket(running, client, path, **more):
 
 def open_hold(running, client):
     return websocket(running, client, "/api/v1/machines/m001/hold")
+
+
+def open_events(running, client):
+    return websocket(running, client, "/api/v1/events/socket?machine_id=m001")
 
 
 def open_view(running, client):
@@ -75,6 +79,22 @@ def test_one_person_opens_so_many_event_streams_and_no_more(running, ada):
         refused = ada.get("/events")
         assert (refused.status_code, refused.json()["error"]["code"]) == (429, "too_many_streams")
         assert refused.json()["error"]["detail"]["kind"] == "events"
+    wait_for(lambda: streams.count(StreamKind.EVENTS) == 0)
+    assert hub.client_count == listening_count
+
+
+def test_a_page_is_told_why_it_gets_no_events(running, ada):
+    streams, hub = running.services.streams, running.services.hub
+    listening_count = hub.client_count
+    with contextlib.ExitStack() as stack:
+        for _ in range(streams.limits.per_person_count):
+            stack.enter_context(open_events(running, ada))
+        wait_for(lambda: streams.count(StreamKind.EVENTS) == streams.limits.per_person_count)
+        refused = stack.enter_context(open_events(running, ada))
+        with pytest.raises(ConnectionClosed) as caught:
+            refused.recv(timeout=30.0)
+        assert caught.value.rcvd.code == 4429
+        assert "ada has 32 event streams open" in caught.value.rcvd.reason
     wait_for(lambda: streams.count(StreamKind.EVENTS) == 0)
     assert hub.client_count == listening_count
 

@@ -8,6 +8,13 @@ export function OfflineBanner() {
   const connection = useConnection();
   const stale_s = staleSeconds(connection, useNow());
   if (stale_s === null) return null;
+  if (connection.refusal !== null) {
+    return (
+      <div className={classes.banner} role="alert" data-testid="offline">
+        <strong>Not live.</strong> {connection.refusal}
+      </div>
+    );
+  }
   if (connection.lastDataMs === null) {
     return (
       <div className={classes.banner} role="status">

@@ -5,6 +5,7 @@
  * sees the hand, has shown within `FRESH_LIMIT_MS` that it is alive.
  */
 
+import { socketUrl } from "../session/socketUrl";
 import { HEARTBEAT_MS } from "./hold";
 
 export type Socket = Pick<WebSocket, "send" | "close" | "readyState" | "addEventListener">;
@@ -79,7 +80,6 @@ export class HoldLink {
 }
 
 /** Address of the hold socket of a machine on this origin. */
-export function holdUrl(machineId: string, base: Location = window.location): string {
-  const scheme = base.protocol === "https:" ? "wss:" : "ws:";
-  return `${scheme}//${base.host}/api/v1/machines/${encodeURIComponent(machineId)}/hold`;
+export function holdUrl(machineId: string, base?: Location): string {
+  return socketUrl(`/api/v1/machines/${encodeURIComponent(machineId)}/hold`, base);
 }

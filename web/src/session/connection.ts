@@ -2,12 +2,17 @@
 
 import { useSyncExternalStore } from "react";
 
-export type Connection = { isOpen: boolean; lastDataMs: number | null };
+export type Connection = {
+  isOpen: boolean;
+  lastDataMs: number | null;
+  /** Why the server refuses the stream; null while it does not. */
+  refusal: string | null;
+};
 
 /** Silence after which the console calls itself not live; the server speaks at least every 2 s. */
 export const SILENCE_LIMIT_MS = 5000;
 
-let connection: Connection = { isOpen: false, lastDataMs: null };
+let connection: Connection = { isOpen: false, lastDataMs: null, refusal: null };
 const listeners = new Set<() => void>();
 
 function set(next: Connection): void {
@@ -16,8 +21,12 @@ function set(next: Connection): void {
 }
 
 export const markOpen = (isOpen: boolean) => {
-  if (isOpen !== connection.isOpen) set({ ...connection, isOpen });
+  const refusal = isOpen ? null : connection.refusal;
+  if (isOpen !== connection.isOpen || refusal !== connection.refusal)
+    set({ ...connection, isOpen, refusal });
 };
+
+export const markRefused = (refusal: string) => set({ ...connection, refusal });
 
 /** Called for every message; kept out of the render path by changing the object in place. */
 export const markData = (nowMs: number) => {

@@ -10,14 +10,23 @@ class FakeSource implements Source {
   close(): void {
     this.isClosed = true;
   }
-  emit(kind: string, data: unknown = {}): void {
-    this.listeners[kind]?.({ data: JSON.stringify(data) });
+  emit(kind: "open" | "close", event: object = {}): void {
+    this.listeners[kind]?.(event);
+  }
+  say(...events: object[]): void {
+    this.listeners.message?.({ data: JSON.stringify(events) });
   }
 }
 
 function setup(resync: StreamCallbacks["resync"] = () => Promise.resolve()) {
   const sources: FakeSource[] = [];
-  const callbacks = { resync: vi.fn(resync), onEvent: vi.fn(), onData: vi.fn(), onOpen: vi.fn() };
+  const callbacks = {
+    resync: vi.fn(resync),
+    onEvent: vi.fn(),
+    onData: vi.fn(),
+    onOpen: vi.fn(),
+    onRefused: vi.fn(),
+  };
   const stream = new EventStream(() => {
     const source = new FakeSource();
     sources.push(source);
@@ -47,7 +56,7 @@ describe("EventStream", () => {
     const { sources, last, callbacks } = setup();
     last().emit("open");
     await settle();
-    last().emit("error");
+    last().emit("close");
     expect(callbacks.onOpen).toHaveBeenLastCalledWith(false);
     expect(sources[0]?.isClosed).toBe(true);
     for (const wait_ms of [500, 1000, 2000, 4000, 5000, 5000]) {
@@ -56,7 +65,7 @@ describe("EventStream", () => {
       expect(sources).toHaveLength(before);
       await vi.advanceTimersByTimeAsync(1);
       expect(sources).toHaveLength(before + 1);
-      last().emit("error");
+      last().emit("close");
     }
     await vi.advanceTimersByTimeAsync(5000);
     last().emit("open");
@@ -76,17 +85,32 @@ describe("EventStream", () => {
 
   it("delivers events, and pings as signs of life only", () => {
     const { last, callbacks } = setup();
-    last().emit("machine.state", { kind: "machine.state" });
-    last().emit("ping");
-    expect(callbacks.onEvent).toHaveBeenCalledExactlyOnceWith({ kind: "machine.state" });
+    last().say({ kind: "machine.state" }, { kind: "of.a.newer.server" }, { kind: "alert" });
+    last().say();
+    expect(callbacks.onEvent.mock.calls).toEqual([
+      [{ kind: "machine.state" }],
+      [{ kind: "alert" }],
+    ]);
     expect(callbacks.onData).toHaveBeenCalledTimes(2);
+  });
+
+  it("tells why the server refuses it, and tries again later", async () => {
+    const { last, callbacks, sources } = setup();
+    last().emit("close", { code: 4429, reason: "operator has 32 event streams open" });
+    expect(callbacks.onRefused).toHaveBeenCalledExactlyOnceWith(
+      "operator has 32 event streams open",
+    );
+    await vi.advanceTimersByTimeAsync(500);
+    expect(sources).toHaveLength(2);
+    last().emit("close", { code: 1006, reason: "" });
+    expect(callbacks.onRefused).toHaveBeenCalledTimes(1);
   });
 
   it("ignores what an abandoned connection still says", async () => {
     const { stream, sources, callbacks } = setup();
     stream.kick();
-    sources[0]?.emit("machine.state", {});
-    sources[0]?.emit("error");
+    sources[0]?.say({ kind: "machine.state" });
+    sources[0]?.emit("close");
     expect(callbacks.onEvent).not.toHaveBeenCalled();
     expect(sources).toHaveLength(2);
   });

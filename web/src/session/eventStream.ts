@@ -1,11 +1,13 @@
 /**
- * The connection to the server's event stream: reconnects by itself and resyncs on every (re)opening,
- * so that nothing shown depends on an event that was missed.
+ * The connection to the server's events: a WebSocket, for a browser shares six HTTP connections among all its
+ * pages, and streams in six of them would leave none for STOP. It reconnects by itself and resyncs on every
+ * (re)opening, so that nothing shown depends on an event that was missed.
  */
 
 import type { ServerEvent } from "./live";
 
-export const EVENT_KINDS: readonly ServerEvent["kind"][] = [
+/** What this console knows; a newer server may say more. */
+const EVENT_KINDS: ReadonlySet<ServerEvent["kind"]> = new Set([
   "machine.state",
   "machine.lost",
   "lease.changed",
@@ -16,13 +18,16 @@ export const EVENT_KINDS: readonly ServerEvent["kind"][] = [
   "twin.updated",
   "site.updated",
   "alert",
-];
+] as const);
 
 const FIRST_RETRY_MS = 500;
 const LAST_RETRY_MS = 5000;
 
-/** The part of EventSource that is used; tests bring their own. */
-export type Source = Pick<EventSource, "addEventListener" | "close">;
+/** The part of a WebSocket that is used; tests bring their own. */
+export type Source = Pick<WebSocket, "addEventListener" | "close">;
+
+/** The server's close code for a person, or an address, with too many streams open. */
+const CLOSED_TOO_MANY = 4429;
 
 export type StreamCallbacks = {
   /** Before any event of a connection is delivered; a failure counts as a failed connection. */
@@ -30,6 +35,8 @@ export type StreamCallbacks = {
   onEvent: (event: ServerEvent) => void;
   onData: () => void;
   onOpen: (isOpen: boolean) => void;
+  /** Why the server will not have this stream, in its words. */
+  onRefused: (reason: string) => void;
 };
 
 export class EventStream {
@@ -51,15 +58,14 @@ export class EventStream {
     source.addEventListener("open", () => {
       if (isCurrent()) this.onOpen(isCurrent);
     });
-    source.addEventListener("error", () => {
-      if (isCurrent()) this.retry();
+    source.addEventListener("close", ({ code, reason }) => {
+      if (!isCurrent()) return;
+      if (code === CLOSED_TOO_MANY) this.callbacks.onRefused(reason);
+      this.retry();
     });
-    source.addEventListener("ping", () => this.callbacks.onData());
-    for (const kind of EVENT_KINDS) {
-      source.addEventListener(kind, (message) => {
-        if (isCurrent()) this.deliver(message as MessageEvent<string>);
-      });
-    }
+    source.addEventListener("message", ({ data }) => {
+      if (isCurrent()) this.deliver(data as string);
+    });
   }
 
   /** Reconnect at once: after login, or when the network comes back. */
@@ -87,9 +93,12 @@ export class EventStream {
     this.callbacks.onOpen(true);
   }
 
-  private deliver(message: MessageEvent<string>): void {
+  /** A list of events; an empty one is a sign of life only. */
+  private deliver(text: string): void {
     this.callbacks.onData();
-    this.callbacks.onEvent(JSON.parse(message.data) as ServerEvent);
+    for (const event of JSON.parse(text) as ServerEvent[]) {
+      if (EVENT_KINDS.has(event.kind)) this.callbacks.onEvent(event);
+    }
   }
 
   private retry(): void {

@@ -3,11 +3,12 @@
 import { useQueryClient } from "@tanstack/react-query";
 import { useEffect } from "react";
 import { api, take } from "./client";
-import { markData, markOpen } from "./connection";
+import { markData, markOpen, markRefused } from "./connection";
 import { EventStream } from "./eventStream";
 import type { GapRun, ServerEvent } from "./live";
 import { dispatchLive } from "./liveStore";
 import { ME } from "./queries";
+import { socketUrl } from "./socketUrl";
 
 async function resync(): Promise<void> {
   dispatchLive({ kind: "resync", machines: await take(api.GET("/api/v1/machines")) });
@@ -15,8 +16,8 @@ async function resync(): Promise<void> {
 
 /** The watched machine is told to the server: it sends that one's state at its full rate. */
 function eventsUrl(machineId: string | null): string {
-  const path = "/api/v1/events";
-  return machineId === null ? path : `${path}?machine_id=${encodeURIComponent(machineId)}`;
+  const url = socketUrl("/api/v1/events/socket");
+  return machineId === null ? url : `${url}?machine_id=${encodeURIComponent(machineId)}`;
 }
 
 /** A run that began to wait or has ended changes lists and results; progress alone does not. */
@@ -36,13 +37,14 @@ export function useLiveConnection(sessionId: string | null, machineId: string | 
         void client.invalidateQueries({ queryKey: ["throw", event.throw.throw_id] });
       }
     };
-    const stream = new EventStream(() => new EventSource(eventsUrl(machineId)), {
+    const stream = new EventStream(() => new WebSocket(eventsUrl(machineId)), {
       resync: async () => {
         await resync();
         await client.invalidateQueries({ predicate: (query) => query.queryKey[0] !== ME[0] });
       },
       onEvent,
       onData: () => markData(Date.now()),
+      onRefused: markRefused,
       onOpen: (isOpen) => {
         markOpen(isOpen);
         if (!isOpen) void client.invalidateQueries({ queryKey: ME });
