@@ -40,6 +40,7 @@ VERBS: dict[str, Verb] = {
         "cli.identify", "find response, release delay and swing of a machine from its logs", "twin"
     ),
     "train": Verb("cli.train", "train a policy", "train"),
+    "user": Verb("cli.user", "say who may sign in to the console, and as what", "server"),
     "db": Verb("cli.db", "upgrade, downgrade or check the database", "server"),
     "openapi": Verb("cli.openapi", "write the description of the HTTP interface", "server"),
     "spec": Verb("cli.spec", "write machine/spec.json from the MJCF", "twin"),

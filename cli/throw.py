@@ -84,8 +84,12 @@ def in_words(report: ThrowReport) -> str:
     for label, errors in (("predicted", report.predicted), ("impact", report.impact)):
         down, cross = errors.get("downrange_error_m"), errors.get("crossrange_error_m")
         if down is not None and cross is not None:
-            lines.append(
-                f"{label}: {down:+.2f} m {'long' if down >= 0 else 'short'}, "
-                f"{cross:+.2f} m {'left' if cross >= 0 else 'right'}"
-            )
+            along = _side(down, "long", "short", "on range")
+            lines.append(f"{label}: {along}, {_side(cross, 'left', 'right', 'on line')}")
     return "\n".join(lines)
+
+
+def _side(error_m: float, positive: str, negative: str, zero: str) -> str:
+    if abs(error_m) < 0.005:
+        return f"0.00 m {zero}"
+    return f"{error_m:+.2f} m {positive if error_m > 0.0 else negative}"

@@ -6,6 +6,8 @@ import classes from "./RangePlot.module.css";
 
 const HEIGHT = 180;
 const LEFT = 44;
+/** Half of the last range in words. */
+const RIGHT = 22;
 const BOTTOM = 26;
 const TOP = 8;
 /** Crossrange stands beside downrange, so that neither hides the other. */
@@ -28,7 +30,7 @@ export function RangePlot({ rows, where }: { rows: readonly EvaluationRow[]; whe
     0.1,
   );
   const x = (range: number) =>
-    LEFT + 14 + ((width - LEFT - 28) * (range - first)) / Math.max(last - first, 1e-9);
+    LEFT + 14 + ((width - LEFT - 14 - RIGHT) * (range - first)) / Math.max(last - first, 1e-9);
   const y = (error: number) => TOP + ((HEIGHT - TOP - BOTTOM) * (limit - error)) / (2 * limit);
   const tick = limit > 0.25 ? 0.2 : 0.1;
   const words = `Mean error and standard deviation by target range, ${where}`;

@@ -4,7 +4,7 @@ import classes from "./MissTable.module.css";
 
 /** Predicted against measured, along and across the target line. */
 export function MissTable({ thrown }: { thrown: Throw }) {
-  const sd = (value: number | null) => (value === null ? "" : ` ± ${fixed(value)}`);
+  const sd = (value: number | null) => (value === null ? "–" : `± ${fixed(value)} m`);
   return (
     <table className={classes.miss}>
       <thead>
@@ -22,8 +22,8 @@ export function MissTable({ thrown }: { thrown: Throw }) {
         </tr>
         <tr className={classes.faint}>
           <th scope="row">1σ</th>
-          <td>{sd(thrown.predicted_sd_downrange_m)} m</td>
-          <td>{sd(thrown.predicted_sd_crossrange_m)} m</td>
+          <td>{sd(thrown.predicted_sd_downrange_m)}</td>
+          <td>{sd(thrown.predicted_sd_crossrange_m)}</td>
         </tr>
         <tr className={classes.strong}>
           <th scope="row">Measured</th>
