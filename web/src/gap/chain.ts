@@ -39,7 +39,8 @@ const STAGES = [
 ] as const;
 
 export function chainOf(found: Diagnosis): Chain {
-  const here = placeOf(found.evidence.where)?.stage;
+  const here =
+    found.verdict === "none" ? largestStage(found) : placeOf(found.evidence.where)?.stage;
   const named = placesOf(found.evidence.named);
   const numbers = found.stages.flatMap((term) => [...term.ci90_m, term.miss_m.downrange]);
   const limit_m = Math.max(0, ...numbers.filter(Number.isFinite).map(Math.abs));
@@ -68,6 +69,13 @@ export function chainOf(found: Diagnosis): Chain {
     };
   });
   return { links, limit_m, isMetric: limit_m > 0 };
+}
+
+/** Where nothing is wrong the evidence points to what would come nearest, not to what adds most. */
+function largestStage({ stages }: Diagnosis): string | undefined {
+  const shareOf = (stage: string) =>
+    sum(stages.filter((term) => term.stage === stage).map((term) => term.share_ratio));
+  return stages.map((term) => term.stage).toSorted((a, b) => shareOf(b) - shareOf(a))[0];
 }
 
 function sum(values: readonly number[]): number {

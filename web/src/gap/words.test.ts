@@ -178,6 +178,9 @@ describe("the chain", () => {
     expect(chain.links.map((link) => link.here)).toEqual(["cause", "", "", "", ""]);
     const healthy = chainOf({ ...found, verdict: "none" });
     expect(healthy.links[0]?.here).toBe("largest");
+    // Whatever would come nearest to a cause: what adds most is what adds most.
+    const aimed = { ...found, verdict: "none" as const, evidence: { where: { stage: "aim" } } };
+    expect(chainOf(aimed).links.map((link) => link.here)).toEqual(["largest", "", "", "", ""]);
     expect(chain.links[1]?.terms).toEqual([]);
     expect(chain.limit_m).toBe(0.5);
     expect(chain.isMetric).toBe(true);
