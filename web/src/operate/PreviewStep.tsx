@@ -17,6 +17,7 @@ type Props = {
 /** What the twin says: landing ellipse, numbers, and every check with its number and remedy. */
 export function PreviewStep({ machine, plan, gate }: Props) {
   const prediction = plan?.prediction ?? null;
+  const checks = machine.state?.checks ?? [];
   return (
     <>
       {!plan && (
@@ -24,7 +25,7 @@ export function PreviewStep({ machine, plan, gate }: Props) {
           <Loader size={12} mr={8} /> The twin throws it first.
         </p>
       )}
-      {untoldRefusals(plan?.refusals ?? [], gate).map((refusal) => (
+      {untoldRefusals(plan?.refusals ?? [], checks, gate).map((refusal) => (
         <p key={refusal.detail} className={classes.refusal} role="alert">
           {refusal.detail}
         </p>
@@ -42,10 +43,7 @@ export function PreviewStep({ machine, plan, gate }: Props) {
           <PreviewNumbers prediction={prediction} isComplete={plan?.is_complete ?? false} />
         </div>
       )}
-      <CheckList
-        checks={machine.state?.checks ?? []}
-        isTold={(check) => isToldCheck(check, gate)}
-      />
+      <CheckList checks={checks} isTold={(check) => isToldCheck(check, gate)} />
     </>
   );
 }

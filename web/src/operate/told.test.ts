@@ -20,14 +20,15 @@ const refusals = [
 
 describe("what the foot of the panel says already", () => {
   it("that the gripper is empty is said once", () => {
-    expect(untoldRefusals(refusals, empty)).toEqual([refusals[1]]);
+    expect(untoldRefusals(refusals, [], empty)).toEqual([refusals[1]]);
+    expect(untoldRefusals(refusals, [payload], null)).toEqual([refusals[1]]);
     expect(isToldCheck(payload, empty)).toBe(true);
     expect(isToldCheck(pump, empty)).toBe(false);
   });
 
   it("a refusal in the same words is said once", () => {
     const gate: Gate = { id: "refused", sentence: refusals[1]?.detail ?? "", action: null };
-    expect(untoldRefusals(refusals, gate)).toEqual([refusals[0]]);
+    expect(untoldRefusals(refusals, [], gate)).toEqual([refusals[0]]);
   });
 
   it("a failed check is said once", () => {
@@ -39,7 +40,7 @@ describe("what the foot of the panel says already", () => {
   it("everything is said where the foot says nothing or something else", () => {
     const moving: Gate = { id: "moving", sentence: "m001 is moving.", action: null };
     for (const gate of [null, moving]) {
-      expect(untoldRefusals(refusals, gate)).toEqual(refusals);
+      expect(untoldRefusals(refusals, [], gate)).toEqual(refusals);
       expect(isToldCheck(payload, gate)).toBe(false);
     }
   });

@@ -11,10 +11,15 @@ const EMPTY = { gate: "no_payload", reason: "no_payload", check_id: "payload" };
 
 export const checkSentence = (check: Check) => `${check.text} ${check.remedy}`.trim();
 
-export function untoldRefusals(refusals: readonly Refusal[], gate: Gate | null): Refusal[] {
+export function untoldRefusals(
+  refusals: readonly Refusal[],
+  checks: readonly Check[],
+  gate: Gate | null,
+): Refusal[] {
+  const isEmptyTold =
+    gate?.id === EMPTY.gate || checks.some((c) => c.check_id === EMPTY.check_id && !c.passed);
   return refusals.filter(
-    ({ detail, reason }) =>
-      detail !== gate?.sentence && !(gate?.id === EMPTY.gate && reason === EMPTY.reason),
+    ({ detail, reason }) => detail !== gate?.sentence && !(isEmptyTold && reason === EMPTY.reason),
   );
 }
 
