@@ -28,6 +28,7 @@ from diagnosis.causes.trials import (
     by_member,
     evidence_in,
     fair_on_all,
+    is_ahead,
     kept_at,
     own_evidence,
     refined,
@@ -89,14 +90,17 @@ def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
         shows = not beyond or bool(_is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
     trials = best_of_each(try_sets(problem, seeds))
-    best = [trials[i] for i in np.argsort(fair_on_all(trials))[::-1][:SINGLE_COUNT]]
-    return refined(problem, best)
+    # About another size "no effect" may be likelier than all that is far from its own best size yet.
+    fair = fair_on_all(trials)
+    best = sorted(range(len(trials)), key=lambda i: (is_ahead(trials[i]), fair[i]))[::-1]
+    return refined(problem, [trials[i] for i in best[:SINGLE_COUNT]])
 
 
 def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
     """Pairs behind singles, best first: with all that slopes do not show at suspect joints.
 
-    These are the best one's own, those that they leave loud, and those where a shape helps.
+    These are the best one's own, those that they leave loud, those where a shape helps, and those where
+    slopes show a second effect plainly.
     """
     seeds: list[Seed] = []
     known = again([t for t in singles if t.members])
@@ -107,6 +111,7 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
         suspects += [m[-1] for _, m in with_shapes(problem, [trial])]
         joints = [problem.layout.groups[g][1] or "" for g in suspects]
         joints += _loud_joints(problem, trial.whitened, mean, 1)
+        joints += _plain_partner_joints(problem, trial)
         at = again([trial])[trial.members]
         for group in _of_joints(problem, joints):
             members = tuple(sorted((own, group)))
@@ -117,6 +122,20 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
                 ]
     found = sorted(best_of_each(try_sets(problem, seeds)), key=lambda t: -own_evidence(t))
     return again(found[:PARTNER_COUNT])
+
+
+def _plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
+    """The joint of the second effect that slopes show best beside a trial's, if they show it plainly.
+
+    What they show need not be what is there: they called a slew's speed limit a gain, 140 ahead of the late
+    sensor of the telescope alone; the limit was another 240 ahead.
+    """
+    pairs = [(*trial.members, g) for g in _of_library(problem) if g not in trial.members]
+    weighed = [weigh(trial.base, trial.priors, tuple(sorted(pair))) for pair in pairs]
+    place = int(np.argmax([e.log_odds for e in weighed]))
+    ahead = weighed[place].log_odds - weigh(trial.base, trial.priors, trial.members).log_odds
+    joint = problem.layout.groups[pairs[place][-1]][1]
+    return [joint] if joint is not None and ahead > PLAIN_LOG_ODDS else []
 
 
 def grown_sets(

@@ -42,6 +42,8 @@ from sim_twin.effects.effect import DRIFT, Effect, resolve
 
 BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis")
 """Joints stand, or valves hang in their play, for a time that grows with the size in jumps."""
+MOST_STEPS_COUNT = 3
+"""Simulations of a bent effect that may follow each other in search of its size."""
 BATCH_COUNT = 10
 """Sets simulated side by side: 12 throws with the slopes of 30 sets took 1.7 GiB."""
 
@@ -150,6 +152,11 @@ def _estimated(
     return trials[0] if len(trials) == 1 else max(trials, key=_lead)
 
 
+def is_ahead(trial: Trial) -> bool:
+    """Whether a trial's set beats no effect in the trial itself."""
+    return _lead(trial) > 0.0
+
+
 def _lead(trial: Trial) -> float:
     """Log odds of a trial's set over no effect in its own noise."""
     own, without = screens(trial, total(trial.information))
@@ -256,10 +263,21 @@ def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials; once more, where the estimate is further than its uncertainty from what was simulated."""
-    moved = {t.members: t for t in trials if not (t.bent or _is_near(t))}
-    moved |= {t.members: t for t in refined(problem, list(moved.values()))}
-    return [moved.get(t.members, t) for t in trials]
+    """Trials; once more, where the estimate is further than its uncertainty from what was simulated.
+
+    Slopes of bent effects are no guide: those are simulated again as long as that tells them better. Behind
+    the best play of a telescope alone, 0.05 m, a lag was found 62 ahead of it, and 283 ahead of it with the
+    play of 0.035 m that both had.
+    """
+    found = {t.members: t for t in trials}
+    moved = [t for t in trials if t.bent or not _is_near(t)]
+    for _ in range(MOST_STEPS_COUNT):
+        tried = refined(problem, moved)
+        moved = [t for t, old in zip(tried, moved, strict=True) if t.bent and t is not old]
+        found |= {t.members: t for t in tried}
+        if not moved:
+            break
+    return [found[t.members] for t in trials]
 
 
 def _is_near(trial: Trial) -> bool:

@@ -214,7 +214,8 @@ class Payload:
         self._end_flight(rows, begin_ns, end.time_s)
 
     def _end_flight(self, rows: IntArray, begin_ns: IntArray, time_s: Array) -> None:
-        self.impact_t_ns[rows] = begin_ns + np.round(time_s * 1e9).astype(np.int64)
+        # A load of no finite state, as hypotheses far off make some, has no time of its own either.
+        self.impact_t_ns[rows] = begin_ns + np.round(np.nan_to_num(time_s) * 1e9).astype(np.int64)
         self.flying[rows] = False
         self.position_m[rows] = np.nan
 
