@@ -90,10 +90,17 @@ def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
         shows = not beyond or bool(_is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
     trials = best_of_each(try_sets(problem, seeds))
-    # About another size "no effect" may be likelier than all that is far from its own best size yet.
+    return refined(problem, most_hopeful(trials)[:SINGLE_COUNT])
+
+
+def most_hopeful(trials: Sequence[Trial]) -> list[Trial]:
+    """Trials, best first; those that lose to no effect in themselves come last.
+
+    About the leader's size "no effect" may be likelier than all that is still far from its own best size.
+    """
     fair = fair_on_all(trials)
-    best = sorted(range(len(trials)), key=lambda i: (is_ahead(trials[i]), fair[i]))[::-1]
-    return refined(problem, [trials[i] for i in best[:SINGLE_COUNT]])
+    order = sorted(range(len(trials)), key=lambda i: (is_ahead(trials[i]), fair[i]), reverse=True)
+    return [trials[i] for i in order]
 
 
 def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
@@ -111,7 +118,7 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
         suspects += [m[-1] for _, m in with_shapes(problem, [trial])]
         joints = [problem.layout.groups[g][1] or "" for g in suspects]
         joints += _loud_joints(problem, trial.whitened, mean, 1)
-        joints += _plain_partner_joints(problem, trial)
+        joints += plain_partner_joints(problem, trial)
         at = again([trial])[trial.members]
         for group in _of_joints(problem, joints):
             members = tuple(sorted((own, group)))
@@ -124,7 +131,7 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
     return again(found[:PARTNER_COUNT])
 
 
-def _plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
+def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
     """The joint of the second effect that slopes show best beside a trial's, if they show it plainly.
 
     What they show need not be what is there: they called a slew's speed limit a gain, 140 ahead of the late

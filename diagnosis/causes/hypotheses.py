@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.causes.candidates import (
+    PART_COUNT,
     grown_sets,
     missing_parts,
     of_some_size,
@@ -44,11 +45,10 @@ from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 
 BOOTSTRAP_COUNT = 30
-PART_COUNT = 3
 GROWTH = ((3, 6), (2, 3))
 """For pairs, then triples: smaller sets to grow from, and grown sets to simulate."""
 PARTNERED_COUNT = 2
-"""Singles whose joint, if they leave it loud, is searched for a second effect that no slope shows."""
+"""Singles behind which second effects that no slope shows are looked for."""
 WEIGHED_COUNT = 5
 
 
@@ -99,7 +99,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         found += of_some_size(problem, settle(problem, seeds, 2 if size == 2 else 1))
         tick(0.4 + 0.2 * (size - 1))
     ranked = [found[i] for i in np.argsort(fair_on_all(found))[::-1]]
-    found += settle(problem, missing_parts(found, ranked[:PART_COUNT]), 1)
+    found += try_sets(problem, missing_parts(found, ranked[:PART_COUNT]))
     by_members = {t.members: t for t in found}
     chosen = [t.members for t in ranked[:WEIGHED_COUNT] if t.members]
     # A set must not win because it was simulated nearer to its best size than its own parts were.

@@ -234,15 +234,12 @@ def _constants(layout: Layout, members: Set) -> list[Parameter]:
 
 def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, ...]:
     """A hypothesis at sizes (of its parameters, group after group) as effects of the library."""
-    effects: list[Effect] = []
-    at = 0
-    for group in members:
-        width = layout.priors.groups[group].size
-        # Shapes of the unheard-of are no effects: there is nothing to simulate.
-        if not layout.is_unheard(group):
-            effects.append(effects_of(layout, group, sizes[at : at + width]))
-        at += width
-    return tuple(effects)
+    # Shapes of the unheard-of are no effects: there is nothing to simulate.
+    return tuple(
+        effects_of(layout, group, own)
+        for group, own in by_member(layout.priors, members, sizes).items()
+        if not layout.is_unheard(group)
+    )
 
 
 def settle(problem: Problem, seeds: Mapping[Set, Array], rounds: int) -> list[Trial]:

@@ -204,7 +204,8 @@ class ValveEffects:
             velocity: what the lag makes of both.
             slope: the lag's second state.
             active_position_rad_m: joints.
-            seen: measured velocity, which then says when a joint that sticks comes to rest.
+            seen: measured velocity, which then says when a joint that sticks comes to rest, and on which side
+                of its play the slew begins.
         """
         if self._gap is not None:
             velocity, slope = self._cross(

@@ -39,8 +39,9 @@ def replay_drives(
         elements: what to simulate; what they take as measured is not looked at.
         profile: of the machine; its own effects act in every element.
         calibration: of its valves.
-        as_measured: joints that stick come to rest, and cylinders are at their end stops, when the recorded
-            ones were: whether a slow joint just stops decides all that follows.
+        as_measured: levers, loads and end stops are those of where the recorded joints were; joints that
+            stick come to rest when those did, and the slew's play begins where their motion says: whether a
+            slow joint just stops decides all that follows.
     """
     spec, exact, count = load_spec(), exact_profile(profile), len(elements)
     throws = [inputs[e.throw] for e in elements]
@@ -59,7 +60,8 @@ def replay_drives(
     low, high = spec.position_range_rad_m
     ticks = max(t.valve_ratio.shape[0] for t in throws)
     valve = np.stack([padded(t.valve_ratio, ticks, hold=False) for t in throws], axis=1)
-    seen = np.stack([padded(_steadied(t), ticks, hold=False) for t in throws], axis=1)
+    steadied = [padded(_steadied(one), ticks, hold=False) for one in inputs]
+    seen = np.stack([steadied[e.throw] for e in elements], axis=1)
     place = np.stack([padded(t.position_rad_m, ticks, hold=True) for t in throws], axis=1)
     if bias is not None:
         place = place - bias

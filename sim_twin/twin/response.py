@@ -147,7 +147,8 @@ class VelocityResponse:
         """Joint velocities (N, 4) at the end of a tick during which the valves stood at `valve_ratio`.
 
         A dead time between two ticks takes the mean of the two delayed commands that act in the tick. Joints
-        that stick come to rest when measured velocities do, if there are any (`seen`).
+        that stick come to rest, and the slew's play begins, as measured velocities say, if there are any
+        (`seen`).
         """
         depth, tick, effects = self._depth, self._tick, self._effects
         if effects is None:

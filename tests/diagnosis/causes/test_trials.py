@@ -5,7 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.causes.candidates import missing_parts, of_some_size
+from diagnosis.causes import candidates, trials
+from diagnosis.causes.candidates import (
+    missing_parts,
+    most_hopeful,
+    of_some_size,
+    plain_partner_joints,
+)
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.trials import Trial, _formed, evidence_in, fair_evidence
@@ -101,3 +107,39 @@ def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():
     seeds = missing_parts([trial(), one, both], [both])
     assert list(seeds) == [(1,)]
     np.testing.assert_array_equal(seeds[1,], SIZES[1:])
+
+
+def test_a_second_effect_that_slopes_show_plainly_makes_its_joint_suspect():
+    """What is there may be something at that joint that slopes do not show."""
+    groups = [("imu_latency", None), ("valve_gain", "slew"), ("base_height", None)]
+    problem = SimpleNamespace(layout=SimpleNamespace(groups=groups, is_unheard=lambda _: False))
+    assert plain_partner_joints(problem, trial((0,), SIZES[:1])) == ["slew"]
+    assert plain_partner_joints(problem, trial((0, 1), SIZES)) == []
+
+
+def test_what_beats_no_effect_comes_before_what_does_not(monkeypatch):
+    far, behind, leader = trial((1,), SIZES[1:]), trial((2,), SIZES[1:]), trial((0,), SIZES[:1])
+    monkeypatch.setattr(candidates, "fair_on_all", lambda _: [-20.0, -3.0, 50.0])
+    monkeypatch.setattr(candidates, "is_ahead", lambda one: one is not behind)
+    assert most_hopeful([far, behind, leader]) == [leader, far, behind]
+
+
+@pytest.mark.parametrize(("start", "end", "simulations"), [(0.050, 0.035, 3), (0.030, 0.030, 1)])
+def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulations):
+    """Its estimate says where to look next; the best of what was simulated stays."""
+    asked = []
+
+    def at(size):
+        return Trial(
+            (1,), np.array([size]), np.array([size - 0.005]), [], [], PRIORS, PRIORS, None, (1,)
+        )
+
+    def try_sets(problem, seeds):
+        asked.append(seeds)
+        return [at(float(size[0])) for size in seeds.values()]
+
+    monkeypatch.setattr(trials, "try_sets", try_sets)
+    monkeypatch.setattr(trials, "own_evidence", lambda one: -abs(float(one.at[0]) - 0.030))
+    (found,) = trials.nearer(SimpleNamespace(), [at(start)])
+    assert float(found.at[0]) == pytest.approx(end)
+    assert len(asked) == simulations
