@@ -143,3 +143,15 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
     (found,) = trials.nearer(SimpleNamespace(), [at(start)])
     assert float(found.at[0]) == pytest.approx(end)
     assert len(asked) == simulations
+
+
+def test_large_sizes_are_tried_one_way_at_a_time():
+    """A dead band that is large both ways hides one that is large one way."""
+    plan = layout(load_noise())
+    group = plan.groups.index(("valve_dead_band", "dipper"))
+    typical, positive, negative = candidates._sizes_beyond_slopes(
+        SimpleNamespace(layout=plan), group
+    )
+    assert (typical > 0.0).all()
+    np.testing.assert_allclose(positive, [3.0 * typical[0], 0.0])
+    np.testing.assert_allclose(negative, [0.0, 3.0 * typical[1]])
