@@ -208,14 +208,8 @@ def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """Trials all of whose effects are larger than the narrowest prior that they could have.
 
     A sensor of the slew that is 3 ms late explained how the gripper shook when its gears met, and was named.
-    Of bent effects what was simulated counts as well: a play of 0.02 rad whose slopes want none is none.
     """
-    return [
-        t
-        for t in trials
-        if _is_some(problem, t.members, t.sizes).all()
-        and (not t.bent or _is_some(problem, t.members, t.at).all())
-    ]
+    return [t for t in trials if _is_some(problem, t.members, t.sizes).all()]
 
 
 def _is_some(problem: Problem, members: Set, sizes: Array) -> BoolArray:

@@ -136,9 +136,9 @@ _ACTUATION = (
         "actuation",
         ACTIVE_JOINTS,
         (P("breakaway_rad_m_per_s", 0.0, 0.15, 0.003, 0.05, 0.02),),
-        "A joint at rest stays until the steady speed of its command, as late as the valve, exceeds "
-        "this; then it soon is as fast as if it had never stuck.",
-        "static friction of seals: stationary phase, then a jump in speed (valve-stiction literature)",
+        "A joint at rest stays until the steady speed of its command exceeds this; then it jumps by "
+        "what the oil behind it was compressed, and goes.",
+        "static friction of seals: stationary phase and slip jump (valve-stiction literature)",
     ),
     EffectSpec(
         "pump_flow_sharing",

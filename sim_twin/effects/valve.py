@@ -9,14 +9,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from machine.calibration import actuator_ratio
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
+from machine.kinematics import cylinder_length_m
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.effects.stiction import STANDING_RAD_M_PER_S, Stiction
 from sim_twin.twin.arm_load import gravity_load_ratio
 
 MIN_LAG_S = 0.01
 """A mean lag cannot be taken away beyond this: one control tick."""
+STOP_SHARE_RATIO = 0.1
+"""A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
+STANDING_RAD_M_PER_S = 0.005
+"""A joint that is measured to be slower over a tenth of a second stands: twice what sensors scatter then."""
+BULK_MODULUS_PA = 0.8e9
+"""Effective: mineral oil with little air (textbook 1.4-1.7 GPa) behind long hoses, which halve it; 0.5-0.9
+GPa were measured on a crane of this size (docs/virtual_machine.md, S)."""
+SLEW_TRAPPED_M3 = 1.5e-3
+"""Oil on each side of the slew motor (assumed)."""
 SLIP_S = 0.02
 """Time constant with which a drive's push eases while it is alone in its play."""
 
@@ -46,6 +56,25 @@ def drive_flows(spec: MachineSpec) -> Flows:
     )
 
 
+def slip_jumps(spec: MachineSpec) -> Array:
+    """Way (4,) that a stuck joint jumps when the full supply pressure has compressed the oil behind it.
+
+    Force p A over the stiffness b A^2 (1/V1 + 1/V2) of two chambers of half the stroke each: p s / (4 b).
+    """
+    low, high = spec.position_range_rad_m
+    middle = np.array([[0.0, *(0.5 * (low[1:] + high[1:]))]])
+    h = spec.hydraulics
+    strokes = [
+        abs(float(np.diff(cylinder_length_m(cylinder, np.array([low[joint], high[joint]])))[0]))
+        for joint, cylinder in ((1, h.boom_cylinder), (2, h.dipper_cylinder))
+    ]
+    stroke = np.array([0.0, *strokes, high[3] - low[3]])
+    jump = 0.25 * h.supply_pressure_pa * stroke / BULK_MODULUS_PA
+    slew = h.supply_pressure_pa * SLEW_TRAPPED_M3 / (2.0 * BULK_MODULUS_PA)
+    jump[0] = slew / h.slew_displacement_m3_per_rad
+    return jump / np.abs(actuator_ratio(spec, middle))[0]
+
+
 class ValveEffects:
     """Effects of the stage `actuation`; arrays (N, 4)."""
 
@@ -63,8 +92,7 @@ class ValveEffects:
         self._reduction = get("speed_limit", "reduction_ratio")
         self._loss = get("load_dependent_speed", "loss_ratio")
         self._shortage = get("pump_flow_sharing", "shortage_ratio")
-        breakaway = get("stiction", "breakaway_rad_m_per_s")
-        self._stiction = None if breakaway is None else Stiction(breakaway)
+        self._breakaway = get("stiction", "breakaway_rad_m_per_s")
         self._gap = get("backlash", "gap_rad_m")
         self._flows = drive_flows(spec)
         self._rated = (
@@ -75,7 +103,10 @@ class ValveEffects:
         self._lost, self._free = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
         self._anywhere = np.zeros(shape, dtype=np.bool_)
         self._slope_before = np.zeros(shape)
+        self._at_rest = np.ones(shape, dtype=np.bool_)
+        self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
         self._is_fresh = True
+        self._seen_before, self._push = np.zeros(shape), np.zeros(shape)
         self._mean_lag_s = np.zeros(shape)
 
     def reset(self) -> None:
@@ -84,8 +115,10 @@ class ValveEffects:
         self._lagging[:] = 0.0
         self._slope_before[:] = 0.0
         self._is_fresh = True
-        if self._stiction is not None:
-            self._stiction.reset()
+        self._at_rest[:] = True
+        self._wound[:] = 0.0
+        self._push[:] = 0.0
+        self._seen_before = np.zeros_like(self._wound)
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
         """Natural frequencies whose mean lag 2 z / w is shorter by an extra lag below 0.
@@ -140,6 +173,10 @@ class ValveEffects:
             rated = np.where(target >= 0.0, *self._rated)
             cap = (1.0 - self._reduction) * np.maximum(rated, speed)
             target = np.sign(target) * np.minimum(speed, cap)
+        if self._breakaway is not None:
+            # A drive that has broken loose sends off what it had stored, as fast as its oil lets it.
+            target = target + np.where(self._at_rest, 0.0, self._wound / CONTROL_PERIOD_S)
+            self._wound = np.where(self._at_rest, self._wound, 0.0)
         return target
 
     def _share(self, actuator_speed: Array, shortage: Array) -> Array:
@@ -159,7 +196,7 @@ class ValveEffects:
         active_position_rad_m: Array,
         seen: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Drive velocity and its slope with joints that hang in the play of their drives.
+        """Drive velocity and its slope with joints that stick, or hang in the play of their drives.
 
         Args:
             target: steady speed asked for.
@@ -167,19 +204,30 @@ class ValveEffects:
             velocity: what the lag makes of both.
             slope: the lag's second state.
             active_position_rad_m: joints.
-            seen: measured velocity, which then says on which side of its play the slew begins.
+            seen: measured velocity, which then says when a joint that sticks comes to rest, and on which side
+                of its play the slew begins.
         """
         if self._gap is not None:
             velocity, slope = self._cross(
                 self._gap, target, before, velocity, slope, active_position_rad_m, seen
             )
-        return velocity, slope
-
-    def on_joint(self, target: Array, before: Array, velocity: Array, seen: Array | None) -> Array:
-        """What joints that stick make of the velocity of joints that do not; arguments as in `on_motion`."""
-        if self._stiction is None:
-            return velocity
-        return self._stiction.on_velocity(target, before, velocity, self._mean_lag_s, seen)
+        if self._breakaway is None:
+            return velocity, slope
+        # What pushes follows the valve as late as the motion does.
+        share = np.exp(-CONTROL_PERIOD_S / np.maximum(self._mean_lag_s, 1e-6))
+        self._push = target + share * (self._push - target)
+        small = (self._breakaway > 0.0) & (np.abs(self._push) <= self._breakaway)
+        if seen is None:
+            slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
+            stops = slow | (before * velocity <= 0.0)
+        else:
+            stops = (np.abs(seen) < STANDING_RAD_M_PER_S) | (self._seen_before * seen <= 0.0)
+            self._seen_before = seen
+        self._at_rest = small & (self._at_rest | stops)
+        # The valve fills a stuck drive until the pressure is full.
+        wound = np.clip(self._wound + target * CONTROL_PERIOD_S, -self._jump, self._jump)
+        self._wound = np.where(self._at_rest, wound, self._wound)
+        return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
 
     def _cross(
         self,

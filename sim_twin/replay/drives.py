@@ -7,7 +7,6 @@ The twin's drives are stiff: what the arm does to them changes their velocity by
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
@@ -41,8 +40,8 @@ def replay_drives(
         profile: of the machine; its own effects act in every element.
         calibration: of its valves.
         as_measured: levers, loads and end stops are those of where the recorded joints were; joints that
-            stick come to rest (and, near to their breakaway, loose) when those did, and the slew's play
-            begins where their motion says: that decides all that follows.
+            stick come to rest when those did, and the slew's play begins where their motion says: whether a
+            slow joint just stops decides all that follows.
     """
     spec, exact, count = load_spec(), exact_profile(profile), len(elements)
     throws = [inputs[e.throw] for e in elements]
@@ -84,5 +83,6 @@ def replay_drives(
 
 
 def _steadied(one: ReplayInput) -> Array:
-    """Median of measured velocities (T, 4) over `STEADYING_TICKS`: a jump in them stays where it is."""
-    return median_filter(one.velocity_rad_m_per_s, (STEADYING_TICKS, 1), mode="nearest")
+    """Measured velocities (T, 4) over `STEADYING_TICKS` about every tick."""
+    window = np.full(STEADYING_TICKS, 1.0 / STEADYING_TICKS)
+    return np.apply_along_axis(np.convolve, 0, one.velocity_rad_m_per_s, window, mode="same")

@@ -147,8 +147,8 @@ class VelocityResponse:
         """Joint velocities (N, 4) at the end of a tick during which the valves stood at `valve_ratio`.
 
         A dead time between two ticks takes the mean of the two delayed commands that act in the tick. Joints
-        that stick come to rest, or loose, and the slew's play begins, as measured velocities say, if there
-        are any (`seen`).
+        that stick come to rest, and the slew's play begins, as measured velocities say, if there are any
+        (`seen`).
         """
         depth, tick, effects = self._depth, self._tick, self._effects
         if effects is None:
@@ -175,5 +175,4 @@ class VelocityResponse:
             self._velocity, self._slope = effects.on_motion(
                 target, before, self._velocity, self._slope, active_position_rad_m, seen
             )
-            return effects.on_joint(target, before, self._velocity, seen)
         return self._velocity

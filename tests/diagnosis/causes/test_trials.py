@@ -1,6 +1,5 @@
 """How sets of effects, and parts of them, are compared."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -101,9 +100,6 @@ def test_effects_too_small_to_be_any_are_left_out():
     large, small = one(0.02, 0.1), one(0.003, 0.1)
     impossible = one(-0.05, 0.1)
     assert of_some_size(problem, [none, large, small, impossible]) == [none, large]
-    bent = replace(large, bent=(band,))
-    lost, guessed = replace(bent, at=small.at), replace(bent, sizes=small.sizes)
-    assert of_some_size(problem, [bent, lost, guessed]) == [bent], "as simulated and as estimated"
 
 
 def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():

@@ -8,7 +8,7 @@ from machine.conventions import Array
 from machine.spec import load_spec
 from sim_twin.effects.arrays import effect_arrays
 from sim_twin.effects.effect import Effect
-from sim_twin.effects.valve import drive_flows
+from sim_twin.effects.valve import drive_flows, slip_jumps
 from sim_twin.twin.arm_load import gravity_load_ratio, tipping_ratio
 from sim_twin.twin.model import twin_model
 from sim_twin.twin.profile import exact_profile, nominal_profile
@@ -205,6 +205,57 @@ def test_a_vanishing_gap_loses_in_proportion() -> None:
     ]
     for gap, way in zip((1e-5, 1e-3), lost, strict=True):
         assert way.sum(axis=0)[TELESCOPE] == pytest.approx(gap, rel=1e-3)
+
+
+def test_a_sticking_joint_waits_for_the_breakaway_speed() -> None:
+    ticks = 300
+    ramp = np.zeros((ticks, 4))
+    ramp[:, TELESCOPE] = np.linspace(0.0, 0.6, ticks)
+    stuck = drive(ramp, effect("stiction", breakaway_rad_m_per_s=0.1), dead_s=0.0)[:, TELESCOPE]
+    free = drive(ramp, dead_s=0.0)[:, TELESCOPE]
+    wanted = np.interp(
+        ramp[:, TELESCOPE],
+        CALIBRATION.tables[TELESCOPE].valve_ratio,
+        CALIBRATION.tables[TELESCOPE].actuator_speed_rad_m_per_s,
+    )
+    # What pushes is as late as the motion without stiction.
+    lag_ticks = 200.0 * PROFILE.damping_ratio[3] / PROFILE.natural_frequency_rad_per_s[3]
+    first = int(np.flatnonzero(stuck)[0])
+    assert first == pytest.approx(np.flatnonzero(wanted > 0.1)[0] + lag_ticks, abs=2.0)
+    assert (stuck[first:] > 0.0).all()
+    assert free[first - 20] > 0.03
+    assert stuck[-1] == pytest.approx(free[-1], rel=0.02)
+    # What it has not gone it makes up for in a jump, as far as the oil is compressible.
+    jump = float(slip_jumps(SPEC)[TELESCOPE])
+    held = np.where(np.arange(ticks)[:, None] < first, 0.0, ramp)
+    lost = 0.01 * (drive(held, dead_s=0.0)[:, TELESCOPE].sum() - stuck.sum())
+    assert lost == pytest.approx(-jump, rel=0.05)
+
+
+def test_a_moving_joint_with_too_small_a_command_comes_to_rest() -> None:
+    valve = np.concatenate([step_command(0.5, ticks=100), step_command(0.06, ticks=300)])
+    assert drive(valve)[-1, TELESCOPE] > 0.005
+    stuck = drive(valve, effect("stiction", breakaway_rad_m_per_s=0.05))
+    assert stuck[99, TELESCOPE] > 0.15
+    assert stuck[-1, TELESCOPE] > 0.0, "slow, but never slow enough to stop"
+    closed = np.concatenate([step_command(0.5, ticks=100), step_command(0.0, ticks=300)])
+    assert drive(closed, effect("stiction", breakaway_rad_m_per_s=0.05))[-1, TELESCOPE] == 0.0
+
+
+def test_a_joint_that_sticks_comes_to_rest_when_the_measured_one_did() -> None:
+    valve = np.concatenate([step_command(0.5, ticks=100), step_command(0.06, ticks=300)])
+    sticks = effect("stiction", breakaway_rad_m_per_s=0.05)
+    stood = np.full(valve.shape, 0.1)
+    stood[250:260] = 0.0
+    stuck = drive(valve, sticks, seen=stood)[:, TELESCOPE]
+    assert stuck[249] > 0.005
+    assert not stuck[250:].any(), "it stays until the valve asks for more"
+    closed = np.concatenate([step_command(0.5, ticks=100), step_command(0.0, ticks=300)])
+    never = drive(closed, sticks, seen=np.full(closed.shape, 0.1))
+    np.testing.assert_allclose(never[100:], drive(closed)[100:], atol=1e-4)
+    reversed_ = np.where(np.arange(400)[:, None] < 250, 0.1, -0.1) * np.ones(4)
+    assert not drive(valve, sticks, seen=reversed_)[250:, TELESCOPE].any()
+    np.testing.assert_array_equal(drive(valve, seen=stood), drive(valve))
 
 
 def test_a_short_pump_scales_all_joints_alike_when_they_ask_for_more() -> None:
