@@ -18,7 +18,7 @@ UNKNOWN_LEVEL_SD = 5.0
 UNKNOWN_WIDTH_SD = 1.0
 """Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. Chosen
 before machines were known at two levels: then 8 of 10 unknown effects in development sets left 6.1 to 25,
-known ones that were named rightly up to 3.3. On 200 blind sets 9 of 25 are flagged (docs/diagnosis.md)."""
+known ones that were named rightly up to 3.3. On 410 blind sets 29 of 51 are flagged (docs/diagnosis.md)."""
 FORM_LEFT_RATIO = 0.1
 """Of a block's excess over healthy machines: less is the form of a large effect, not another one. On
 development sets right causes left 0.03 to 0.07 of it, unknown effects 0.3 to 1.0, known ones that were not
