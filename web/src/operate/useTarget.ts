@@ -22,7 +22,7 @@ export function useTarget(machineId: string | null) {
   const set = useCallback(
     async (target: Target, mode: "2d" | "3d") => {
       if (machineId === null) return;
-      dispatchLive({ kind: "target", machineId, target });
+      dispatchLive({ kind: "target", machineId, target, isProposing: true });
       next.current = { target, mode };
       if (isSending.current) return;
       isSending.current = true;
@@ -32,13 +32,14 @@ export function useTarget(machineId: string | null) {
         setError(await send(machineId, pending));
       }
       isSending.current = false;
+      dispatchLive({ kind: "target_told", machineId });
     },
     [machineId],
   );
 
   const clear = useCallback(async () => {
     if (machineId === null) return;
-    dispatchLive({ kind: "target", machineId, target: null });
+    dispatchLive({ kind: "target", machineId, target: null, isProposing: false });
     const params = { path: { machine_id: machineId } };
     await take(api.DELETE("/api/v1/machines/{machine_id}/target", { params })).catch(() => null);
   }, [machineId]);

@@ -112,6 +112,17 @@ describe("machine.lost", () => {
 });
 
 describe("target.proposed", () => {
+  it("an echo of an older target does not take back what is typed meanwhile", () => {
+    const typed = { ...target, range_m: 14 };
+    const kind = "target" as const;
+    const asked = reduceLive(loaded, { kind, machineId: "m001", target: typed, isProposing: true });
+    const echo = { ...proposed("me"), source: "fields" } as const;
+    expect(event(asked, echo).machines.m001?.target).toEqual(typed);
+    expect(event(asked, proposed("me")).machines.m001?.target).toEqual(target);
+    const told = reduceLive(asked, { kind: "target_told", machineId: "m001" });
+    expect(event(told, echo).machines.m001?.target).toEqual(target);
+  });
+
   it("of another session is none of ours", () => {
     expect(event(loaded, proposed("somebody"))).toBe(loaded);
   });

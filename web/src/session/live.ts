@@ -30,6 +30,8 @@ export type Live = {
   sites: Readonly<Record<string, Schema["SiteView"]>>;
   /** Why a picked point cannot be a target, by machine. */
   targetRefusals: Readonly<Record<string, string>>;
+  /** Machines whose target this page is telling the server: until then an echo is of an older one. */
+  proposing: Readonly<Record<string, boolean>>;
   /** Last lease change by machine, to tell why control was lost. */
   leaseNews: Readonly<Record<string, Schema["LeaseChangedEvent"]>>;
   alerts: readonly Alert[];
@@ -40,7 +42,8 @@ export type LiveAction =
   | { kind: "resync"; machines: readonly Machine[] }
   | { kind: "event"; event: ServerEvent; sessionId: string | null }
   | { kind: "plan"; plan: Plan }
-  | { kind: "target"; machineId: string; target: Schema["TargetView"] | null }
+  | { kind: "target"; machineId: string; target: Schema["TargetView"] | null; isProposing: boolean }
+  | { kind: "target_told"; machineId: string }
   | { kind: "dismiss"; id: number };
 
 export const EMPTY_LIVE: Live = {
@@ -50,6 +53,7 @@ export const EMPTY_LIVE: Live = {
   gapRuns: {},
   sites: {},
   targetRefusals: {},
+  proposing: {},
   leaseNews: {},
   alerts: [],
   isLoaded: false,
@@ -89,10 +93,16 @@ export function reduceLive(live: Live, action: LiveAction): Live {
       return action.plan.plan_id in live.plans ? live : putPlan(live, action.plan);
     case "target":
       return patch(
-        { ...live, targetRefusals: { ...live.targetRefusals, [action.machineId]: "" } },
+        {
+          ...live,
+          targetRefusals: { ...live.targetRefusals, [action.machineId]: "" },
+          proposing: { ...live.proposing, [action.machineId]: action.isProposing },
+        },
         action.machineId,
         (machine) => ({ ...machine, target: action.target }),
       );
+    case "target_told":
+      return { ...live, proposing: { ...live.proposing, [action.machineId]: false } };
     case "dismiss":
       return { ...live, alerts: live.alerts.filter((alert) => alert.id !== action.id) };
     case "event":
@@ -148,7 +158,8 @@ function onMachine(live: Live, machine: Machine): Live {
 
 function onTarget(live: Live, event: Schema["TargetProposedEvent"]): Live {
   const refusals = { ...live.targetRefusals, [event.machine_id]: event.refusal };
-  if (event.refusal && !event.target) return { ...live, targetRefusals: refusals };
+  const isEcho = event.source === "fields" && live.proposing[event.machine_id];
+  if (isEcho || (event.refusal && !event.target)) return { ...live, targetRefusals: refusals };
   return patch({ ...live, targetRefusals: refusals }, event.machine_id, (machine) => ({
     ...machine,
     target: event.target,
