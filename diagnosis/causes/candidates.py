@@ -134,8 +134,8 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
 def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
     """The joint of the second effect that slopes show best beside a trial's, if they show it plainly.
 
-    What they show need not be what is there: they called a slew's speed limit a gain, 140 ahead of the late
-    sensor of the telescope alone; the limit was another 240 ahead.
+    What they show need not be what is there: they called a slew's speed limit a gain, 536 ahead of the late
+    sensor of the telescope alone; the limit was another 306 ahead.
     """
     pairs = [(*trial.members, g) for g in _of_library(problem) if g not in trial.members]
     weighed = [weigh(trial.base, trial.priors, tuple(sorted(pair))) for pair in pairs]

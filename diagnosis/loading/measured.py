@@ -10,9 +10,10 @@ from scipy.linalg import solveh_banded
 
 from diagnosis.loading.logs import ThrowData
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
+from runtime.control.imu_estimator import start_angle
 from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayInput
-from sim_twin.replay.turned_imu import swing_from_gyro, tilt_at_start
+from sim_twin.replay.turned_imu import swing_from_gyro
 
 POSITION_SD_RAD_M = 1.3e-3
 VELOCITY_SD_RAD_M_PER_S = 7e-3
@@ -138,7 +139,7 @@ def measured_motion(throw: ThrowData) -> MeasuredMotion:
     swing, swing_rate = angle[:, 0], rate[:, 0]
     swing[:, 0] -= position[:, 1] + position[:, 2]
     swing_rate[:, 0] -= velocity[:, 1] + velocity[:, 2]
-    told = force is not None and np.abs(start - tilt_at_start(force)).max() < SAME_START_RAD
+    told = force is not None and np.abs(start - start_angle(force)).max() < SAME_START_RAD
     return MeasuredMotion(
         t_s, position, velocity, acceleration, swing, swing_rate, gyro, force if told else None
     )

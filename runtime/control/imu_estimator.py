@@ -226,7 +226,7 @@ def _take_sample(
     any_gap = np.count_nonzero(gap) > 0
     before = state.rate_rad_per_s
     turning = gyro - state.gyro_bias_rad_per_s
-    rate = _joint_rates(state, turning)
+    rate = joint_rates(state.angle_rad, turning, state.pin_velocity_rad_m_per_s[2])
     # On the virtual machine no filter of the rate (alpha-beta-gamma, accelerometer, joint sensors) did
     # better than 15 % below these differences: what is missing after 30 ms is the drives' own jerk.
     acceleration = (rate - before) / dt
@@ -248,27 +248,36 @@ def _take_sample(
 def _begin(state: ImuState, gyro: Array, accel: Array, first: BoolArray) -> ImuState:
     """Start from one sample: a gripper that turns slowly is at rest, and its rate is the bias."""
     resting = np.abs(gyro).max(axis=0) < REST_RATE_MAX_RAD_PER_S
-    tilt = np.stack([np.arctan2(accel[0], accel[2]), np.arctan2(accel[1], accel[2])])
-    outside = tilt - np.clip(tilt, -START_ANGLE_ZONE_RAD, START_ANGLE_ZONE_RAD)
     bias = np.where(first & resting, gyro, state.gyro_bias_rad_per_s)
     return state._replace(
-        angle_rad=np.where(first, outside, state.angle_rad),
+        angle_rad=np.where(first, start_angle(accel), state.angle_rad),
         gyro_bias_rad_per_s=bias,
         gyro_mean_rad_per_s=np.where(first, gyro, state.gyro_mean_rad_per_s),
     )
 
 
-def _joint_rates(state: ImuState, gyro: Array) -> Array:
+def start_angle(accel_m_per_s2: Array) -> Array:
+    """Swing and roll (2, ...) at which a gripper begins whose first specific force is this (3, ...)."""
+    x, y, z = accel_m_per_s2
+    tilt = np.stack([np.arctan2(x, z), np.arctan2(y, z)])
+    return tilt - np.clip(tilt, -START_ANGLE_ZONE_RAD, START_ANGLE_ZONE_RAD)
+
+
+def joint_rates(angle_rad: Array, gyro_rad_per_s: Array, cabin_rad_per_s: Array) -> Array:
     """Rates (2, N) of swing and roll from the gripper's turning rate (3, N) in its own frame.
 
     In S the gripper turns with (cabin sin(swing) + roll', -swing', cabin cos(swing)).
+
+    Args:
+        angle_rad: (2, N) swing from the vertical and roll.
+        gyro_rad_per_s: (3, N)
+        cabin_rad_per_s: (N,) of the slew joint.
     """
-    swing, roll = components(state.angle_rad)
-    wx, wy, wz = components(gyro)
-    _, _, cabin = components(state.pin_velocity_rad_m_per_s)
-    rates = np.empty_like(state.angle_rad)
+    swing, roll = components(angle_rad)
+    wx, wy, wz = components(gyro_rad_per_s)
+    rates = np.empty_like(angle_rad)
     rates[0] = np.sin(roll) * wz - np.cos(roll) * wy
-    rates[1] = wx - cabin * np.sin(swing)
+    rates[1] = wx - cabin_rad_per_s * np.sin(swing)
     return rates
 
 

@@ -60,7 +60,8 @@ def replay_drives(
     low, high = spec.position_range_rad_m
     ticks = max(t.valve_ratio.shape[0] for t in throws)
     valve = np.stack([padded(t.valve_ratio, ticks, hold=False) for t in throws], axis=1)
-    steadied = [padded(_steadied(one), ticks, hold=False) for one in inputs]
+    used = {e.throw for e in elements}
+    steadied = {i: padded(_steadied(inputs[i]), ticks, hold=False) for i in used}
     seen = np.stack([steadied[e.throw] for e in elements], axis=1)
     place = np.stack([padded(t.position_rad_m, ticks, hold=True) for t in throws], axis=1)
     if bias is not None:

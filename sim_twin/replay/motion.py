@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, JOINT_COUNT, Array, BoolArray
-from sim_twin.replay.turned_imu import swing_from_gyro, tilt_at_start
+from runtime.control.imu_estimator import start_angle
+from sim_twin.replay.turned_imu import swing_from_gyro
 from sim_twin.replay.types import ReplayElement, ReplayInput
 from sim_twin.twin.twin import Twin
 from sim_twin.twin.twin_effects import PrescribedMotion
@@ -138,7 +139,7 @@ def _start_shift(throw: ReplayInput, axes: Array) -> Array:
     shift = np.zeros(JOINT_COUNT)
     force = throw.start_force_m_per_s2
     if force is not None:
-        shift[ACTIVE_COUNT:] = tilt_at_start(axes @ force) - tilt_at_start(force)
+        shift[ACTIVE_COUNT:] = start_angle(axes @ force) - start_angle(force)
     return shift
 
 

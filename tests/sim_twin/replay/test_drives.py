@@ -97,3 +97,12 @@ def test_a_joint_that_sticks_rests_where_the_recorded_one_did(plain: Recorded) -
     true = replay_drives(one, element, PROFILE, CALIBRATION)[0, :, 2]
     assert (true == 0.0).any() and (true != 0.0).any()
     assert ((seen == 0.0) != (true == 0.0)).sum() <= 4, "smoothing moves a stop by a tick or two"
+
+
+def test_a_longer_throw_that_no_element_asks_for_is_left_alone(plain: Recorded) -> None:
+    given = plain.replay_input
+    rows = ("valve_ratio", "gripper_open", "position_rad_m", "velocity_rad_m_per_s")
+    short = given._replace(**{name: getattr(given, name)[:100] for name in rows})
+    both = replay_drives([given, short], [ReplayElement(1)], PROFILE, CALIBRATION, as_measured=True)
+    alone = replay_drives([short], [ReplayElement(0)], PROFILE, CALIBRATION, as_measured=True)
+    np.testing.assert_array_equal(both, alone)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from machine.conventions import CONTROL_PERIOD_S
+from runtime.control.imu_estimator import start_angle
 from sim_twin.effects.effect import Effect
 from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
-from sim_twin.replay.turned_imu import swing_from_gyro, tilt_at_start
+from sim_twin.replay.turned_imu import swing_from_gyro
 from tests.sim_twin.twin_throw import CALIBRATION, PROFILE, Recorded, record
 
 ALL = (True, True, True, True)
@@ -20,7 +21,7 @@ def as_measured(recorded: Recorded) -> ReplayInput:
     given = recorded.replay_input
     force = recorded.accel[0]
     angle, rate = swing_from_gyro(
-        recorded.gyro[:, None], given.velocity_rad_m_per_s[:, :1], tilt_at_start(force)[None]
+        recorded.gyro[:, None], given.velocity_rad_m_per_s[:, :1], start_angle(force)[None]
     )
     swing, swing_rate = angle[:, 0], rate[:, 0]
     swing[:, 0] -= given.position_rad_m[:, 1:3].sum(axis=1)
@@ -72,6 +73,6 @@ def test_a_start_that_the_machine_knew_otherwise_is_kept():
 
 def test_a_small_tilt_at_the_start_is_taken_for_plumb():
     force = 9.81 * np.array([[0.02, -0.02, 1.0], [0.1, 0.0, 1.0]])
-    found = tilt_at_start(force)
-    np.testing.assert_array_equal(found[0], 0.0)
-    np.testing.assert_allclose(found[1], [np.arctan(0.1) - 0.03, 0.0])
+    found = start_angle(force.T)
+    np.testing.assert_array_equal(found[:, 0], 0.0)
+    np.testing.assert_allclose(found[:, 1], [np.arctan(0.1) - 0.03, 0.0])
