@@ -4,14 +4,15 @@ import json as json_text
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
-from cli.campaigns import Campaign, CampaignOptions, open_with, throw_campaign
+from cli.campaigns import Campaign, CampaignOptions, throw_campaign
 from cli.evaluation_report import More, write_report
+from cli.registration import is_registered, open_aimed
 from cli.report_parts import FIRST_UNIT
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
-from machine.policy_card import add_evaluation, load_card
+from machine.policy_card import add_evaluation
 from sim_twin.throws.accuracy import (
     AccuracyReport,
     accuracy_table,
@@ -50,7 +51,8 @@ def run(
     """Throw many times at targets on the x axis and print how accurately the loads land.
 
     Every throw starts from a random pose that the machine could be in: in 2d the arm is aligned with the
-    target, in 3d the cabin stands anywhere. Errors are in the frame of the throw: downrange positive
+    target, in 3d the cabin stands anywhere. A machine without --calibration is measured and registered first,
+    as at its first start; the nominal twin is not. Errors are in the frame of the throw: downrange positive
     beyond the target, crossrange positive to its left. Throws run side by side, faster than real time.
 
     Example: downrange evaluate --mode 2d --plant virtual --targets 7.5:10:0.5 --json accuracy.json
@@ -72,7 +74,8 @@ def run(
         plot: write the plot to this file (.png, .svg or .pdf).
         policies: folder of policy versions; its active.json names the one of each mode.
         policy: folder of one policy version (policy.onnx and card.json), instead of the active one.
-        calibration: valve calibration of the machine; measured on the plant if left out.
+        calibration: valve calibration and registrations of the machine, from downrange calibrate; measured on
+            the plant if left out.
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and what a miss hangs on into this folder.
@@ -94,16 +97,32 @@ def run(
         return write_report(report, modes, options, More(units, first_unit, trainings))
     if units or trainings:
         raise UsageError("--units and --trainings go with --report")
-    _check_outputs(mode, heights, json, plot)
-    campaign = open_with(options, mode, DEFAULT_TARGETS)
+    return _evaluate(options, mode, Outputs(json, plot, card))
+
+
+class Outputs(NamedTuple):
+    """Where the result goes besides the terminal."""
+
+    json: Path | None
+    plot: Path | None
+    card: bool
+
+
+def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs) -> int:
+    """One campaign."""
+    _check_outputs(mode, options.heights, outputs.json, outputs.plot)
+    campaign, aim = open_aimed(options, mode, DEFAULT_TARGETS)
+    print(f"machine: {aim}", flush=True)
     started = perf_counter()
-    results = throw_campaign(campaign, throws, seed)
-    accuracy = _accuracy(campaign, plant, results, seed, perf_counter() - started)
-    _write_json(json, accuracy)
-    if card:
-        add_evaluation(campaign.policy_folder, _card_entry(campaign, accuracy, unit_seed))
-    if plot is not None:
-        _plot(plot, campaign, results, f"plant {plant}, unit {unit_seed}, seed {seed}")
+    results = throw_campaign(campaign, options.throws, options.seed)
+    accuracy = _accuracy(campaign, options, results, perf_counter() - started)
+    _write_json(outputs.json, accuracy)
+    if outputs.card:
+        add_evaluation(campaign.policy_folder, {**accuracy, "unit_seed": options.unit_seed})
+    if outputs.plot is not None:
+        words = "registered" if accuracy["is_registered"] else "not registered"
+        where = f"plant {options.plant}, unit {options.unit_seed}, {words}, seed {options.seed}"
+        _plot(outputs.plot, campaign, results, where)
     return 0
 
 
@@ -127,17 +146,17 @@ def _write_json(path: Path | None, accuracy: AccuracyReport) -> None:
 
 def _accuracy(
     campaign: Campaign,
-    plant: str,
+    options: CampaignOptions,
     results: Sequence[Sequence[ThrowResult]],
-    seed: int,
     seconds: float,
 ) -> AccuracyReport:
     """The result, printed."""
     accuracy = AccuracyReport(
         mode=campaign.params.mode.value,
-        plant=plant,
+        plant=options.plant,
         policy=campaign.policy_id,
-        seed=seed,
+        is_registered=is_registered(campaign),
+        seed=options.seed,
         seconds=seconds,
         real_time_factor=sum(r.simulated_s for part in results for r in part) / seconds,
         targets=[
@@ -150,13 +169,6 @@ def _accuracy(
     if bad:
         print(bad)
     return accuracy
-
-
-def _card_entry(campaign: Campaign, report: AccuracyReport, unit_seed: int) -> dict[str, Any]:
-    """The report, and what a reader of the card must know beside it."""
-    of_policy = load_card(campaign.policy_folder).policy_sha256
-    registered = [r.policy_sha256 for r in campaign.params.calibration.registrations]
-    return {**report, "unit_seed": unit_seed, "is_registered": of_policy in registered}
 
 
 def _plot(

@@ -9,11 +9,11 @@ from cli.campaigns import (
     Campaign,
     CampaignOptions,
     campaign_starts,
-    open_with,
     progress_line,
     throw_campaign,
 )
 from cli.conditions import height_rows, pace_rows, table
+from cli.registration import Aimed, is_registered, open_aimed
 from cli.report_parts import FIRST_UNIT, check_parts, repeated_starts, training_rows, unit_rows
 from cli.wide_unit import examine
 from diagnosis.evaluation.goals import examined_range_m, widest
@@ -22,7 +22,6 @@ from diagnosis.evaluation.page import evaluation_html
 from diagnosis.evaluation.paper import TARGETS
 from diagnosis.evaluation.sensitivity import EffectPlantMaker, FactorShift, sensitivity
 from machine.errors import UsageError
-from machine.policy_card import load_card
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
 from sim_twin.faults.fault import PlantEffect
@@ -61,13 +60,12 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, m
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}") from error
     # Heights have a section of their own.
     flat = options._replace(heights="0")
-    campaigns = [open_with(flat, mode, TARGETS[mode]) for mode in modes]
+    machines = [open_aimed(flat, mode, TARGETS[mode]) for mode in modes]
     room = MAX_LOGS
     parts: list[ModeEvaluation] = []
-    for mode, campaign in zip(modes, campaigns, strict=True):
-        part = _with_more(
-            _part(mode, campaign, flat, folder, room), flat, more, campaign.policy_folder
-        )
+    for mode, aimed in zip(modes, machines, strict=True):
+        own = aimed.campaign.policy_folder
+        part = _with_more(_part(mode, aimed, flat, folder, room), flat, more, own)
         room -= sum(failure.log is not None for failure in part.failures)
         parts.append(part)
         _print(part)
@@ -75,7 +73,9 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, m
     joined = ",\n".join(part.model_dump_json(indent=2) for part in parts)
     try:
         data.write_text(f'{{"modes": [\n{joined}\n]}}\n', encoding="utf-8")
-        html.write_text(evaluation_html(parts, campaigns[0].spec.static_reach_m), encoding="utf-8")
+        html.write_text(
+            evaluation_html(parts, machines[0].campaign.spec.static_reach_m), encoding="utf-8"
+        )
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
     print(f"wrote {html}, {data}")
@@ -83,9 +83,10 @@ def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, m
 
 
 def _part(
-    mode: str, campaign: Campaign, options: CampaignOptions, folder: Path, room: int
+    mode: str, aimed: Aimed, options: CampaignOptions, folder: Path, room: int
 ) -> ModeEvaluation:
     """One mode thrown and measured."""
+    campaign = aimed.campaign
     context = LogContext(
         machine_id=f"{options.plant}-{options.unit_seed}",
         throw_prefix=f"{mode}-s{options.seed}",
@@ -108,15 +109,14 @@ def _part(
     part = evaluation(
         about, campaign.ranges_m, results, logs, folder, _sensitivity(campaign, options, results)
     )
-    of_policy = load_card(campaign.policy_folder).policy_sha256
-    known = [r.policy_sha256 for r in campaign.params.calibration.registrations]
     at_m = part.sensitivity_range_m
     return part.model_copy(
         update={
             "paces": tuple(pace_rows(campaign, options.throws, options.seed)),
             "heights": tuple(height_rows(campaign, options.throws, options.seed)),
             "spread": repeated_starts(campaign, at_m, options.seed + 1) if at_m else None,
-            "is_registered": of_policy in known,
+            "is_registered": is_registered(campaign),
+            "aim": aimed.words,
         }
     )
 
@@ -202,7 +202,7 @@ def _print(part: ModeEvaluation) -> None:
     landed = sum(t.landed for t in part.targets)
     thrown = sum(t.throws for t in part.targets)
     speed = f"{part.seconds:.1f} s, {part.real_time_factor:.0f} times faster than real time"
-    print(f"{part.mode}: {landed} of {thrown} landed, {speed}")
+    print(f"{part.mode}: {landed} of {thrown} landed, {speed}\nmachine: {part.aim}")
     for rows in (part.paces, part.heights):
         if rows:
             print(table(rows))

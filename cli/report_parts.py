@@ -7,7 +7,8 @@ import numpy as np
 
 from cli.campaigns import Campaign, CampaignOptions, campaign_starts, open_with
 from cli.conditions import rows_of
-from cli.units import NOMINAL_UNIT, registered
+from cli.registration import is_registered, open_aimed, registered
+from cli.units import NOMINAL_UNIT
 from diagnosis.evaluation.conditions import pooled
 from diagnosis.evaluation.measures import TrainingRow, UnitRow
 from diagnosis.evaluation.spread import SpreadParts, spread_parts
@@ -75,21 +76,20 @@ def unit_rows(
 def training_rows(
     mode: str, options: CampaignOptions, folders: Sequence[Path], default_targets: str
 ) -> tuple[TrainingRow, ...]:
-    """All trainings of the mode at the same targets, from the same starts, without a registration."""
+    """All trainings of the mode at the same targets, from the same starts, each registered by itself."""
     found: list[TrainingRow] = []
     for folder in folders:
         card = load_card(folder)
         if card.mode.value != mode:
             continue
-        here = options._replace(policy=folder, heights="0")
-        campaign = open_with(here, mode, default_targets)
-        bare = campaign.params.calibration.without_registrations()
-        campaign = campaign._replace(params=campaign.params.with_calibration(bare))
+        here = options._replace(policy=folder, calibration=None, heights="0")
+        campaign = open_aimed(here, mode, default_targets).campaign
         found += [
             TrainingRow(
                 policy=card.policy_id,
                 training_seed=card.training.seed_count,
                 step_count=card.training.environment_step_count,
+                is_registered=is_registered(campaign),
                 row=row,
             )
             for row in rows_of(campaign, min(options.throws, TRAINING_THROWS), options.seed)

@@ -7,13 +7,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cli.campaigns import Campaign, open_campaign
+from cli.campaigns import open_campaign
 from cli.conditions import rows_of
+from cli.registration import registered
 from diagnosis.evaluation.conditions import ConditionRow, pooled
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
-from machine.policy_card import load_card
-from sim_twin.identify.register import register_machine, registration_throw_count
 
 NOMINAL_UNIT = 0
 
@@ -77,17 +76,6 @@ def run(
         text = json_text.dumps({"summary": summary, "seed": seed, "units": rows}, indent=2)
         json.write_text(text + "\n", encoding="utf-8")
     return 0
-
-
-def registered(campaign: Campaign, seed: int) -> Campaign:
-    """The campaign of a machine that has been registered as at its first start, its valves being measured."""
-    machine = campaign.make(registration_throw_count(load_card(campaign.policy_folder)))
-    try:
-        found = register_machine(machine, campaign.params, campaign.spec, seed)
-    finally:
-        machine.close()
-    tables = campaign.params.calibration.model_copy(update={"registrations": (found,)})
-    return campaign._replace(params=campaign.params.with_calibration(tables))
 
 
 def _line(unit: int, rows: list[ConditionRow]) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from cli.campaigns import CampaignOptions, open_with, progress_line, throw_campaign
-from cli.units import registered
+from cli.registration import registered
 from diagnosis.evaluation.wide_unit import Widest, WideUnit, wide_unit
 from machine.spec import load_spec
 from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate

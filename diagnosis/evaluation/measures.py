@@ -80,6 +80,8 @@ class TrainingRow(BaseModel):
     policy: str
     training_seed: int
     step_count: int
+    is_registered: bool = False
+    """Whether the machine had been registered with this training."""
     row: ConditionRow
 
 
@@ -117,6 +119,8 @@ class ModeEvaluation(BaseModel):
     """Other trainings of the same mode."""
     is_registered: bool = False
     """Whether the machine aimed by a registration of this policy."""
+    aim: str = ""
+    """How it aimed, in words; where it is not registered, why, and what to do."""
 
     @property
     def scatter(self) -> TargetRow | None:

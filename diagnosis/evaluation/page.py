@@ -77,6 +77,7 @@ def _head(parts: Sequence[ModeEvaluation]) -> str:
     return "<h1>Accuracy of throws</h1>" + section(
         "What was thrown",
         table(heads, rows)
+        + "".join(f"<p>{part.mode.upper()}: {escape(part.aim)}.</p>" for part in parts if part.aim)
         + '<p class="dim">Every throw from a random start pose. All intervals in this page are 95 %: of '
         "means by Student's t, of standard deviations by chi-square, of shares by Wilson's score.</p>",
     )
@@ -84,7 +85,7 @@ def _head(parts: Sequence[ModeEvaluation]) -> str:
 
 def _where(part: ModeEvaluation) -> str:
     words = f"{part.plant}, unit {part.unit_seed}, seed {part.seed}"
-    return f"{words}, aims by its registration" if part.is_registered else words
+    return f"{words}, {'' if part.is_registered else 'not '}registered"
 
 
 def _wilson(part: ModeEvaluation) -> str:

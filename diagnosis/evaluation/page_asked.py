@@ -37,6 +37,12 @@ def asked_section(parts: Sequence[ModeEvaluation]) -> str:
         words += f" Not: {'; '.join(missed)}."
     if any(shortfalls(part.mode, target) for part in parts for target in part.targets):
         words += " What holds the machine back is measured below, where a figure is exceeded most."
+    bare = [part.mode.upper() for part in parts if not part.is_registered]
+    if bare:
+        words += (
+            f" The machine of {' and '.join(bare)} is <b>not registered</b>: its mean errors are what a "
+            "registration takes away."
+        )
     return section(
         "What is asked, and whether it holds",
         f"<p>{words}</p>" + table(("mode", "asked", "limit", "worst here", "where", ""), rows),

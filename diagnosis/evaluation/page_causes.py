@@ -246,6 +246,7 @@ def trainings_section(part: ModeEvaluation) -> str:
             ("", escape(t.policy)),
             ("number", str(t.training_seed)),
             ("number", f"{t.step_count / 1e9:.2f}e9"),
+            ("", "yes" if t.is_registered else "no"),
             ("number", f"{t.row.range_m:g} m"),
             ("number", f"{t.row.landed_count} of {t.row.throw_count}"),
             *_numbers(
@@ -257,8 +258,10 @@ def trainings_section(part: ModeEvaluation) -> str:
     ]  # fmt: skip
     return section(
         f"Trainings side by side, {part.mode.upper()}",
-        '<p class="dim">The same starts and the same machine for all; none aims by a registration.</p>'
-        + table(("training", "seed", "control steps", "range", "landed", *_NUMBERS), rows),
+        '<p class="dim">The same starts and the same machine for all, registered with each by itself.</p>'
+        + table(
+            ("training", "seed", "control steps", "registered", "range", "landed", *_NUMBERS), rows
+        ),
     )
 
 

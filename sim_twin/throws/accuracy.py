@@ -30,6 +30,8 @@ class AccuracyReport(TypedDict):
     mode: str
     plant: str
     policy: str
+    is_registered: bool
+    """Whether the machine aimed by a registration of this policy."""
     seed: int
     seconds: float
     """Wall time of the throws, calibration not counted."""

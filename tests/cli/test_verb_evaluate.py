@@ -9,7 +9,16 @@ from cli.campaigns import parse_targets
 from cli.main import main
 from machine.errors import UsageError
 
-KEYS = {"mode", "plant", "policy", "seed", "seconds", "real_time_factor", "targets"}
+KEYS = {
+    "mode",
+    "plant",
+    "policy",
+    "is_registered",
+    "seed",
+    "seconds",
+    "real_time_factor",
+    "targets",
+}
 TARGET_KEYS = {
     "range_m",
     "height_m",
