@@ -2,13 +2,13 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from machine.calibration import load_calibration
+from machine.calibration import ValveCalibration, load_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import UsageError
 from machine.messages import Target
@@ -18,7 +18,7 @@ from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.throws.campaign import ThrowResult, TickRecorder, run_throws
-from sim_twin.throws.plants import PlantMaker, plant_calibration, plant_maker
+from sim_twin.throws.plants import TWIN, PlantMaker, plant_calibration, plant_maker
 from sim_twin.twin.profile import load_profile
 
 MAX_TARGET_COUNT = 200
@@ -66,6 +66,8 @@ class CampaignOptions(NamedTuple):
     profile: Path | None
     pace: float = DEFAULT_PACE_RATIO
     heights: str = "0"
+    tables: ValveCalibration | None = None
+    """The machine's calibration if it is known by now: nothing is read or measured again."""
 
 
 def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Campaign:
@@ -83,6 +85,7 @@ def open_with(options: CampaignOptions, mode: str, default_targets: str) -> Camp
         profile=options.profile,
         pace_ratio=options.pace,
         heights=options.heights,
+        tables=options.tables,
     )
 
 
@@ -100,6 +103,7 @@ def open_campaign(
     profile: Path | None,
     pace_ratio: float = DEFAULT_PACE_RATIO,
     heights: str = "0",
+    tables: ValveCalibration | None = None,
 ) -> Campaign:
     """Check every option before anything is simulated.
 
@@ -129,10 +133,11 @@ def open_campaign(
         calibration=None if calibration is None else load_calibration(calibration),
         spec=spec,
     )
-    valves = plant_calibration(plant, make, unit_seed=unit_seed, spec=spec, path=calibration)
-    if plant == "twin":
-        valves = valves.for_twin()
-    params = ControlParams(spec=spec, calibration=valves, mode=mode, policy=runner)
+    if tables is None:
+        tables = plant_calibration(plant, make, unit_seed=unit_seed, spec=spec, path=calibration)
+        if plant == TWIN:
+            tables = tables.for_twin()
+    params = ControlParams(spec=spec, calibration=tables, mode=mode, policy=runner)
     folder = policy if policy is not None else find_policy(policies, mode)
     return Campaign(
         spec, params, make, ranges, runner.card.policy_id, folder, pace_ratio, heights_m
@@ -232,25 +237,44 @@ def campaign_starts(campaign: Campaign, throws: int, seed: int) -> tuple[Array, 
     return target_m, sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
 
 
+def batch_count(campaign: Campaign, throws: int) -> int:
+    """How many batches a campaign is thrown in."""
+    return math.ceil(len(campaign.places) * throws / MAX_BATCH_COUNT)
+
+
 def throw_campaign(
     campaign: Campaign, throws: int, seed: int, record: TickRecorder | None = None
 ) -> list[list[ThrowResult]]:
     """Throw `throws` times at each place; results per target."""
+    batches = range(batch_count(campaign, throws))
+    results = throw_batches(campaign, throws, seed, batches, record)
+    return by_target(results, throws)
+
+
+def throw_batches(
+    campaign: Campaign, throws: int, seed: int, batches: range, record: TickRecorder | None = None
+) -> list[ThrowResult]:
+    """Some of the batches of `throw_campaign`, throw for throw as all of them would have been."""
     target_m, starts = campaign_starts(campaign, throws, seed)
-    batches = math.ceil(target_m.shape[0] / MAX_BATCH_COUNT)
-    plant = campaign.make(math.ceil(target_m.shape[0] / batches))
-    show = progress_line("evaluate")
+    size = math.ceil(target_m.shape[0] / batch_count(campaign, throws))
+    taken = slice(batches.start * size, batches.stop * size)
+    plant = campaign.make(size)
     try:
-        results = run_throws(
+        return run_throws(
             plant,
             campaign.params,
-            target_m,
-            starts,
+            target_m[taken],
+            starts[taken],
             seed,
             record=record,
-            progress=show,
+            progress=progress_line("evaluate"),
             pace_ratio=campaign.pace_ratio,
+            first_batch=batches.start,
         )
     finally:
         plant.close()
-    return [results[i : i + throws] for i in range(0, len(results), throws)]
+
+
+def by_target(results: Sequence[ThrowResult], throws: int) -> list[list[ThrowResult]]:
+    """Throws in their order, `throws` for each target."""
+    return [list(results[i : i + throws]) for i in range(0, len(results), throws)]

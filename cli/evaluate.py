@@ -2,14 +2,23 @@
 
 import json as json_text
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple
 
-from cli.campaigns import Campaign, CampaignOptions, throw_campaign
+from cli.campaigns import (
+    Campaign,
+    CampaignOptions,
+    batch_count,
+    by_target,
+    open_with,
+    throw_batches,
+)
 from cli.evaluation_report import More, write_report
 from cli.registration import is_registered, open_aimed
 from cli.report_parts import FIRST_UNIT
+from cli.side_by_side import side_by_side
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.policy_card import add_evaluation
@@ -47,6 +56,7 @@ def run(
     units: int = 0,
     first_unit: int = FIRST_UNIT,
     trainings: tuple[Path, ...] = (),
+    jobs: int = 2,
 ) -> int:
     """Throw many times at targets on the x axis and print how accurately the loads land.
 
@@ -82,22 +92,25 @@ def run(
         units: for a report, this many machines too that no training has seen, each registered by itself.
         first_unit: number of the first of them.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
+        jobs: processes at work side by side; the result is the same.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
     options = CampaignOptions(
         plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile, pace,
         heights,
     )  # fmt: skip
+    if jobs < 1:
+        raise UsageError(f"--jobs {jobs}: at least 1")
     if report is not None:
         if json is not None or plot is not None or card:
             raise UsageError(
                 "--report writes its own JSON and plots: leave --json, --plot, --card out"
             )
         modes = [mode] if mode != "both" else ["2d", "3d"]
-        return write_report(report, modes, options, More(units, first_unit, trainings))
+        return write_report(report, modes, options, More(units, first_unit, trainings, jobs))
     if units or trainings:
         raise UsageError("--units and --trainings go with --report")
-    return _evaluate(options, mode, Outputs(json, plot, card))
+    return _evaluate(options, mode, Outputs(json, plot, card), jobs)
 
 
 class Outputs(NamedTuple):
@@ -108,13 +121,19 @@ class Outputs(NamedTuple):
     card: bool
 
 
-def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs) -> int:
+def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs, jobs: int) -> int:
     """One campaign."""
     _check_outputs(mode, options.heights, outputs.json, outputs.plot)
     campaign, aim = open_aimed(options, mode, DEFAULT_TARGETS)
     print(f"machine: {aim}", flush=True)
     started = perf_counter()
-    results = throw_campaign(campaign, options.throws, options.seed)
+    known = options._replace(tables=campaign.params.calibration)
+    batches = range(batch_count(campaign, options.throws))
+    tasks = [partial(_batches, known, mode, batches[k : k + 1]) for k in batches]
+    if jobs == 1:
+        tasks = [partial(_batches, known, mode, batches)]
+    thrown = side_by_side(tasks, jobs, "evaluate")
+    results = by_target([result for part in thrown for result in part], options.throws)
     accuracy = _accuracy(campaign, options, results, perf_counter() - started)
     _write_json(outputs.json, accuracy)
     if outputs.card:
@@ -124,6 +143,12 @@ def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs) -> int:
         where = f"plant {options.plant}, unit {options.unit_seed}, {words}, seed {options.seed}"
         _plot(outputs.plot, campaign, results, where)
     return 0
+
+
+def _batches(options: CampaignOptions, mode: str, batches: range) -> list[ThrowResult]:
+    """Some batches of a campaign, in a process of their own."""
+    campaign = open_with(options, mode, DEFAULT_TARGETS)
+    return throw_batches(campaign, options.throws, options.seed, batches)
 
 
 def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None) -> None:

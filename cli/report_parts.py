@@ -8,7 +8,6 @@ import numpy as np
 from cli.campaigns import Campaign, CampaignOptions, campaign_starts, open_with
 from cli.conditions import rows_of
 from cli.registration import is_registered, open_aimed, registered
-from cli.units import NOMINAL_UNIT
 from diagnosis.evaluation.conditions import pooled
 from diagnosis.evaluation.measures import TrainingRow, UnitRow
 from diagnosis.evaluation.spread import SpreadParts, spread_parts
@@ -44,57 +43,50 @@ def repeated_starts(campaign: Campaign, range_m: float, seed: int) -> SpreadPart
     return spread_parts(range_m, groups)
 
 
-def unit_rows(
-    mode: str, options: CampaignOptions, count: int, first: int = FIRST_UNIT
-) -> tuple[UnitRow, ...]:
-    """The nominal machine and `count` that no training has seen, each registered by itself."""
-    if count == 0:
-        return ()
-    found: list[UnitRow] = []
-    for unit in (NOMINAL_UNIT, *range(first, first + count)):
-        here = options._replace(unit_seed=unit, targets=UNIT_RANGES, calibration=None, heights="0")
-        campaign = registered(open_with(here, mode, UNIT_RANGES), options.seed)
-        rows = rows_of(campaign, min(options.throws, UNIT_THROWS), options.seed)
-        names = (
-            "mean_downrange_error_m",
-            "sd_downrange_m",
-            "mean_crossrange_error_m",
-            "sd_crossrange_m",
-        )
-        found.append(
-            UnitRow(
-                unit_seed=unit,
-                landed_count=sum(row.landed_count for row in rows),
-                throw_count=sum(row.throw_count for row in rows),
-                targets=tuple(rows),
-                **{name: pooled(rows, name) for name in names},
-            )
-        )
-    return tuple(found)
+def unit_row(mode: str, options: CampaignOptions, unit: int) -> UnitRow:
+    """One machine, measured and registered by itself."""
+    here = _anew(options)._replace(unit_seed=unit, targets=UNIT_RANGES)
+    campaign = registered(open_with(here, mode, UNIT_RANGES), options.seed)
+    rows = rows_of(campaign, min(options.throws, UNIT_THROWS), options.seed)
+    names = (
+        "mean_downrange_error_m",
+        "sd_downrange_m",
+        "mean_crossrange_error_m",
+        "sd_crossrange_m",
+    )
+    return UnitRow(
+        unit_seed=unit,
+        landed_count=sum(row.landed_count for row in rows),
+        throw_count=sum(row.throw_count for row in rows),
+        targets=tuple(rows),
+        **{name: pooled(rows, name) for name in names},
+    )
 
 
 def training_rows(
-    mode: str, options: CampaignOptions, folders: Sequence[Path], default_targets: str
+    mode: str, options: CampaignOptions, folder: Path, default_targets: str
 ) -> tuple[TrainingRow, ...]:
-    """All trainings of the mode at the same targets, from the same starts, each registered by itself."""
-    found: list[TrainingRow] = []
-    for folder in folders:
-        card = load_card(folder)
-        if card.mode.value != mode:
-            continue
-        here = options._replace(policy=folder, calibration=None, heights="0")
-        campaign = open_aimed(here, mode, default_targets).campaign
-        found += [
-            TrainingRow(
-                policy=card.policy_id,
-                training_seed=card.training.seed_count,
-                step_count=card.training.environment_step_count,
-                is_registered=is_registered(campaign),
-                row=row,
-            )
-            for row in rows_of(campaign, min(options.throws, TRAINING_THROWS), options.seed)
-        ]
-    return tuple(found)
+    """One training of the mode, registered by itself; others' at the same targets, from the same starts."""
+    card = load_card(folder)
+    if card.mode.value != mode:
+        return ()
+    here = _anew(options)._replace(policy=folder)
+    campaign = open_aimed(here, mode, default_targets).campaign
+    return tuple(
+        TrainingRow(
+            policy=card.policy_id,
+            training_seed=card.training.seed_count,
+            step_count=card.training.environment_step_count,
+            is_registered=is_registered(campaign),
+            row=row,
+        )
+        for row in rows_of(campaign, min(options.throws, TRAINING_THROWS), options.seed)
+    )
+
+
+def _anew(options: CampaignOptions) -> CampaignOptions:
+    """Options of a machine that is measured and registered anew."""
+    return options._replace(calibration=None, tables=None, heights="0")
 
 
 def check_parts(

@@ -88,6 +88,7 @@ def run_throws(
     use_truth: bool = False,
     ends_at_release: bool = False,
     pace_ratio: float = DEFAULT_PACE_RATIO,
+    first_batch: int = 0,
 ) -> list[ThrowResult]:
     """Throw once at each target (N, 3) from each start (N, 6), `plant.count` at a time.
 
@@ -103,6 +104,7 @@ def run_throws(
         ends_at_release: where the plant predicts impacts, score the prediction and spare the time after the
             release (a gripper that hits something while it settles then goes unnoticed).
         pace_ratio: of every throw, 0 careful .. 1 fast.
+        first_batch: number of the first batch, of a campaign whose batches are thrown one by one.
 
     Raises:
         UsageError: no policy, unequal numbers of targets and starts, or a target off the ground on a
@@ -120,7 +122,7 @@ def run_throws(
         taken = min(plant.count, count - first)
         # The last batch is filled up with repeats, whose results are dropped.
         rows = first + np.arange(plant.count) % taken
-        batch_seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+        batch_seed = int(np.random.SeedSequence((seed, first_batch + number)).generate_state(1)[0])
         batch = ThrowBatch(
             plant, params, targets_m[rows], starts_rad_m[rows], batch_seed, taken, pace_ratio
         )

@@ -93,7 +93,7 @@ class Twin:
         self._payload = Payload(self.spec, profile, count, arrays)
         low, high = self.spec.position_range_rad_m
         self._low, self._high = low[None], high[None]
-        self._now_ns = START_NS
+        self._now_ns = self._reset_ns = START_NS
         self._valve = np.zeros((count, ACTIVE_COUNT))
         self._collided = np.zeros(count, dtype=np.bool_)
         self._friction = np.zeros((2, count, 2))
@@ -171,6 +171,8 @@ class Twin:
             raise PlantError(
                 f"reset needs finite poses of shape ({self.count}, {JOINT_COUNT}), got {pose.shape}"
             )
+        # The clock goes on, the noise begins anew: a throw does not hang on those before it.
+        self._reset_ns = self._now_ns
         rng = np.random.default_rng(seed)
         # Row by row, so that machine i draws the same numbers however many machines follow it.
         normal = rng.standard_normal((self.count, 3 * ACTIVE_COUNT + 5))
@@ -312,7 +314,7 @@ class Twin:
         return self._sample
 
     def _measure(self) -> SensorSample:
-        tick = self._now_ns // CONTROL_PERIOD_NS
+        tick = (self._now_ns - self._reset_ns + START_NS) // CONTROL_PERIOD_NS
         noise = noise_at(self._noise_offset, tick) * self._noise_sd
         load, effects = self._payload, self._effects
         if effects is None:

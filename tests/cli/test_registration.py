@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.campaigns import Campaign, CampaignOptions
+from cli.campaigns import MAX_BATCH_COUNT, Campaign, CampaignOptions
 from cli.main import main
 from cli.registration import Aimed, is_registered, open_aimed
 from machine.calibration import nominal_calibration
@@ -147,21 +147,44 @@ def test_the_report_throws_everything_with_the_registered_machine(
         return look
 
     for name, result in (("pace_rows", []), ("height_rows", []), ("repeated_starts", None)):
-        monkeypatch.setattr(f"cli.evaluation_report.{name}", saw(name, result))
+        monkeypatch.setattr(f"cli.evaluation_part.{name}", saw(name, result))
 
     def shifts(make, params, *_):
         known["sensitivity"] = bool(params.calibration.registrations)
         return []
 
-    monkeypatch.setattr("cli.evaluation_report.sensitivity", shifts)
-    monkeypatch.setattr("cli.evaluation_report._maker", lambda campaign, options: object())
+    monkeypatch.setattr("cli.evaluation_part.sensitivity", shifts)
+    monkeypatch.setattr("cli.evaluation_part._maker", lambda campaign, options: object())
     words = ["--plant", PLANT, "--policies", str(swing_policies), "--throws", "2", "--targets", "6"]
     trainings = ["--trainings", str(swing_policies / "swing-2d")]
     folder = tmp_path / "report"
-    assert main(["evaluate", "--mode", "2d", *words, "--report", str(folder), *trainings]) == 0
+    assert (
+        main(
+            ["evaluate", "--mode", "2d", *words, "--report", str(folder), *trainings, "--jobs", "1"]
+        )
+        == 0
+    )
     assert known == dict.fromkeys(
         ("pace_rows", "height_rows", "repeated_starts", "sensitivity"), True
     )
     part = json.loads((folder / "report.json").read_text(encoding="utf-8"))["modes"][0]
     assert part["is_registered"] is True
     assert [row["is_registered"] for row in part["trainings"]] == [True]
+
+
+def test_two_processes_throw_what_one_does(swing_policies: Path, tmp_path: Path):
+    """One throw more than a batch takes."""
+    thrown = ["evaluate", "--mode", "2d", "--policies", str(swing_policies), "--seed", "5"]
+    thrown += ["--throws", str(MAX_BATCH_COUNT + 1), "--targets", "6"]
+    found = []
+    for jobs in ("1", "2"):
+        out = tmp_path / f"{jobs}.json"
+        assert main([*thrown, "--jobs", jobs, "--json", str(out)]) == 0
+        found.append(json.loads(out.read_text(encoding="utf-8"))["targets"])
+    assert found[0] == found[1]
+    folder = tmp_path / "report"
+    few = ["--throws", "2", "--targets", "6,6.5,7", "--jobs", "2", "--report", str(folder)]
+    assert main([*thrown[:-4], *few]) == 0
+    part = json.loads((folder / "report.json").read_text(encoding="utf-8"))["modes"][0]
+    assert len(part["targets"]) == 3 and part["heights"]
+    assert main([*thrown, "--jobs", "0"]) == 1

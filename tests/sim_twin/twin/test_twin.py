@@ -339,6 +339,10 @@ def test_same_seed_same_throw_another_seed_another_one() -> None:
     assert np.isfinite(first[1]).all()
     assert np.abs(first[1] - other[1])[:, :2].max() > 1e-3
     assert np.abs(first[0] - other[0]).max() > 1e-3
+    # Nor does a throw hang on those that the same twin has made before.
+    again = busy(twin, 7)
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
 
 
 def test_noise_follows_the_clock_so_that_two_fresh_twins_agree_tick_by_tick() -> None:
