@@ -1,7 +1,8 @@
 """Free swing of the two passive joints from the gyro: viscous and dry friction, effective length.
 
-Model of one axis (paper, equation 3): x'' = -(g / L) sin x - v x' - c sign x' - p / L cos x, with the pin's
-acceleration p that the swing itself causes in an arm on closed valves. Fitted to the rate, gyro bias free.
+Model of one axis (paper, equation 3): x'' = -((g + u) / L) sin x - v x' - c sign x' - p / L cos x, with the
+pin's accelerations, p level and u upward, that the swing itself causes in an arm on closed valves. Fitted to
+the rate, gyro bias free.
 """
 
 import math
@@ -37,7 +38,8 @@ MIN_RATE_RAD_PER_S = 0.25
 OTHER_AXIS_RATIO = 0.3
 """A swing in both axes at once is left out: its axes push each other."""
 END_RATE_RAD_PER_S = 0.03
-PIN_BAND_HZ = 1.5
+PIN_BAND_HZ = 4.0
+"""Well above twice the swing's frequency: a swing pulls its pin down twice a period."""
 STEP_S = CONTROL_PERIOD_S
 SMOOTH_RAD_PER_S = 0.005
 """Width of the sign function: the friction of a bearing that has begun to move."""
@@ -56,6 +58,8 @@ class FreeSwing(NamedTuple):
     rate_rad_per_s: Array
     pin_m_per_s2: Array
     """Horizontal acceleration of the axis, in the direction of growing angle."""
+    lift_m_per_s2: Array
+    """Upward acceleration of the axis."""
 
 
 class AxisSwing(BaseModel):
@@ -105,7 +109,9 @@ def free_swings(throw: ThrowData, spec: MachineSpec, axis: int) -> list[FreeSwin
             continue
         part = slice(first, first + stop)
         found.append(
-            FreeSwing(throw.throw_id, t[part] - t[first], rates[part, axis], pin[part, axis])
+            FreeSwing(
+                throw.throw_id, t[part] - t[first], rates[part, axis], pin[part, axis], pin[part, 2]
+            )
         )
     return found
 
@@ -114,16 +120,15 @@ def simulate_swing(swing: FreeSwing, x: Array) -> tuple[Array, Array]:
     """Angle and rate (n,) for viscous, dry friction, length, first angle, first rate."""
     viscous, coulomb, length, angle, rate = (float(v) for v in x[:5])
     angles, rates = np.empty(swing.t_s.size), np.empty(swing.t_s.size)
-    stiffness = GRAVITY_M_PER_S2 / length
     push = (swing.pin_m_per_s2 / length).tolist()
+    pull = ((GRAVITY_M_PER_S2 + swing.lift_m_per_s2) / length).tolist()
     half = 0.5 * STEP_S
     sin, cos, tanh = math.sin, math.cos, math.tanh
-    a = -stiffness * sin(angle) - viscous * rate - coulomb * tanh(rate / SMOOTH_RAD_PER_S)
-    for k, p in enumerate(push):
+    for k, (p, g) in enumerate(zip(push, pull, strict=True)):
         angles[k], rates[k] = angle, rate
         # Two half steps, symplectic: friction of a narrow sign stays stable at 5 ms.
         for _ in range(2):
-            a = -stiffness * sin(angle) - viscous * rate - p * cos(angle)
+            a = -g * sin(angle) - viscous * rate - p * cos(angle)
             rate += half * a
             drop = half * coulomb
             rate = rate - drop * tanh(rate / max(SMOOTH_RAD_PER_S, drop))
@@ -132,9 +137,9 @@ def simulate_swing(swing: FreeSwing, x: Array) -> tuple[Array, Array]:
 
 
 def _pin_acceleration(throw: ThrowData, spec: MachineSpec) -> Array:
-    """Horizontal acceleration (T, 2) of the pin, outward for pitch and leftward for roll, from the joints.
+    """Acceleration (T, 3) of the pin from the joints: outward for pitch, leftward for roll, upward.
 
-    Low-pass filtered forth and back: only the swing's own frequency matters.
+    Low-pass filtered forth and back: only the swing's own frequency and its double matter.
     """
     position = np.stack(
         [
@@ -159,10 +164,12 @@ def _pin_acceleration(throw: ThrowData, spec: MachineSpec) -> Array:
     for joint in (1, 2, 3):
         moved = whole.copy()
         moved[:, joint] += 1e-5
-        slopes.append((pin_in_plane(spec, moved)[:, 0] - pin[:, 0]) / 1e-5)
-    outward = sum(slope * acceleration[:, j] for slope, j in zip(slopes, (1, 2, 3), strict=True))
+        slopes.append((pin_in_plane(spec, moved) - pin) / 1e-5)
+    in_plane = np.sum(
+        [slope * acceleration[:, [j]] for slope, j in zip(slopes, (1, 2, 3), strict=True)], axis=0
+    )
     leftward = pin[:, 0] * acceleration[:, 0]
-    return np.stack([np.asarray(outward), leftward], axis=1)
+    return np.stack([in_plane[:, 0], leftward, in_plane[:, 1]], axis=1)
 
 
 def _axis(throws: Sequence[ThrowData], spec: MachineSpec, axis: int) -> AxisSwing:

@@ -42,12 +42,32 @@ def test_the_prediction_lies_on_the_measurement(axes):
 
 def test_without_viscous_friction_the_amplitude_falls_evenly():
     t = np.arange(2000) * 0.01
-    swing = FreeSwing("t", t, np.zeros(t.size), np.zeros(t.size))
+    swing = FreeSwing("t", t, np.zeros(t.size), np.zeros(t.size), np.zeros(t.size))
     angle, _ = simulate_swing(swing, np.array([0.0, 0.1, 0.9, 0.5, 0.0]))
     peaks = angle[1:-1][(angle[1:-1] > angle[2:]) & (angle[1:-1] > angle[:-2])]
     steps = -np.diff(peaks[:5])
     # 4 c L / g a period.
     assert steps == pytest.approx(np.full(steps.size, 4 * 0.1 * 0.9 / 9.81), rel=0.1)
+
+
+def test_a_pin_that_the_load_pulls_up_and_down_is_taken_into_account():
+    """Left out, it makes the gripper look longer."""
+    t = np.arange(1500) * 0.01
+    angle, rate, lift, length, ratio = 0.6, 0.0, np.zeros(t.size), 0.9, 0.03
+    rates = np.zeros(t.size)
+    for k in range(t.size):
+        rates[k] = rate
+        # As far as the load pulls beyond its weight, twice a period.
+        pull = rate**2 * length * np.cos(angle) + 9.81 * (np.cos(angle) ** 2 - 1.0)
+        lift[k] = ratio * pull
+        for _ in range(10):
+            rate -= 0.001 * (9.81 + lift[k]) / length * np.sin(angle)
+            angle += 0.001 * rate
+    swing = FreeSwing("t", t, rates, np.zeros(t.size), lift)
+    truth = np.array([0.0, 0.0, length, 0.6, 0.0])
+    left = simulate_swing(swing, truth)[1] - rates
+    unaware = simulate_swing(swing._replace(lift_m_per_s2=0.0 * lift), truth)[1] - rates
+    assert np.sqrt(np.mean(left**2)) < 0.2 * np.sqrt(np.mean(unaware**2))
 
 
 def test_throws_without_a_free_swing_say_so():
