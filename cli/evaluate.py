@@ -1,6 +1,7 @@
 """`downrange evaluate`: accuracy over many throws in a simulated plant, by the paper's protocol."""
 
 import json as json_text
+import secrets
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ def run(
     plant: str = "twin",
     targets: str | None = None,
     throws: int = 200,
-    seed: int = 0,
+    seed: int | None = None,
     unit_seed: int = 0,
     pace: float = DEFAULT_PACE_RATIO,
     heights: str = "0",
@@ -76,7 +77,8 @@ def run(
         targets: ranges in metres from the slew axis, FIRST:LAST:STEP with both ends, or 8,8.5,9; the paper's
             if left out, 7.5:10:0.5; in a report those and on to 10.87, in 3d from 7.
         throws: throws at each target.
-        seed: of start poses and of everything random in the plant; the same seed gives the same throws.
+        seed: of start poses and of everything random in the plant; the same seed gives the same throws. Left
+            out: 0; in a report one drawn at its start, so that no policy can have been chosen by it.
         unit_seed: which machine of its kind the plant is; 0 is the nominal one.
         pace: 0 careful .. 1 fast, for policies that were trained with a pace.
         heights: of the target surface above ground, metres, as in -1,0,2; every range at every height.
@@ -95,8 +97,10 @@ def run(
         jobs: processes at work side by side; the result is the same.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
+    is_drawn = report is not None and seed is None
+    fixed_seed = secrets.randbelow(100_000) if is_drawn else seed or 0
     options = CampaignOptions(
-        plant, targets, throws, seed, unit_seed, policies, policy, calibration, profile, pace,
+        plant, targets, throws, fixed_seed, unit_seed, policies, policy, calibration, profile, pace,
         heights,
     )  # fmt: skip
     if jobs < 1:
@@ -107,7 +111,9 @@ def run(
                 "--report writes its own JSON and plots: leave --json, --plot, --card out"
             )
         modes = [mode] if mode != "both" else ["2d", "3d"]
-        return write_report(report, modes, options, More(units, first_unit, trainings, jobs))
+        return write_report(
+            report, modes, options, More(units, first_unit, trainings, jobs, is_drawn)
+        )
     if units or trainings:
         raise UsageError("--units and --trainings go with --report")
     return _evaluate(options, mode, Outputs(json, plot, card), jobs)

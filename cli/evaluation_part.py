@@ -21,6 +21,7 @@ from diagnosis.evaluation.goals import examined_range_m
 from diagnosis.evaluation.measures import ModeEvaluation, evaluation, target_row
 from diagnosis.evaluation.paper import TARGETS
 from diagnosis.evaluation.sensitivity import EffectPlantMaker, FactorShift, sensitivity
+from machine.policy_card import load_card
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
 from sim_twin.faults.fault import PlantEffect
@@ -72,6 +73,7 @@ def thrown_part(mode: str, options: CampaignOptions, aim: str, folder: Path) -> 
         "plant": options.plant,
         "unit_seed": options.unit_seed,
         "policy": campaign.policy_id,
+        "policy_sha256": load_card(campaign.policy_folder).policy_sha256,
         "seed": options.seed,
         "seconds": perf_counter() - started,
     }

@@ -34,6 +34,8 @@ class More(NamedTuple):
     trainings: tuple[Path, ...] = ()
     """Folders of policy versions."""
     jobs: int = 1
+    seed_is_drawn: bool = False
+    """The seed was drawn when the report began; else it was given."""
 
 
 def write_report(folder: Path, modes: Sequence[str], options: CampaignOptions, more: More) -> int:
@@ -86,7 +88,8 @@ def _thrown(
         part: ModeEvaluation = known.pop("part")[0]
         units = tuple(known.pop("units"))
         lists = {name: tuple(chain.from_iterable(rows)) for name, rows in known.items()}
-        parts.append(part.model_copy(update={"units": units, **lists}))
+        update = {"units": units, "seed_is_drawn": more.seed_is_drawn, **lists}
+        parts.append(part.model_copy(update=update))
     return [_with_widest(part, options, more.jobs) for part in parts]
 
 

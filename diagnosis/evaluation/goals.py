@@ -23,6 +23,8 @@ GOALS: dict[str, tuple[Goal, ...]] = {
 }
 """What the project asks of itself: the paper's simulated spread (0.11 to 0.15 m in 2D, 0.30 m in 3D) cut by
 about half, and throws to 10.87 m."""
+THROW_COUNT = 200
+"""Throws at a target, at least."""
 LANDED_RATIO = {"2d": 0.99, "3d": 0.98}
 """Share of the throws that must land."""
 UNSEEN_RATIO = 1.5

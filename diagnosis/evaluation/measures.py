@@ -93,7 +93,10 @@ class ModeEvaluation(BaseModel):
     plant: str
     unit_seed: int
     policy: str
+    policy_sha256: str = ""
     seed: int
+    seed_is_drawn: bool = False
+    """Drawn when the evaluation began, the policy being there; else given."""
     seconds: float
     real_time_factor: float
     outcomes: dict[str, int]

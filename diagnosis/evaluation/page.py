@@ -60,7 +60,7 @@ def _head(parts: Sequence[ModeEvaluation]) -> str:
     rows = [
         (
             ("", part.mode.upper()),
-            ("name", escape(part.policy)),
+            ("policy", escape(part.policy)),
             ("", escape(_where(part))),
             ("number", str(sum(t.throws for t in part.targets))),
             ("number", _wilson(part)),
@@ -77,15 +77,26 @@ def _head(parts: Sequence[ModeEvaluation]) -> str:
     return "<h1>Accuracy of throws</h1>" + section(
         "What was thrown",
         table(heads, rows)
-        + "".join(f"<p>{part.mode.upper()}: {escape(part.aim)}.</p>" for part in parts if part.aim)
+        + "".join(f"<p>{part.mode.upper()}: {escape(_provenance(part))}</p>" for part in parts)
         + '<p class="dim">Every throw from a random start pose. All intervals in this page are 95 %: of '
         "means by Student's t, of standard deviations by chi-square, of shares by Wilson's score.</p>",
     )
 
 
 def _where(part: ModeEvaluation) -> str:
-    words = f"{part.plant}, unit {part.unit_seed}, seed {part.seed}"
-    return f"{words}, {'' if part.is_registered else 'not '}registered"
+    words = f"{part.plant}, unit {part.unit_seed}"
+    return words if part.is_registered else f"{words}, not registered"
+
+
+def _provenance(part: ModeEvaluation) -> str:
+    """How the machine aims, which file threw, and whether the throws can have been known before it."""
+    seed = (
+        f"Seed {part.seed} was drawn when this evaluation began, the policy being fixed."
+        if part.seed_is_drawn
+        else f"Seed {part.seed} was given: whether the policy was fixed before it, only its giver knows."
+    )
+    file = f"policy.onnx has sha256 {part.policy_sha256[:12]}." if part.policy_sha256 else ""
+    return f"{part.aim}. {seed} {file}".strip(". ") + "."
 
 
 def _wilson(part: ModeEvaluation) -> str:
@@ -254,8 +265,11 @@ def _condition_table(rows: Sequence[ConditionRow]) -> str:
 
 def _failures(part: ModeEvaluation) -> str:
     title = f"Throws that ended badly, {part.mode.upper()}"
+    only = (
+        '<p class="dim">Of the throws by target; those of the other tables are counted there.</p>'
+    )
     if not part.failures:
-        return section(title, "<p>None.</p>")
+        return section(title, f"<p>None.</p>{only}")
     rows = "".join(
         f'<tr><td class="number">{failure.number}</td><td class="number">{failure.range_m:g} m</td>'
         f"<td>{escape(failure.outcome)}{', after the release' if failure.after_release else ''}</td><td>"
@@ -269,6 +283,7 @@ def _failures(part: ModeEvaluation) -> str:
     )
     return section(
         title,
-        "<table><tr><th>throw</th><th>target</th><th>how it ended</th><th>log, to be replayed</th></tr>"
+        f"{only}<table><tr><th>throw</th>"
+        "<th>target</th><th>how it ended</th><th>log, to be replayed</th></tr>"
         f"{rows}</table>",
     )

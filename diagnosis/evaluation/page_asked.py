@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from diagnosis.evaluation.goals import Verdict, shortfalls, verdicts
+from diagnosis.evaluation.goals import THROW_COUNT, Verdict, shortfalls, verdicts
 from diagnosis.evaluation.measures import ModeEvaluation
 from diagnosis.evaluation.page_cells import share, table
 from diagnosis.report.report_html import section
@@ -37,6 +37,9 @@ def asked_section(parts: Sequence[ModeEvaluation]) -> str:
         words += f" Not: {'; '.join(missed)}."
     if any(shortfalls(part.mode, target) for part in parts for target in part.targets):
         words += " What holds the machine back is measured below, where a figure is exceeded most."
+    fewest = min(target.throws for part in parts for target in part.targets)
+    if fewest < THROW_COUNT:
+        words += f" {fewest} throws a target decide little: {THROW_COUNT} are asked for."
     bare = [part.mode.upper() for part in parts if not part.is_registered]
     if bare:
         words += (

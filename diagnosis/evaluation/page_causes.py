@@ -197,14 +197,16 @@ def wide_section(part: ModeEvaluation) -> str:
         ("number", _share(wide.single_sum_ratio, wide.single_sum_ci95_ratio)),
         ("number", ""),
     )
+    heads = ("as drawn", f"sd {wide.way}", "takes away of what is added", "failed")
+    rows = [*rows, added]
+    if wide.single_sum_ratio is None:
+        # Nothing is added: there is no share of it.
+        heads, rows = (*heads[:2], heads[3]), [(*row[:2], row[3]) for row in rows[:-1]]
     return section(
         f"What makes a machine wide, {part.mode.upper()}",
         f'<p>{words}</p><p class="dim">The same throws with one property at a time as drawn, the machine '
         "measured and registered anew each time. Shares are of the variance that it has beyond the drawing's "
-        "machine, with 95 % intervals by resampling throws.</p>"
-        + table(
-            ("as drawn", f"sd {wide.way}", "takes away of what is added", "failed"), [*rows, added]
-        ),
+        "machine, with 95 % intervals by resampling throws.</p>" + table(heads, rows),
     )
 
 
@@ -243,7 +245,7 @@ def trainings_section(part: ModeEvaluation) -> str:
         return ""
     rows = [
         (
-            ("", escape(t.policy)),
+            ("policy", escape(t.policy)),
             ("number", str(t.training_seed)),
             ("number", f"{t.step_count / 1e9:.2f}e9"),
             ("", "yes" if t.is_registered else "no"),
@@ -254,7 +256,7 @@ def trainings_section(part: ModeEvaluation) -> str:
                 t.row.mean_crossrange_error_m, t.row.sd_crossrange_m,
             ),
         )
-        for t in part.trainings
+        for t in sorted(part.trainings, key=lambda t: t.row.range_m)
     ]  # fmt: skip
     return section(
         f"Trainings side by side, {part.mode.upper()}",

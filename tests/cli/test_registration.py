@@ -130,7 +130,16 @@ def test_table_json_and_page_say_whether_it_is_registered(
         page = (folder / "report.html").read_text(encoding="utf-8")
         assert ("is <b>not registered</b>" in page) is not known
         assert ("NOT REGISTERED" in capsys.readouterr().out) is not known
-    assert seeds == [0, 0]
+    # The campaign's own seed is 0 if none is given; the report's is drawn.
+    part = json.loads((tmp_path / "report-True/report.json").read_text(encoding="utf-8"))["modes"][
+        0
+    ]
+    assert part["seed_is_drawn"] is True
+    assert seeds == [0, part["seed"]]
+    page = (tmp_path / "report-True/report.html").read_text(encoding="utf-8")
+    assert f"Seed {part['seed']} was drawn when this evaluation began" in page
+    assert part["policy_sha256"][:12] in page
+    assert "2 throws a target decide little: 200 are asked for" in page
 
 
 def test_the_report_throws_everything_with_the_registered_machine(
@@ -187,4 +196,5 @@ def test_two_processes_throw_what_one_does(swing_policies: Path, tmp_path: Path)
     assert main([*thrown[:-4], *few]) == 0
     part = json.loads((folder / "report.json").read_text(encoding="utf-8"))["modes"][0]
     assert len(part["targets"]) == 3 and part["heights"]
+    assert "Seed 5 was given" in (folder / "report.html").read_text(encoding="utf-8")
     assert main([*thrown, "--jobs", "0"]) == 1

@@ -87,7 +87,10 @@ def test_a_machine_that_was_only_unlucky_is_called_that():
     wide = wide_unit(CHOSEN, throws(chance), throws(other), {"lengths": throws(other)})
     assert wide.single_sum_ratio is None
     assert wide.properties[0].share_ratio is None
-    assert "luck" in wide_section(part(wide))
+    page = wide_section(part(wide))
+    assert "luck" in page
+    # A share of nothing is no column.
+    assert "takes away of what is added" not in page and "added up" not in page
 
 
 def test_the_way_is_the_chosen_one_and_throws_that_failed_are_counted():
