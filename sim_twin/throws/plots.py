@@ -5,14 +5,15 @@ Every plot names the number of throws and the seed; nothing is shown on a screen
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from machine.conventions import Array
 from machine.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ELLIPSE_POINT_COUNT = 120
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -84,8 +85,12 @@ def plot_accuracy(
         raise UsageError(f"cannot write the plot {path}: {error.strerror}") from error
 
 
-def accuracy_figure(targets: Sequence[TargetScatter], *, title: str, reach_m: float) -> Figure:
+def accuracy_figure(targets: Sequence[TargetScatter], *, title: str, reach_m: float) -> "Figure":
     """The figure that `plot_accuracy` writes."""
+    # Here: a report draws by itself and needs no matplotlib.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12.0, 5.4), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)

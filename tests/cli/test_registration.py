@@ -1,6 +1,8 @@
 """The machine of an evaluation is registered before it throws, or the reader is told that it is not."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -198,3 +200,8 @@ def test_two_processes_throw_what_one_does(swing_policies: Path, tmp_path: Path)
     assert len(part["targets"]) == 3 and part["heights"]
     assert "Seed 5 was given" in (folder / "report.html").read_text(encoding="utf-8")
     assert main([*thrown, "--jobs", "0"]) == 1
+
+
+def test_a_report_needs_no_matplotlib():
+    code = "import sys, cli.evaluate; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
