@@ -106,10 +106,7 @@ def run(
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: at least 1")
     if report is not None:
-        if json is not None or plot is not None or card:
-            raise UsageError(
-                "--report writes its own JSON and plots: leave --json, --plot, --card out"
-            )
+        _check_report(Outputs(json, plot, card))
         modes = [mode] if mode != "both" else ["2d", "3d"]
         return write_report(
             report, modes, options, More(units, first_unit, trainings, jobs, is_drawn)
@@ -125,6 +122,11 @@ class Outputs(NamedTuple):
     json: Path | None
     plot: Path | None
     card: bool
+
+
+def _check_report(outputs: Outputs) -> None:
+    if outputs.json is not None or outputs.plot is not None or outputs.card:
+        raise UsageError("--report writes its own JSON and plots: leave --json, --plot, --card out")
 
 
 def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs, jobs: int) -> int:
