@@ -306,11 +306,12 @@ def _named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 def _signature(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows, and what it looks like."""
     name = max(ranked.levels, key=lambda block: ranked.levels[block])
-    if ranked.shape is not None:
-        name = f"{Stage.ACTUATION}.{ranked.shape[1]}"
     stage, _, channel = name.partition(".")
     joint = channel if stage == Stage.ACTUATION else None
     shape = None if ranked.shape is None else shape_of(ranked.shape[0])
+    if ranked.shape is not None and shape is not None:
+        stage, joint = shape.stage, ranked.shape[1]
+        name = stage if joint is None else f"{stage}.{joint}"
     return {
         "stage": stage,
         "joint": joint,

@@ -50,7 +50,7 @@ def set_columns(prepared: PreparedThrow, linear: Linear) -> Array:
     )
     directions = rotate_z(np.eye(3), np.full(3, angle))
     for axis in range(3):
-        _flight_shift(prepared, linear, out[:, 7 + axis], np.r_[directions[axis], np.zeros(3)])
+        flight_shift(prepared, linear, out[:, 7 + axis], np.r_[directions[axis], np.zeros(3)])
     return out
 
 
@@ -62,7 +62,7 @@ def _switch_and_flight(prepared: PreparedThrow, linear: Linear, out: Array) -> N
     out -= linear.opening
 
 
-def _flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
+def flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
     """Column of a shift (6,) of position and velocity at the release."""
     ball, impact = prepared.block("flight.ball"), prepared.block("flight.impact")
     if ball is not None:
@@ -94,6 +94,6 @@ def throw_columns(prepared: PreparedThrow, linear: Linear) -> Array:
     found += [jitter, late]
     for axis in range(6):
         shift = np.zeros(n)
-        _flight_shift(prepared, linear, shift, np.eye(6)[axis])
+        flight_shift(prepared, linear, shift, np.eye(6)[axis])
         found.append(shift)
     return np.column_stack(found)

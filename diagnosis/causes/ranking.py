@@ -14,11 +14,11 @@ from diagnosis.causes.selection import bagged_probability, expected_log_odds, to
 from diagnosis.causes.whitening import DEAF_BLOCKS, SHAKEN_BLOCKS, rough_blocks
 from machine.conventions import Array
 
-UNKNOWN_LEVEL_SD = 5.0
+UNKNOWN_LEVEL_SD = 7.0
 UNKNOWN_WIDTH_SD = 1.0
-"""Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. Chosen
-before machines were known at two levels: then 8 of 10 unknown effects in development sets left 6.1 to 25,
-known ones that were named rightly up to 3.3. On 410 blind sets 29 of 51 are flagged (docs/diagnosis.md)."""
+"""Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. On 150 sets
+healthy ones left 2.2 at most, unknown effects that no shape shows 8.6 to 28, known ones 6.3 at most but a
+stiction (9.8) and a pump (7.7)."""
 FORM_LEFT_RATIO = 0.1
 """Of a block's excess over healthy machines: less is the form of a large effect, not another one. On
 development sets right causes left 0.03 to 0.07 of it, unknown effects 0.3 to 1.0, known ones that were not
@@ -42,7 +42,7 @@ class Ranked:
     """(hypotheses,) that each is true; the rest is "unknown"."""
     unknown: float
     shape: Group | None
-    """Of the best hypothesis that has one; None where it is less probable than not that something has it."""
+    """Of the likeliest hypothesis that has one; None where what is left speaks louder for "unknown"."""
     levels: Mapping[str, float]
     """By block: leftover power of the best hypothesis, in standard deviations of healthy sets."""
     jitter: JitterFit
@@ -95,8 +95,8 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
         hypotheses=ordered,
         probability=named * (1.0 - unknown),
         unknown=unknown,
-        shape=shapes[int(np.argmax(np.where(is_shaped, probability, -1.0)))]
-        if shaped > 0.5
+        shape=shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]
+        if shaped > left
         else None,
         levels=levels,
         jitter=jitter,

@@ -10,8 +10,9 @@ same simulations, all in one batch. Blocks (channels) of a throw:
     flight.ball, flight.impact    tracked and surveyed positions given the measured motion of the gripper, m
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from machine.ballistics import drag_per_m, landing
 from machine.calibration import ValveCalibration
 from machine.conventions import (
     ACTIVE_COUNT,
+    ACTIVE_JOINTS,
     Array,
 )
 from machine.spec import load_spec
@@ -37,6 +39,7 @@ NONE: FourFlags = (False, False, False, False)
 START_STEP_RAD = 0.01
 START_RATE_STEP_RAD_PER_S = 0.02
 OPENING_STEP_S = 0.005
+SCALE_STEP_RATIO = 0.02
 LANDING_STEP = 1e-3
 
 
@@ -55,6 +58,8 @@ class Linear:
     """(n, 4) slopes by the free joints' start angles and rates."""
     opening: Array
     """(n,) slope by the moment of opening."""
+    scale: Array
+    """(n, 4) slopes by the share that a driven joint's sensor reports too much of position and speed."""
     release_t_s: float
     """Of the flight view."""
     landing_slope: Array
@@ -108,7 +113,7 @@ def linearise(
     for i in range(len(prepared)):
         bases = {view: plan.add(i, (), view) for view in View}
         moves = _moved(plan, i, (), library(), tuple(View))
-        parts.append(_Part(bases, moves, _nuisance_elements(plan, inputs, i)))
+        parts.append(_Part(bases, moves, _moved_inputs(plan, inputs, i)))
     output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
         _linear(p, output, part, (), profile, healthy, None)
@@ -170,8 +175,23 @@ class _Part:
 
     bases: dict[View, int]
     moves: _Moves
-    nuisance: tuple[list[int], int] | None
-    """Moved start swing (4) and moved opening."""
+    inputs: "_MovedInputs | None"
+
+
+class _MovedInputs(NamedTuple):
+    """Elements of a throw that was measured otherwise."""
+
+    start: list[int]
+    """With moved start swing (4)."""
+    opening: int
+    scale: list[tuple[int, int]]
+    """With a driven joint's sensor scaled (4): of the swing and of the flight view."""
+
+    def of_view(self, view: View) -> list[int]:
+        """All that are simulated in a view."""
+        of_scale = [pair[0 if view is View.SWING else 1] for pair in self.scale]
+        first = {View.SWING: self.start, View.FLIGHT: [self.opening]}
+        return [*first[view], *of_scale] if view in first else []
 
 
 def _moved(
@@ -202,9 +222,14 @@ def _moved(
     return moves
 
 
-def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tuple[list[int], int]:
-    """Elements with moved start swing (4) and moved opening; adds the moved inputs."""
+def _moved_inputs(plan: _Plan, inputs: list[ReplayInput], throw: int) -> _MovedInputs:
+    """Elements of a throw that was measured otherwise; adds the moved inputs."""
     data = inputs[throw]
+
+    def added(moved: ReplayInput, view: View) -> int:
+        inputs.append(moved)
+        return plan.add(len(inputs) - 1, (), view)
+
     starts: list[int] = []
     for axis in range(4):
         angle, rate = data.swing_start_rad.copy(), data.swing_rate_start_rad_per_s.copy()
@@ -212,10 +237,35 @@ def _nuisance_elements(plan: _Plan, inputs: list[ReplayInput], throw: int) -> tu
             angle[axis] += START_STEP_RAD
         else:
             rate[axis - 2] += START_RATE_STEP_RAD_PER_S
-        inputs.append(data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate))
-        starts.append(plan.add(len(inputs) - 1, (), View.SWING))
-    inputs.append(data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S))
-    return starts, plan.add(len(inputs) - 1, (), View.FLIGHT)
+        moved = data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate)
+        starts.append(added(moved, View.SWING))
+    late = data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S)
+    scales: list[tuple[int, int]] = []
+    for joint in range(ACTIVE_COUNT):
+        moved = _unscaled(data, joint)
+        scales.append((added(moved, View.SWING), added(moved, View.FLIGHT)))
+    return _MovedInputs(starts, added(late, View.FLIGHT), scales)
+
+
+def _unscaled(data: ReplayInput, joint: int) -> ReplayInput:
+    """A throw as it was if the joint's sensor reports `SCALE_STEP_RATIO` too much.
+
+    The IMU knows the swing against the vertical: what boom and dipper did not turn, the pitch joint did.
+    """
+    excess = SCALE_STEP_RATIO / (1.0 + SCALE_STEP_RATIO)
+    own = np.eye(ACTIVE_COUNT)[joint]
+    moved: dict[str, Array] = {}
+    for driven, free, start in (
+        ("position_rad_m", "swing_rad", "swing_start_rad"),
+        ("velocity_rad_m_per_s", "swing_rate_rad_per_s", "swing_rate_start_rad_per_s"),
+    ):
+        track = getattr(data, driven)
+        moved[driven] = track * (1.0 - excess * own)
+        pitch = excess * (own[1] + own[2]) * track[:, [joint]] * np.array([1.0, 0.0])
+        moved[start] = getattr(data, start) + pitch[0]
+        if getattr(data, free) is not None:
+            moved[free] = getattr(data, free) + pitch
+    return data._replace(**moved)
 
 
 # --- from simulations to the residual vector -------------------------------------------------------
@@ -257,14 +307,6 @@ def _linear(
             if own and view_of(block) is view:
                 jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows], nan=0.0)
     _compare_switch(prepared, effects, profile, residual, jacobian)
-    start, opening = np.zeros((n, 4)), np.zeros(n)
-    if part.nuisance is not None:
-        steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
-        rows, base = predicted[View.SWING], predicted[View.SWING][part.bases[View.SWING]]
-        for axis, (element, step) in enumerate(zip(part.nuisance[0], steps, strict=True)):
-            start[:, axis] = np.nan_to_num((rows[element] - base) / step)
-        rows, base = predicted[View.FLIGHT], predicted[View.FLIGHT][part.bases[View.FLIGHT]]
-        opening = np.nan_to_num((rows[part.nuisance[1]] - base) / OPENING_STEP_S)
     if first is not None:
         return replace(
             first,
@@ -273,6 +315,7 @@ def _linear(
             predicted_velocity=velocity,
             change=np.nan_to_num(first.residual - residual),
         )
+    start, opening, scale = _input_slopes(prepared, predicted, part)
     flight = part.bases[View.FLIGHT]
     slope = _landing_slope(
         output.release_position_m[flight],
@@ -284,11 +327,36 @@ def _linear(
         jacobian,
         start,
         opening,
+        scale,
         float(output.release_t_s[flight]),
         slope,
         velocity,
         np.zeros(n),
     )
+
+
+def _input_slopes(
+    prepared: PreparedThrow, predicted: Mapping[View, Mapping[int, Array]], part: _Part
+) -> tuple[Array, Array, Array]:
+    """Slopes by the swing's start (n, 4), the opening (n,) and the scale of the joint sensors (n, 4)."""
+    n, moved = prepared.measured.size, part.inputs
+    if moved is None:
+        raise ValueError("slopes by what was measured need their elements")
+    base = {view: rows[part.bases[view]] for view, rows in predicted.items()}
+
+    def slope(view: View, element: int, step: float) -> Array:
+        return np.nan_to_num((predicted[view][element] - base[view]) / step)
+
+    steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
+    starts = [slope(View.SWING, e, step) for e, step in zip(moved.start, steps, strict=True)]
+    scale = np.zeros((n, ACTIVE_COUNT))
+    for joint, (swing, flight) in enumerate(moved.scale):
+        scale[:, joint] = slope(View.SWING, swing, SCALE_STEP_RATIO)
+        scale[:, joint] += slope(View.FLIGHT, flight, SCALE_STEP_RATIO)
+        block = prepared.block(f"{View.ACTUATION}.{ACTIVE_JOINTS[joint]}")
+        if block is not None:
+            scale[block.rows, joint] = np.nan_to_num(base[View.ACTUATION][block.rows])
+    return np.stack(starts, axis=1), slope(View.FLIGHT, moved.opening, OPENING_STEP_S), scale
 
 
 def _predicted(
@@ -300,11 +368,12 @@ def _predicted(
 ) -> dict[View, dict[int, Array]]:
     """What the twin says of the throw's vector (n,) in each simulated view, by element."""
     elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
-    extra = [] if part.nuisance is None else [(e, View.SWING) for e in part.nuisance[0]]
-    extra += [] if part.nuisance is None else [(part.nuisance[1], View.FLIGHT)]
-    for element, view in [(e, v) for (_, v), (e, _) in part.moves.items()] + extra:
+    for (_, view), (element, _) in part.moves.items():
         if element not in elements[view]:
             elements[view].append(element)
+    if part.inputs is not None:
+        for view, chosen in elements.items():
+            chosen += part.inputs.of_view(view)
     return {
         view: dict(
             zip(

@@ -1,10 +1,10 @@
 """Shapes of effects that nobody has named yet: they make "unknown" a hypothesis like any other.
 
 An effect outside the library mostly looks like one inside it whose size varies: a gain that depends on where
-the joint stands, play that wears off on the way, motion that follows a neighbour's valve. A shape is a group
-of columns of one joint's motion (unheard.py makes them), weighed like an effect of the library, alone or
-beside one. Healthy machines are off along the shapes, too; that scatter is learned with the rest
-(healthy/expectation.py). A shape never becomes part of a twin.
+the joint stands, play that wears off on the way, motion that follows a neighbour's valve, a sensor's error
+that grows with what it reports. A shape is a group of columns of a throw's vector (unheard.py makes them),
+weighed like an effect of the library, alone or beside one. Healthy machines are off along the shapes, too;
+that scatter is learned with the rest (healthy/expectation.py). A shape never becomes part of a twin.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,8 @@ import numpy as np
 from machine.conventions import ACTIVE_JOINTS, Array
 
 UNHEARD: Final = "unheard"
-"""Groups of the layout are named ``unheard:<shape>``, columns ``unheard.<shape>.<joint>.<column>``."""
+"""Groups of the layout are named ``unheard:<shape>``, columns ``unheard.<shape>.<joint>.<column>`` (the
+machine's without a joint)."""
 WAY_POWERS: Final = (0, 1, 2, 4)
 PLAY_POWERS: Final = (0, 1, 2)
 """Bumps on a joint's way since the start of the throw."""
@@ -26,7 +27,7 @@ OTHER_JOINTS: Final = tuple(range(len(ACTIVE_JOINTS) - 1))
 
 
 class Shape(NamedTuple):
-    """Columns of one joint that come and go together; sizes are shares of the joint's speed or command."""
+    """Columns that come and go together; sizes of a joint's are shares of its speed, command or position."""
 
     said: str
     """What is seen, after "something unknown: "."""
@@ -35,6 +36,9 @@ class Shape(NamedTuple):
     """Prior width of a size (by eye)."""
     least_sd: float
     """No healthy machine is nearer to its twin than this (by eye)."""
+    stage: str = "actuation"
+    joints: tuple[str | None, ...] = ACTIVE_JOINTS
+    """Where it can be; (None,) for the machine."""
 
 
 SHAPES: Final[Mapping[str, Shape]] = {
@@ -62,28 +66,42 @@ SHAPES: Final[Mapping[str, Shape]] = {
         slab_sd=0.3,
         least_sd=0.03,
     ),
+    "scale": Shape(
+        "its sensor reports a constant share more, or less, of its position and speed",
+        ("scale_ratio",),
+        slab_sd=0.1,
+        least_sd=0.001,
+        stage="aim",
+    ),
+    "kick": Shape(
+        "the load is pushed as it leaves, always the same way in the gripper",
+        ("x_m_per_s", "y_m_per_s", "z_m_per_s"),
+        slab_sd=0.5,
+        least_sd=0.005,
+        stage="release",
+        joints=(None,),
+    ),
 }
 
 
 @cache
 def unheard_names() -> tuple[str, ...]:
     """Names of all columns, in the order of the vector."""
-    return tuple(
-        f"{UNHEARD}.{key}.{joint}.{column}"
-        for joint in ACTIVE_JOINTS
-        for key, shape in SHAPES.items()
-        for column in shape.columns
-    )
+    return tuple(name for name, _, _ in _columns())
 
 
 @cache
-def unheard_groups() -> Mapping[tuple[str, str], tuple[int, ...]]:
+def unheard_groups() -> Mapping[tuple[str, str | None], tuple[int, ...]]:
     """Places of the columns of every shape of every joint among all columns."""
-    groups: dict[tuple[str, str], list[int]] = {}
-    for place, name in enumerate(unheard_names()):
-        _, key, joint, _ = name.split(".")
-        groups.setdefault((f"{UNHEARD}:{key}", joint), []).append(place)
+    groups: dict[tuple[str, str | None], list[int]] = {}
+    for place, (_, key, joint) in enumerate(_columns()):
+        groups.setdefault((group_of(key), joint), []).append(place)
     return {group: tuple(places) for group, places in groups.items()}
+
+
+def group_of(key: str) -> str:
+    """Name of a shape among the effects of the layout."""
+    return f"{UNHEARD}:{key}"
 
 
 def shape_of(effect: str) -> Shape | None:
@@ -94,13 +112,20 @@ def shape_of(effect: str) -> Shape | None:
 
 def unheard_slab_sd() -> Array:
     """Prior widths (u,) of all columns."""
-    return np.array([shape.slab_sd for shape in _of_columns()])
+    return np.array([SHAPES[key].slab_sd for _, key, _ in _columns()])
 
 
 def unheard_least_sd() -> Array:
     """Least scatter (u,) of healthy machines along all columns."""
-    return np.array([shape.least_sd for shape in _of_columns()])
+    return np.array([SHAPES[key].least_sd for _, key, _ in _columns()])
 
 
-def _of_columns() -> list[Shape]:
-    return [SHAPES[name.split(".")[1]] for name in unheard_names()]
+@cache
+def _columns() -> tuple[tuple[str, str, str | None], ...]:
+    """Name, shape and joint of all columns."""
+    return tuple(
+        (".".join(part for part in (UNHEARD, key, joint, column) if part), key, joint)
+        for key, shape in SHAPES.items()
+        for joint in shape.joints
+        for column in shape.columns
+    )

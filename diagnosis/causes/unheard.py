@@ -2,12 +2,21 @@
 
 import numpy as np
 
-from diagnosis.causes.parameters import index_of
+from diagnosis.causes.nuisances import flight_shift
+from diagnosis.causes.parameters import index_of, joint_index
 from diagnosis.causes.residuals import Linear
-from diagnosis.causes.shapes import PLACE_WAVES, PLAY_POWERS, WAY_POWERS, unheard_names
+from diagnosis.causes.shapes import (
+    PLACE_WAVES,
+    PLAY_POWERS,
+    WAY_POWERS,
+    group_of,
+    unheard_groups,
+    unheard_names,
+)
 from diagnosis.loading.prepared import Block, PreparedThrow
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from machine.spec import load_spec
+from sim_twin.twin.grip_point import gripper_axes
 
 DIRECTIONS = ("positive", "negative")
 WAY_RAD_M = 0.12
@@ -22,17 +31,28 @@ def unheard_columns(prepared: PreparedThrow, at_none: Linear) -> Array:
         at_none: linearised without any effect.
     """
     out = np.zeros((at_none.residual.size, len(unheard_names())))
-    width = out.shape[1] // ACTIVE_COUNT
+    for (effect, joint), places in unheard_groups().items():
+        if effect == group_of("scale"):
+            out[:, places[0]] = at_none.scale[:, joint_index(joint)]
+        elif joint is None:
+            out[:, places] = _kicks(prepared, at_none)
     for joint, name in enumerate(ACTIVE_JOINTS):
         block = prepared.block(f"actuation.{name}")
         if block is not None:
-            columns = _of_joint(prepared, at_none, block, joint)
-            out[block.rows, joint * width : (joint + 1) * width] = columns
+            for key, columns in _of_joint(prepared, at_none, block, joint).items():
+                out[block.rows, _span(group_of(key), name)] = np.column_stack(columns)
     return out
 
 
-def _of_joint(prepared: PreparedThrow, linear: Linear, block: Block, joint: int) -> Array:
-    """Columns (n, u) in the order of `SHAPES`, in the joint's rows."""
+def _span(effect: str, joint: str | None) -> slice:
+    places = unheard_groups()[effect, joint]
+    return slice(places[0], places[-1] + 1)
+
+
+def _of_joint(
+    prepared: PreparedThrow, linear: Linear, block: Block, joint: int
+) -> dict[str, list[Array]]:
+    """Columns (n,) of the joint's rows by shape."""
     motion, rated = prepared.motion, load_spec().limits.speed_positive_rad_m_per_s
     slopes, name = linear.jacobian[block.rows], ACTIVE_JOINTS[joint]
     gain = slopes[:, [index_of()[f"valve_gain.{name}.{way}_ratio"] for way in DIRECTIONS]].sum(
@@ -45,19 +65,30 @@ def _of_joint(prepared: PreparedThrow, linear: Linear, block: Block, joint: int)
 
     speed = np.abs(motion.velocity_rad_m_per_s[:, joint])
     way = at_rows(np.cumsum(speed) * CONTROL_PERIOD_S) / WAY_RAD_M
-    bumps = [_bump(way, k) for k in WAY_POWERS]
+    bumps = {k: _bump(way, k) for k in {*WAY_POWERS, *PLAY_POWERS}}
     place = at_rows(_place(motion.position_rad_m[:, joint], joint))
     others = [k for k in range(ACTIVE_COUNT) if k != joint]
     share = np.abs(gain) / rated[joint]
-    columns = [
-        *(gain * bump for bump in bumps),
-        *(gain * np.cos(np.pi * k * place) for k in PLACE_WAVES),
-        *(play * bump for bump in bumps[: len(PLAY_POWERS)]),
-        *(rated[joint] / rated[k] * at_rows(linear.predicted_velocity[:, k]) for k in others),
-        gain * share,
-        gain * share**2,
-    ]
-    return np.column_stack(columns)
+    return {
+        "way": [gain * bumps[k] for k in WAY_POWERS]
+        + [gain * np.cos(np.pi * k * place) for k in PLACE_WAVES],
+        "play": [play * bumps[k] for k in PLAY_POWERS],
+        "neighbours": [
+            rated[joint] / rated[k] * at_rows(linear.predicted_velocity[:, k]) for k in others
+        ],
+        "command": [gain * share, gain * share**2],
+    }
+
+
+def _kicks(prepared: PreparedThrow, linear: Linear) -> Array:
+    """Columns (n, 3) of a velocity that the load gains along the gripper's axes as it leaves."""
+    motion, opening_s = prepared.motion, prepared.input.opening_t_s
+    pose = np.concatenate([motion.position_rad_m, motion.swing_rad], axis=1)
+    at_opening = np.array([np.interp(opening_s, motion.t_s, track) for track in pose.T])
+    out = np.zeros((linear.residual.size, 3))
+    for axis, along in enumerate(gripper_axes(at_opening[None])[0].T):
+        flight_shift(prepared, linear, out[:, axis], np.r_[np.zeros(3), along])
+    return out
 
 
 def _place(position_rad_m: Array, joint: int) -> Array:

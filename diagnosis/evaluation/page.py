@@ -272,7 +272,8 @@ def _failures(part: ModeEvaluation) -> str:
         return section(title, f"<p>None.</p>{only}")
     rows = "".join(
         f'<tr><td class="number">{failure.number}</td><td class="number">{failure.range_m:g} m</td>'
-        f"<td>{escape(failure.outcome)}{', after the release' if failure.after_release else ''}</td><td>"
+        f"<td>{escape(failure.outcome.replace('_', ' '))}"
+        f"{', after the opening command' if failure.after_release else ''}</td><td>"
         + (
             f'<a href="{escape(failure.log)}">{escape(Path(failure.log).name)}</a>'
             if failure.log

@@ -19,10 +19,10 @@ import numpy as np
 
 from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
 from diagnosis.causes.parameters import library, scatter_names
-from diagnosis.causes.residuals import Linear, linearise
+from diagnosis.causes.residuals import linearise
 from diagnosis.causes.whitening import factors
 from diagnosis.healthy.expectation import HealthySet, first_scatter_sd, fit, improve
-from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, correction, inputs, learn, nothing
+from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, inputs, learn, nothing
 from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.prepared import prepare
@@ -85,16 +85,8 @@ def learn_healthy(sets: Sequence[HealthySet], note: str) -> HealthyModel:
 
 
 def corrected(one: HealthySet, healthy: HealthyModel) -> HealthySet:
-    """The set with the filters' output taken off."""
-    linear: list[Linear] = []
-    for p, old in zip(one.prepared, one.linear, strict=True):
-        residual = old.residual.copy()
-        for joint, name in enumerate(ACTIVE_JOINTS):
-            block = p.block(f"actuation.{name}")
-            if block is not None:
-                track = correction(healthy, p.motion, joint, old.predicted_velocity[:, joint])
-                residual[block.rows] -= p.joint_pair @ np.interp(p.joint_at_s, p.motion.t_s, track)
-        linear.append(replace(old, residual=residual))
+    """The set as it is diagnosed, with these filters in the twin's motion and in its slopes."""
+    linear = linearise(one.prepared, one.profile, one.calibration, healthy)
     return replace(one, linear=linear)
 
 

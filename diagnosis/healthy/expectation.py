@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import screen, total
-from diagnosis.causes.shapes import unheard_least_sd, unheard_slab_sd
+from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.causes.whitening import (
     Whitened,
     apart,
@@ -179,7 +179,11 @@ def first_scatter_sd() -> Array:
         for name in SET_NUISANCES
     ]
     return np.array(
-        [*(FIRST_SCATTER_RATIO * p.tolerance for p in library()), *offsets, *unheard_slab_sd()]
+        [
+            *(FIRST_SCATTER_RATIO * p.tolerance for p in library()),
+            *offsets,
+            *(FIRST_SCATTER_RATIO * unheard_least_sd()),
+        ]
     )
 
 

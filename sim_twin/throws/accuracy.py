@@ -81,7 +81,7 @@ def bad_throws_text(results: Sequence[ThrowResult]) -> str:
         return ""
     kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(bad).items())
     after = sum(np.isfinite(r.throw_duration_s) for r in bad)
-    return f"{len(bad)} of {len(results)} throws ended badly: {kinds} ({after} after the release)"
+    return f"{len(bad)} of {len(results)} throws ended badly: {kinds} ({after} after the opening command)"
 
 
 def accuracy_table(report: AccuracyReport) -> str:

@@ -1,5 +1,6 @@
 """Throws of the twin itself with effects, open loop, as the diagnosis loads them: the easy case."""
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -66,12 +67,23 @@ def _inputs(count: int) -> tuple[ReplayInput, ...]:
     return tuple(found)
 
 
-def throws(effects: tuple[Effect, ...] = (), count: int = 6, seed: int = 0) -> LoadedSet:
-    """Throws of a machine that is the nominal twin plus effects, with sensor noise."""
+def throws(
+    effects: tuple[Effect, ...] = (),
+    count: int = 6,
+    seed: int = 0,
+    received: Callable[[Array], Array] | None = None,
+) -> LoadedSet:
+    """Throws of a machine that is the nominal twin plus effects, with sensor noise.
+
+    `received` makes of the commands (T, 4) that are recorded those that reach the valves.
+    """
     inputs = _inputs(count)
     calibration = nominal_calibration(load_spec())
     elements = [ReplayElement(i, effects) for i in range(count)]
-    output = replay(inputs, elements, profile(), calibration)
+    acting = inputs
+    if received is not None:
+        acting = tuple(one._replace(valve_ratio=received(one.valve_ratio)) for one in inputs)
+    output = replay(acting, elements, profile(), calibration)
     rng = np.random.default_rng(seed)
     found = tuple(_throw(i, inputs[i], output, rng) for i in range(count))
     return LoadedSet(throws=found, refused=(), rates={"control": 100.0}, clocks={})

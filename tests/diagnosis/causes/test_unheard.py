@@ -1,7 +1,8 @@
 """Effects that no library has are called unknown, with what they look like; healthy throws are not."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,11 +18,14 @@ from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import LoadedSet, ThrowData
 from diagnosis.loading.prepared import prepare
 from diagnosis.verdict import VerdictKind
-from machine.conventions import Array
-from tests.diagnosis.twin_throws import health, profile, throws
+from machine.conventions import ACTIVE_COUNT, Array
+from sim_twin.twin.grip_point import gripper_axes
+from tests.diagnosis.twin_throws import SWITCH_LAG_S, health, profile, throws
 
 THROWS = 6
 BOOM, DIPPER = 1, 2
+DRIVE_SHAPES = {"way", "play", "command"}
+"""Six throws need not tell which of them a stretch where a joint is slow looks like most."""
 
 
 def posed(loaded: LoadedSet) -> Problem:
@@ -30,34 +34,57 @@ def posed(loaded: LoadedSet) -> Problem:
     return pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
 
 
-def moved(throw: ThrowData, velocity: Array) -> ThrowData:
-    """The throw with more velocity (T,) of the dipper, as its sensors report it."""
-    seen_velocity = throw.sensor_velocity_rad_m_per_s.copy()
-    seen_position = throw.sensor_position_rad_m.copy()
-    seen_velocity[:, DIPPER] += velocity
-    seen_position[:, DIPPER] += np.cumsum(velocity) * float(np.median(np.diff(throw.sensor_t_s)))
+def leaking(valve_ratio: Array) -> Array:
+    """The boom's pilot pressure leaks into the dipper's valve."""
+    received = valve_ratio.copy()
+    received[:, DIPPER] += 0.2 * valve_ratio[:, BOOM]
+    return received
+
+
+def sticky(valve_ratio: Array) -> Array:
+    """A dipper that is slow on a stretch of its way."""
+    received = valve_ratio.copy()
+    way = np.cumsum(np.abs(valve_ratio[:, DIPPER])) * 0.01
+    received[:, DIPPER] *= 1.0 - 0.7 * np.exp(-(((way - 0.25) / 0.1) ** 2))
+    return received
+
+
+def scaled(throw: ThrowData, ratio: float) -> ThrowData:
+    """A dipper whose sensor reports too much; the machine's own estimate of the swing stays plumb."""
+    factor = np.ones(ACTIVE_COUNT)
+    factor[DIPPER] += ratio
+    estimate = throw.joint_position_rad_m.copy()
+    excess = ratio * estimate[:, DIPPER]
+    estimate[:, DIPPER] += excess
+    estimate[:, ACTIVE_COUNT] -= excess
     return replace(
-        throw, sensor_velocity_rad_m_per_s=seen_velocity, sensor_position_rad_m=seen_position
+        throw,
+        sensor_position_rad_m=factor * throw.sensor_position_rad_m,
+        sensor_velocity_rad_m_per_s=factor * throw.sensor_velocity_rad_m_per_s,
+        joint_position_rad_m=estimate,
     )
 
 
-def leaking(throw: ThrowData, ratio: float) -> ThrowData:
-    return moved(throw, ratio * throw.sensor_velocity_rad_m_per_s[:, BOOM])
+def kicked(throw: ThrowData, speed_m_per_s: float) -> ThrowData:
+    """A load that leaves with so much more speed to the gripper's left."""
+    opened = int(np.searchsorted(throw.t_s, throw.switch_open_t_s - SWITCH_LAG_S))
+    axes = gripper_axes(throw.joint_position_rad_m[opened][None])[0]
+    kick = speed_m_per_s * axes[:, 1]
+    since = throw.ball_t_s - throw.t_s[opened]
+    landed = throw.impact_t_s - throw.t_s[opened]
+    return replace(
+        throw,
+        ball_m=throw.ball_m + since[:, None] * kick,
+        impact_m=throw.impact_m + landed * kick * np.array([1.0, 1.0, 0.0]),
+    )
 
 
-def fading(throw: ThrowData, ratio: float) -> ThrowData:
-    """A dipper whose speed is short at first, and recovers on the way."""
-    velocity = throw.sensor_velocity_rad_m_per_s[:, DIPPER]
-    way = np.cumsum(np.abs(velocity)) * 0.01
-    return moved(throw, -ratio * velocity * np.exp(-way / 0.1))
+def measured_as(changed: Callable[[ThrowData, float], ThrowData], size: float) -> LoadedSet:
+    loaded = throws((), THROWS)
+    return replace(loaded, throws=tuple(changed(t, size) for t in loaded.throws))
 
 
-def diagnosed(changed: Sequence[ThrowData], loaded: LoadedSet) -> tuple[VerdictKind, object]:
-    found = diagnose_throws(replace(loaded, throws=tuple(changed)), profile(), health=health())
-    return found.verdict, found.evidence["unknown"]
-
-
-def test_every_column_belongs_to_one_shape_of_one_joint() -> None:
+def test_every_column_belongs_to_one_shape_of_one_place() -> None:
     groups = unheard_groups()
     places = [place for group in groups.values() for place in group]
     assert sorted(places) == list(range(len(unheard_names())))
@@ -71,8 +98,10 @@ def test_columns_act_at_their_own_joint_and_follow_what_they_are_named_for() -> 
     prepared, linear = problem.prepared[0], problem.linear[0]
     columns = unheard_columns(prepared, linear)
     for place, name in enumerate(unheard_names()):
-        joint = name.split(".")[2]
+        shape, joint = name.split(".")[1:3]
         block = prepared.block(f"actuation.{joint}")
+        if SHAPES[shape].stage != "actuation":
+            continue
         assert block is not None
         outside = np.delete(columns[:, place], np.r_[block.rows])
         assert not outside.any(), name
@@ -86,25 +115,56 @@ def test_columns_act_at_their_own_joint_and_follow_what_they_are_named_for() -> 
     assert np.corrcoef(leak, twin)[0, 1] > 0.99
 
 
+def test_a_scale_moves_every_channel_as_throws_with_a_scaled_sensor_differ() -> None:
+    ratio = 0.01
+    loaded = throws((), 1)
+    changed = replace(loaded, throws=tuple(scaled(t, ratio) for t in loaded.throws))
+    before, after = posed(loaded), posed(changed)
+    slope = before.linear[0].scale[:, DIPPER]
+    moved = (after.linear[0].residual - before.linear[0].residual) / ratio
+    for name in ("actuation.dipper", "swing.gyro.y", "flight.ball", "flight.impact"):
+        block = before.prepared[0].block(name)
+        assert block is not None
+        assert np.corrcoef(slope[block.rows], moved[block.rows])[0, 1] > 0.98, name
+        size = float(np.linalg.norm(slope[block.rows]) / np.linalg.norm(moved[block.rows]))
+        assert size == pytest.approx(1.0, abs=0.2), name
+
+
+def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
+    prepared, linear = posed(throws((), 1)).prepared[0], posed(throws((), 1)).linear[0]
+    left = unheard_columns(prepared, linear)[:, unheard_names().index("unheard.kick.y_m_per_s")]
+    moved = kicked(prepared.throw, 1.0).ball_m - prepared.throw.ball_m
+    ball = prepared.block("flight.ball")
+    assert ball is not None
+    assert left[ball.rows] == pytest.approx(moved.ravel(), abs=0.03)
+    rest = [b.rows for b in prepared.blocks if not b.name.startswith("flight")]
+    assert not any(left[rows].any() for rows in rest)
+
+
 @pytest.mark.parametrize(
-    ("changed", "ratio", "shape"), [(leaking, 0.25, "neighbours"), (fading, 0.6, "way")]
+    ("loaded", "shapes", "where"),
+    [
+        (partial(throws, (), THROWS, received=leaking), {"neighbours"}, ("actuation", "dipper")),
+        (partial(throws, (), THROWS, received=sticky), DRIVE_SHAPES, ("actuation", "dipper")),
+        (partial(measured_as, scaled, 0.15), {"scale"}, ("aim", "dipper")),
+        (partial(measured_as, kicked, 0.5), {"kick"}, ("release", None)),
+    ],
 )
 def test_what_no_library_has_is_unknown_and_says_what_it_looks_like(
-    changed: Callable[[ThrowData, float], ThrowData], ratio: float, shape: str
+    loaded: Callable[[], LoadedSet], shapes: set[str], where: tuple[str, str | None]
 ) -> None:
-    loaded = throws((), THROWS)
-    verdict, signature = diagnosed([changed(t, ratio) for t in loaded.throws], loaded)
-    assert verdict is VerdictKind.UNKNOWN
+    found = diagnose_throws(loaded(), profile(), health=health())
+    signature = found.evidence["unknown"]
+    assert found.verdict is VerdictKind.UNKNOWN
     assert isinstance(signature, dict)
-    assert (signature["stage"], signature["joint"]) == ("actuation", "dipper")
-    assert signature["looks_like"] == SHAPES[shape].said
+    assert (signature["stage"], signature["joint"]) == where
+    assert signature["looks_like"] in {SHAPES[shape].said for shape in shapes}
 
 
 def test_the_same_throws_without_it_have_no_effect() -> None:
-    loaded = throws((), THROWS)
-    verdict, signature = diagnosed(loaded.throws, loaded)
-    assert verdict is VerdictKind.NONE
-    assert signature is None
+    found = diagnose_throws(throws((), THROWS), profile(), health=health())
+    assert found.verdict is VerdictKind.NONE
+    assert found.evidence["unknown"] is None
 
 
 def test_shapes_leave_the_evidence_of_named_effects_as_it_is() -> None:

@@ -195,7 +195,7 @@ def test_accuracy_rows_count_everything_and_average_what_landed() -> None:
     late = result(0, 0, Outcome.COLLISION)
     early = result(0, 0, Outcome.LIMIT)._replace(throw_duration_s=float("nan"))
     assert bad_throws_text([late, early, result(0, 0)]) == (
-        "2 of 3 throws ended badly: 1 collision, 1 limit (1 after the release)"
+        "2 of 3 throws ended badly: 1 collision, 1 limit (1 after the opening command)"
     )
     assert bad_throws_text([result(0, 0)]) == ""
     table = accuracy_table(
