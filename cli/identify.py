@@ -172,7 +172,18 @@ def _open(
         print(f"{len(loaded.refused)} logs left out, the first: {path.name}: {why}")
     inside = next((t.twin_profile for t in loaded.throws if t.twin_profile is not None), None)
     twin = load_profile(profile) if profile is not None else inside
+    if profile is not None and twin is not None:
+        _warn_of_another_machine(profile, twin.machine_id, loaded.throws[0].machine_id)
     return loaded, nominal_profile(load_spec()) if twin is None else twin
+
+
+def _warn_of_another_machine(path: Path, profile_id: str, logs_id: str) -> None:
+    """Said, not refused: a calibration names machines otherwise than a recording does."""
+    if profile_id != logs_id:
+        print(
+            f"warning: {path} is the profile of machine '{profile_id}', the logs are of '{logs_id}'; "
+            "if these are two machines, leave --profile out or give the right one"
+        )
 
 
 def _title(loaded: LoadedSet) -> str:

@@ -8,7 +8,7 @@ import pytest
 from cli.main import main
 from machine.calibration import nominal_calibration
 from machine.spec import load_spec
-from sim_twin.twin.profile import load_profile, nominal_profile
+from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,24 @@ def test_logs_without_a_swing_write_no_profile(
     assert told.count("cannot be known from these logs") == 6
     assert "nothing was identified" in told
     assert not profile.exists()
+
+
+def test_another_machines_profile_is_said_and_not_refused(
+    openings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    nominal = nominal_profile(load_spec())
+    for machine_id in ("m042", "virtual-0"):
+        profile = tmp_path / f"{machine_id}.json"
+        save_profile(nominal.model_copy(update={"machine_id": machine_id}), profile)
+        assert main(["identify", "swing", str(openings), "--profile", str(profile)]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        warnings = [line for line in lines if line.startswith("warning: ")]
+        if machine_id == "virtual-0":
+            assert warnings == []
+        else:
+            (warning,) = warnings
+            assert "m042.json is the profile of machine 'm042'" in warning
+            assert "the logs are of 'virtual-0'" in warning
 
 
 def test_what_cannot_be_identified_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
