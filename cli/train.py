@@ -4,7 +4,10 @@ import os
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 from machine.conventions import Mode
+from machine.errors import UsageError
 from machine.spec import load_spec
 
 
@@ -24,6 +27,7 @@ def run(
     unroll: int = 1,
     warm_start: Path | None = None,
     checkpoint_seconds: float = 20.0,
+    response: tyro.conf.UseAppendAction[tuple[tuple[Path, ...], ...]] = (),
 ) -> int:
     """Train a policy; run the same line again to go on after an interruption.
 
@@ -43,15 +47,29 @@ def run(
             than that saves in 4000 iterations.
         warm_start: checkpoint.npz of another run whose networks this one starts from.
         checkpoint_seconds: learning between two checkpoints.
+        response: results of `downrange identify response --json`, one for each machine, whose ranges of the
+            drives' response are trained with instead of the built-in ones.
     """
     if device != "any":
         os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
     from dataclasses import replace
 
     from training.environment.task import learner_for, task_for
+    from training.identified import read_response, with_identified
     from training.train import RunOptions, train
 
     chosen = Mode(mode)
+    task = task_for(chosen, reward)
+    files = [read_response(path) for paths in response for path in paths]
+    if response and not files:
+        raise UsageError(
+            "--response needs files of `downrange identify response LOG... --json FILE`"
+        )
+    if files:
+        identified = with_identified(task.response, files)
+        for line in identified.lines:
+            print_line(line)
+        task = replace(task, response=identified.response)
     config = learner_for(chosen, reward)
     config = replace(
         config,
@@ -68,8 +86,9 @@ def run(
         unroll_count=unroll,
         warm_start=warm_start,
         checkpoint_period_s=checkpoint_seconds,
+        response_sources=tuple(file.source for file in files),
     )
-    card = train(load_spec(), task_for(chosen, reward), config, options, print_line)
+    card = train(load_spec(), task, config, options, print_line)
     print_line(f"wrote {out / card.policy_id}")
     return 0
 

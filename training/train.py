@@ -30,6 +30,7 @@ from training.environment.environment import ThrowEnvironment
 from training.environment.state import random_table
 from training.environment.task import PpoConfig, TaskConfig
 from training.export import export_policy
+from training.identified import ResponseSource
 from training.measure import Accuracy, Measurement
 from training.networks import Layers, Normaliser
 from training.ppo import Learner, Trainer
@@ -74,6 +75,8 @@ class RunOptions:
     """Checkpoint of another run whose networks this one starts from."""
     checkpoint_period_s: float = 20.0
     """A kill costs at most this much of the learning, and the chunk that was running."""
+    response_sources: tuple[ResponseSource, ...] = ()
+    """Where the task's response was identified; the card names them."""
 
 
 def train(
@@ -113,7 +116,7 @@ def train(
         iteration_count=int(learner.iteration),
         wall_s=round(wall_s, 1),
         device=jax.devices()[0].device_kind,
-        config={"task": _plain(asdict(task)), "ppo": _plain(asdict(config))},
+        config=_resolved(task, config, options),
     )
     evaluation = [{"plant": "training", "throws": [asdict(entry) for entry in accuracy]}]
     with jax.default_device(jax.devices("cpu")[0]):
@@ -275,6 +278,13 @@ def current_commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return run.stdout.strip()
+
+
+def _resolved(task: TaskConfig, config: PpoConfig, options: RunOptions) -> dict[str, Any]:
+    """What the card keeps: every field, and the files that ranges were identified in, if any."""
+    told = {"task": _plain(asdict(task)), "ppo": _plain(asdict(config))}
+    sources = [asdict(source) for source in options.response_sources]
+    return {**told, "response_sources": sources} if sources else told
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """`downrange train`: what it refuses. What it writes is in tests/training/test_train_resume.py."""
 
+import json
 import os
 from pathlib import Path
 
@@ -29,6 +30,7 @@ def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) 
         "--out",
         "--iterations",
         "--environments",
+        "--response",
         "after an interruption",
     ):
         assert word in text
@@ -49,6 +51,8 @@ def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) 
         (["--seconds", "nan"], "seconds must be more than 0, is nan"),
         (["--policy-id", "My Policy"], "policy id 'My Policy' does not fit"),
         (["--policy-id", "../up"], "policy id '../up' does not fit"),
+        (["--response"], "--response needs files"),
+        (["--response", "no.json"], "response no.json cannot be read (No such file or directory)"),
     ],
 )
 def test_what_cannot_work_is_one_clear_line_before_anything_is_written(
@@ -91,3 +95,21 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(
         error = capsys.readouterr().err
         assert f"cannot write to {out}" in error
         assert "choose another --out" in error
+
+
+def test_every_response_file_is_looked_at_however_often_the_option_is_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = tmp_path / "good.json"
+    training = {"boom": {"gain_positive_ratio": [0.9, 1.0]}}
+    good.write_text(json.dumps({"machine_id": "m1", "result": {"training": training}}))
+    one = str(good)
+    for words in (
+        ["--response", one, "--response", one, "no.json"],
+        ["--response", "no.json", "--response", one],
+    ):
+        assert train(tmp_path / "run", *words) == 1
+        told = capsys.readouterr()
+        assert "response no.json cannot be read" in told.err
+        assert told.out == ""
+    assert not (tmp_path / "run").exists()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from machine.errors import UsageError
-from machine.policy_card import POLICY_FILE, load_card
+from machine.policy_card import POLICY_FILE, file_sha256, load_card
 from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner
 from training.checkpoint import CHECKPOINT_FILE, load_checkpoint
@@ -24,11 +24,20 @@ ROOT = Path(__file__).parents[2]
 ITERATIONS, ENVIRONMENTS = 60, 4
 
 
+IDENTIFIED = {
+    "machine_id": "m9",
+    "result": {"training": {"telescope": {"gain_positive_ratio": [0.92, 0.96]}}},
+}
+
+
 def _command(out: Path) -> list[str]:
+    response = out / "m9.json"
+    response.write_text(json.dumps(IDENTIFIED), encoding="utf-8")
     return [
         *(sys.executable, "-m", "cli.main", "train", "--mode", "2d", "--device", "cpu"),
         *("--iterations", str(ITERATIONS), "--environments", str(ENVIRONMENTS)),
         *("--throws", "0", "--seed", "2", "--checkpoint-seconds", "0", "--out", str(out)),
+        *("--response", str(response)),
     ]
 
 
@@ -57,6 +66,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory, environment: dict[str, str])
     done = _run(_command(out), environment)
     assert done.returncode == 0, done.stderr[-2000:]
     assert f"wrote {out / 'm545-2d-local'}" in done.stdout
+    assert "telescope: from the files gain positive 0.915..0.965; built in dead time" in done.stdout
     return out
 
 
@@ -100,6 +110,16 @@ def test_a_run_leaves_metrics_a_curve_and_a_policy_that_loads(whole: Path):
     assert record.config["ppo"]["environment_count"] == ENVIRONMENTS
     assert record.config["task"]["mode"] == "2d"
     assert record.wall_s > 0.0
+    # What was identified is what was drawn, and the card says where from.
+    response = record.config["task"]["response"]
+    assert response["gain_positive_min_ratio"][3] == pytest.approx(0.915)
+    assert response["gain_positive_max_ratio"][3] == pytest.approx(0.965)
+    (source,) = record.config["response_sources"]
+    assert source == {
+        "file": "m9.json",
+        "machine_id": "m9",
+        "sha256": file_sha256(whole / "m9.json"),
+    }
 
 
 def test_a_killed_run_goes_on_and_ends_as_if_it_had_not_been_killed(
