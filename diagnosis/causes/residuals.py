@@ -12,10 +12,19 @@ same simulations, all in one batch. Blocks (channels) of a throw:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.elements import (
+    OPENING_STEP_S,
+    SCALE_STEP_RATIO,
+    START_RATE_STEP_RAD_PER_S,
+    START_STEP_RAD,
+    Part,
+    Plan,
+    moved_inputs,
+    moved_parameters,
+)
 from diagnosis.causes.parameters import Parameter, View, index_of, library
 from diagnosis.healthy.filters import HealthyModel
 from diagnosis.loading.prepared import PreparedThrow
@@ -30,16 +39,8 @@ from machine.conventions import (
 )
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect, resolve
-from sim_twin.replay.replay import ReplayElement, ReplayInput
-from sim_twin.replay.types import FourFlags
 from sim_twin.twin.profile import TwinProfile
 
-ALL: FourFlags = (True, True, True, True)
-NONE: FourFlags = (False, False, False, False)
-START_STEP_RAD = 0.01
-START_RATE_STEP_RAD_PER_S = 0.02
-OPENING_STEP_S = 0.005
-SCALE_STEP_RATIO = 0.02
 LANDING_STEP = 1e-3
 
 
@@ -70,29 +71,6 @@ class Linear:
     """(n,) what the effects change in the twin's prediction."""
 
 
-class _Plan:
-    """Elements of one batch, and what each of them is for."""
-
-    def __init__(self) -> None:
-        self.elements: list[ReplayElement] = []
-        self.views: list[View] = []
-
-    def add(self, throw: int, effects: tuple[Effect, ...], view: View) -> int:
-        """Index of the new element."""
-        flight = view is View.FLIGHT
-        self.views.append(view)
-        self.elements.append(
-            ReplayElement(
-                throw=throw,
-                effects=effects,
-                measured_joints=NONE if view is View.ACTUATION else ALL,
-                measured_swing=flight,
-                measured_opening=flight,
-            )
-        )
-        return len(self.elements) - 1
-
-
 def linearise(
     prepared: Sequence[PreparedThrow],
     profile: TwinProfile,
@@ -108,12 +86,12 @@ def linearise(
         healthy: what the twin misses on every machine.
     """
     inputs = [p.input for p in prepared]
-    plan = _Plan()
-    parts: list[_Part] = []
+    plan = Plan()
+    parts: list[Part] = []
     for i in range(len(prepared)):
         bases = {view: plan.add(i, (), view) for view in View}
-        moves = _moved(plan, i, (), library(), tuple(View))
-        parts.append(_Part(bases, moves, _moved_inputs(plan, inputs, i)))
+        moves = moved_parameters(plan, i, (), library(), tuple(View))
+        parts.append(Part(bases, moves, moved_inputs(plan, inputs, i)))
     output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
         _linear(p, output, part, (), profile, healthy, None)
@@ -145,15 +123,15 @@ def relinearise(
         views: to simulate; those that the wanted parameters move if left out.
     """
     inputs = [p.input for p in prepared]
-    plan = _Plan()
-    parts: list[list[_Part]] = []
+    plan = Plan()
+    parts: list[list[Part]] = []
     for effects, wanted in requests:
         moved = tuple(view for view in View if any(view in p.views for p in wanted))
         chosen = moved if views is None else tuple(views)
-        row: list[_Part] = []
+        row: list[Part] = []
         for i in range(len(prepared)):
             bases = {view: plan.add(i, effects, view) for view in chosen}
-            row.append(_Part(bases, _moved(plan, i, effects, wanted, chosen), None))
+            row.append(Part(bases, moved_parameters(plan, i, effects, wanted, chosen), None))
         parts.append(row)
     output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
@@ -165,116 +143,13 @@ def relinearise(
     ]
 
 
-_Moves = dict[tuple[int, View], tuple[int, float]]
-"""(parameter, view) -> (element, step)."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Elements of one throw about one set of effects."""
-
-    bases: dict[View, int]
-    moves: _Moves
-    inputs: "_MovedInputs | None"
-
-
-class _MovedInputs(NamedTuple):
-    """Elements of a throw that was measured otherwise."""
-
-    start: list[int]
-    """With moved start swing (4)."""
-    opening: int
-    scale: list[tuple[int, int]]
-    """With a driven joint's sensor scaled (4): of the swing and of the flight view."""
-
-    def of_view(self, view: View) -> list[int]:
-        """All that are simulated in a view."""
-        of_scale = [pair[0 if view is View.SWING else 1] for pair in self.scale]
-        first = {View.SWING: self.start, View.FLIGHT: [self.opening]}
-        return [*first[view], *of_scale] if view in first else []
-
-
-def _moved(
-    plan: _Plan,
-    throw: int,
-    base: tuple[Effect, ...],
-    wanted: Sequence[Parameter],
-    views: tuple[View, ...],
-) -> _Moves:
-    """Elements that move one parameter each; in the actuation view one moves it at all joints.
-
-    Only single effects have bounds, so that a step beyond one is a sum like any other.
-    """
-    moves: _Moves = {}
-    together: dict[str, list[Parameter]] = {}
-    for p in wanted:
-        for view in (v for v in p.views if v in views):
-            if view is View.ACTUATION and p.joint is not None:
-                together.setdefault(f"{p.effect}.{p.name}", []).append(p)
-                continue
-            moved = plan.add(throw, (*base, p.at(p.step)), view)
-            moves[index_of()[p.key], view] = (moved, p.step)
-    for parameters in together.values():
-        effects = tuple(p.at(p.step) for p in parameters)
-        element = plan.add(throw, (*base, *effects), View.ACTUATION)
-        for p in parameters:
-            moves[index_of()[p.key], View.ACTUATION] = (element, p.step)
-    return moves
-
-
-def _moved_inputs(plan: _Plan, inputs: list[ReplayInput], throw: int) -> _MovedInputs:
-    """Elements of a throw that was measured otherwise; adds the moved inputs."""
-    data = inputs[throw]
-
-    def added(moved: ReplayInput, view: View) -> int:
-        inputs.append(moved)
-        return plan.add(len(inputs) - 1, (), view)
-
-    starts: list[int] = []
-    for axis in range(4):
-        angle, rate = data.swing_start_rad.copy(), data.swing_rate_start_rad_per_s.copy()
-        if axis < 2:
-            angle[axis] += START_STEP_RAD
-        else:
-            rate[axis - 2] += START_RATE_STEP_RAD_PER_S
-        moved = data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate)
-        starts.append(added(moved, View.SWING))
-    late = data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S)
-    scales: list[tuple[int, int]] = []
-    for joint in range(ACTIVE_COUNT):
-        moved = _unscaled(data, joint)
-        scales.append((added(moved, View.SWING), added(moved, View.FLIGHT)))
-    return _MovedInputs(starts, added(late, View.FLIGHT), scales)
-
-
-def _unscaled(data: ReplayInput, joint: int) -> ReplayInput:
-    """A throw as it was if the joint's sensor reports `SCALE_STEP_RATIO` too much.
-
-    The IMU knows the swing against the vertical: what boom and dipper did not turn, the pitch joint did.
-    """
-    excess = SCALE_STEP_RATIO / (1.0 + SCALE_STEP_RATIO)
-    own = np.eye(ACTIVE_COUNT)[joint]
-    moved: dict[str, Array] = {}
-    for driven, free, start in (
-        ("position_rad_m", "swing_rad", "swing_start_rad"),
-        ("velocity_rad_m_per_s", "swing_rate_rad_per_s", "swing_rate_start_rad_per_s"),
-    ):
-        track = getattr(data, driven)
-        moved[driven] = track * (1.0 - excess * own)
-        pitch = excess * (own[1] + own[2]) * track[:, [joint]] * np.array([1.0, 0.0])
-        moved[start] = getattr(data, start) + pitch[0]
-        if getattr(data, free) is not None:
-            moved[free] = getattr(data, free) + pitch
-    return data._replace(**moved)
-
-
 # --- from simulations to the residual vector -------------------------------------------------------
 
 
 def _linear(
     prepared: PreparedThrow,
     output: Simulated,
-    part: _Part,
+    part: Part,
     effects: tuple[Effect, ...],
     profile: TwinProfile,
     healthy: HealthyModel,
@@ -336,7 +211,7 @@ def _linear(
 
 
 def _input_slopes(
-    prepared: PreparedThrow, predicted: Mapping[View, Mapping[int, Array]], part: _Part
+    prepared: PreparedThrow, predicted: Mapping[View, Mapping[int, Array]], part: Part
 ) -> tuple[Array, Array, Array]:
     """Slopes by the swing's start (n, 4), the opening (n,) and the scale of the joint sensors (n, 4)."""
     n, moved = prepared.measured.size, part.inputs
@@ -362,7 +237,7 @@ def _input_slopes(
 def _predicted(
     prepared: PreparedThrow,
     output: Simulated,
-    part: _Part,
+    part: Part,
     effects: Sequence[Effect],
     healthy: HealthyModel,
 ) -> dict[View, dict[int, Array]]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.causes.elements import ALL
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import ALL
 from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.shrink import corrected_input
 from diagnosis.simulate import joint_latency_s

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diagnosis.causes.elements import ALL
 from diagnosis.causes.parameters import View
-from diagnosis.causes.residuals import ALL
 from diagnosis.loading.prepared import IMU_UNTIL_AFTER_OPENING_S, PreparedThrow, prepare
 from diagnosis.simulate import Simulated, late, simulate
 from sim_twin.effects.effect import Effect
