@@ -23,7 +23,7 @@ FOREIGN = {
 """Modules whose field names are not ours to choose, or have no one unit."""
 SEEDS = {"seed", "unit_seed"}
 """Names of random streams: numbers that measure nothing."""
-KEYED = {"best", "plot"}
+KEYED = {"best", "plot", "training"}
 """Numbers by name, where the name in the key carries the unit."""
 PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
 
