@@ -1,4 +1,7 @@
-"""Columns of the shapes of unheard-of effects (shapes.py): slopes of the library times something measured."""
+"""Columns of the shapes of unheard-of effects (shapes.py).
+
+Those of drives are slopes of the library times something measured; a sensor's scale has slopes of its own.
+"""
 
 import numpy as np
 
@@ -31,10 +34,10 @@ def unheard_columns(prepared: PreparedThrow, at_none: Linear) -> Array:
         at_none: linearised without any effect.
     """
     out = np.zeros((at_none.residual.size, len(unheard_names())))
-    for (effect, joint), places in unheard_groups().items():
+    for (effect, where), places in unheard_groups().items():
         if effect == group_of("scale"):
-            out[:, places[0]] = at_none.scale[:, joint_index(joint)]
-        elif joint is None:
+            out[:, places[0]] = at_none.scale[:, joint_index(where)]
+        elif effect == group_of("kick"):
             out[:, places] = _kicks(prepared, at_none)
     for joint, name in enumerate(ACTIVE_JOINTS):
         block = prepared.block(f"actuation.{name}")
