@@ -1,6 +1,7 @@
 """What the twin says of a throw's vector, from simulations: rows at the sensors' times, by block."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -20,7 +21,12 @@ from sim_twin.effects.effect import Effect
 
 def view_of(block: Block) -> View | None:
     """The simulation that a block is compared with; none for the switch."""
-    stage = block.name.partition(".")[0]
+    return _view_of(block.name)
+
+
+@cache
+def _view_of(name: str) -> View | None:
+    stage = name.partition(".")[0]
     return View(stage) if stage in tuple(View) else None
 
 

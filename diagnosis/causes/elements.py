@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.causes.parameters import Parameter, View, index_of
+from diagnosis.causes.parameters import ROUGH_EFFECTS, Parameter, View, index_of, library
 from machine.conventions import ACTIVE_COUNT, Array
-from sim_twin.effects.effect import Effect
+from sim_twin.effects.effect import Effect, acting_effect
 from sim_twin.replay.replay import ReplayElement, ReplayInput
 from sim_twin.replay.types import FourFlags
 
@@ -98,6 +99,54 @@ def moved_parameters(
         for p in parameters:
             moves[index_of()[p.key], View.ACTUATION] = (element, p.step)
     return moves
+
+
+@cache
+def _driven() -> tuple[Parameter, ...]:
+    """Parameters that slopes show in the motion of driven joints; joints that stand have none."""
+    return tuple(
+        p for p in library() if View.ACTUATION in p.views and p.effect not in ROUGH_EFFECTS
+    )
+
+
+@cache
+def _views_of(effect: str) -> frozenset[View]:
+    """Views in which an effect of the library does anything."""
+    return frozenset(view for p in library() if p.effect == effect for view in p.views)
+
+
+Shared = dict[tuple[int, View, tuple[Effect, ...], tuple[str, ...]], tuple[int, Moves]]
+"""By throw, view, effects that do anything there and parameters wanted there: the base, what is moved."""
+
+
+def part_about(
+    plan: Plan,
+    shared: Shared,
+    throw: int,
+    effects: tuple[Effect, ...],
+    wanted: Sequence[Parameter],
+    views: Sequence[View],
+    *,
+    is_rough: bool,
+) -> Part:
+    """Elements of a throw about a set of effects; views that look alike for another set are shared with it.
+
+    Among the parameters wanted of driven joints are all others there (`_driven`), unless it is a rough look.
+    """
+    bases: dict[View, int] = {}
+    moves: Moves = {}
+    for view in views:
+        acting = tuple(e for e in effects if view in _views_of(acting_effect(e)))
+        own = [p for p in wanted if view in p.views]
+        key = throw, view, acting, tuple(p.key for p in own)
+        if key not in shared:
+            base = plan.add(throw, acting, view)
+            if view is View.ACTUATION and own and not is_rough:
+                own += [p for p in _driven() if p not in own]
+            shared[key] = base, moved_parameters(plan, throw, acting, own, (view,))
+        bases[view], found = shared[key]
+        moves |= found
+    return Part(bases, moves, None)
 
 
 def moved_inputs(plan: Plan, inputs: list[ReplayInput], throw: int) -> MovedInputs:

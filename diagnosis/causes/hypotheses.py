@@ -25,21 +25,20 @@ from diagnosis.causes.selection import (
     SetEvidence,
     bootstrap_weights,
     mean_with,
-    screen,
     subsets,
     total,
     weigh,
 )
 from diagnosis.causes.trials import (
-    Trial,
-    again,
-    fair_evidence,
-    fair_on_all,
     fitted_effects,
     nearer,
+    no_effect,
     settle,
+    sizes_in,
     try_sets,
+    where_they_are,
 )
+from diagnosis.causes.weighing import Trial, fair_evidence, fair_on_all
 from diagnosis.causes.whitening import levels, rough_blocks
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
@@ -75,19 +74,8 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     What bends an effect of finite size looks like a second effect from "no effect", and not from its own
     size; so pairs are looked for behind refined singles, and triples behind refined pairs.
     """
-    priors = problem.layout.priors
-    at_none = screen(total(problem.information), priors)
-    none = Trial(
-        members=(),
-        at=np.zeros(0),
-        sizes=np.zeros(0),
-        whitened=problem.whitened,
-        information=problem.information,
-        priors=priors,
-        plain=priors,
-        base=at_none,
-    )
-    found = [none, *of_some_size(problem, settled_singles(problem, at_none))]
+    none = no_effect(problem)
+    found = [none, *of_some_size(problem, settled_singles(problem, none.base))]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
         fair = fair_on_all(found)
@@ -107,7 +95,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     last = nearer(problem, [by_members[m] for m in dict.fromkeys([*chosen, *parts])])
     tick(0.9)
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
-    trials = [none, *of_some_size(problem, try_sets(problem, again(last), is_last=True))]
+    trials = where_they_are(problem, [none, *of_some_size(problem, last)])
     seen = [*((i, t.members) for i, t in enumerate(trials)), *with_shapes(problem, trials)]
     logs = np.array(
         [fair_evidence(trials, seen, [total(t.information, w) for t in trials]) for w in weights]
@@ -119,7 +107,7 @@ def _weighed(problem: Problem, trial: Trial, members: Set, logs: Array) -> Hypot
     """A set as the trial sees it, with its log evidence (draws,) on bootstraps of the throws."""
     priors, base = trial.priors, trial.base
     data = total(trial.information)
-    evidence = weigh(base, priors, members)
+    evidence = weigh(base, priors, members)._replace(mean=sizes_in(trial, members))
     mean = mean_with(base, data, priors, evidence)
     effects = fitted_effects(problem.layout, members, evidence.mean)
     return Hypothesis(

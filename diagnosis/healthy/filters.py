@@ -13,12 +13,13 @@ The weights stand in filters.json; diagnosis/healthy/calibration.py made them.
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from diagnosis.loading.measured import MeasuredMotion
-from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
+from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array, IntArray
 
 HEALTHY_PATH = Path(__file__).with_name("filters.json")
 DELAYS_COUNT = (0, 4, 8, 14, 22)
@@ -53,50 +54,76 @@ def load_healthy(path: Path = HEALTHY_PATH) -> HealthyModel:
     return HealthyModel.model_validate_json(path.read_text(encoding="utf-8"))
 
 
+class _Inputs(NamedTuple):
+    """Inputs of a joint's filter: each is a function of the twin's velocity times a track of the throw."""
+
+    function: IntArray
+    """(k,) which of `_functions`."""
+    factor: Array
+    """(k, T)"""
+
+
+_ONE, _VELOCITY, _PUSH, _SQUARE, _SPEED, _MOVING, _DIRECTION = range(7)
+
+
+def _functions(predicted: Array) -> Array:
+    """Functions (7, ..., T) of velocities (..., T) that the twin gives a joint."""
+    speed = np.abs(predicted)
+    return np.stack(
+        [
+            np.ones_like(predicted),
+            predicted,
+            np.gradient(predicted, CONTROL_PERIOD_S, axis=-1),
+            predicted * speed,
+            speed,
+            np.clip(predicted / BREAKAWAY_RAD_M_PER_S, -1.0, 1.0),
+            np.clip(predicted / SLOW_RAD_M_PER_S, -1.0, 1.0),
+        ]
+    )
+
+
+def _inputs(motion: MeasuredMotion, joint: int) -> _Inputs:
+    v, a, q = motion.velocity_rad_m_per_s, motion.acceleration_rad_m_per_s2, motion.position_rad_m
+    reach = np.sin(q[:, 1] + q[:, 2]) * (2.0 + q[:, 3]) + 3.0 * np.cos(q[:, 1])
+    others = [other for other in range(ACTIVE_COUNT) if other != joint]
+    demand, alone = np.abs(v[:, others]).sum(axis=1), np.ones_like(reach)
+    found = [
+        (_VELOCITY, alone),
+        (_PUSH, alone),
+        (_SQUARE, alone),
+        (_SPEED, alone),
+        (_VELOCITY, reach),
+        (_SPEED, reach),
+        (_VELOCITY, demand),
+        (_SPEED, demand),
+        (_MOVING, alone),
+    ]
+    for other in others:
+        speed = np.abs(v[:, other])
+        found += [(_ONE, v[:, other]), (_ONE, a[:, other]), (_ONE, speed)]
+        found += [(_VELOCITY, v[:, other]), (_DIRECTION, speed)]
+    swing_push = np.gradient(motion.swing_rate_rad_per_s, CONTROL_PERIOD_S, axis=0)
+    found += [(_ONE, one) for one in (*motion.swing_rate_rad_per_s.T, *swing_push.T)]
+    return _Inputs(np.array([f for f, _ in found]), np.stack([track for _, track in found]))
+
+
 def inputs(motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
-    """Inputs (T, k) of a joint's filter at the ticks.
+    """Inputs (T, k) of a joint's filter at the ticks, every delay of `DELAYS_COUNT` in turn.
 
     Args:
         motion: measured.
         joint: whose velocity is corrected.
         predicted: (T,) velocity that the twin gives it, rad/s or m/s.
     """
-    v, a, q = motion.velocity_rad_m_per_s, motion.acceleration_rad_m_per_s2, motion.position_rad_m
-    push = np.gradient(predicted, CONTROL_PERIOD_S)
-    reach = np.sin(q[:, 1] + q[:, 2]) * (2.0 + q[:, 3]) + 3.0 * np.cos(q[:, 1])
-    others = [other for other in range(ACTIVE_COUNT) if other != joint]
-    demand = np.abs(v[:, others]).sum(axis=1)
-    moving = np.clip(predicted / BREAKAWAY_RAD_M_PER_S, -1.0, 1.0)
-    direction = np.clip(predicted / SLOW_RAD_M_PER_S, -1.0, 1.0)
-    speed = np.abs(predicted)
-    columns = [
-        predicted,
-        push,
-        predicted * speed,
-        speed,
-        predicted * reach,
-        speed * reach,
-        predicted * demand,
-        speed * demand,
-        moving,
-    ]
-    for other in others:
-        columns += [
-            v[:, other],
-            a[:, other],
-            np.abs(v[:, other]),
-            v[:, other] * predicted,
-            np.abs(v[:, other]) * direction,
-        ]
-    swing_push = np.gradient(motion.swing_rate_rad_per_s, CONTROL_PERIOD_S, axis=0)
-    now = np.column_stack([*columns, motion.swing_rate_rad_per_s, swing_push])
-    return np.hstack([_delayed(now, ticks) for ticks in DELAYS_COUNT])
+    function, factor = _inputs(motion, joint)
+    now = _functions(predicted)[function] * factor
+    return np.vstack([_delayed(now, ticks) for ticks in DELAYS_COUNT]).T
 
 
-def _delayed(values: Array, ticks: int) -> Array:
-    if ticks == 0:
-        return values
-    return np.vstack([np.repeat(values[:1], ticks, axis=0), values[:-ticks]])
+def _delayed(tracks: Array, ticks: int) -> Array:
+    """Tracks (..., T) some ticks later, begun with their first value."""
+    first = np.repeat(tracks[..., :1], ticks, axis=-1)
+    return np.concatenate([first, tracks[..., : tracks.shape[-1] - ticks]], axis=-1)
 
 
 def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
@@ -105,9 +132,15 @@ def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicte
     weight = np.asarray(found.weight) / np.asarray(found.scale)
     if not weight.any():
         return np.zeros_like(predicted)
-    offset = found.offset - float(np.asarray(found.centre) @ weight)
-    tracks = [inputs(motion, joint, one) @ weight + offset for one in np.atleast_2d(predicted)]
-    return np.reshape(tracks, predicted.shape)
+    function, factor = _inputs(motion, joint)
+    functions = _functions(predicted)
+    out = np.full(predicted.shape, found.offset - float(np.asarray(found.centre) @ weight))
+    # Summed by function first: a hundred inputs, but seven functions of every prediction.
+    is_of = np.eye(functions.shape[0])[:, function]
+    for ticks, own in zip(DELAYS_COUNT, weight.reshape(len(DELAYS_COUNT), -1), strict=True):
+        share = (is_of * own) @ factor
+        out += _delayed(np.einsum("ft,f...t->...t", share, functions), ticks)
+    return out
 
 
 def learn(values: Sequence[Array], residuals: Sequence[Array]) -> JointFilter:

@@ -334,7 +334,7 @@ _AIM = (
         "chassis_compliance",
         "aim",
         (),
-        (P("pitch_rad", 0.0, 0.06, 0.001, 0.02, 0.005),),
+        (P("pitch_rad", 0.0, 0.06, 0.001, 0.006, 0.002),),
         "The machine leans towards the arm by this at the arm's largest gravity moment about the slew "
         "axis, and sways on springs (30 % of critical damping) under the arm's weight and inertia.",
         "stiffness of tyres, legs and ground",

@@ -99,6 +99,50 @@ def test_relinearised_at_the_truth_leaves_noise() -> None:
     np.testing.assert_array_equal(again[0].residual[other.rows], first[0].residual[other.rows])
 
 
+def test_behind_a_late_valve_all_that_its_joint_does_is_late(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    delay_s = 0.1
+    late = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": delay_s})
+    prepared, first = own
+    calibration = prepared[0].throw.calibration
+    wanted = [p for p in library() if p.group == (late.effect, late.joint)]
+    args = (prepared, profile(), calibration, health().filters, first, [((late,), wanted)])
+    block = prepared[0].block("actuation.boom")
+    assert block is not None
+    lag = index_of()["valve_lag.boom.extra_lag_s"]
+    before = first[0].jacobian[block.rows, lag]
+    after = relinearise(*args)[0][0].jacobian[block.rows, lag]
+    expected = np.interp(block.t_s - delay_s, block.t_s, before)
+    off = float(np.linalg.norm(after - expected))
+    assert off < 0.25 * np.linalg.norm(after)
+    assert off < 0.6 * np.linalg.norm(after - before)
+    # A rough look takes the slopes of "no effect".
+    rough = relinearise(*args, is_rough=True)[0][0].jacobian[block.rows, lag]
+    np.testing.assert_array_equal(rough, before)
+
+
+def test_a_late_imu_reports_slopes_of_the_swing_late(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    late = Effect(effect="imu_latency", parameters={"extra_latency_s": 0.06})
+    prepared, first = own
+    calibration = prepared[0].throw.calibration
+    args = (prepared, profile(), calibration, health().filters, first)
+    alone = [p for p in library() if p.effect == "imu_latency"]
+    both = [p for p in library() if p.effect in ("imu_latency", "gripper_length")]
+    column = index_of()["gripper_length.extra_length_m"]
+    shifted = relinearise(*args, [((late,), alone)])[0][0].jacobian[:, column]
+    simulated = relinearise(*args, [((late,), both)])[0][0].jacobian[:, column]
+    for name in ("swing.gyro.y", "swing.accel.x"):
+        block = prepared[0].block(name)
+        assert block is not None
+        true, found = simulated[block.rows], shifted[block.rows]
+        at_none = first[0].jacobian[block.rows, column]
+        assert np.linalg.norm(found - true) < 0.15 * np.linalg.norm(true), name
+        assert np.linalg.norm(at_none - true) > 0.2 * np.linalg.norm(true), name
+
+
 def test_delay_of_the_opening_shows_at_the_switch() -> None:
     effect = Effect(effect="release_delay", parameters={"extra_delay_s": 0.05})
     prepared, late = linear((effect,))

@@ -14,8 +14,10 @@ from diagnosis.causes.candidates import (
 )
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
-from diagnosis.causes.trials import Trial, _formed, evidence_in, fair_evidence
+from diagnosis.causes.weighing import Trial, evidence_in, fair_evidence, formed
 from diagnosis.healthy.noise import load_noise
+from machine.spec import load_spec
+from sim_twin.twin.profile import nominal_profile
 
 SIZES = np.array([3.0, 0.6])
 PRIORS = Priors(
@@ -41,7 +43,7 @@ def data():
 def trial(members=(), sizes=None, bent=()):
     sizes = np.zeros(0) if sizes is None else sizes
     informed = data()
-    priors = _formed(PRIORS, informed, members, sizes) if members else PRIORS
+    priors = formed(PRIORS, informed, members, sizes) if members else PRIORS
     base = screen(informed, priors)
     return Trial(members, sizes, sizes, [], [informed], priors, PRIORS, base, bent)
 
@@ -69,9 +71,9 @@ def test_the_form_error_of_every_stage_is_its_own():
     other = int(priors.groups[groups.index(("payload_mass", None))][0])
     precision[place, other] = precision[other, place] = 1.0
     informed = data()._replace(precision=precision)
-    alone = _formed(priors, informed, (aim,), np.array([1.0])).scatter
+    alone = formed(priors, informed, (aim,), np.array([1.0])).scatter
     dead = groups.index(("valve_dead_time", "boom"))
-    with_drive = _formed(priors, informed, (dead, aim), np.array([1.0, 1.0])).scatter
+    with_drive = formed(priors, informed, (dead, aim), np.array([1.0, 1.0])).scatter
     assert alone[other, other] > priors.scatter[other, other]
     assert with_drive[other, other] == pytest.approx(alone[other, other])
 
@@ -86,7 +88,7 @@ def test_what_slopes_cannot_take_back_is_given_to_no_part():
 
 def test_effects_too_small_to_be_any_are_left_out():
     plan = layout(load_noise())
-    problem = SimpleNamespace(layout=plan)
+    problem = SimpleNamespace(layout=plan, profile=nominal_profile(load_spec()))
     late = plan.groups.index(("joint_sensor_latency", "slew"))
     band = plan.groups.index(("valve_dead_band", "dipper"))
     members = tuple(sorted((late, band)))
@@ -100,6 +102,43 @@ def test_effects_too_small_to_be_any_are_left_out():
     large, small = one(0.02, 0.1), one(0.003, 0.1)
     impossible = one(-0.05, 0.1)
     assert of_some_size(problem, [none, large, small, impossible]) == [none, large]
+
+
+@pytest.mark.parametrize(("share", "is_some"), [(-0.15, False), (-0.3, True), (0.15, True)])
+def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(share, is_some):
+    """Below a fifth of its mean lag a measured response may be off by as much; a slower joint counts."""
+    plan, profile = layout(load_noise()), nominal_profile(load_spec())
+    group = plan.groups.index(("valve_lag", "slew"))
+    lag_s = 2.0 * profile.damping_ratio[0] / profile.natural_frequency_rad_per_s[0]
+    size = np.array([share * lag_s])
+    one = Trial((group,), size, size, [], [], plan.priors, plan.priors, None)
+    problem = SimpleNamespace(layout=plan, profile=profile)
+    assert (of_some_size(problem, [one]) == [one]) is is_some
+
+
+@pytest.mark.parametrize(
+    ("joint", "size", "beside", "is_some"),
+    [
+        ("boom", 0.15, None, False),
+        ("slew", 0.15, None, True),
+        ("slew", 0.15, "valve_dead_time", False),
+        ("slew", 0.30, "valve_dead_time", True),
+    ],
+)
+def test_limits_within_scatter_or_small_beside_another_effect_are_left_out(
+    joint, size, beside, is_some
+):
+    """Healthy booms scatter by a limit of 0.16, and what a limit cuts off may be another effect's error."""
+    plan = layout(load_noise())
+    limit = plan.groups.index(("speed_limit", joint))
+    sizes = {limit: size}
+    if beside is not None:
+        sizes[plan.groups.index((beside, joint))] = 0.2
+    members = tuple(sorted(sizes))
+    at = np.array([sizes[m] for m in members])
+    one = Trial(members, at, at, [], [], plan.priors, plan.priors, None)
+    problem = SimpleNamespace(layout=plan, profile=nominal_profile(load_spec()))
+    assert (of_some_size(problem, [one]) == [one]) is is_some
 
 
 def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():

@@ -23,7 +23,7 @@ from sim_twin.twin.grip_point import gripper_axes
 from tests.diagnosis.twin_throws import SWITCH_LAG_S, health, profile, throws
 
 THROWS = 6
-BOOM, DIPPER = 1, 2
+DIPPER, TELESCOPE = 2, 3
 DRIVE_SHAPES = {"way", "play", "command"}
 """Six throws need not tell which of them a stretch where a joint is slow looks like most."""
 
@@ -35,9 +35,9 @@ def posed(loaded: LoadedSet) -> Problem:
 
 
 def leaking(valve_ratio: Array) -> Array:
-    """The boom's pilot pressure leaks into the dipper's valve."""
+    """The telescope's pilot pressure leaks into the dipper's valve."""
     received = valve_ratio.copy()
-    received[:, DIPPER] += 0.2 * valve_ratio[:, BOOM]
+    received[:, DIPPER] += 0.2 * valve_ratio[:, TELESCOPE]
     return received
 
 

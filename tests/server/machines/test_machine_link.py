@@ -30,7 +30,7 @@ def test_a_command_reaches_the_machine_and_its_answer_us(running, machine):
     command = load()
     reply = running.services.link.send(command)
     assert (reply.command_id, reply.accepted) == (command.command_id, True)
-    assert machine.commands[-1] == command
+    assert command in machine.commands
     assert 0.0 < running.services.registry.get("m001").round_trip_s < COMMAND_TIMEOUT_S + 0.5
 
 

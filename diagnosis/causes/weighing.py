@@ -1,0 +1,182 @@
+"""Sets of effects as trials see them, and how their evidence is compared.
+
+A trial is a set about its own sizes; another set may be seen in it. About other sizes slopes and noise are
+others, and must be evidence for nobody.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.causes.parameters import library
+from diagnosis.causes.selection import (
+    Information,
+    Priors,
+    Screen,
+    Set,
+    bare,
+    members_index,
+    screen,
+    total,
+    weigh,
+)
+from diagnosis.causes.whitening import FORM_ERROR_RATIO, Whitened
+from machine.conventions import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A set of effects, linearised at its sizes."""
+
+    members: Set
+    at: Array
+    """Sizes of the members' parameters in the simulation."""
+    sizes: Array
+    """As estimated there."""
+    whitened: Sequence[Whitened]
+    """Kept in the last round only: it is large."""
+    information: Sequence[Information]
+    priors: Priors
+    """With the form error of the members."""
+    plain: Priors
+    """Without it."""
+    base: Screen
+    """On all throws."""
+    bent: Set = ()
+    """Members whose slopes at their sizes are no guide to other sizes."""
+
+
+def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Priors:
+    """Spikes under a hypothesis: what other parameters can make of its effects' form error.
+
+    A real effect is never quite the library's, in the same way in every throw. Where another parameter's
+    slopes lie along the effects' signal, a share of that signal may look like it.
+
+    Args:
+        priors: without form error.
+        data: on all throws.
+        members: the hypothesis.
+        sizes: of its parameters, group after group.
+    """
+    index = members_index(priors, members)
+    own = np.sqrt(np.maximum(np.diag(data.precision), 1e-12))
+    ratio = np.array([_form_error_ratio(int(i)) for i in index])
+    # Effects of one ratio are off as a whole: alike ones may be large against each other.
+    extra = [
+        r * np.abs(data.precision[:, index[ratio == r]] @ sizes[ratio == r]) / own**2
+        for r in np.unique(ratio)
+    ]
+    variance = np.sum(np.square(extra), axis=0)
+    variance[index] = 0.0
+    return priors._replace(scatter=priors.scatter + np.diag(variance))
+
+
+def _form_error_ratio(place: int) -> float:
+    """Of a parameter of the layout: the same in every throw, as far as anybody knows."""
+    stage = library()[place % len(library())].stage
+    return FORM_ERROR_RATIO["actuation" if stage == "actuation" else "swing"]
+
+
+def is_ahead(trial: Trial) -> bool:
+    """Whether a trial's set beats no effect in the trial itself."""
+    return lead(trial) > 0.0
+
+
+def lead(trial: Trial) -> float:
+    """Log odds of a trial's set over no effect in its own noise."""
+    own, without = screens(trial, total(trial.information))
+    return evidence_in(own, trial.priors, trial.members) - without.log_evidence
+
+
+def best_of_each(trials: Sequence[Trial]) -> list[Trial]:
+    """Of trials of the same set from different sizes the best."""
+    found: dict[Set, Trial] = {}
+    for trial in trials:
+        before = found.get(trial.members)
+        if before is None or own_evidence(before) < own_evidence(trial):
+            found[trial.members] = trial
+    return list(found.values())
+
+
+def by_member(priors: Priors, members: Set, sizes: Array) -> dict[int, Array]:
+    """Sizes of every group of a set."""
+    found: dict[int, Array] = {}
+    at = 0
+    for member in members:
+        width = priors.groups[member].size
+        found[member] = sizes[at : at + width]
+        at += width
+    return found
+
+
+Seen = tuple[int, Set]
+"""The place of a trial, and a set as that trial sees it."""
+
+
+def fair_evidence(
+    trials: Sequence[Trial], seen: Sequence[Seen], data: Sequence[Information]
+) -> Array:
+    """Log evidence (sets,) of sets, each in its trial, so that noise and slopes are evidence for nobody.
+
+    About another size slopes and noise are others. A set counts if it beats "no effect" in its own trial;
+    others lie as far below "no effect" as they do there. "No effect", and every other part of the set that
+    leads, may also have the leader's trial.
+
+    Args:
+        trials: simulated sets.
+        seen: the sets, "no effect" among them; more than one may be of a trial.
+        data: what all throws, or a bootstrap of them, say in each of the trials.
+    """
+    bases = [screens(t, d) for t, d in zip(trials, data, strict=True)]
+    own = np.array([evidence_in(bases[i][0], trials[i].priors, m) for i, m in seen])
+    without = np.array([bases[i][1].log_evidence for i, _ in seen])
+    is_none = np.array([not m for _, m in seen])
+    counts = (own > without) & ~is_none
+    none = float(own[is_none].max()) if is_none.any() else float(without.min())
+    if not counts.any():
+        return np.where(is_none, none, none + own - without)
+    leader = int(np.argmax(np.where(counts, own, -np.inf)))
+    place, members = seen[leader]
+    none = max(none, float(without[leader]))
+    found = np.where(is_none, none, np.where(counts, own, none + own - without))
+    for k, (_, part) in enumerate(seen):
+        # Slopes do not carry a bent effect back to where it is not.
+        if part and set(part) < set(members) and set(trials[place].bent) <= set(part):
+            base = _base_of_part(trials[place], data[place], part)
+            found[k] = max(found[k], evidence_in(base, trials[place].plain, part))
+    return found
+
+
+def fair_on_all(trials: Sequence[Trial]) -> list[float]:
+    """Fair evidence of every trial's own set, on all throws."""
+    seen = [(i, t.members) for i, t in enumerate(trials)]
+    return fair_evidence(trials, seen, [total(t.information) for t in trials]).tolist()
+
+
+def screens(trial: Trial, data: Information) -> tuple[Screen, Screen]:
+    """A trial's screens of these data (all throws or a bootstrap): with its effects, and without them.
+
+    Where its effects are not, neither is their form error.
+    """
+    return screen(data, trial.priors), screen(bare(data), trial.plain)
+
+
+def _base_of_part(trial: Trial, data: Information, part: Set) -> Screen:
+    """A trial's screen for a part of its set: nothing may look like effects that the part does not have."""
+    sizes = by_member(trial.plain, trial.members, trial.at)
+    own = {m: size for m, size in sizes.items() if m in part}
+    if not own:
+        return screen(bare(data), trial.plain)
+    kept = np.concatenate(list(own.values()))
+    return screen(data, formed(trial.plain, total(trial.information), tuple(own), kept))
+
+
+def evidence_in(base: Screen, priors: Priors, members: Set) -> float:
+    """Log evidence of a set in a trial's screen."""
+    return base.log_evidence + weigh(base, priors, members).log_odds
+
+
+def own_evidence(trial: Trial) -> float:
+    """Log evidence of a trial's set in the trial itself."""
+    return evidence_in(trial.base, trial.priors, trial.members)
