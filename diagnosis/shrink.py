@@ -14,13 +14,14 @@ import numpy as np
 
 from diagnosis.causes.elements import ALL
 from diagnosis.causes.hypotheses import Hypothesis
+from diagnosis.causes.leftovers import DEAF_BLOCKS, leftovers
 from diagnosis.causes.parameters import View, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import relinearise
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.trials import fitted_effects
-from diagnosis.causes.whitening import DEAF_BLOCKS, leftovers, whiten_throw
+from diagnosis.causes.whitening import whiten_throw
 from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.simulate import joint_latency_s, late, sliced
@@ -120,22 +121,24 @@ def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps
     constants = members_index(problem.layout.priors, hypothesis.members)
     columns = constants % problem.layout.parameter_count
     views = {view for i in columns for view in library()[int(i)].views}
-    under = relinearise(
-        problem.prepared,
-        profile,
-        problem.calibration,
-        problem.healthy,
-        problem.linear,
-        [((), ())],
-        tuple(view for view in View if view in views),
-    )[0]
+    under = next(
+        relinearise(
+            problem.prepared,
+            profile,
+            problem.calibration,
+            problem.healthy,
+            problem.linear,
+            [((), ())],
+            tuple(view for view in View if view in views),
+        )
+    )
     # The rest of the machine's scatter is not this effect's gap; shapes would take what the effect explains.
     others = hypothesis.mean.copy()
     others[constants] = 0.0
     others[-len(unheard_names()) :] = 0.0
     power: list[tuple[float, float]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
-        whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis(i))
+        whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis[i])
         left = leftovers(whitened, others)
         slopes = problem.whitened[i].slopes[:, columns]
         moved = {

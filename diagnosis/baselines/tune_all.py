@@ -56,7 +56,9 @@ def largest_z(loaded: LoadedSet, profile: TwinProfile) -> Diagnosis:
     for number in range(GAUSS_NEWTON_ROUNDS):
         if number:
             request = (_effects(theta), library())
-            linear = relinearise(train, profile, case.calibration, nothing(), first, [request])[0]
+            linear = next(
+                relinearise(train, profile, case.calibration, nothing(), first, [request])
+            )
         step, sd = _solve(case, linear, theta)
         theta = _bounded(theta + step)
     score = np.abs(theta) / np.maximum(sd, 1e-12) / Z_LIMIT

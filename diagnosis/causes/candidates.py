@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from diagnosis.causes.leftovers import levels
 from diagnosis.causes.parameters import ROUGH_EFFECTS
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
@@ -30,7 +31,7 @@ from diagnosis.causes.weighing import (
     is_ahead,
     own_evidence,
 )
-from diagnosis.causes.whitening import Whitened, levels
+from diagnosis.causes.whitening import Whitened
 from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
 from sim_twin.effects.effect import DRIFT
 

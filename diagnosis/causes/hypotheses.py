@@ -18,6 +18,8 @@ from diagnosis.causes.candidates import (
     settled_singles,
     with_shapes,
 )
+from diagnosis.causes.form_error import rough_blocks
+from diagnosis.causes.leftovers import levels
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
     Information,
@@ -39,7 +41,6 @@ from diagnosis.causes.trials import (
     where_they_are,
 )
 from diagnosis.causes.weighing import Trial, fair_evidence, fair_on_all
-from diagnosis.causes.whitening import levels, rough_blocks
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 
@@ -98,7 +99,10 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     trials = where_they_are(problem, [none, *of_some_size(problem, last)])
     seen = [*((i, t.members) for i, t in enumerate(trials)), *with_shapes(problem, trials)]
     logs = np.array(
-        [fair_evidence(trials, seen, [total(t.information, w) for t in trials]) for w in weights]
+        [
+            fair_evidence(trials, seen, [total(t.information, w) for t in trials], is_last=True)
+            for w in weights
+        ]
     )
     return [_weighed(problem, trials[i], m, logs[:, k]) for k, (i, m) in enumerate(seen)]
 

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from diagnosis.causes.form_error import factors, widened
+from diagnosis.causes.leftovers import in_units, left_of
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import Linear, linearise
@@ -12,12 +14,8 @@ from diagnosis.causes.whitening import (
     Whitened,
     apart,
     beside_named,
-    factors,
-    in_units,
     information,
-    left_of,
     whiten_throw,
-    widened,
 )
 from diagnosis.healthy.adapt import filters_help, misfit, scaled_to, stranger
 from diagnosis.healthy.filters import HealthyModel, nothing
@@ -52,9 +50,8 @@ class Problem:
     off: Sequence[Array]
     """What the twin without any effect leaves of every throw, (n,), in the channels' own units."""
 
-    def basis(self, throw: int) -> Basis:
-        """A throw at "no effect", whitened."""
-        return Basis(self.linear[throw], self.factor[throw], self.whitened[throw], self.beside)
+    basis: Sequence[Basis]
+    """Every throw at "no effect", for hypotheses."""
 
 
 def pose(
@@ -116,6 +113,7 @@ def _whitened(
         information(whitened),
         beside,
         [],
+        [],
     )
 
 
@@ -132,5 +130,14 @@ def _with_form_error(first: Problem) -> Problem:
         whiten_throw(p, one, model, f, beside=first.beside)
         for p, one, f in zip(prepared, first.linear, factor, strict=True)
     ]
-    found = information(whitened)
-    return replace(first, factor=factor, off=off, whitened=whitened, information=found)
+    return replace(
+        first,
+        factor=factor,
+        off=off,
+        whitened=whitened,
+        information=information(whitened),
+        basis=[
+            Basis(one, f, w, first.beside)
+            for one, f, w in zip(first.linear, factor, whitened, strict=True)
+        ],
+    )

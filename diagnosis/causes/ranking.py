@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
+from diagnosis.causes.form_error import rough_blocks
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JitterFit
+from diagnosis.causes.leftovers import DEAF_BLOCKS, SHAKEN_BLOCKS
 from diagnosis.causes.parameters import Group
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
-from diagnosis.causes.whitening import DEAF_BLOCKS, SHAKEN_BLOCKS, rough_blocks
 from machine.conventions import Array
 
 UNKNOWN_LEVEL_SD = 5.5

@@ -10,7 +10,7 @@ same simulations, all in one batch. Blocks (channels) of a throw:
     flight.ball, flight.impact    tracked and surveyed positions given the measured motion of the gripper, m
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,8 @@ from sim_twin.effects.effect import Effect, resolve
 from sim_twin.twin.profile import TwinProfile
 
 LANDING_STEP = 1e-3
+BATCH_COUNT = 1000
+"""Simulations side by side, beyond which no further set joins them: more take no less time each."""
 
 Known = dict[int, dict[int, Array]]
 """By the base of a throw's view: what the twin says of the throw's vector, by element."""
@@ -115,8 +117,8 @@ def relinearise(
     views: Sequence[View] | None = None,
     *,
     is_rough: bool = False,
-) -> list[list[Linear]]:
-    """Every throw about several sets of effects, in one batched simulation.
+) -> Iterator[list[Linear]]:
+    """Every throw about several sets of effects, one set after the other, simulated side by side.
 
     Only the views that a set moves are simulated; everything else is as in `first`. So are slopes of other
     parameters than those wanted, but for what follows the motion: behind valves that answer later or less
@@ -135,24 +137,25 @@ def relinearise(
         is_rough: whether all slopes but those wanted may be those of "no effect": for half the time.
     """
     inputs = [p.input for p in prepared]
-    plan = Plan()
-    shared: Shared = {}
-    parts: list[list[Part]] = []
-    for effects, wanted in requests:
-        moved = tuple(view for view in View if any(view in p.views for p in wanted))
-        chosen = moved if views is None else tuple(views)
-        throws = range(len(prepared))
-        about = effects, wanted, chosen
-        parts.append([part_about(plan, shared, i, *about, is_rough=is_rough) for i in throws])
-    output = simulate(inputs, plan.elements, plan.views, profile, calibration)
-    known: Known = {}
-    return [
-        [
-            _linear(p, output, part, effects, profile, healthy, before, known)
-            for p, part, before in zip(prepared, row, first, strict=True)
-        ]
-        for (effects, _), row in zip(requests, parts, strict=True)
-    ]
+    waiting = list(requests)
+    while waiting:
+        plan = Plan()
+        shared: Shared = {}
+        parts: list[list[Part]] = []
+        while len(parts) < len(waiting) and len(plan.elements) < BATCH_COUNT:
+            effects, wanted = waiting[len(parts)]
+            moved = tuple(view for view in View if any(view in p.views for p in wanted))
+            about = effects, wanted, moved if views is None else tuple(views)
+            throws = range(len(prepared))
+            parts.append([part_about(plan, shared, i, *about, is_rough=is_rough) for i in throws])
+        output = simulate(inputs, plan.elements, plan.views, profile, calibration)
+        known: Known = {}
+        for (effects, _), row in zip(waiting, parts, strict=False):
+            yield [
+                _linear(p, output, part, effects, profile, healthy, before, known)
+                for p, part, before in zip(prepared, row, first, strict=True)
+            ]
+        waiting = waiting[len(parts) :]
 
 
 def carried(at: Linear, effects: Sequence[Effect], progress_ratio: float) -> Linear:
@@ -233,14 +236,16 @@ def _linear(
 
 def _reported_late(prepared: PreparedThrow, effects: tuple[Effect, ...], slopes: Array) -> Array:
     """Slopes (n, p), those of the swing as an IMU reports them that these effects make late."""
-    out = slopes.copy()
+    slopes = slopes.copy()
     sizes = resolve(effects, prepared.input.progress_ratio)
     latency_s = sizes.get(("imu_latency", None, "extra_latency_s"), 0.0)
     for block in prepared.blocks if latency_s > 0.0 else ():
         if view_of(block) is View.SWING:
             at_s = np.maximum(block.t_s - latency_s, block.t_s[0])
-            out[block.rows] = CubicSpline(block.t_s, slopes[block.rows])(at_s)
-    return out
+            rows = slopes[block.rows]
+            known = rows.any(axis=0)
+            rows[:, known] = CubicSpline(block.t_s, rows[:, known])(at_s)
+    return slopes
 
 
 def _input_slopes(

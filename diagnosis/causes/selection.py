@@ -16,6 +16,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import expit, log_ndtr, logsumexp, softmax
 
 from machine.conventions import Array, IntArray
@@ -151,11 +152,12 @@ def screen(information: Information, priors: Priors) -> Screen:
     precision, gradient = information.precision, information.gradient
     root = np.linalg.cholesky(priors.scatter)
     inner = np.eye(root.shape[0]) + root.T @ precision @ root
-    covariance = root @ np.linalg.solve(inner, root.T)
-    covariance = 0.5 * (covariance + covariance.T)
+    lower = np.linalg.cholesky(inner)
+    half = solve_triangular(lower, root.T, lower=True, check_finite=False)
+    covariance = half.T @ half
     mean = covariance @ gradient
     fit = information.square - float(gradient @ mean)
-    log_volume = float(np.linalg.slogdet(inner)[1])
+    log_volume = 2.0 * float(np.log(np.diag(lower)).sum())
     return Screen(
         covariance,
         mean,

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from diagnosis.causes.form_error import rough_blocks, widened
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
     Layout,
@@ -27,14 +28,8 @@ from diagnosis.causes.selection import (
     total,
     weigh,
 )
-from diagnosis.causes.weighing import Trial, by_member, formed, lead, own_evidence
-from diagnosis.causes.whitening import (
-    Whitened,
-    information,
-    rough_blocks,
-    whiten_throw,
-    widened,
-)
+from diagnosis.causes.weighing import Trial, by_member, formed, lead, told
+from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
 
@@ -44,8 +39,6 @@ BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""
 MOST_STEPS_COUNT = 3
 """Simulations of a set that may follow each other in search of its sizes."""
-BATCH_COUNT = 6
-"""Sets simulated side by side: 12 throws with the slopes of 10 sets took up to 1.7 GiB."""
 Seed = tuple[Set, Array]
 """A set, and the sizes at which it is to be simulated."""
 
@@ -57,7 +50,7 @@ def try_sets(
     is_rough: bool = False,
     is_last: bool = False,
 ) -> list[Trial]:
-    """Simulate every set at its sizes, in batches, and estimate the sizes again.
+    """Simulate every set at its sizes, and estimate the sizes again.
 
     Args:
         problem: the throws.
@@ -65,15 +58,11 @@ def try_sets(
         is_rough: for a look at many, of which few will be tried again: half the time (`relinearise`).
         is_last: keep the whitened throws.
     """
-    waiting = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
-    found: list[Trial] = []
-    for first in range(0, len(waiting), BATCH_COUNT):
-        batch = waiting[first : first + BATCH_COUNT]
-        found += _try_batch(problem, batch, is_rough=is_rough, is_last=is_last)
-    return found
+    found = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
+    return _try(problem, found, is_rough=is_rough, is_last=is_last)
 
 
-def _try_batch(
+def _try(
     problem: Problem,
     seeds: Sequence[Seed],
     scatter: Sequence[tuple[Effect, ...]] | None = None,
@@ -81,7 +70,7 @@ def _try_batch(
     is_rough: bool = False,
     is_last: bool,
 ) -> list[Trial]:
-    """Sets simulated side by side, each with scatter of its machine, if any is given."""
+    """Sets, each with scatter of its machine, if any is given."""
     layout = problem.layout
     effects = [fitted_effects(layout, members, sizes) for members, sizes in seeds]
     beside = [()] * len(effects) if scatter is None else scatter
@@ -90,7 +79,7 @@ def _try_batch(
         [*_constants(layout, members), *(_bending() if off else ())]
         for (members, _), off in zip(seeds, beside, strict=True)
     ]
-    batch = relinearise(
+    found = relinearise(
         problem.prepared,
         problem.profile,
         problem.calibration,
@@ -99,14 +88,14 @@ def _try_batch(
         list(zip(about, only, strict=True)),
         is_rough=is_rough,
     )
-    found: list[Trial] = []
-    for (members, _), own, there, at in zip(seeds, effects, about, batch, strict=True):
+    trials: list[Trial] = []
+    for (members, _), own, there, at in zip(seeds, effects, about, found, strict=True):
         back = [
             carried(one, there, p.input.progress_ratio)
             for one, p in zip(at, problem.prepared, strict=True)
         ]
-        found.append(_estimated(problem, members, own, back, is_last=is_last))
-    return found
+        trials.append(_estimated(problem, members, own, back, is_last=is_last))
+    return trials
 
 
 def _bending() -> list[Parameter]:
@@ -136,17 +125,12 @@ def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     Scatter bends as effects do: told by slopes at the twin alone a hose of one machine was 64 behind no
     effect, and 22 where the machine was.
     """
-    found: list[Trial] = []
-    for first in range(0, len(trials), BATCH_COUNT):
-        batch = trials[first : first + BATCH_COUNT]
-        seeds = [(t.members, t.at) for t in batch]
-        scatter = [_scatter(problem, t) for t in batch]
-        there = _try_batch(problem, seeds, scatter, is_last=True)
-        found += [
-            _kept(problem, old) if own_evidence(old) > own_evidence(new) else new
-            for old, new in zip(batch, there, strict=True)
-        ]
-    return found
+    seeds = [(t.members, t.at) for t in trials]
+    there = _try(problem, seeds, [_scatter(problem, t) for t in trials], is_last=True)
+    return [
+        _kept(problem, old) if told(old) > told(new) else new
+        for old, new in zip(trials, there, strict=True)
+    ]
 
 
 def _kept(problem: Problem, trial: Trial) -> Trial:
@@ -186,7 +170,7 @@ def _with_form(
             factor = widened(
                 p, problem.model, problem.plain[i], problem.off[i], linear.change, rough
             )
-        whitened = whiten_throw(p, linear, problem.model, factor, problem.basis(i))
+        whitened = whiten_throw(p, linear, problem.model, factor, problem.basis[i])
         informations += information([whitened])
         if is_last:
             kept.append(whitened)
@@ -270,10 +254,7 @@ def settle(problem: Problem, seeds: Mapping[Set, Array], rounds: int) -> list[Tr
 def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """Simulated once more, at their estimates; the better trial of every set counts."""
     found = try_sets(problem, {t.members: t.sizes for t in trials})
-    return [
-        old if own_evidence(old) > own_evidence(new) else new
-        for old, new in zip(trials, found, strict=True)
-    ]
+    return [old if told(old) > told(new) else new for old, new in zip(trials, found, strict=True)]
 
 
 def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:

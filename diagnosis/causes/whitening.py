@@ -5,14 +5,15 @@ grasp, jitter of the opening, swing at the start) or from set to set (sensor off
 slopes times its standard deviation; all of them are marginalised, none is ever a cause.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from diagnosis.causes.nuisances import set_columns, throw_columns, throw_nuisances
 from diagnosis.causes.parameters import (
-    ROUGH_EFFECTS,
     SET_NUISANCES,
     Layout,
     library,
@@ -22,29 +23,9 @@ from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Information, inform_gram
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.unheard import unheard_columns
-from diagnosis.healthy.noise import NoiseModel, whiten, whitener
-from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.healthy.noise import NoiseModel, whiten
+from diagnosis.loading.prepared import Block, PreparedThrow
 from machine.conventions import Array, IntArray
-from sim_twin.effects.effect import Effect
-
-FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
-"""Discrepancy of a real effect from the library's by stage, as a share of what the twin is off there: what
-true effects at their best sizes left on 8 development sets beyond a healthy machine's discrepancy. Drives:
-0.15, 0.18, 0.18, 0.19, 0.3, 0.55, 0.6 (and 1.15 for a slew whose play began at a side that nobody knows);
-swing: 0.03, 0.06, 0.08; flight: 0.06."""
-JUMP_SD = 4.0
-"""A joint that breaks loose jumps within a tick: two samples of 20 standard deviations, and as the twin says
-before and after, on a development set with a telescope that sticks."""
-SHAKE_RATIO = 0.2
-"""Of what stiction or play changes at a joint, the others move with it: the twin's move alone. On three
-development sets the telescope was off by 0.1, 0.2 and 0.3 of what the dipper was."""
-DEAF_BLOCKS = "swing.accel"
-"""Joints that stop or break loose within a tick shake the gripper by more than smoothed joint motion can tell
-(up to 9 standard deviations on sets with stiction or backlash): no measure of what is left unexplained."""
-SHAKEN_BLOCKS = ("actuation", "swing.gyro")
-"""And the other joints: no measure where the best cause is of that kind (telescope 5.8 to 8.2 standard
-deviations on three sets with stiction or play of the dipper)."""
-OPENING = "release.switch"
 
 
 def slope_count() -> int:
@@ -85,6 +66,21 @@ class Whitened:
         return self.table[:, 2 + slope_count() :]
 
 
+class Moved(NamedTuple):
+    """Columns of a block that are not those of its throw without any effect."""
+
+    residual: Array
+    """(n,) by how much, before whitening."""
+    slopes: Array
+    """(n, p)"""
+    columns: IntArray
+    """Which of the table (k,)."""
+    values: Array
+    """What they are (n, k)."""
+    gram: Array
+    """By how much these columns of the throw's gram are others (columns, k)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Basis:
     """A throw without any effect: what hypotheses that leave blocks as they are need not whiten again."""
@@ -94,66 +90,8 @@ class Basis:
     whitened: Whitened
     beside: Array
     """What named slopes explain of the shapes (`beside_named`)."""
-
-
-def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:
-    """Cholesky factor of every block's covariance on a healthy machine."""
-    return [
-        whitener(model.channels[block.name], block.t_s, block.rate, block.push)
-        for block in prepared.blocks
-    ]
-
-
-def rough_blocks(effects: Sequence[Effect]) -> set[str]:
-    """Blocks of joints whose motion these effects make rough (`ROUGH_EFFECTS`)."""
-    return {f"actuation.{e.joint}" for e in effects if e.effect in ROUGH_EFFECTS}
-
-
-def widened(
-    prepared: PreparedThrow,
-    model: NoiseModel,
-    healthy: Sequence[Array],
-    off: Array,
-    change: Array | None = None,
-    rough: Collection[str] = (),
-) -> list[Array]:
-    """Factors with the discrepancy that an effect brings, whichever it is.
-
-    A real effect is never quite the library's: a share of what the twin is off is added to the discrepancy.
-    It is the same under every hypothesis, so that none is preferred for the noise that it brings.
-
-    Args:
-        prepared: the throw.
-        model: noise.
-        healthy: factors without it.
-        off: (n,) what the twin without any effect leaves of the throw.
-        change: (n,) what effects change that shake the other joints.
-        rough: blocks of the joints of these effects.
-    """
-    shaking = [b.rows for b in prepared.blocks if b.name in rough]
-    found: list[Array] = []
-    for block, lower in zip(prepared.blocks, healthy, strict=True):
-        extra = FORM_ERROR_RATIO.get(block.name.partition(".")[0], 0.0) * _clear(
-            off[block.rows], lower
-        )
-        if change is not None and block.name.startswith("actuation") and block.name not in rough:
-            for rows in shaking:
-                extra = extra + SHAKE_RATIO * _clear(change[rows], lower)
-        channel = model.channels[block.name]
-        found.append(
-            whitener(channel, block.t_s, block.rate, block.push, extra) if extra.any() else lower
-        )
-    return found
-
-
-def _clear(change: Array, lower: Array) -> Array:
-    """Size (n,) of a change around each row, as far as it stands out of a healthy machine's noise.
-
-    What drowns in the noise must not excuse more of it.
-    """
-    size = np.abs(np.nan_to_num(change))
-    around = np.max([np.roll(size, k) for k in range(-2, 3)], axis=0)
-    return np.maximum(around - 2.0 * np.sqrt(np.sum(lower**2, axis=1)), 0.0)
+    last: dict[str, Moved] = field(default_factory=dict[str, Moved])
+    """By block, of the set before: sets that are tried after each other often share an effect."""
 
 
 def whiten_throw(
@@ -175,44 +113,112 @@ def whiten_throw(
             they predict, not in what they call scatter; `linear` if left out.
         beside: what named slopes explain of the shapes (`beside_named`); that of the basis if left out.
     """
-    own = linear if basis is None else basis.linear
-    beside = basis.beside if beside is None and basis is not None else beside
     log_volume = float(sum(np.log(np.diag(lower)).sum() for lower in factor))
     names = {block.name: block.rows for block in prepared.blocks}
-    changed = [
-        (block, lower)
-        for place, (block, lower) in enumerate(zip(prepared.blocks, factor, strict=True))
-        if basis is None or not _same(linear, lower, basis, block.rows, place)
-    ]
     if basis is None:
         table = np.empty((linear.residual.size, 2 + slope_count() + len(throw_nuisances())))
-        gram = np.zeros((table.shape[1],) * 2)
+        _fill(table, prepared, linear, linear, model, beside, prepared.blocks, factor)
+        gram = table.T @ table
     else:
         table, gram = basis.whitened.table.copy(), basis.whitened.gram.copy()
-    if changed:
-        rows = np.concatenate([np.arange(b.rows.start, b.rows.stop) for b, _ in changed])
-        columns = _columns(prepared, linear, own, model, rows)
-        first = 0
-        for block, lower in changed:
-            part = block.rows
-            last = first + part.stop - part.start
-            if basis is not None:
-                gram -= table[part].T @ table[part]
-            table[part] = whiten(lower, columns[first:last])
-            if beside is not None:
-                _take_off(table[part], beside, model)
-            gram += table[part].T @ table[part]
-            first = last
+        _change(table, gram, prepared, linear, model, factor, basis)
     return Whitened(table, prepared.input.progress_ratio, names, log_volume, gram)
 
 
-def _same(linear: Linear, lower: Array, basis: Basis, rows: slice, place: int) -> bool:
-    """Whether a block is what it is without effects."""
-    return (
-        lower is basis.factor[place]
-        and np.array_equal(linear.residual[rows], basis.linear.residual[rows], equal_nan=True)
-        and np.array_equal(linear.jacobian[rows], basis.linear.jacobian[rows])
-    )
+def _fill(
+    table: Array,
+    prepared: PreparedThrow,
+    linear: Linear,
+    own: Linear,
+    model: NoiseModel,
+    beside: Array | None,
+    blocks: Sequence[Block],
+    factor: Sequence[Array],
+) -> None:
+    """Whiten blocks into the table's rows; nuisances and shapes have the slopes of `own`."""
+    if not blocks:
+        return
+    columns = _columns(prepared, linear, own, model, np.r_[*(b.rows for b in blocks)])
+    first = 0
+    for block, lower in zip(blocks, factor, strict=True):
+        last = first + block.rows.stop - block.rows.start
+        table[block.rows] = whiten(lower, columns[first:last])
+        if beside is not None:
+            _take_off(table[block.rows], beside, model)
+        first = last
+
+
+def _change(
+    table: Array,
+    gram: Array,
+    prepared: PreparedThrow,
+    linear: Linear,
+    model: NoiseModel,
+    factor: Sequence[Array],
+    basis: Basis,
+) -> None:
+    """From the basis' table and gram to those of `linear`, in place.
+
+    Whitening is linear: in the same noise only what differs from the basis is whitened.
+    """
+    there = np.isfinite(linear.residual) == np.isfinite(basis.linear.residual)
+    others: list[tuple[Block, Array]] = []
+    for place, (block, lower) in enumerate(zip(prepared.blocks, factor, strict=True)):
+        rows = block.rows
+        if lower is not basis.factor[place] or not there[rows].all():
+            others.append((block, lower))
+            continue
+        residual = np.nan_to_num(linear.residual[rows] - basis.linear.residual[rows])
+        slopes = linear.jacobian[rows] - basis.linear.jacobian[rows]
+        if residual.any() or slopes.any():
+            moved = basis.last.get(block.name)
+            if moved is None or not _is_of(moved, residual, slopes):
+                moved = _moved(basis, rows, lower, model, residual, slopes)
+                basis.last[block.name] = moved
+            table[rows, moved.columns] = moved.values
+            gram[:, moved.columns] += moved.gram
+            gram[moved.columns] = gram[:, moved.columns].T
+    chosen, lowers = [block for block, _ in others], [lower for _, lower in others]
+    _fill(table, prepared, linear, basis.linear, model, basis.beside, chosen, lowers)
+    for block in chosen:
+        before, after = basis.whitened.table[block.rows], table[block.rows]
+        gram += after.T @ after - before.T @ before
+
+
+def _is_of(moved: Moved, residual: Array, slopes: Array) -> bool:
+    return np.array_equal(moved.residual, residual) and np.array_equal(moved.slopes, slopes)
+
+
+def _moved(
+    basis: Basis, rows: slice, lower: Array, model: NoiseModel, residual: Array, slopes: Array
+) -> Moved:
+    """What differences (n,) and (n, p) before whitening make of a block."""
+    named = np.flatnonzero(slopes.any(axis=0))
+    change = np.column_stack([residual - slopes @ _middle(model, _named()), slopes[:, named]])
+    # Only the ball and the impact can be missing, and their noise is white.
+    change[~np.isfinite(basis.linear.residual[rows])] = 0.0
+    white = whiten(lower, change)
+    shapes = -white[:, 1:] @ basis.beside[named]
+    first = 2 + slope_count() - shapes.shape[1]
+    of_all = shapes @ _middle(model, unheard_names())
+    steps = np.column_stack([white[:, 0] - of_all, -of_all, white[:, 1:], shapes])
+    columns = np.r_[0, 1, 2 + named, first : first + shapes.shape[1]]
+    before = basis.whitened.table[rows]
+    after = before.copy()
+    after[:, columns] += steps
+    gram = after.T @ after[:, columns] - before.T @ before[:, columns]
+    return Moved(residual, slopes, columns, after[:, columns], gram)
+
+
+@cache
+def _named() -> tuple[str, ...]:
+    """Keys of the library's parameters."""
+    return tuple(p.key for p in library())
+
+
+def _middle(model: NoiseModel, names: Sequence[str]) -> Array:
+    """What all healthy machines are off, in the order of names."""
+    return np.array([model.healthy_mean.get(name, 0.0) for name in names])
 
 
 def _columns(
@@ -220,12 +226,11 @@ def _columns(
 ) -> Array:
     """The table's columns before whitening, at some rows."""
     of_set = np.column_stack([set_columns(prepared, linear), unheard_columns(prepared, own)])[rows]
-    middle = np.array([model.healthy_mean.get(p.key, 0.0) for p in library()])
-    middle_of_set = np.array([model.healthy_mean.get(name, 0.0) for name in SET_NUISANCES])
+    middle = _middle(model, _named())
     jacobian = linear.jacobian[rows]
     of_throw = np.column_stack([throw_columns(prepared, own)[rows], own.jacobian[rows]])
     root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
-    usual = of_set[:, : len(SET_NUISANCES)] @ middle_of_set
+    usual = of_set[:, : len(SET_NUISANCES)] @ _middle(model, SET_NUISANCES)
     columns = np.column_stack(
         [
             linear.residual[rows] - jacobian @ middle - usual,
@@ -256,8 +261,7 @@ def _take_off(table: Array, beside: Array, model: NoiseModel) -> None:
     named, last = 2 + len(library()), 2 + slope_count()
     shapes = table[:, last - beside.shape[1] : last]
     shapes -= table[:, 2:named] @ beside
-    middle = np.array([model.healthy_mean.get(name, 0.0) for name in unheard_names()])
-    table[:, :2] -= (shapes @ middle)[:, None]
+    table[:, :2] -= (shapes @ _middle(model, unheard_names()))[:, None]
 
 
 def apart(whitened: Whitened, beside: Array, model: NoiseModel) -> Whitened:
@@ -284,66 +288,3 @@ def _in_layout(whitened: Whitened, count: int) -> Information:
         gradient=found.gradient[order] * share,
         bare_gradient=found.bare_gradient[order] * share,
     )
-
-
-def explained(whitened: Whitened, mean: Array) -> Array:
-    """What parameters in the order of the layout (size,) make of a throw, (n,), whitened."""
-    count = len(library())
-    acting = mean[:count] + whitened.progress_ratio * mean[count : 2 * count]
-    return whitened.slopes @ np.concatenate([acting, mean[2 * count :]])
-
-
-def in_units(prepared: PreparedThrow, factor: Sequence[Array], white: Array) -> Array:
-    """A whitened vector (n,) in the channels' own units."""
-    out = np.zeros_like(white)
-    for block, lower in zip(prepared.blocks, factor, strict=True):
-        out[block.rows] = lower @ white[block.rows]
-    return out
-
-
-def left_of(whitened: Whitened, mean: Array) -> Array:
-    """What parameters `mean` and the throw's nuisances at their best values leave of it, (n,), whitened."""
-    unexplained = whitened.residual - explained(whitened, mean)
-    nuisance = whitened.nuisance
-    inner = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
-    return unexplained - nuisance @ np.linalg.solve(inner, nuisance.T @ unexplained)
-
-
-def leftovers(
-    whitened: Whitened, mean: Array, rough: Collection[str] = ()
-) -> dict[str, tuple[float, int]]:
-    """Power of what is left in each block of a throw after the parameters `mean` (p,), and its rows.
-
-    The throw's nuisances are set to their best values first. In the blocks named `rough` no row counts for
-    more than `JUMP_SD`.
-    """
-    unexplained = whitened.residual - explained(whitened, mean)
-    nuisance = whitened.nuisance
-    left = left_of(whitened, mean)
-    left = {
-        name: np.clip(left[rows], -JUMP_SD, JUMP_SD) if name in rough else left[rows]
-        for name, rows in whitened.rows.items()
-    }
-    power = {
-        name: (float(left[name] @ left[name]), rows.stop - rows.start)
-        for name, rows in whitened.rows.items()
-    }
-    if OPENING in whitened.rows:
-        # Nuisances could take all of the opening's single row: it is held against their spread instead.
-        row = whitened.rows[OPENING].start
-        spread = 1.0 + float(nuisance[row] @ nuisance[row])
-        power[OPENING] = float(unexplained[row]) ** 2 / spread, 1
-    return power
-
-
-def levels(
-    whitened: Sequence[Whitened], mean: Array, rough: Collection[str] = ()
-) -> dict[str, float]:
-    """Log of the residual power per row of every block, after the parameters `mean`, over all throws."""
-    power: dict[str, float] = {}
-    rows: dict[str, int] = {}
-    for one in whitened:
-        for name, (square, count) in leftovers(one, mean, rough).items():
-            power[name] = power.get(name, 0.0) + square
-            rows[name] = rows.get(name, 0) + count
-    return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}

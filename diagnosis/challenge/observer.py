@@ -84,13 +84,15 @@ def discriminability(problem: Problem, parameters: Sequence[Parameter], size: Ar
     """D' of every parameter at its size (K,), in the direction that its bounds leave more room for."""
     sign = np.array([1.0 if p.high >= -p.low else -1.0 for p in parameters])
     requests = [((p.at(float(s)),), [p]) for p, s in zip(parameters, sign * size, strict=True)]
-    moved = relinearise(
-        problem.prepared,
-        problem.profile,
-        problem.calibration,
-        problem.healthy,
-        problem.linear,
-        requests,
+    moved = list(
+        relinearise(
+            problem.prepared,
+            problem.profile,
+            problem.calibration,
+            problem.healthy,
+            problem.linear,
+            requests,
+        )
     )
     count = len(parameters)
     width = 2 * count + slope_count()

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnosis.causes.leftovers import leftovers
 from diagnosis.causes.parameters import joint_index, library
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Priors, screen, total
-from diagnosis.causes.whitening import Whitened, information, leftovers
+from diagnosis.causes.whitening import Whitened, information
 from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.loading.prepared import AXES, PreparedThrow

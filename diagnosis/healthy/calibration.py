@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.causes.form_error import factors
 from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
 from diagnosis.causes.parameters import library, scatter_names
 from diagnosis.causes.residuals import linearise
-from diagnosis.causes.whitening import factors
 from diagnosis.healthy.expectation import HealthySet, first_scatter_sd, fit, improve
 from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, inputs, learn, nothing
 from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter

@@ -12,21 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from diagnosis.causes.form_error import factors
+from diagnosis.causes.leftovers import explained, in_units
+from diagnosis.causes.nuisances import throw_nuisances
 from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import screen, total
 from diagnosis.causes.shapes import unheard_least_sd
-from diagnosis.causes.whitening import (
-    Whitened,
-    apart,
-    beside_named,
-    explained,
-    factors,
-    in_units,
-    information,
-    throw_nuisances,
-    whiten_throw,
-)
+from diagnosis.causes.whitening import Whitened, apart, beside_named, information, whiten_throw
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
 from diagnosis.healthy.two_levels import Levels, Told, learn, shrunk, told
 from diagnosis.loading.prepared import PreparedThrow

@@ -88,7 +88,9 @@ def test_relinearised_at_the_truth_leaves_noise() -> None:
     filters = health().filters
     first = linearise(prepared, profile(), calibration, filters)
     wanted = [p for p in library() if p.group == ("valve_lag", "boom")]
-    again = relinearise(prepared, profile(), calibration, filters, first, [((effect,), wanted)])[0]
+    again = next(
+        relinearise(prepared, profile(), calibration, filters, first, [((effect,), wanted)])
+    )
     block = prepared[0].block("actuation.boom")
     other = prepared[0].block("swing.gyro.y")
     assert block is not None
@@ -112,13 +114,13 @@ def test_behind_a_late_valve_all_that_its_joint_does_is_late(
     assert block is not None
     lag = index_of()["valve_lag.boom.extra_lag_s"]
     before = first[0].jacobian[block.rows, lag]
-    after = relinearise(*args)[0][0].jacobian[block.rows, lag]
+    after = next(relinearise(*args))[0].jacobian[block.rows, lag]
     expected = np.interp(block.t_s - delay_s, block.t_s, before)
     off = float(np.linalg.norm(after - expected))
     assert off < 0.25 * np.linalg.norm(after)
     assert off < 0.6 * np.linalg.norm(after - before)
     # A rough look takes the slopes of "no effect".
-    rough = relinearise(*args, is_rough=True)[0][0].jacobian[block.rows, lag]
+    rough = next(relinearise(*args, is_rough=True))[0].jacobian[block.rows, lag]
     np.testing.assert_array_equal(rough, before)
 
 
@@ -132,8 +134,8 @@ def test_a_late_imu_reports_slopes_of_the_swing_late(
     alone = [p for p in library() if p.effect == "imu_latency"]
     both = [p for p in library() if p.effect in ("imu_latency", "gripper_length")]
     column = index_of()["gripper_length.extra_length_m"]
-    shifted = relinearise(*args, [((late,), alone)])[0][0].jacobian[:, column]
-    simulated = relinearise(*args, [((late,), both)])[0][0].jacobian[:, column]
+    shifted = next(relinearise(*args, [((late,), alone)]))[0].jacobian[:, column]
+    simulated = next(relinearise(*args, [((late,), both)]))[0].jacobian[:, column]
     for name in ("swing.gyro.y", "swing.accel.x"):
         block = prepared[0].block(name)
         assert block is not None
@@ -160,7 +162,7 @@ def test_a_delay_of_the_opening_needs_no_simulation_to_be_taken_into_account(
     calibration = prepared[0].throw.calibration
     wanted = [p for p in library() if p.effect == "release_delay"]
     args = (prepared, profile(), calibration, health().filters, found, [((late,), wanted)])
-    for p, before, after in zip(prepared, found, relinearise(*args)[0], strict=True):
+    for p, before, after in zip(prepared, found, next(relinearise(*args)), strict=True):
         switch = p.block("release.switch")
         assert switch is not None
         moved = before.residual - after.residual
@@ -200,7 +202,7 @@ def test_healthy_filters_see_a_neighbour_as_it_moved_before_its_late_sensor_repo
     block = prepared[0].block("actuation.boom")
     assert block is not None
     for before, as_late, as_known, true in zip(
-        on_time, first, relinearise(*args)[0], expected, strict=True
+        on_time, first, next(relinearise(*args)), expected, strict=True
     ):
         seen = np.std(before.residual[block.rows] - true.residual[block.rows])
         wrong = np.std(as_late.residual[block.rows] - true.residual[block.rows])

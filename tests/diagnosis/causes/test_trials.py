@@ -1,5 +1,6 @@
 """How sets of effects, and parts of them, are compared."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,15 @@ from diagnosis.causes.candidates import (
 )
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
-from diagnosis.causes.weighing import Trial, evidence_in, fair_evidence, formed
+from diagnosis.causes.weighing import (
+    Trial,
+    evidence_in,
+    fair_evidence,
+    formed,
+    own_evidence,
+    promised,
+    told,
+)
 from diagnosis.healthy.noise import load_noise
 from machine.spec import load_spec
 from sim_twin.twin.profile import nominal_profile
@@ -61,6 +70,29 @@ def test_a_part_has_the_form_error_of_its_own_effects_only():
     assert found[0, 1] - found[0,] > 40.0
     borrowed = evidence_in(both.base, PRIORS, (0,))
     assert found[0, 1] - borrowed < 30.0, "with the form error of both"
+
+
+def test_sizes_that_nobody_simulated_are_a_promise():
+    """A load of 0.1 kg promised that one of 0.5 kg explained what drag did."""
+    near = trial((0,), SIZES[:1])
+    far = replace(near, at=np.array([1.0]))
+    assert promised(trial()) == promised(near) == 0.0
+    assert own_evidence(far) == own_evidence(near)
+    assert told(far) < told(near) - 100.0
+    beyond = replace(near, sizes=np.array([12.0]), at=np.array([10.0]))
+    assert promised(beyond) == 0.0, "it was simulated as far as the bound lets it"
+    assert promised(replace(far, bent=(0,))) == 0.0
+
+
+def test_in_the_end_no_set_counts_for_a_promise():
+    near = trial((0,), SIZES[:1])
+    trials = trial(), replace(near, at=np.array([1.0]))
+    seen = [(0, ()), (1, (0,))]
+    data = [t.information[0] for t in trials]
+    found = fair_evidence(trials, seen, data)
+    last = fair_evidence(trials, seen, data, is_last=True)
+    assert found[1] - last[1] == pytest.approx(promised(trials[1]))
+    assert found[0] == last[0]
 
 
 def test_the_form_error_of_every_stage_is_its_own():
@@ -178,7 +210,7 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
         return [at(float(size[0])) for size in seeds.values()]
 
     monkeypatch.setattr(trials, "try_sets", try_sets)
-    monkeypatch.setattr(trials, "own_evidence", lambda one: -abs(float(one.at[0]) - 0.030))
+    monkeypatch.setattr(trials, "told", lambda one: -abs(float(one.at[0]) - 0.030))
     (found,) = trials.nearer(SimpleNamespace(), [at(start)])
     assert float(found.at[0]) == pytest.approx(end)
     assert len(asked) == simulations
