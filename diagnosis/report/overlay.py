@@ -1,7 +1,9 @@
 """Series for the report: what was measured, and what the twin says of the same commands, before and after.
 
-Everything is simulated from the commands to the impact, so that a late joint is seen late downstream too.
-What every healthy machine of the type differs by is taken into account before and after alike.
+Where a drive is at fault, everything is simulated from the commands to the impact, so that a late joint is
+seen late downstream too. Otherwise what follows from the joints is simulated from their measured motion, so
+that what drives miss on any machine does not hide it. What every healthy machine of the type differs by is
+taken into account before and after alike.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,10 +28,9 @@ DIGITS = 4
 PITCH_AXIS = 1
 """Of the IMU: the load swings about it in a throw straight ahead."""
 NO_EFFECTS: tuple[Effect, ...] = ()
-
-
 TURN_RATE = "gripper's turn rate"
 HEIGHT = "load's height in flight"
+FROM_MEASURED = " from the measured joints"
 
 
 def overlay(
@@ -48,10 +49,14 @@ def overlay(
     if where is not None:
         places.append((*where, ""))
     wanted = [_signal(*place) for place in places]
-    plots = _all(problem, effects)
+    is_driven = not effects or any(effect_stage(e) == "actuation" for e in effects)
+    plots = _all(problem, effects, is_driven=is_driven)
     names = list(dict.fromkeys([name for name in wanted if name in plots] + list(plots)))
+    given = {} if is_driven else {TURN_RATE: FROM_MEASURED, HEIGHT: FROM_MEASURED}
     return {
-        f"{name}, throw {number}": plot for name in names for number, plot in plots[name].items()
+        f"{name}{given.get(name, '')}, throw {number}": plot
+        for name in names
+        for number, plot in plots[name].items()
     }
 
 
@@ -65,13 +70,17 @@ def _signal(stage: str, joint: str | None, effect: str) -> str:
     return f"{ACTIVE_JOINTS[1]} velocity" if stage == "actuation" else HEIGHT
 
 
-def _all(problem: Problem, effects: Sequence[Effect]) -> dict[str, dict[int, dict[str, Any]]]:
+def _all(
+    problem: Problem, effects: Sequence[Effect], *, is_driven: bool
+) -> dict[str, dict[int, dict[str, Any]]]:
     """All plots: name of the signal -> number of the throw -> its plot."""
     shown = _shown(problem.prepared)
     cases = {"twin_before": NO_EFFECTS}
     if effects:
         cases["twin_after"] = tuple(effects)
-    found = {name: _simulate(problem, shown, case) for name, case in cases.items()}
+    found = {
+        name: _simulate(problem, shown, case, is_driven=is_driven) for name, case in cases.items()
+    }
     plots: dict[str, dict[int, dict[str, Any]]] = {}
     for k, p in enumerate(shown):
         number, at_s, rows = _number(problem, p), p.motion.t_s, p.motion.t_s.size
@@ -121,9 +130,13 @@ def _number(problem: Problem, p: PreparedThrow) -> int:
 
 
 def _simulate(
-    problem: Problem, shown: Sequence[PreparedThrow], effects: tuple[Effect, ...]
+    problem: Problem,
+    shown: Sequence[PreparedThrow],
+    effects: tuple[Effect, ...],
+    *,
+    is_driven: bool,
 ) -> tuple[list[Array], ReplayOutput]:
-    """Joint velocities (T, 4) a throw from its commands, corrected; and all that follows from them."""
+    """Joint velocities (T, 4) a throw from its commands, corrected; what follows from these or measured."""
     inputs = [p.input for p in shown]
     alone = replay_drives(
         inputs,
@@ -137,7 +150,8 @@ def _simulate(
         for k, p in enumerate(shown)
     ]
     elements = [ReplayElement(i, effects, measured_joints=ALL) for i in range(len(inputs))]
-    output = replay(moved, elements, problem.profile, problem.calibration)
+    given = moved if is_driven else inputs
+    output = replay(given, elements, problem.profile, problem.calibration)
     return [data.velocity_rad_m_per_s for data in moved], output
 
 

@@ -52,16 +52,34 @@ def first(problem, effects, where):
 
 def test_what_was_found_comes_first_and_without_it_the_place_to_look_at(problem):
     jitter = Effect(effect="release_jitter", parameters={"extra_sd_s": 0.01})
-    assert first(problem, (jitter,), ("release", None)) == "load's height in flight, throw 1"
+    given = " from the measured joints"
+    assert (
+        first(problem, (jitter,), ("release", None)) == f"load's height in flight{given}, throw 1"
+    )
     drift = Effect(effect="warm_up_drift", joint="boom", parameters={"valve_lag.extra_lag_s": 0.05})
     assert first(problem, (drift,), ("actuation", "boom")) == "boom velocity, throw 1"
     imu = Effect(effect="imu_latency", parameters={"extra_latency_s": 0.05})
-    assert first(problem, (imu,), ("aim", None)) == "gripper's turn rate, throw 1"
+    assert first(problem, (imu,), ("aim", None)) == f"gripper's turn rate{given}, throw 1"
     assert first(problem, (), ("swing", None)) == "gripper's turn rate, throw 1"
     assert first(problem, (), ("actuation", "telescope")) == "telescope velocity, throw 1"
     assert first(problem, (), None) == "slew velocity, throw 1"
     names = [name.split(",")[0] for name in overlay(problem, (LATE, imu), ("actuation", "dipper"))]
     assert list(dict.fromkeys(names))[:2] == ["dipper velocity", "gripper's turn rate"]
+
+
+def test_what_drives_miss_does_not_hide_what_is_behind_them(problem):
+    """The valve is late, and the release is looked at: the load flies as the measured joints throw it."""
+    delay = Effect(effect="release_delay", parameters={"extra_delay_s": 0.1})
+    own = overlay(problem, (delay,), ("release", None))
+    height, rate = (
+        own[f"{name} from the measured joints, throw 1"]
+        for name in ("load's height in flight", "gripper's turn rate")
+    )
+    assert rms(height, "twin_before") < 0.03
+    assert rms(height, "twin_after") > 5.0 * rms(height, "twin_before")
+    assert rms(rate, "twin_before") < 0.05
+    from_commands = overlay(problem, (LATE, delay), ("actuation", "dipper"))
+    assert rms(from_commands["gripper's turn rate, throw 1"], "twin_before") > 0.2
 
 
 def test_without_effects_there_is_no_after(problem):
