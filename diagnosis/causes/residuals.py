@@ -45,6 +45,8 @@ from sim_twin.effects.effect import Effect, resolve
 from sim_twin.twin.profile import TwinProfile
 
 LANDING_STEP = 1e-3
+THROWS_COUNT = 24
+"""Throws linearised side by side: each takes 15 MiB."""
 BATCH_COUNT = 1000
 """Simulations side by side, beyond which no further set joins them: more take no less time each."""
 
@@ -85,7 +87,7 @@ def linearise(
     calibration: ValveCalibration,
     healthy: HealthyModel,
 ) -> list[Linear]:
-    """Residuals and slopes of every throw without any effect, in one batched simulation.
+    """Residuals and slopes of every throw without any effect, some throws side by side.
 
     Args:
         prepared: the throws.
@@ -93,6 +95,19 @@ def linearise(
         calibration: of its valves.
         healthy: what the twin misses on every machine.
     """
+    found: list[Linear] = []
+    for first in range(0, len(prepared), THROWS_COUNT):
+        some = prepared[first : first + THROWS_COUNT]
+        found += _linearise(some, profile, calibration, healthy)
+    return found
+
+
+def _linearise(
+    prepared: Sequence[PreparedThrow],
+    profile: TwinProfile,
+    calibration: ValveCalibration,
+    healthy: HealthyModel,
+) -> list[Linear]:
     inputs = [p.input for p in prepared]
     plan = Plan()
     parts: list[Part] = []

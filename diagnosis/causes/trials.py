@@ -183,7 +183,16 @@ def _with_form(
     mean = _sizes_in(data, problem.layout.priors, members)
     bent = tuple(m for m in members if problem.layout.groups[m][0] in BENT_EFFECTS)
     return Trial(
-        members, start, mean, kept, informations, priors, problem.layout.priors, base, bent
+        members=members,
+        at=start,
+        sizes=mean,
+        whitened=kept,
+        # A hundred sets are tried: every throw's by itself would be half a gigabyte.
+        information=informations if is_last else [data],
+        priors=priors,
+        plain=problem.layout.priors,
+        base=base,
+        bent=bent,
     )
 
 

@@ -38,6 +38,7 @@ class Trial:
     whitened: Sequence[Whitened]
     """Kept in the last round only: it is large."""
     information: Sequence[Information]
+    """Of every throw in the last round, for bootstraps; before it one for all throws together."""
     priors: Priors
     """With the form error of the members."""
     plain: Priors

@@ -111,7 +111,7 @@ def whiten_throw(
         factor: of the blocks' covariances.
         basis: the throw without effects: its nuisances follow its slopes, so that hypotheses differ in what
             they predict, not in what they call scatter; `linear` if left out.
-        beside: what named slopes explain of the shapes (`beside_named`); that of the basis if left out.
+        beside: what named slopes explain of the shapes (`beside_named`); that of the basis, if there is one.
     """
     log_volume = float(sum(np.log(np.diag(lower)).sum() for lower in factor))
     names = {block.name: block.rows for block in prepared.blocks}

@@ -39,6 +39,15 @@ def test_twins_own_throws_leave_noise(own: tuple[list[PreparedThrow], list[Linea
         assert np.std(one.residual[gyro.rows]) < 0.03
 
 
+def test_throws_are_the_same_one_by_one(
+    own: tuple[list[PreparedThrow], list[Linear]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("diagnosis.causes.residuals.THROWS_COUNT", 1)
+    for together, alone in zip(own[1], linear()[1], strict=True):
+        np.testing.assert_allclose(together.residual, alone.residual, atol=1e-9)
+        np.testing.assert_allclose(together.jacobian, alone.jacobian, atol=1e-6)
+
+
 def test_a_joint_effect_moves_its_own_joint_only(
     own: tuple[list[PreparedThrow], list[Linear]],
 ) -> None:
