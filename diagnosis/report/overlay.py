@@ -30,7 +30,8 @@ PITCH_AXIS = 1
 NO_EFFECTS: tuple[Effect, ...] = ()
 TURN_RATE = "gripper's turn rate"
 HEIGHT = "load's height in flight"
-FROM_MEASURED = " from the measured joints"
+FROM_MEASURED = {TURN_RATE: "turn rate from measured joints", HEIGHT: "height from measured joints"}
+"""Their names where the joints are taken as measured; titles of plots have no room for more."""
 
 
 def overlay(
@@ -52,9 +53,9 @@ def overlay(
     is_driven = not effects or any(effect_stage(e) == "actuation" for e in effects)
     plots = _all(problem, effects, is_driven=is_driven)
     names = list(dict.fromkeys([name for name in wanted if name in plots] + list(plots)))
-    given = {} if is_driven else {TURN_RATE: FROM_MEASURED, HEIGHT: FROM_MEASURED}
+    titles = {} if is_driven else FROM_MEASURED
     return {
-        f"{name}{given.get(name, '')}, throw {number}": plot
+        f"{titles.get(name, name)}, throw {number}": plot
         for name in names
         for number, plot in plots[name].items()
     }

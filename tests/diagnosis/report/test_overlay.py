@@ -52,14 +52,11 @@ def first(problem, effects, where):
 
 def test_what_was_found_comes_first_and_without_it_the_place_to_look_at(problem):
     jitter = Effect(effect="release_jitter", parameters={"extra_sd_s": 0.01})
-    given = " from the measured joints"
-    assert (
-        first(problem, (jitter,), ("release", None)) == f"load's height in flight{given}, throw 1"
-    )
+    assert first(problem, (jitter,), ("release", None)) == "height from measured joints, throw 1"
     drift = Effect(effect="warm_up_drift", joint="boom", parameters={"valve_lag.extra_lag_s": 0.05})
     assert first(problem, (drift,), ("actuation", "boom")) == "boom velocity, throw 1"
     imu = Effect(effect="imu_latency", parameters={"extra_latency_s": 0.05})
-    assert first(problem, (imu,), ("aim", None)) == f"gripper's turn rate{given}, throw 1"
+    assert first(problem, (imu,), ("aim", None)) == "turn rate from measured joints, throw 1"
     assert first(problem, (), ("swing", None)) == "gripper's turn rate, throw 1"
     assert first(problem, (), ("actuation", "telescope")) == "telescope velocity, throw 1"
     assert first(problem, (), None) == "slew velocity, throw 1"
@@ -72,8 +69,7 @@ def test_what_drives_miss_does_not_hide_what_is_behind_them(problem):
     delay = Effect(effect="release_delay", parameters={"extra_delay_s": 0.1})
     own = overlay(problem, (delay,), ("release", None))
     height, rate = (
-        own[f"{name} from the measured joints, throw 1"]
-        for name in ("load's height in flight", "gripper's turn rate")
+        own[f"{name} from measured joints, throw 1"] for name in ("height", "turn rate")
     )
     assert rms(height, "twin_before") < 0.03
     assert rms(height, "twin_after") > 5.0 * rms(height, "twin_before")
