@@ -46,6 +46,7 @@ Seed = tuple[Set, Array]
 def try_sets(
     problem: Problem,
     seeds: Mapping[Set, Array] | Sequence[Seed],
+    scatter: Sequence[tuple[Effect, ...]] | None = None,
     *,
     is_rough: bool = False,
     is_last: bool = False,
@@ -55,23 +56,12 @@ def try_sets(
     Args:
         problem: the throws.
         seeds: the sets, and the sizes at which they are simulated.
+        scatter: of the machine, beside each set; none if left out.
         is_rough: for a look at many, of which few will be tried again: half the time (`relinearise`).
-        is_last: keep the whitened throws.
+        is_last: keep the whitened throws, and what each throw says by itself.
     """
-    found = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
-    return _try(problem, found, is_rough=is_rough, is_last=is_last)
-
-
-def _try(
-    problem: Problem,
-    seeds: Sequence[Seed],
-    scatter: Sequence[tuple[Effect, ...]] | None = None,
-    *,
-    is_rough: bool = False,
-    is_last: bool,
-) -> list[Trial]:
-    """Sets, each with scatter of its machine, if any is given."""
     layout = problem.layout
+    seeds = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
     effects = [fitted_effects(layout, members, sizes) for members, sizes in seeds]
     beside = [()] * len(effects) if scatter is None else scatter
     about = [(*own, *off) for own, off in zip(effects, beside, strict=True)]
@@ -126,7 +116,7 @@ def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     effect, and 22 where the machine was.
     """
     seeds = [(t.members, t.at) for t in trials]
-    there = _try(problem, seeds, [_scatter(problem, t) for t in trials], is_last=True)
+    there = try_sets(problem, seeds, [_scatter(problem, t) for t in trials], is_last=True)
     return [
         _kept(problem, old) if told(old) > told(new) else new
         for old, new in zip(trials, there, strict=True)
@@ -187,7 +177,7 @@ def _with_form(
         at=start,
         sizes=mean,
         whitened=kept,
-        # A hundred sets are tried: every throw's by itself would be half a gigabyte.
+        # A hundred sets are tried; only those of the last round are weighed on bootstraps of throws.
         information=informations if is_last else [data],
         priors=priors,
         plain=problem.layout.priors,

@@ -195,8 +195,8 @@ def promised(trial: Trial) -> float:
     """How much of a trial's own evidence lies in sizes beside those that were simulated.
 
     Slopes promise it, and nobody has seen it. Throws with 2.3 times the drag were simulated with a load that
-    was lighter by 0.5 of 0.6 kg; there, with 5 times the drag, slopes promised that 0.1 kg were as good. Of
-    bent effects slopes are no guide anyway: those stay as they are.
+    was lighter by 0.5 of 0.6 kg; there, where drag is over a sixth of the mass, slopes promised that 0.1 kg
+    were as good. Of bent effects slopes are no guide anyway: those stay as they are.
     """
     if not trial.members:
         return 0.0

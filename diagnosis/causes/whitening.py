@@ -117,7 +117,8 @@ def whiten_throw(
     names = {block.name: block.rows for block in prepared.blocks}
     if basis is None:
         table = np.empty((linear.residual.size, 2 + slope_count() + len(throw_nuisances())))
-        _fill(table, prepared, linear, linear, model, beside, prepared.blocks, factor)
+        blocks = list(zip(prepared.blocks, factor, strict=True))
+        _fill(table, prepared, linear, linear, model, beside, blocks)
         gram = table.T @ table
     else:
         table, gram = basis.whitened.table.copy(), basis.whitened.gram.copy()
@@ -132,15 +133,14 @@ def _fill(
     own: Linear,
     model: NoiseModel,
     beside: Array | None,
-    blocks: Sequence[Block],
-    factor: Sequence[Array],
+    blocks: Sequence[tuple[Block, Array]],
 ) -> None:
-    """Whiten blocks into the table's rows; nuisances and shapes have the slopes of `own`."""
+    """Whiten blocks, each by its factor, into the table; nuisances and shapes have the slopes of `own`."""
     if not blocks:
         return
-    columns = _columns(prepared, linear, own, model, np.r_[*(b.rows for b in blocks)])
+    columns = _columns(prepared, linear, own, model, np.r_[*(block.rows for block, _ in blocks)])
     first = 0
-    for block, lower in zip(blocks, factor, strict=True):
+    for block, lower in blocks:
         last = first + block.rows.stop - block.rows.start
         table[block.rows] = whiten(lower, columns[first:last])
         if beside is not None:
@@ -178,9 +178,8 @@ def _change(
             table[rows, moved.columns] = moved.values
             gram[:, moved.columns] += moved.gram
             gram[moved.columns] = gram[:, moved.columns].T
-    chosen, lowers = [block for block, _ in others], [lower for _, lower in others]
-    _fill(table, prepared, linear, basis.linear, model, basis.beside, chosen, lowers)
-    for block in chosen:
+    _fill(table, prepared, linear, basis.linear, model, basis.beside, others)
+    for block, _ in others:
         before, after = basis.whitened.table[block.rows], table[block.rows]
         gram += after.T @ after - before.T @ before
 

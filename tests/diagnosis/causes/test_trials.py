@@ -73,7 +73,7 @@ def test_a_part_has_the_form_error_of_its_own_effects_only():
 
 
 def test_sizes_that_nobody_simulated_are_a_promise():
-    """A load of 0.1 kg promised that one of 0.5 kg explained what drag did."""
+    """A load simulated lighter by 0.5 kg promised that 0.1 kg explained what drag did."""
     near = trial((0,), SIZES[:1])
     far = replace(near, at=np.array([1.0]))
     assert promised(trial()) == promised(near) == 0.0
