@@ -137,7 +137,8 @@ def part_about(
     moves: Moves = {}
     for view in views:
         acting = tuple(e for e in effects if view in _views_of(acting_effect(e)))
-        own = [p for p in wanted if view in p.views]
+        # Wanted twice, a parameter would be moved twice, and its slope be twice what it is.
+        own = list(dict.fromkeys(p for p in wanted if view in p.views))
         key = throw, view, acting, tuple(p.key for p in own)
         if key not in shared:
             base = plan.add(throw, acting, view)

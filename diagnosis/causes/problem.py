@@ -26,6 +26,11 @@ from machine.calibration import ValveCalibration
 from machine.conventions import Array
 from sim_twin.twin.profile import TwinProfile
 
+GLANCE_COUNT = 6
+"""Fewer throws at a glance would show too little: then it is at all of them."""
+OF_THROWS = "prepared", "plain", "factor", "linear", "whitened", "information", "off", "basis"
+"""Fields of a problem with an entry for every throw."""
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -52,6 +57,15 @@ class Problem:
 
     basis: Sequence[Basis]
     """Every throw at "no effect", for hypotheses."""
+
+    def at_a_glance(self) -> "Problem":
+        """Every other throw of each mode, for a look at many sets of which few are tried again."""
+        modes = [p.throw.mode for p in self.prepared]
+        by_mode = [[i for i, one in enumerate(modes) if one == mode] for mode in sorted(set(modes))]
+        chosen = sorted(i for own in by_mode for i in own[::2])
+        if len(chosen) < GLANCE_COUNT:
+            return self
+        return replace(self, **{f: [getattr(self, f)[i] for i in chosen] for f in OF_THROWS})
 
 
 def pose(

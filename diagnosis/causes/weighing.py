@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.causes.form_error import FORM_ERROR_RATIO
-from diagnosis.causes.parameters import library
+from diagnosis.causes.form_error import ALIKE_ERROR_RATIO, FORM_ERROR_RATIO, LATE_EFFECTS
+from diagnosis.causes.parameters import SET_NUISANCES, library
 from diagnosis.causes.selection import (
     Information,
     Priors,
@@ -53,7 +53,9 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
     """Spikes under a hypothesis: what other parameters can make of its effects' form error.
 
     A real effect is never quite the library's, in the same way in every throw. Where another parameter's
-    slopes lie along the effects' signal, a share of that signal may look like it.
+    slopes lie along the effects' signal, a share of that signal may look like it. Shapes
+    are made of what forms are off by, and take more of it than effects with a name; dead times and lags take
+    more of each other.
 
     Args:
         priors: without form error.
@@ -62,22 +64,29 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
         sizes: of its parameters, group after group.
     """
     index = members_index(priors, members)
-    own = np.sqrt(np.maximum(np.diag(data.precision), 1e-12))
-    ratio = np.array([_form_error_ratio(int(i)) for i in index])
-    # Effects of one ratio are off as a whole: alike ones may be large against each other.
-    extra = [
-        r * np.abs(data.precision[:, index[ratio == r]] @ sizes[ratio == r]) / own**2
-        for r in np.unique(ratio)
-    ]
-    variance = np.sum(np.square(extra), axis=0)
+    own = np.maximum(np.diag(data.precision), 1e-12)
+    kinds = np.array([_kind(i) for i in range(own.size)])
+    variance = np.zeros(own.size)
+    # Effects of one kind are off as a whole: alike ones may be large against each other.
+    for kind in np.unique(kinds[index]):
+        chosen = kinds[index] == kind
+        stage = "swing" if kind == "other" else "actuation"
+        along = data.precision[:, index[chosen]] @ sizes[chosen] / own
+        is_alike = (kinds == "shape") | ((kinds == kind) & (kind == "late"))
+        ratio = np.where(is_alike, FORM_ERROR_RATIO[stage], ALIKE_ERROR_RATIO[stage])
+        variance += np.square(ratio * along)
     variance[index] = 0.0
     return priors._replace(scatter=priors.scatter + np.diag(variance))
 
 
-def _form_error_ratio(place: int) -> float:
-    """Of a parameter of the layout: the same in every throw, as far as anybody knows."""
-    stage = library()[place % len(library())].stage
-    return FORM_ERROR_RATIO["actuation" if stage == "actuation" else "swing"]
+def _kind(place: int) -> str:
+    """What a parameter of the layout is, as far as its form goes."""
+    if place >= 2 * len(library()) + len(SET_NUISANCES):
+        return "shape"
+    parameter = library()[place % len(library())]
+    if parameter.effect in LATE_EFFECTS:
+        return "late"
+    return "drive" if parameter.stage == "actuation" else "other"
 
 
 def is_ahead(trial: Trial) -> bool:

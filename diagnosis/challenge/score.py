@@ -202,6 +202,7 @@ def measures(scored: Sequence[Scored]) -> list[Measure]:
         _share("cause among the first 3, single >= 2x", strong, _among_first),
         _share("cause, single < 2x", weak, lambda s: s.is_right_or_ambiguous),
         _share("exact set, pairs", tier[Tier.PAIR], lambda s: s.is_right, ">= 70 %"),
+        _share("exact set or one of two, pairs", tier[Tier.PAIR], _named_or_one_of_two),
         _share("cause, cross-solver single", cross_single, lambda s: s.is_right_or_ambiguous),
         _share("exact set, cross-solver pairs", cross_pair, lambda s: s.is_right),
         _share("unknown flagged", tier[Tier.UNKNOWN], lambda s: s.top == UNKNOWN_LABEL, ">= 80 %"),
@@ -248,6 +249,11 @@ def _number(
 
 def _noticed(s: Scored) -> bool:
     return s.top is not None and s.top != NONE_LABEL
+
+
+def _named_or_one_of_two(s: Scored) -> bool:
+    """Whether the exact set was named, or is one of two that the throws are said not to tell apart."""
+    return s.is_right or s.is_right_or_ambiguous
 
 
 def _stage_right(s: Scored) -> bool:

@@ -133,6 +133,21 @@ def test_behind_a_late_valve_all_that_its_joint_does_is_late(
     np.testing.assert_array_equal(rough, before)
 
 
+def test_a_parameter_wanted_twice_is_moved_once(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    """A set's own gain, wanted again for what the machine is off, had slopes of twice their size."""
+    prepared, first = own
+    calibration = prepared[0].throw.calibration
+    slack = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": -0.1})
+    wanted = [p for p in library() if p.group == ("valve_gain", "boom")]
+    args = (prepared, profile(), calibration, health().filters, first)
+    once = next(relinearise(*args, [((slack,), wanted)]))[0].jacobian
+    twice = next(relinearise(*args, [((slack,), [*wanted, *wanted])]))[0].jacobian
+    assert np.abs(once[:, index_of()["valve_gain.boom.positive_ratio"]]).max() > 0.0
+    np.testing.assert_allclose(twice, once, atol=1e-9)
+
+
 def test_a_late_imu_reports_slopes_of_the_swing_late(
     own: tuple[list[PreparedThrow], list[Linear]],
 ) -> None:
