@@ -53,7 +53,7 @@ WITH_THRESHOLD = (
     "stiction",
     "pump_flow_sharing",
 )
-LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency")
+LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
 """A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by

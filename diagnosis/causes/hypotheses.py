@@ -96,7 +96,8 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     last = nearer(problem, [by_members[m] for m in dict.fromkeys([*chosen, *parts])])
     tick(0.9)
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
-    trials = where_they_are(problem, [none, *of_some_size(problem, last)])
+    # Where the machine is, too little may be left of an effect.
+    trials = of_some_size(problem, where_they_are(problem, [none, *of_some_size(problem, last)]))
     seen = [*((i, t.members) for i, t in enumerate(trials)), *with_shapes(problem, trials)]
     logs = np.array(
         [
