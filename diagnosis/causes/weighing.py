@@ -6,6 +6,7 @@ others, and must be evidence for nobody.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -53,9 +54,9 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
     """Spikes under a hypothesis: what other parameters can make of its effects' form error.
 
     A real effect is never quite the library's, in the same way in every throw. Where another parameter's
-    slopes lie along the effects' signal, a share of that signal may look like it. Shapes
-    are made of what forms are off by, and take more of it than effects with a name; dead times and lags take
-    more of each other.
+    slopes lie along the effects' signal, a share of that signal may look like it. Shapes are
+    made of what forms are off by, and take more of it than effects with a name; dead times and lags take more
+    of each other.
 
     Args:
         priors: without form error.
@@ -65,7 +66,7 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
     """
     index = members_index(priors, members)
     own = np.maximum(np.diag(data.precision), 1e-12)
-    kinds = np.array([_kind(i) for i in range(own.size)])
+    kinds = np.array(_kinds(own.size))
     variance = np.zeros(own.size)
     # Effects of one kind are off as a whole: alike ones may be large against each other.
     for kind in np.unique(kinds[index]):
@@ -79,8 +80,14 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
     return priors._replace(scatter=priors.scatter + np.diag(variance))
 
 
+@cache
+def _kinds(count: int) -> tuple[str, ...]:
+    """Of so many parameters of the layout."""
+    return tuple(_kind(place) for place in range(count))
+
+
 def _kind(place: int) -> str:
-    """What a parameter of the layout is, as far as its form goes."""
+    """What a parameter is, as far as its form goes."""
     if place >= 2 * len(library()) + len(SET_NUISANCES):
         return "shape"
     parameter = library()[place % len(library())]
