@@ -20,7 +20,7 @@ from diagnosis.causes.selection import (
     weigh,
 )
 from diagnosis.causes.shapes import UNHEARD
-from diagnosis.causes.trials import BENT_EFFECTS, Seed, again, kept_at, refined, sizes_in, try_sets
+from diagnosis.causes.trials import BENT_EFFECTS, Seed, again, kept_at, settle, sizes_in, try_sets
 from diagnosis.causes.weighing import (
     Seen,
     Trial,
@@ -68,7 +68,8 @@ of them."""
 LEAST_LIMIT_RATIO = 1.3
 """Of its prior's width, for a speed limit beside another effect. In 340 sets of two challenges nine of eleven
 second effects that were not there were speed limits, eight of 0.06 to 0.20 and one of 0.33, and in 64
-development pairs one of 0.26; those that were found and were there beside another effect were of 0.37 on."""
+development pairs (seed 20261130) one of 0.26; those that were found and were there beside another effect were
+of 0.37 on."""
 FASTER_RATIO = 0.2
 """Of a joint's mean lag."""
 MARGIN_LOG_ODDS = 3.0
@@ -96,9 +97,7 @@ def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
         shows = not beyond or bool(_is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
     looks = best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
-    hopeful = most_hopeful(looks)[:SINGLE_COUNT]
-    trials = try_sets(problem, again(hopeful))
-    return refined(problem, trials)
+    return settle(problem, again(most_hopeful(looks)[:SINGLE_COUNT]), 2)
 
 
 def most_hopeful(trials: Sequence[Trial]) -> list[Trial]:

@@ -17,9 +17,10 @@ true effects at their best sizes left on 8 development sets beyond a healthy mac
 swing: 0.03, 0.06, 0.08; flight: 0.06."""
 ALIKE_ERROR_RATIO = {"actuation": 0.1, "swing": 0.05}
 """Of an effect's signal, the share that may look like another named effect in all throws alike. A drive's
-form error mostly looks like none: with 0.2 as for the noise, 38 of 64 development pairs were named, and what
-was missing was mostly a second effect at the same joint; with 0.1 it was 41, of 37 singles 23 both times."""
-LATE_EFFECTS = ("valve_dead_time", "valve_lag")
+form error mostly looks like none: with 0.2 as for the noise, 38 of 64 development pairs (seed 20261130) were
+right, and what was missing was mostly a second effect at the same joint. With 0.1, for the two below and for
+shapes as well, 41 were; of 37 singles (seed 20261131) 23 with either."""
+RESPONSE_EFFECTS = ("valve_dead_time", "valve_lag")
 """These two look like each other by all of `FORM_ERROR_RATIO`. Whether a spool's own lag grows or another
 comes behind it is not known: 0.06 s grown by 0.1 s is 0.15 s behind it, 0.05 s sooner. With 0.1 two lags of
 a slew came out as lags beside dead times."""

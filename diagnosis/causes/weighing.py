@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from diagnosis.causes.form_error import ALIKE_ERROR_RATIO, FORM_ERROR_RATIO, LATE_EFFECTS
+from diagnosis.causes.form_error import ALIKE_ERROR_RATIO, FORM_ERROR_RATIO, RESPONSE_EFFECTS
 from diagnosis.causes.parameters import SET_NUISANCES, library
 from diagnosis.causes.selection import (
     Information,
@@ -54,9 +54,9 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
     """Spikes under a hypothesis: what other parameters can make of its effects' form error.
 
     A real effect is never quite the library's, in the same way in every throw. Where another parameter's
-    slopes lie along the effects' signal, a share of that signal may look like it. Shapes are
-    made of what forms are off by, and take more of it than effects with a name; dead times and lags take more
-    of each other.
+    slopes lie along the effects' signal, a share of that signal may look like it. Shapes are made of
+    what forms are off by, and take more of it than effects with a name; dead times and lags take more of each
+    other.
 
     Args:
         priors: without form error.
@@ -73,7 +73,7 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
         chosen = kinds[index] == kind
         stage = "swing" if kind == "other" else "actuation"
         along = data.precision[:, index[chosen]] @ sizes[chosen] / own
-        is_alike = (kinds == "shape") | ((kinds == kind) & (kind == "late"))
+        is_alike = (kinds == "shape") | ((kinds == kind) & (kind == "response"))
         ratio = np.where(is_alike, FORM_ERROR_RATIO[stage], ALIKE_ERROR_RATIO[stage])
         variance += np.square(ratio * along)
     variance[index] = 0.0
@@ -91,8 +91,8 @@ def _kind(place: int) -> str:
     if place >= 2 * len(library()) + len(SET_NUISANCES):
         return "shape"
     parameter = library()[place % len(library())]
-    if parameter.effect in LATE_EFFECTS:
-        return "late"
+    if parameter.effect in RESPONSE_EFFECTS:
+        return "response"
     return "drive" if parameter.stage == "actuation" else "other"
 
 

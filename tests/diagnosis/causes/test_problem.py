@@ -33,6 +33,6 @@ def problem(modes: str) -> Problem:
 )
 def test_every_other_throw_of_each_mode_at_a_glance(modes: str, seen: list[int]) -> None:
     """Alternate throws of both modes would else be throws of one; and few throws are all looked at."""
-    glance = problem(modes).at_a_glance()
-    assert [p.place for p in glance.prepared] == seen  # pyright: ignore[reportAttributeAccessIssue]
+    glance: Any = problem(modes).at_a_glance()
+    assert [p.place for p in glance.prepared] == seen
     assert all(getattr(glance, name) == seen for name in OF_THROWS if name != "prepared")

@@ -166,6 +166,13 @@ def test_pairs_need_both_effects() -> None:
     exact = Scored(both, said(VerdictKind.EXPLAINED, cause(0.8, found, RIGHT)), 1.0)
     half = Scored(both, said(VerdictKind.EXPLAINED, cause(0.8, RIGHT)), 1.0)
     assert value([exact, half], "exact set, pairs").value == 0.5
+    causes = (cause(0.5, found, WRONG_JOINT, name="a"), cause(0.4, found, RIGHT, name="b"), NONE)
+    group = Ambiguity(members=("a", "b"), separating_motion={"kind": "step"}, why="")
+    either = Scored(both, said(VerdictKind.AMBIGUOUS, *causes, ambiguity=group), 1.0)
+    assert value([exact, half, either], "exact set, pairs").value == pytest.approx(1 / 3)
+    assert value([exact, half, either], "exact set or one of two, pairs").value == pytest.approx(
+        2 / 3
+    )
     assert value([half], "F1 of effects, pairs").value == pytest.approx(2 / 3)
     assert value([exact], "size error, median").value == pytest.approx(0.075)
 
