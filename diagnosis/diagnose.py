@@ -12,6 +12,7 @@ from diagnosis.causes.problem import pose
 from diagnosis.causes.ranking import rank
 from diagnosis.conclude import Findings, conclude
 from diagnosis.healthy.health import Health, load_health
+from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import prepare
@@ -81,6 +82,7 @@ def _diagnose(
         if progress is not None:
             progress(share, text)
 
+    health = health._replace(noise=with_own_sensors(health.noise, loaded))
     if reference is not None:
         tell(0.0, "the machine while it was healthy")
         health = of_reference(reference, profile, health)

@@ -58,6 +58,9 @@ LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
+STRIDES_RATIO = (1.5, 1.2)
+"""Bent effects are also looked at so many times larger and smaller, one stride after the other: slopes led a
+slew's speed limit of 0.4 from 0.6 to 0.71, and a boom's hysteresis of 0.12 from 0.2 to 0.19, 0.18 and on."""
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 PARTNER_COUNT = 4
@@ -96,8 +99,8 @@ def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
         beyond = _sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
         shows = not beyond or bool(_is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
-    looks = best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
-    return settle(problem, again(most_hopeful(looks)[:SINGLE_COUNT]), 2)
+    hopeful = most_hopeful(_looks(problem, seeds))[:SINGLE_COUNT]
+    return settle(problem, _followed(problem, hopeful), 2)
 
 
 def most_hopeful(trials: Sequence[Trial]) -> list[Trial]:
@@ -110,7 +113,7 @@ def most_hopeful(trials: Sequence[Trial]) -> list[Trial]:
     return [trials[i] for i in order]
 
 
-def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
+def partnered(problem: Problem, singles: Sequence[Trial]) -> list[Seed]:
     """Pairs behind singles, best first: with all that slopes do not show at suspect joints.
 
     These are the best one's own, those that they leave loud, those where a shape helps, and those where
@@ -135,9 +138,29 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> dict[Set, Array]:
                     (members, np.concatenate([at if m == own else other for m in members]))
                     for other in _sizes_beyond_slopes(problem, group)[:PARTNER_SIZE_COUNT]
                 ]
-    found = best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
-    found.sort(key=lambda t: -own_evidence(t))
-    return again(found[:PARTNER_COUNT])
+    found = sorted(_looks(problem, seeds), key=lambda t: -own_evidence(t))
+    return _followed(problem, found[:PARTNER_COUNT])
+
+
+def _looks(problem: Problem, seeds: Sequence[Seed]) -> list[Trial]:
+    """A first look at sets, each at the best of its sizes."""
+    return best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
+
+
+def _followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
+    """Where looks were simulated, and where bent effects looked better beside it."""
+    found = list(looks)
+    for ratio in STRIDES_RATIO:
+        seeds = [(t.members, _strode(t, r)) for t in found if t.bent for r in (ratio, 1.0 / ratio)]
+        found = best_of_each([*found, *_looks(problem, seeds)])
+    moved = [t for t in found if t not in looks]
+    return [(t.members, t.at) for t in (*looks, *moved)]
+
+
+def _strode(trial: Trial, ratio: float) -> Array:
+    """Sizes at which a trial was simulated, its bent effects so many times larger."""
+    parts = by_member(trial.plain, trial.members, trial.at)
+    return np.concatenate([part * (ratio if m in trial.bent else 1.0) for m, part in parts.items()])
 
 
 def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:

@@ -82,9 +82,10 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
         fair = fair_on_all(found)
         ordered = [found[i] for i in np.argsort(fair)[::-1]]
         best = [t for t in ordered if len(t.members) == size - 1]
-        seeds = grown_sets(problem, best[:behind], kept, max(fair))
-        if size == 2:
-            seeds |= partnered(problem, best[:PARTNERED_COUNT])
+        partners = partnered(problem, best[:PARTNERED_COUNT]) if size == 2 else []
+        known = {members for members, _ in partners}
+        grown = grown_sets(problem, best[:behind], kept, max(fair)).items()
+        seeds = [*((m, sizes) for m, sizes in grown if m not in known), *partners]
         found += of_some_size(problem, settle(problem, seeds, 2 if size == 2 else 1))
         tick(0.4 + 0.2 * (size - 1))
     ranked = [found[i] for i in np.argsort(fair_on_all(found))[::-1]]

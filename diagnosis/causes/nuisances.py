@@ -55,11 +55,11 @@ def set_columns(prepared: PreparedThrow, linear: Linear) -> Array:
 
 
 def _switch_and_flight(prepared: PreparedThrow, linear: Linear, out: Array) -> None:
-    """Column of a switch that reports late: the opening was earlier than we think."""
+    """Column of a switch, if there is one, that reports late: the opening was earlier than we think."""
     switch = prepared.block("release.switch")
     if switch is not None:
         out[switch.rows] = 1.0
-    out -= linear.opening
+        out -= linear.opening
 
 
 def flight_shift(prepared: PreparedThrow, linear: Linear, out: Array, state: Array) -> None:
@@ -87,7 +87,9 @@ def throw_columns(prepared: PreparedThrow, linear: Linear) -> Array:
     found += list(linear.start.T)
     jitter = np.zeros(n)
     switch = prepared.block("release.switch")
-    if switch is not None:
+    if switch is None:
+        jitter += linear.opening
+    else:
         jitter[switch.rows] = 1.0
     late = np.zeros(n)
     _switch_and_flight(prepared, linear, late)

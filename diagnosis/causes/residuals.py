@@ -220,7 +220,12 @@ def _linear(
             # Behind its valve a joint moves alone; only the IMU and the load feel the others.
             own = view is not View.ACTUATION or joint is None or block.name.endswith(joint)
             jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows]) if own else 0.0
-    _compare_switch(prepared, effects, profile, residual, jacobian)
+    start, opening, scale = (
+        _input_slopes(prepared, predicted, part)
+        if first is None
+        else (first.start, first.opening, first.scale)
+    )
+    _compare_opening(prepared, effects, profile, opening, residual, jacobian)
     if first is not None:
         return replace(
             first,
@@ -229,7 +234,6 @@ def _linear(
             predicted_velocity=velocity,
             change=np.nan_to_num(first.residual - residual),
         )
-    start, opening, scale = _input_slopes(prepared, predicted, part)
     flight = part.bases[View.FLIGHT]
     slope = _landing_slope(
         output.release_position_m[flight],
@@ -310,21 +314,30 @@ def _predicted(
     return {view: known[chosen[0]] for view, chosen in elements.items()}
 
 
-def _compare_switch(
+def _compare_opening(
     prepared: PreparedThrow,
     effects: tuple[Effect, ...],
     profile: TwinProfile,
+    opening: Array,
     residual: Array,
     jacobian: Array,
 ) -> None:
-    """Fill in, in place, the opening's row: delays add up without a simulation."""
+    """Fill in, in place, what a delay of the opening does: delays add up without a simulation.
+
+    Where no switch says when the load left, it is taken to leave when the profile says, and `opening` (n,)
+    tells what the flight would be if it left later.
+    """
+    delay_key = ("release_delay", None, "extra_delay_s")
+    column = jacobian[:, index_of()["release_delay.extra_delay_s"]]
     switch = prepared.block("release.switch")
     if switch is None:
+        residual -= opening * resolve(effects, prepared.input.progress_ratio).get(delay_key, 0.0)
+        column[:] = opening
         return
     sizes = resolve((*profile.effects, *effects), prepared.input.progress_ratio)
-    delay = profile.release_delay_s + sizes.get(("release_delay", None, "extra_delay_s"), 0.0)
+    delay = profile.release_delay_s + sizes.get(delay_key, 0.0)
     residual[switch.rows] = prepared.measured[switch.rows] - prepared.throw.open_command_t_s - delay
-    jacobian[switch.rows, index_of()["release_delay.extra_delay_s"]] = 1.0
+    column[switch.rows] = 1.0
 
 
 def _landing_slope(position_m: Array, velocity_m_per_s: Array, height_m: float) -> Array:

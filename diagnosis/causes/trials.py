@@ -28,7 +28,7 @@ from diagnosis.causes.selection import (
     total,
     weigh,
 )
-from diagnosis.causes.weighing import Trial, by_member, formed, lead, told
+from diagnosis.causes.weighing import Trial, best_of_each, by_member, formed, lead, told
 from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
@@ -242,9 +242,9 @@ def no_effect(problem: Problem) -> Trial:
     )
 
 
-def settle(problem: Problem, seeds: Mapping[Set, Array], rounds: int) -> list[Trial]:
-    """Simulate and estimate again, some rounds."""
-    found = try_sets(problem, seeds)
+def settle(problem: Problem, seeds: Sequence[Seed], rounds: int) -> list[Trial]:
+    """Simulate and estimate again, some rounds; of a set that begins at several sizes the best."""
+    found = best_of_each(try_sets(problem, seeds))
     for _ in range(rounds - 1):
         found = refined(problem, found)
     return found

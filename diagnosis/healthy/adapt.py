@@ -17,6 +17,7 @@ from diagnosis.causes.selection import Priors, screen, total
 from diagnosis.causes.whitening import Whitened, information
 from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.healthy.noise import NoiseModel, Scatter
+from diagnosis.healthy.own_sensors import SHORT_TELESCOPE_M, TELESCOPE_BIAS
 from diagnosis.loading.prepared import AXES, PreparedThrow
 from machine.conventions import ACTIVE_JOINTS
 
@@ -66,6 +67,8 @@ def stranger(model: NoiseModel) -> NoiseModel:
     """
     names = model.machine_scatter.names
     tolerance = {p.key: p.tolerance for p in library()}
+    # Of the type it is in the mean.
+    tolerance[TELESCOPE_BIAS] = SHORT_TELESCOPE_M / STRANGER_RATIO
     middle = np.array([model.healthy_mean.get(name, 0.0) for name in names])
     is_clock = np.array(["latency" in name for name in names])
     free = np.array([STRANGER_RATIO * tolerance.get(name, 0.0) for name in names])

@@ -17,6 +17,11 @@ from sim_twin.replay.turned_imu import swing_from_gyro
 
 POSITION_SD_RAD_M = 1.3e-3
 VELOCITY_SD_RAD_M_PER_S = 7e-3
+NOISIER_RATIO = 1.3
+"""Sensors that show more noise than this multiple of what is taken for it are smoothed by what they show."""
+NOISE_WINDOW_COUNT = 24
+SETTLED_COUNT = 60
+"""So many ticks away a sample does not move what is smoothed."""
 JERK_SD_RAD_M_PER_S3 = 60.0
 """White jerk of the smoother: a drive reaches 3 rad/s2 within some 50 ms."""
 REST_S = 0.06
@@ -78,10 +83,12 @@ def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
     keep = np.concatenate([[True], np.diff(at) > 1e-4])
     grid = np.arange(at[keep][0], at[keep][-1] + 0.5 * CONTROL_PERIOD_S, CONTROL_PERIOD_S)
     outputs = np.empty((3, t_s.size, ACTIVE_COUNT))
+    sensors = (throw.sensor_position_rad_m, throw.sensor_velocity_rad_m_per_s)
+    own_sd = smoothed_as_sd(np.stack([white_noise_sd(values) for values in sensors]))
     for joint in range(ACTIVE_COUNT):
         position = np.interp(grid, at[keep], throw.sensor_position_rad_m[keep, joint])
         velocity = np.interp(grid, at[keep], throw.sensor_velocity_rad_m_per_s[keep, joint])
-        smooth = _smooth(position, velocity)
+        smooth = _smooth(position, velocity, *(own_sd[sensor, joint] for sensor in (0, 1)))
         speed = np.gradient(smooth, CONTROL_PERIOD_S)
         push = np.gradient(speed, CONTROL_PERIOD_S)
         for row, channel in enumerate((smooth, speed, push)):
@@ -89,19 +96,61 @@ def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
     return outputs[0], outputs[1], outputs[2]
 
 
-def _smooth(position: Array, velocity: Array) -> Array:
+def white_noise_sd(values: Array) -> Array:
+    """Standard deviation (k,) of the noise of samples (n, k), whatever moves slowly below it; 0 of too few.
+
+    From third differences, whose variance is 20 times that of white noise, in the calmer windows of a
+    throw: a gear that meets or a valve that opens shakes others.
+    """
+    steps = np.square(np.diff(values, 3, axis=0)) / 20.0
+    count = steps.shape[0] // NOISE_WINDOW_COUNT
+    if count == 0:
+        return np.zeros(values.shape[1])
+    windows = steps[: count * NOISE_WINDOW_COUNT].reshape(count, NOISE_WINDOW_COUNT, -1)
+    return np.sqrt(np.quantile(windows.mean(axis=1), 0.25, axis=0))
+
+
+def _smooth(
+    position: Array, velocity: Array, position_sd_rad_m: float, velocity_sd_rad_m_per_s: float
+) -> Array:
     """Minimise |x - position|^2 / sp^2 + |D1 x - velocity|^2 / sv^2 + |D3 x|^2 / sj^2, (n,)."""
     n, h = position.size, CONTROL_PERIOD_S
     bands = np.zeros((4, n))
-    right = position / POSITION_SD_RAD_M**2
-    bands[0] = 1.0 / POSITION_SD_RAD_M**2
+    right = position / position_sd_rad_m**2
+    bands[0] = 1.0 / position_sd_rad_m**2
     # Central differences for the velocity, third differences for the jerk.
-    _add(bands, np.array([-0.5, 0.0, 0.5]) / h / VELOCITY_SD_RAD_M_PER_S)
-    inner = velocity[1:-1] / VELOCITY_SD_RAD_M_PER_S**2 * 0.5 / h
+    _add(bands, np.array([-0.5, 0.0, 0.5]) / h / velocity_sd_rad_m_per_s)
+    inner = velocity[1:-1] / velocity_sd_rad_m_per_s**2 * 0.5 / h
     right[2:] += inner
     right[:-2] -= inner
     _add(bands, np.array([-1.0, 3.0, -3.0, 1.0]) / h**3 / JERK_SD_RAD_M_PER_S3)
     return np.asarray(solveh_banded(bands, right, lower=True))
+
+
+def smoothed_as_sd(shown_sd: Array) -> Array:
+    """What the smoother takes for the noise (2, 4) that positions and velocities show."""
+    least = [[POSITION_SD_RAD_M], [VELOCITY_SD_RAD_M_PER_S]]
+    return np.maximum(shown_sd / NOISIER_RATIO, least)
+
+
+def smoothed_noise(noise_sd: Array, taken_for_sd: Array) -> tuple[float, float]:
+    """What noise of a joint's position and velocity sensor leaves in its smoothed speed and acceleration.
+
+    Args:
+        noise_sd: of the two sensors (2,), rad or m and per s.
+        taken_for_sd: (2,) what the smoother takes for it.
+    """
+    count = 2 * SETTLED_COUNT + 1
+    parts: list[tuple[float, float]] = []
+    for sensor in (0, 1):
+        pulse = np.zeros((2, count))
+        pulse[sensor, SETTLED_COUNT] = noise_sd[sensor]
+        smooth = _smooth(pulse[0], pulse[1], float(taken_for_sd[0]), float(taken_for_sd[1]))
+        speed = np.gradient(smooth, CONTROL_PERIOD_S)
+        push = np.gradient(speed, CONTROL_PERIOD_S)
+        parts.append((float(np.sum(speed**2)), float(np.sum(push**2))))
+    speed_sd, push_sd = np.sqrt(np.sum(parts, axis=0)).tolist()
+    return speed_sd, push_sd
 
 
 def _add(bands: Array, stencil: Array) -> None:

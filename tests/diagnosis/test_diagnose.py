@@ -62,7 +62,7 @@ def test_it_can_be_cancelled() -> None:
 def test_a_machine_of_another_type_is_not_judged_by_what_ours_have_in_common() -> None:
     # The twin itself is nearer to its twin than any machine that the shipped model was learned from.
     assert diagnose_throws(throws((), 5), profile()).verdict is VerdictKind.NONE
-    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.08})
+    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.1})
     found = diagnose_throws(throws((late,), 6), profile())
     assert found.verdict is VerdictKind.EXPLAINED
     assert [e.effect for e in found.causes[0].effects] == ["release_delay"]

@@ -1,0 +1,94 @@
+"""How noisy and how slow the sensors of these very logs are.
+
+Noise and clocks of the type were learned from its own sensors at 100 Hz. Other sensors are noisier, and a log
+with fewer rows does not tell when within a row a valve was moved. Neither may be taken for an effect.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diagnosis.causes.parameters import joint_index
+from diagnosis.healthy.noise import NoiseModel
+from diagnosis.loading.logs import LoadedSet, ThrowData
+from diagnosis.loading.measured import (
+    POSITION_SD_RAD_M,
+    VELOCITY_SD_RAD_M_PER_S,
+    smoothed_as_sd,
+    smoothed_noise,
+    white_noise_sd,
+)
+from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
+
+USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
+"""White noise that joint speeds of the type show (medians of ten sets)."""
+NOISIER_RATIO = 1.1
+"""Joint sensors of the type stay below this multiple of it, and their load tracker below the next."""
+NOISIER_TRACK_RATIO = 1.3
+SHORT_TELESCOPE_M = 0.06
+"""A gripper that noise of joint sensors shakes in the twin looks like one on a telescope that is shorter than
+its sensor says: by this with sensors like the type's, and with the square of what they leave."""
+TELESCOPE_BIAS = "joint_sensor_bias.telescope.bias_rad_m"
+LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
+
+
+def with_own_sensors(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
+    """The model, with the noise that these throws show where it is more, and their clocks' resolution.
+
+    Args:
+        model: of the type.
+        loaded: the throws, and the rates at which they were recorded.
+    """
+    shaking = _shaking(loaded.throws)
+    channels = {
+        name: channel.model_copy(
+            update={
+                "noise_sd": channel.noise_sd * _noisier(name, channel.noise_sd, loaded.throws),
+                "floor_sd": channel.floor_sd * shaking.get(name.rpartition(".")[0], 1.0),
+            }
+        )
+        for name, channel in model.channels.items()
+    }
+    # A command may have been held for a row, or have moved on within it.
+    unsure_s = 0.5 * max(1.0 / loaded.rates["control"] - CONTROL_PERIOD_S, 0.0)
+    further = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
+    further[TELESCOPE_BIAS] = SHORT_TELESCOPE_M * (shaking["swing.gyro"] ** 2 - 1.0)
+    set_scatter = model.set_scatter
+    for name, more in further.items():
+        sd = float(np.hypot(set_scatter.sd_of(name), more))
+        set_scatter = set_scatter.with_sd(name, sd)
+    return model.model_copy(update={"channels": channels, "set_scatter": set_scatter})
+
+
+def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:
+    """By how much more noise than the type's a block shows, at least 1."""
+    stage, _, channel = block.partition(".")
+    if stage == "actuation":
+        joint = joint_index(channel)
+        shown = [white_noise_sd(t.sensor_velocity_rad_m_per_s)[joint] for t in throws]
+        ratio = float(np.median(shown)) / (NOISIER_RATIO * USUAL_SPEED_SD_RAD_M_PER_S[joint])
+    elif block == "flight.ball":
+        shown = [float(np.sqrt(np.mean(white_noise_sd(t.ball_m) ** 2))) for t in throws]
+        ratio = float(np.median(shown)) / (NOISIER_TRACK_RATIO * usual_sd)
+    elif block == "flight.impact":
+        surveyed = [t.impact_sd_m for t in throws if np.isfinite(t.impact_sd_m)]
+        ratio = float(np.median(surveyed)) / usual_sd if surveyed else 1.0
+    else:
+        ratio = 1.0
+    return max(ratio, 1.0)
+
+
+def _shaking(throws: Sequence[ThrowData]) -> Mapping[str, float]:
+    """By how much more than the type's joint sensors these shake the simulated gripper, at least 1.
+
+    By the blocks of a sensor of the IMU. A pin 6 m out that is told to move by what is left of noise shakes
+    a gripper that hangs below it: most of what gyro and accelerometer of a healthy machine of the type are
+    off at rest.
+    """
+    sensors = [(t.sensor_position_rad_m, t.sensor_velocity_rad_m_per_s) for t in throws]
+    shown: Array = np.median([[white_noise_sd(v) for v in pair] for pair in sensors], axis=0)
+    type_sd = np.array([POSITION_SD_RAD_M, VELOCITY_SD_RAD_M_PER_S])
+    pairs = zip(shown.T, smoothed_as_sd(shown).T, strict=True)
+    own = np.max([smoothed_noise(sd, taken_for) for sd, taken_for in pairs], axis=0)
+    speed, push = np.maximum(own / smoothed_noise(type_sd, type_sd), 1.0).tolist()
+    return {"swing.gyro": speed, "swing.accel": push}

@@ -1,0 +1,216 @@
+"""Throws of a plant of a stranger: it shares the drawing with twin and virtual machine, and no motion.
+
+Drives are two lags in a row behind a pure delay, the body steps 1 ms by Euler with MuJoCo's own friction, the
+load flies by its own sums, and the throws are CSV files as somebody else would write them.
+"""
+
+import csv
+import json
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from diagnosis.loading.logs import LoadedSet, load_throws
+from machine.calibration import actuator_ratio, nominal_calibration
+from machine.conventions import ACTIVE_JOINTS, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
+from machine.spec import MJCF_PATH, load_spec
+
+STEP_S, TICK_STEPS = 0.001, 10
+TICKS, OPEN_TICK = 200, 90
+ARMATURE = 1e9
+FOUR_ZEROS = (0.0, 0.0, 0.0, 0.0)
+IMU_UNITS = (("gyro", "rad_per_s"), ("accel", "m_per_s2"))
+UNITS = dict(zip(ACTIVE_JOINTS, ("rad", "rad", "rad", "m"), strict=True))
+
+
+class Odd(NamedTuple):
+    """What this plant's machine and its recorder have."""
+
+    speed_reduction_ratio: tuple[float, float, float, float] = FOUR_ZEROS
+    half_width_ratio: tuple[float, float, float, float] = FOUR_ZEROS
+    """Play of the valves."""
+    noise_ratio: float = 1.0
+    """Noise of the joint sensors over that of the twin's."""
+    row_ticks: int = 1
+    """Every so many ticks a row is recorded."""
+    release_delay_s: float = 0.0
+    has_switch: bool = True
+    seed: int = 0
+
+
+def throws(folder: Path, odd: Odd, count: int = 6) -> LoadedSet:
+    """Throw, write one CSV file a throw, and load them."""
+    rng = np.random.default_rng([odd.seed, 91])
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(count):
+        _write(folder / f"odd-{number}.csv", number, odd, rng)
+    return load_throws([folder])
+
+
+@cache
+def _model() -> mujoco.MjModel:
+    tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
+    for geom in tree.geoms:
+        geom.contype = geom.conaffinity = 0
+    for joint in tree.joints:
+        if joint.name in ACTIVE_JOINTS:
+            joint.armature, joint.limited = ARMATURE, 0
+    sensor = tree.add_sensor()
+    sensor.type, sensor.name = mujoco.mjtSensor.mjSENS_GYRO, "gyro"
+    force = tree.add_sensor()
+    force.type, force.name = mujoco.mjtSensor.mjSENS_ACCELEROMETER, "accel"
+    for one in (sensor, force):
+        one.objtype, one.objname = mujoco.mjtObj.mjOBJ_SITE, "imu"
+    tree.option.timestep = STEP_S
+    tree.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    return tree.compile()
+
+
+def _commands(number: int) -> tuple[Array, Array]:
+    """Start pose (4,) and valve commands (TICKS, 4): up to full speed and back, sizes and times vary."""
+    rng = np.random.default_rng([number, 17])
+    side = -1.0 if number % 2 else 1.0
+    size, onset = rng.uniform(0.6, 1.0, 4), rng.uniform(0.0, 0.15, 4)
+    phase = np.clip((np.arange(TICKS)[:, None] * 0.01 - onset) / 1.1, 0.0, 1.5)
+    shape = np.array([1.0 * side, -0.7, 0.9, 0.5])
+    return np.array([0.1 * side, 1.0, -0.3, 0.4]), shape * size * np.sin(np.pi * phase)
+
+
+class _Drives:
+    """Pure delay, play, steady speed, cap, and two lags in a row."""
+
+    def __init__(self, odd: Odd) -> None:
+        spec = load_spec()
+        lag_s = np.asarray(spec.response.lag_s)
+        self._odd, self._spec, self._lags_s = odd, spec, (0.35 * lag_s, 0.65 * lag_s)
+        self._delay = np.rint(np.asarray(spec.response.dead_time_s) / STEP_S).astype(int)
+        self._tables = nominal_calibration(spec).tables
+        self._past: list[Array] = []
+        self._spool, self._first, self.velocity = np.zeros(4), np.zeros(4), np.zeros(4)
+
+    def step(self, valve: Array, position: Array) -> Array:
+        """Velocity (4,) after a step."""
+        width = np.asarray(self._odd.half_width_ratio)
+        self._spool = np.clip(self._spool, valve - width, valve + width)
+        self._past.append(self._spool)
+        at = len(self._past) - 1 - self._delay
+        ratio = np.abs(actuator_ratio(self._spec, position[None]))[0]
+        target = np.zeros(4)
+        for joint, table in enumerate(self._tables):
+            command = self._past[at[joint]][joint] if at[joint] >= 0 else 0.0
+            speed = np.interp(command, table.valve_ratio, table.actuator_speed_rad_m_per_s)
+            target[joint] = speed / ratio[joint]
+        limits = self._spec.limits
+        rated = np.where(
+            target >= 0.0, limits.speed_positive_rad_m_per_s, limits.speed_negative_rad_m_per_s
+        )
+        cap = (1.0 - np.asarray(self._odd.speed_reduction_ratio)) * rated
+        target = np.clip(target, -cap, cap)
+        self._first = self._first + STEP_S * (target - self._first) / self._lags_s[0]
+        self.velocity = self.velocity + STEP_S * (self._first - self.velocity) / self._lags_s[1]
+        return self.velocity
+
+
+class _Thrown(NamedTuple):
+    position: Array
+    velocity: Array
+    imu: Array
+    release_s: float
+    load: Array
+    """(6,) position and velocity as it leaves."""
+
+
+def _throw(start: Array, valve: Array, odd: Odd, delay_s: float) -> _Thrown:
+    model = _model()
+    data, drives = mujoco.MjData(model), _Drives(odd)
+    data.qpos[:4], data.qpos[4] = start, -(start[1] + start[2])
+    body = model.body("payload").id
+    release_step = round((OPEN_TICK * 0.01 + delay_s) / STEP_S)
+    rows: list[Array] = []
+    load = np.zeros(6)
+    for step in range(TICKS * TICK_STEPS):
+        if step % TICK_STEPS == 0:
+            mujoco.mj_forward(model, data)
+            rows.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+        if step == release_step:
+            mujoco.mj_forward(model, data)
+            spatial = np.zeros(6)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, spatial, 0)
+            load = np.concatenate([data.xpos[body], spatial[3:]])
+        wanted = drives.step(valve[step // TICK_STEPS], np.array(data.qpos[:4]))
+        data.qfrc_applied[:4] = ARMATURE * (wanted - data.qvel[:4]) / STEP_S
+        mujoco.mj_step(model, data)
+    table = np.array(rows)
+    return _Thrown(table[:, :6], table[:, 6:12], table[:, 12:18], release_step * STEP_S, load)
+
+
+def _fly(load: Array) -> tuple[Array, Array]:
+    """Track (n, 3) every step until the load touches the ground, and where it does (3,)."""
+    ball = load_spec().ball
+    drag = ball.air_density_kg_per_m3 * ball.drag_coefficient_ratio * np.pi * ball.radius_m**2
+    at, speed, track = load[:3].copy(), load[3:].copy(), [load[:3].copy()]
+    while at[2] > ball.radius_m:
+        pull = -drag / (2.0 * ball.mass_kg) * np.linalg.norm(speed) * speed
+        pull[2] -= GRAVITY_M_PER_S2
+        at = at + STEP_S * speed + 0.5 * STEP_S**2 * pull
+        speed = speed + STEP_S * pull
+        track.append(at.copy())
+    above, below = track[-2], track[-1]
+    share = (above[2] - ball.radius_m) / (above[2] - below[2])
+    impact = above + share * (below - above)
+    return np.array(track[:-1]), np.array([impact[0], impact[1], 0.0])
+
+
+def _write(path: Path, number: int, odd: Odd, rng: np.random.Generator) -> None:
+    start, valve = _commands(number)
+    delay_s = 0.258 + odd.release_delay_s + 0.015 * float(rng.standard_normal())
+    done = _throw(start, valve, odd, delay_s)
+    track, impact = _fly(done.load)
+    normal = rng.standard_normal
+    t_s: Array = np.arange(TICKS, dtype=np.float64) * 0.01
+    joints = done.position + odd.noise_ratio * 1e-3 * normal((TICKS, 6))
+    speeds = done.velocity + odd.noise_ratio * 5e-3 * normal((TICKS, 6))
+    columns: dict[str, Array] = {"t_s": t_s}
+    for i, joint in enumerate(ACTIVE_JOINTS):
+        unit = UNITS[joint]
+        for name in ("sensor_position", "position"):
+            columns[f"{joint}_{name}_{unit}"] = joints[:, i]
+        for name in ("sensor_velocity", "velocity"):
+            columns[f"{joint}_{name}_{unit}_per_s"] = speeds[:, i]
+        columns[f"{joint}_valve_applied_ratio"] = valve[:, i]
+    for i, joint in enumerate(PASSIVE_JOINTS, start=4):
+        columns[f"{joint}_position_rad"] = joints[:, i]
+        columns[f"{joint}_velocity_rad_per_s"] = speeds[:, i]
+    columns["motion_code_count"] = np.where(t_s < done.release_s + 0.05, 2.0, 3.0)
+    columns["gripper_open_commanded_ratio"] = (np.arange(TICKS) >= OPEN_TICK).astype(float)
+    if odd.has_switch:
+        columns["payload_held_ratio"] = (t_s < done.release_s + 0.03).astype(float)
+    columns["imu_t_s"] = t_s
+    imu = done.imu + np.repeat([6e-4, 4e-3], 3) * normal((TICKS, 6))
+    names = [f"{kind}_{axis}_{unit}" for kind, unit in IMU_UNITS for axis in "xyz"]
+    columns |= dict(zip(names, imu.T, strict=True))
+    columns = {name: values[:: odd.row_ticks] for name, values in columns.items()}
+    seen = track[::20] + 0.02 * normal((len(track[::20]), 3))
+    columns["ball_t_s"] = done.release_s + 0.02 * np.arange(len(seen), dtype=np.float64)
+    columns |= {f"ball_{axis}_m": values for axis, values in zip("xyz", seen.T, strict=True)}
+    impact[:2] += 0.02 * normal(2)
+    flight_s = STEP_S * len(track)
+    context = {
+        "throw_id": path.stem,
+        "machine_id": "odd",
+        "mode": "3d",
+        "target": {"x_m": 8.0, "y_m": 0.0, "z_m": 0.0},
+        "calibration": nominal_calibration(load_spec()).model_dump(),
+        "impact": {"position_m": impact.tolist(), "sd_m": 0.02, "source": "survey"},
+        "impact_t_mono_ns": round((done.release_s + flight_s) * 1e9),
+        "start_t_mono_ns": 0,
+    }
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"# {key}: {json.dumps(value)}\n" for key, value in context.items())
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in range(max(map(len, columns.values()))):
+            writer.writerow([repr(float(v[row])) if row < len(v) else "" for v in columns.values()])
