@@ -10,7 +10,7 @@ from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JITTER, PARAMETER
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.ranking import Ranked
+from diagnosis.causes.ranking import Ranked, unknown_log_odds
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.shapes import shape_of
 from diagnosis.healthy.reference import reference_evidence
@@ -305,7 +305,7 @@ def _named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 
 def _signature(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows, and what it looks like."""
-    name = max(ranked.levels, key=lambda block: ranked.levels[block])
+    name = max(ranked.levels, key=lambda b: unknown_log_odds(ranked.best, b, ranked.levels[b]))
     stage, _, channel = name.partition(".")
     joint = channel if stage == Stage.ACTUATION else None
     shape = None if ranked.shape is None else shape_of(ranked.shape[0])

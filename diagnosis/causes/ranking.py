@@ -20,6 +20,11 @@ UNKNOWN_WIDTH_SD = 1.0
 """Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. On 340 sets
 of two challenges healthy ones left 3.2 at most, unknown effects that no shape shows mostly 6 to 27, and known
 ones 5.2 at most but a late sensor before a late valve (5.7) and a pump (5.5)."""
+CROWDED_LEVEL_SD = 2.6
+CROWDED_WIDTH_SD = 0.5
+"""The same at a joint where the best set has two effects or more: together they take most of what a foreign
+one does. Of 312 sets (seeds 1618964378, 20261130, 20261131) seven foreign effects passed for two at their
+joint and left 2.8 to 8.4 there (five) or 0.3 and less; 26 known sets left 2.4 at most, or 3.9 and 6.7."""
 FORM_LEFT_RATIO = 0.1
 """Of a block's excess over healthy machines: less is the form of a large effect, not another one. On
 development sets right causes left 0.03 to 0.07 of it, unknown effects 0.3 to 1.0, known ones that were not
@@ -89,7 +94,8 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     named = probability[order] / max(1.0 - shaped, 1e-9)
     ordered = [hypotheses[int(i)] for i in order]
     levels = unknown_levels(problem, ordered[0], hypotheses[none])
-    left = float(expit((max(levels.values(), default=0.0) - UNKNOWN_LEVEL_SD) / UNKNOWN_WIDTH_SD))
+    odds = [unknown_log_odds(ordered[0], *one) for one in levels.items()]
+    left = float(expit(max(odds, default=-np.inf)))
     unknown = 1.0 - (1.0 - left) * (1.0 - shaped)
     rival, expected = _rival(problem, ordered, named)
     return Ranked(
@@ -111,6 +117,14 @@ def _shape(problem: Problem, hypothesis: Hypothesis) -> Group | None:
     """The shape of an unheard-of effect that a hypothesis has beside effects of the library."""
     layout = problem.layout
     return next((layout.groups[g] for g in hypothesis.members if layout.is_unheard(g)), None)
+
+
+def unknown_log_odds(best: Hypothesis, block: str, level: float) -> float:
+    """For something unknown, by what the best hypothesis leaves in a block, in sd of healthy sets."""
+    joints = [effect.joint for effect in best.effects]
+    if joints.count(block.removeprefix("actuation.")) > 1:
+        return (level - CROWDED_LEVEL_SD) / CROWDED_WIDTH_SD
+    return (level - UNKNOWN_LEVEL_SD) / UNKNOWN_WIDTH_SD
 
 
 def unknown_levels(problem: Problem, best: Hypothesis, none: Hypothesis) -> dict[str, float]:

@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 from typing import cast
 
-from diagnosis.causes.ranking import Ranked
+from diagnosis.causes.hypotheses import Hypothesis
+from diagnosis.causes.ranking import Ranked, unknown_log_odds
 from diagnosis.conclude import _sentence  # pyright: ignore[reportPrivateUsage]
 from diagnosis.verdict import Cause, Gap, VerdictKind
+from sim_twin.effects.effect import Effect
 
 
 def test_an_unknown_effect_is_placed_in_words() -> None:
@@ -20,3 +22,24 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
         "The twin misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
         "tracked flight of the load 12 standard deviations above a healthy machine."
     )
+
+
+def test_two_effects_at_a_joint_may_leave_less_there() -> None:
+    """Together they take most of what a foreign effect does."""
+    two = tuple(
+        Effect(effect=effect, joint="boom", parameters={name: 0.1})
+        for effect, name in (("valve_hysteresis", "half_width_ratio"), ("valve_lag", "extra_lag_s"))
+    )
+    left = {"flight.ball": 4.0, "actuation.boom": 3.3, "actuation.slew": 3.3}
+    for effects, block, is_foreign in (
+        (two, "actuation.boom", True),
+        (two, "actuation.slew", False),
+        (two[:1], "actuation.boom", False),
+    ):
+        best = cast("Hypothesis", SimpleNamespace(effects=effects))
+        assert (unknown_log_odds(best, block, left[block]) > 0.0) is is_foreign
+    ranked = SimpleNamespace(levels=left, shape=None, best=SimpleNamespace(effects=two))
+    causes = (Cause(effects=(), probability=0.9, name="unknown"),)
+    gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
+    sentence = _sentence(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
+    assert "Something unknown in actuation of the boom" in sentence
