@@ -60,7 +60,7 @@ def test_the_session_of_the_header_is_known_and_the_handle_tells_when_it_is_gone
         assert gate.session_of(client_id) == "s7"
         assert gate.is_open(client)
     wait_for(lambda: not gate.is_open(client), "the handle to be closed")
-    assert gate.session_of(client_id) is None
+    wait_for(lambda: gate.session_of(client_id) is None, "the session to be forgotten")
 
 
 def test_a_tunnel_cannot_be_asked_for(gate: ViewerGate, monkeypatch: pytest.MonkeyPatch) -> None:
