@@ -153,7 +153,8 @@ def _check_clock(time_s: Array, tick_count: Array, audit: ClockAudit) -> None:
             f"its clock jumps back: the tick counter goes from {tick_count[at]:.0f} to "
             f"{tick_count[at + 1]:.0f} while time goes on, {int(np.sum(ticks < 0.0))} times: {_CLOCK_SET}"
         )
-    if audit.rate_hz < MIN_RATE_HZ:
+    # Stamps in ns make 24.9999 Hz of 25.
+    if round(audit.rate_hz, 2) < MIN_RATE_HZ:
         raise RefusedLogError(
             f"it was logged at {audit.rate_hz:.3g} Hz, at least {MIN_RATE_HZ:g} Hz are needed (a "
             "machine logs 100 Hz): thinned out or written by another recorder. Use the original log"

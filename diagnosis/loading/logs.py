@@ -375,7 +375,7 @@ def _samples(
 
 def _check_imu(t_s: Array, gyro: Array, accel: Array, audit: ClockAudit, open_s: float) -> None:
     during = (t_s >= 0.0) & (t_s <= open_s)
-    if int(np.sum(during)) < MIN_RATE_HZ * open_s:
+    if int(np.sum(during)) < int(MIN_RATE_HZ * open_s):
         rate = float(np.sum(during)) / max(open_s, 1e-3)
         raise RefusedLogError(
             f"the IMU has {rate:.3g} samples a second during the throw, at least {MIN_RATE_HZ:g} are "

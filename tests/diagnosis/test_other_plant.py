@@ -30,8 +30,7 @@ def test_a_healthy_stranger_has_no_cause(tmp_path: Path, odd: Odd) -> None:
     assert found.verdict is VerdictKind.NONE, found.causes[:2]
 
 
-def test_a_speed_limit_is_followed_to_its_size(tmp_path: Path) -> None:
-    """From the sizes at which it is first simulated, slopes lead away from it."""
+def test_a_speed_limit_is_named_and_sized(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Odd(speed_reduction_ratio=(0.4, 0.0, 0.0, 0.0)))
     (named,) = found.causes[0].effects
     assert (named.effect, named.joint) == ("speed_limit", "slew")
@@ -45,6 +44,12 @@ def test_without_a_switch_the_flight_tells_a_late_release(tmp_path: Path) -> Non
     (named,) = found.causes[0].effects
     assert named.effect == "release_delay"
     assert named.parameters["extra_delay_s"].value == pytest.approx(0.08, abs=0.02)
+
+
+def test_25_rows_a_second_are_enough(tmp_path: Path) -> None:
+    """Their rate comes out as 24.9999 Hz, and was refused as less than 25."""
+    loaded = throws(tmp_path, Odd(row_ticks=4), 3)
+    assert len(loaded.throws) == 3, loaded.refused
 
 
 def test_noise_is_told_from_motion(tmp_path: Path) -> None:
