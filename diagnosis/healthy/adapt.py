@@ -67,7 +67,7 @@ def stranger(model: NoiseModel) -> NoiseModel:
     """
     names = model.machine_scatter.names
     tolerance = {p.key: p.tolerance for p in library()}
-    # Of the type it is in the mean.
+    # Of the type's machines, what noise makes of a telescope is part of the mean.
     tolerance[TELESCOPE_BIAS] = SHORT_TELESCOPE_M / STRANGER_RATIO
     middle = np.array([model.healthy_mean.get(name, 0.0) for name in names])
     is_clock = np.array(["latency" in name for name in names])

@@ -21,7 +21,8 @@ from diagnosis.loading.measured import (
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 
 USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
-"""White noise that joint speeds of the type show (medians of ten sets)."""
+"""White noise that joint speeds of the type show: medians of eight sets (seeds 20261125, 20261126 and
+20261128)."""
 NOISIER_RATIO = 1.1
 """Joint sensors of the type stay below this multiple of it, and their load tracker below the next."""
 NOISIER_TRACK_RATIO = 1.3

@@ -30,20 +30,17 @@ class Odd(NamedTuple):
     """What this plant's machine and its recorder have."""
 
     speed_reduction_ratio: tuple[float, float, float, float] = FOUR_ZEROS
-    half_width_ratio: tuple[float, float, float, float] = FOUR_ZEROS
-    """Play of the valves."""
     noise_ratio: float = 1.0
     """Noise of the joint sensors over that of the twin's."""
     row_ticks: int = 1
     """Every so many ticks a row is recorded."""
     release_delay_s: float = 0.0
     has_switch: bool = True
-    seed: int = 0
 
 
 def throws(folder: Path, odd: Odd, count: int = 6) -> LoadedSet:
     """Throw, write one CSV file a throw, and load them."""
-    rng = np.random.default_rng([odd.seed, 91])
+    rng = np.random.default_rng(91)
     folder.mkdir(parents=True, exist_ok=True)
     for number in range(count):
         _write(folder / f"odd-{number}.csv", number, odd, rng)
@@ -80,7 +77,7 @@ def _commands(number: int) -> tuple[Array, Array]:
 
 
 class _Drives:
-    """Pure delay, play, steady speed, cap, and two lags in a row."""
+    """Pure delay, steady speed, cap, and two lags in a row."""
 
     def __init__(self, odd: Odd) -> None:
         spec = load_spec()
@@ -89,13 +86,11 @@ class _Drives:
         self._delay = np.rint(np.asarray(spec.response.dead_time_s) / STEP_S).astype(int)
         self._tables = nominal_calibration(spec).tables
         self._past: list[Array] = []
-        self._spool, self._first, self.velocity = np.zeros(4), np.zeros(4), np.zeros(4)
+        self._first, self.velocity = np.zeros(4), np.zeros(4)
 
     def step(self, valve: Array, position: Array) -> Array:
         """Velocity (4,) after a step."""
-        width = np.asarray(self._odd.half_width_ratio)
-        self._spool = np.clip(self._spool, valve - width, valve + width)
-        self._past.append(self._spool)
+        self._past.append(valve)
         at = len(self._past) - 1 - self._delay
         ratio = np.abs(actuator_ratio(self._spec, position[None]))[0]
         target = np.zeros(4)

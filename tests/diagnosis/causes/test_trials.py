@@ -252,3 +252,29 @@ def test_large_sizes_are_tried_one_way_at_a_time():
     assert (typical > 0.0).all()
     np.testing.assert_allclose(positive, [3.0 * typical[0], 0.0])
     np.testing.assert_allclose(negative, [0.0, 3.0 * typical[1]])
+
+
+@pytest.mark.parametrize(("begin", "best"), [(0.6, 0.4), (0.3, 0.52)])
+def test_bent_effects_are_followed_both_ways(monkeypatch, begin, best):
+    """From 0.6 slopes led a slew's speed limit of 0.4 to 0.71."""
+
+    def simulated(_, seeds, is_rough):
+        assert is_rough
+        return [trial(members, sizes, bent=(0,)) for members, sizes in seeds]
+
+    monkeypatch.setattr(candidates, "try_sets", simulated)
+    monkeypatch.setattr(
+        candidates, "best_of_each", lambda found: [min(found, key=lambda t: abs(t.at[0] - best))]
+    )
+    problem = SimpleNamespace(at_a_glance=lambda: None)
+    first = trial((0,), np.array([begin]), bent=(0,))
+    (_, kept), (_, moved) = candidates._followed(problem, [first])
+    assert kept[0] == begin, "all throws decide between them"
+    assert moved[0] == pytest.approx(best, rel=0.15)
+
+
+def test_effects_that_do_not_bend_are_left_to_their_slopes(monkeypatch):
+    monkeypatch.setattr(candidates, "_looks", lambda _, seeds: list(seeds))
+    first = trial((0,), SIZES[:1])
+    ((members, sizes),) = candidates._followed(SimpleNamespace(), [first])
+    assert (members, *sizes) == ((0,), *SIZES[:1])

@@ -1,0 +1,59 @@
+"""What other sensors and rarer rows add to what is known of healthy machines of the type."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.healthy.noise import load_noise
+from diagnosis.healthy.own_sensors import TELESCOPE_BIAS, with_own_sensors
+from diagnosis.loading.logs import LoadedSet
+from tests.diagnosis.twin_throws import throws
+
+LATE = "valve_dead_time.boom.extra_dead_time_s"
+
+
+def noisier(loaded: LoadedSet, ratio: float) -> LoadedSet:
+    """The same throws from joint sensors with this multiple of the noise."""
+    rng = np.random.default_rng(3)
+    more = np.sqrt(ratio**2 - 1.0)
+    return replace(
+        loaded,
+        throws=tuple(
+            replace(
+                t,
+                sensor_position_rad_m=t.sensor_position_rad_m
+                + more * 1e-3 * rng.standard_normal(t.sensor_position_rad_m.shape),
+                sensor_velocity_rad_m_per_s=t.sensor_velocity_rad_m_per_s
+                + more * 5e-3 * rng.standard_normal(t.sensor_velocity_rad_m_per_s.shape),
+            )
+            for t in loaded.throws
+        ),
+    )
+
+
+def test_logs_like_the_type_s_change_nothing() -> None:
+    assert with_own_sensors(load_noise(), throws()) == load_noise()
+
+
+def test_a_command_is_not_known_within_a_row() -> None:
+    model = load_noise()
+    found = with_own_sensors(model, replace(throws(), rates={"control": 50.0})).set_scatter
+    assert found.sd_of(LATE) == pytest.approx(np.hypot(model.set_scatter.sd_of(LATE), 0.005))
+
+
+def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
+    model, found = load_noise(), with_own_sensors(load_noise(), noisier(throws(), 4.0))
+    for name in ("actuation.boom", "actuation.slew"):
+        assert 2.0 < found.channels[name].noise_sd / model.channels[name].noise_sd < 4.0
+    gyro = found.channels["swing.gyro.x"].floor_sd / model.channels["swing.gyro.x"].floor_sd
+    assert 1.5 < gyro < 4.0, "what smoothing leaves grows less than noise"
+    assert found.channels["flight.ball"] == model.channels["flight.ball"]
+    assert found.set_scatter.sd_of(TELESCOPE_BIAS) > 2.0 * model.set_scatter.sd_of(TELESCOPE_BIAS)
+
+
+def test_a_survey_says_how_well_it_saw() -> None:
+    loaded = throws()
+    rough = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
+    found = with_own_sensors(load_noise(), rough)
+    assert found.channels["flight.impact"].noise_sd == pytest.approx(0.1)
