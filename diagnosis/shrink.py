@@ -5,7 +5,7 @@ two; the shrink is predicted there; then the twin profile with those effects is 
 and the part that was left out is simulated from its valve commands to its impact.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.leftovers import DEAF_BLOCKS, leftovers
 from diagnosis.causes.parameters import View, library
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import relinearise
+from diagnosis.causes.residuals import Linear, relinearise
 from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.trials import fitted_effects
@@ -115,38 +115,55 @@ def corrected_input(
     return p.input._replace(position_rad_m=position, velocity_rad_m_per_s=corrected)
 
 
-def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps:
-    """Gaps of all throws under a profile: of the impact, and of the channels that a hypothesis moves."""
-    measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
-    constants = members_index(problem.layout.priors, hypothesis.members)
-    columns = constants % problem.layout.parameter_count
+def moved_blocks(problem: Problem, hypothesis: Hypothesis) -> list[set[str]]:
+    """Of every throw the channels that the effects move at their sizes: slopes of a limit at 0 move none."""
+    under = _under(problem, hypothesis, problem.profile, hypothesis.effects)
+    return [
+        {
+            block.name
+            for block in p.blocks
+            if np.nan_to_num(linear.change[block.rows]).any()
+            and not block.name.startswith(DEAF_BLOCKS)
+        }
+        for p, linear in zip(problem.prepared, under, strict=True)
+    ]
+
+
+def _under(
+    problem: Problem, hypothesis: Hypothesis, profile: TwinProfile, effects: tuple[Effect, ...]
+) -> Sequence[Linear]:
+    """The throws under a profile and more effects, in the views that a hypothesis moves; without slopes."""
+    columns = members_index(problem.layout.priors, hypothesis.members)
+    columns = columns % problem.layout.parameter_count
     views = {view for i in columns for view in library()[int(i)].views}
-    under = next(
+    return next(
         relinearise(
             problem.prepared,
             profile,
             problem.calibration,
             problem.healthy,
             problem.linear,
-            [((), ())],
+            [(effects, ())],
             tuple(view for view in View if view in views),
         )
     )
+
+
+def gaps(
+    problem: Problem, hypothesis: Hypothesis, moved: Sequence[set[str]], profile: TwinProfile
+) -> Gaps:
+    """Gaps of all throws under a profile: of the impact, and of the channels that a hypothesis moves."""
+    measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
+    under = _under(problem, hypothesis, profile, ())
     # The rest of the machine's scatter is not this effect's gap; shapes would take what the effect explains.
     others = hypothesis.mean.copy()
-    others[constants] = 0.0
+    others[members_index(problem.layout.priors, hypothesis.members)] = 0.0
     others[-len(unheard_names()) :] = 0.0
     power: list[tuple[float, float]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
         whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis[i])
         left = leftovers(whitened, others)
-        slopes = problem.whitened[i].slopes[:, columns]
-        moved = {
-            name
-            for name, rows in whitened.rows.items()
-            if np.abs(slopes[rows]).any() and not name.startswith(DEAF_BLOCKS)
-        }
-        power.append(_power(left, moved, problem.model.unknown_level))
+        power.append(_power(left, moved[i] & left.keys(), problem.model.unknown_level))
     squares, floors = np.array(power).T
     found = impacts(problem.prepared, problem.healthy, profile, problem.calibration)
     return Gaps(measured - found, squares, floors)
@@ -154,7 +171,7 @@ def gaps(problem: Problem, hypothesis: Hypothesis, profile: TwinProfile) -> Gaps
 
 def _power(
     left: Mapping[str, tuple[float, int]],
-    moved: set[str],
+    moved: Collection[str],
     healthy: Mapping[str, tuple[float, float]],
 ) -> tuple[float, float]:
     """Power a row of some blocks, and what is left of it on a healthy machine; NaN without blocks."""
@@ -170,7 +187,8 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
     """Leave every third of the throws out once."""
     count = len(problem.prepared)
     everyone = np.arange(count)
-    before = gaps(problem, hypothesis, problem.profile)
+    moved = moved_blocks(problem, hypothesis)
+    before = gaps(problem, hypothesis, moved, problem.profile)
     after = Gaps(np.full((count, 2), np.nan), *np.full((2, count), np.nan))
     trained: list[Gaps] = []
     rows: list[IntArray] = []
@@ -182,7 +200,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
         effects = fitted_effects(problem.layout, hypothesis.members, sizes)
         path = folder / f"part-{part}.profile.json"
         save_profile(with_effects(problem.profile, effects), path)
-        found = gaps(problem, hypothesis, load_profile(path))
+        found = gaps(problem, hypothesis, moved, load_profile(path))
         after.impact_m[left_out] = found.impact_m[left_out]
         after.power[left_out] = found.power[left_out]
         after.floor[left_out] = found.floor[left_out]

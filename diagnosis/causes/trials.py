@@ -28,7 +28,7 @@ from diagnosis.causes.selection import (
     total,
     weigh,
 )
-from diagnosis.causes.weighing import Trial, best_of_each, by_member, formed, lead, told
+from diagnosis.causes.weighing import Trial, best_of_each, better, by_member, formed, lead, told
 from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
@@ -253,7 +253,7 @@ def settle(problem: Problem, seeds: Sequence[Seed], rounds: int) -> list[Trial]:
 def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """Simulated once more, at their estimates; the better trial of every set counts."""
     found = try_sets(problem, {t.members: t.sizes for t in trials})
-    return [old if told(old) > told(new) else new for old, new in zip(trials, found, strict=True)]
+    return [better(new, old, told) for old, new in zip(trials, found, strict=True)]
 
 
 def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:

@@ -14,10 +14,11 @@ from diagnosis.causes.leftovers import leftovers
 from diagnosis.causes.parameters import joint_index, library
 from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Priors, screen, total
+from diagnosis.causes.shapes import unheard_least_sd, unheard_names
 from diagnosis.causes.whitening import Whitened, information
 from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.healthy.noise import NoiseModel, Scatter
-from diagnosis.healthy.own_sensors import SHORT_TELESCOPE_M, TELESCOPE_BIAS
+from diagnosis.healthy.own_sensors import SWINGS_MORE
 from diagnosis.loading.prepared import AXES, PreparedThrow
 from machine.conventions import ACTIVE_JOINTS
 
@@ -28,6 +29,9 @@ COMMON = {
 """Blocks of which more than half must be loud before a stage counts as misfit."""
 STRANGER_RATIO = 2.0
 """Of the library's tolerances: how far machines of another type may be off on top (by eye)."""
+LEAST_MISFIT_RATIO = 0.5
+"""No twin is nearer to a machine, however quiet its sensors: strangers with sensors like the type's come down
+to 0.49, those without noise to 0.01, where what steps of 10 ms are off looked like an effect."""
 CLEAR_LOG_POWER = 0.7
 """Healthy sets of the type stay within it (their levels scatter by 0.1 to 0.2): less is left as it is."""
 
@@ -62,13 +66,14 @@ def stranger(model: NoiseModel) -> NoiseModel:
     """The model for a machine of another type: what the type's machines have in common does not hold for it.
 
     Only the clocks keep their mean, which is that of our own smoothing of joint sensors; everything else may
-    be off by what the type is off in the mean and in its scatter, and by some of the library's tolerance,
-    each by itself.
+    be off by what the type is off in the mean and in its scatter, and by some of the library's tolerance, or
+    of what no machine of the type is nearer to its twin by, each by itself.
     """
     names = model.machine_scatter.names
-    tolerance = {p.key: p.tolerance for p in library()}
-    # Of the type's machines, what noise makes of a telescope is part of the mean.
-    tolerance[TELESCOPE_BIAS] = SHORT_TELESCOPE_M / STRANGER_RATIO
+    tolerance = dict(zip(unheard_names(), unheard_least_sd().tolist(), strict=True))
+    tolerance |= {p.key: p.tolerance for p in library()}
+    # Of the type's machines, what noise of their sensors looks like is part of the mean.
+    tolerance |= {name: size / STRANGER_RATIO for name, size in SWINGS_MORE.items()}
     middle = np.array([model.healthy_mean.get(name, 0.0) for name in names])
     is_clock = np.array(["latency" in name for name in names])
     free = np.array([STRANGER_RATIO * tolerance.get(name, 0.0) for name in names])
@@ -99,7 +104,8 @@ def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> d
             if name in power and power[name][0] > 0.0 and name in model.unknown_level
         )
         middle = excess[(len(excess) - 1) // 2] if excess else 0.0
-        found[stage] = float(np.exp(0.5 * middle)) if abs(middle) > CLEAR_LOG_POWER else 1.0
+        ratio = max(float(np.exp(0.5 * middle)), LEAST_MISFIT_RATIO)
+        found[stage] = ratio if abs(middle) > CLEAR_LOG_POWER else 1.0
     return found
 
 

@@ -5,6 +5,7 @@ with fewer rows does not tell when within a row a valve was moved. Neither may b
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -26,10 +27,17 @@ USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
 NOISIER_RATIO = 1.1
 """Joint sensors of the type stay below this multiple of it, and their load tracker below the next."""
 NOISIER_TRACK_RATIO = 1.3
-SHORT_TELESCOPE_M = 0.06
-"""A gripper that noise of joint sensors shakes in the twin looks like one on a telescope that is shorter than
-its sensor says: by this with sensors like the type's, and with the square of what they leave."""
-TELESCOPE_BIAS = "joint_sensor_bias.telescope.bias_rad_m"
+SWINGS_MORE: Final[Mapping[str, float]] = {
+    "joint_sensor_bias.telescope.bias_rad_m": 0.06,
+    **{f"unheard.scale.{joint}.scale_ratio": 0.01 for joint in ACTIVE_JOINTS},
+}
+"""What looks like a gripper that noise of joint sensors shakes in the twin, about 1 % of its swing: a
+telescope that is shorter than its sensor says, or sensors that report too much. By this with sensors like the
+type's, and with the square of what they leave."""
+QUIET_SHARE_RATIO = 0.02
+"""Noise also makes the simulated gripper lead: sensors of the type look 10 ms late, and those of 0.02, 0.05,
+0.2 and 0.3 times its noise by 0, 1, 7 and 10 ms (scratch sets of 12 throws). The square of the noise at which
+half of it is left."""
 LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
 
 
@@ -53,21 +61,35 @@ def with_own_sensors(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
     # A command may have been held for a row, or have moved on within it.
     unsure_s = 0.5 * max(1.0 / loaded.rates["control"] - CONTROL_PERIOD_S, 0.0)
     further = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
-    further[TELESCOPE_BIAS] = SHORT_TELESCOPE_M * (shaking["swing.gyro"] ** 2 - 1.0)
+    louder = shaking["swing.gyro"] ** 2 - 1.0
+    further |= {name: size * louder for name, size in SWINGS_MORE.items()}
+    late = _late_by_noise(loaded.throws)
+    mean = {n: m * (late if "latency" in n else 1.0) for n, m in model.healthy_mean.items()}
     set_scatter = model.set_scatter
     for name, more in further.items():
         sd = float(np.hypot(set_scatter.sd_of(name), more))
         set_scatter = set_scatter.with_sd(name, sd)
-    return model.model_copy(update={"channels": channels, "set_scatter": set_scatter})
+    update = {"channels": channels, "set_scatter": set_scatter, "healthy_mean": mean}
+    return model.model_copy(update=update)
+
+
+def _shown_ratio(throws: Sequence[ThrowData]) -> Array:
+    """White noise of the joint speeds (4,) over that of the type."""
+    shown = [white_noise_sd(t.sensor_velocity_rad_m_per_s) for t in throws]
+    return np.median(shown, axis=0) / np.array(USUAL_SPEED_SD_RAD_M_PER_S)
+
+
+def _late_by_noise(throws: Sequence[ThrowData]) -> float:
+    """Share of what the type's sensors look late by that these show; 1 unless they are quieter."""
+    square = min(NOISIER_RATIO * float(np.median(_shown_ratio(throws))), 1.0) ** 2
+    return (1.0 + QUIET_SHARE_RATIO) * square / (square + QUIET_SHARE_RATIO)
 
 
 def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:
     """By how much more noise than the type's a block shows, at least 1."""
     stage, _, channel = block.partition(".")
     if stage == "actuation":
-        joint = joint_index(channel)
-        shown = [white_noise_sd(t.sensor_velocity_rad_m_per_s)[joint] for t in throws]
-        ratio = float(np.median(shown)) / (NOISIER_RATIO * USUAL_SPEED_SD_RAD_M_PER_S[joint])
+        ratio = float(_shown_ratio(throws)[joint_index(channel)]) / NOISIER_RATIO
     elif block == "flight.ball":
         shown = [float(np.sqrt(np.mean(white_noise_sd(t.ball_m) ** 2))) for t in throws]
         ratio = float(np.median(shown)) / (NOISIER_TRACK_RATIO * usual_sd)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.causes import candidates, trials
+from diagnosis.causes import candidates, trials, weighing
 from diagnosis.causes.candidates import (
     missing_parts,
     most_hopeful,
@@ -17,6 +17,7 @@ from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.weighing import (
     Trial,
+    better,
     evidence_in,
     fair_evidence,
     formed,
@@ -237,9 +238,21 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
 
     monkeypatch.setattr(trials, "try_sets", try_sets)
     monkeypatch.setattr(trials, "told", lambda one: -abs(float(one.at[0]) - 0.030))
+    monkeypatch.setattr(weighing, "is_ahead", lambda _: True)
     (found,) = trials.nearer(SimpleNamespace(), [at(start)])
     assert float(found.at[0]) == pytest.approx(end)
     assert len(asked) == simulations
+
+
+def test_a_bent_effect_has_to_beat_no_effect_where_it_was_simulated(monkeypatch):
+    """What slopes about half a limit explain without the limit is no evidence for half of it."""
+    half, whole = trial((1,), SIZES[1:], bent=(1,)), trial((1,), SIZES[1:], bent=(1,))
+    monkeypatch.setattr(weighing, "is_ahead", lambda one: one is whole)
+    assert better(half, whole, lambda one: 20.0 * (one is half)) is whole
+    assert better(whole, half, lambda one: 20.0 * (one is half)) is whole
+    straight, other = trial((1,), SIZES[1:]), trial((1,), SIZES[1:])
+    assert better(straight, other, lambda one: float(one is straight)) is straight
+    assert better(straight, other, lambda one: float(one is other)) is other
 
 
 def test_large_sizes_are_tried_one_way_at_a_time():

@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 from diagnosis.healthy.noise import load_noise
-from diagnosis.healthy.own_sensors import TELESCOPE_BIAS, with_own_sensors
+from diagnosis.healthy.own_sensors import SWINGS_MORE, with_own_sensors
 from diagnosis.loading.logs import LoadedSet
 from tests.diagnosis.twin_throws import throws
 
 LATE = "valve_dead_time.boom.extra_dead_time_s"
+
+
+def quieter(loaded: LoadedSet) -> LoadedSet:
+    """The same throws from joint sensors without noise."""
+    t_s = throws().throws[0].sensor_t_s
+    still = {
+        "sensor_position_rad_m": np.outer(np.sin(t_s), np.ones(4)),
+        "sensor_velocity_rad_m_per_s": np.outer(np.cos(t_s), np.ones(4)),
+    }
+    return replace(loaded, throws=tuple(replace(t, **still) for t in loaded.throws))
 
 
 def noisier(loaded: LoadedSet, ratio: float) -> LoadedSet:
@@ -33,7 +43,10 @@ def noisier(loaded: LoadedSet, ratio: float) -> LoadedSet:
 
 
 def test_logs_like_the_type_s_change_nothing() -> None:
-    assert with_own_sensors(load_noise(), throws()) == load_noise()
+    model, found = load_noise(), with_own_sensors(load_noise(), throws())
+    assert found == model.model_copy(update={"healthy_mean": found.healthy_mean})
+    # The twin's own sensors are a little quieter than the type's.
+    assert found.healthy_mean == pytest.approx(model.healthy_mean, rel=0.02)
 
 
 def test_a_command_is_not_known_within_a_row() -> None:
@@ -49,7 +62,17 @@ def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
     gyro = found.channels["swing.gyro.x"].floor_sd / model.channels["swing.gyro.x"].floor_sd
     assert 1.5 < gyro < 4.0, "what smoothing leaves grows less than noise"
     assert found.channels["flight.ball"] == model.channels["flight.ball"]
-    assert found.set_scatter.sd_of(TELESCOPE_BIAS) > 2.0 * model.set_scatter.sd_of(TELESCOPE_BIAS)
+    for name in SWINGS_MORE:
+        assert found.set_scatter.sd_of(name) > 2.0 * model.set_scatter.sd_of(name)
+
+
+def test_quiet_joint_sensors_do_not_look_late() -> None:
+    model, found = load_noise(), with_own_sensors(load_noise(), quieter(throws()))
+    late = [name for name in model.healthy_mean if "sensor_latency" in name]
+    assert len(late) == 4
+    for name, mean in model.healthy_mean.items():
+        expected = pytest.approx(0.0, abs=1e-4) if "latency" in name else mean
+        assert found.healthy_mean[name] == expected
 
 
 def test_a_survey_says_how_well_it_saw() -> None:
