@@ -305,7 +305,8 @@ def _named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 
 def _signature(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows, and what it looks like."""
-    name = max(ranked.levels, key=lambda b: unknown_log_odds(ranked.best, b, ranked.levels[b]))
+    best, ahead = ranked.best, ranked.ahead
+    name = max(ranked.levels, key=lambda b: unknown_log_odds(best, ahead, b, ranked.levels[b]))
     stage, _, channel = name.partition(".")
     joint = channel if stage == Stage.ACTUATION else None
     shape = None if ranked.shape is None else shape_of(ranked.shape[0])

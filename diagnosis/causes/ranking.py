@@ -25,6 +25,12 @@ CROWDED_WIDTH_SD = 0.5
 """The same at a joint where the best set has two effects or more: together they take most of what a foreign
 one does. Of 312 sets (seeds 1618964378, 20261130, 20261131) seven foreign effects passed for two at their
 joint and left 2.8 to 8.4 there (five) or 0.3 and less; 26 known sets left 2.4 at most, or 3.9 and 6.7."""
+FORM_LEVEL_SD = 1.0
+FORM_LOG_EVIDENCE = 1000.0
+"""So many more standard deviations for so much log evidence of the best set over none, twice at most: the
+form of a large effect leaves more. Of 366 sets (seeds 416359738, 1618964378, 13753978) six with a pump, a
+sticking boom or a late IMU 1900 and more ahead of none left 4.9 to 6.4; unknown ones beside a set that was
+ahead by 500 and more left 5.8 to 27."""
 FORM_LEFT_RATIO = 0.1
 """Of a block's excess over healthy machines: less is the form of a large effect, not another one. On
 development sets right causes left 0.03 to 0.07 of it, unknown effects 0.3 to 1.0, known ones that were not
@@ -81,6 +87,12 @@ class Ranked:
         """The most probable one."""
         return self.hypotheses[0]
 
+    @property
+    def ahead(self) -> float:
+        """Log evidence of the best one over no effect."""
+        none = next(h for h in self.hypotheses if not h.members)
+        return float(self.best.log_evidence[0] - none.log_evidence[0])
+
 
 def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) -> Ranked:
     """Weigh the hypotheses against each other and against "unknown"."""
@@ -94,7 +106,8 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     named = probability[order] / max(1.0 - shaped, 1e-9)
     ordered = [hypotheses[int(i)] for i in order]
     levels = unknown_levels(problem, ordered[0], hypotheses[none])
-    odds = [unknown_log_odds(ordered[0], *one) for one in levels.items()]
+    ahead = float(logs[0, order[0]] - logs[0, none])
+    odds = [unknown_log_odds(ordered[0], ahead, *one) for one in levels.items()]
     left = float(expit(max(odds, default=-np.inf)))
     unknown = 1.0 - (1.0 - left) * (1.0 - shaped)
     rival, expected = _rival(problem, ordered, named)
@@ -119,8 +132,16 @@ def _shape(problem: Problem, hypothesis: Hypothesis) -> Group | None:
     return next((layout.groups[g] for g in hypothesis.members if layout.is_unheard(g)), None)
 
 
-def unknown_log_odds(best: Hypothesis, block: str, level: float) -> float:
-    """For something unknown, by what the best hypothesis leaves in a block, in sd of healthy sets."""
+def unknown_log_odds(best: Hypothesis, ahead: float, block: str, level: float) -> float:
+    """For something unknown, by what the best hypothesis leaves in a block.
+
+    Args:
+        best: the hypothesis.
+        ahead: its log evidence over no effect.
+        block: by name.
+        level: what is left there, in sd of healthy sets.
+    """
+    level -= FORM_LEVEL_SD * min(max(ahead / FORM_LOG_EVIDENCE, 0.0), 2.0)
     joints = [effect.joint for effect in best.effects]
     if joints.count(block.removeprefix("actuation.")) > 1:
         return (level - CROWDED_LEVEL_SD) / CROWDED_WIDTH_SD

@@ -1,10 +1,18 @@
 """What no slope at zero shows is found: a second effect at one joint, a sensor that is very late."""
 
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
 import pytest
 
-from diagnosis.causes.hypotheses import explore
+from diagnosis.causes.hypotheses import (
+    _form_of_parts,  # pyright: ignore[reportPrivateUsage]
+    explore,
+)
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import pose
+from diagnosis.causes.weighing import Trial
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -41,3 +49,15 @@ def test_a_sensor_that_is_very_late_is_found() -> None:
     # Beyond the tick that the smoother leads by on every machine.
     found_s = best.effects[0].parameters["extra_latency_s"]
     assert found_s == pytest.approx(0.13 - 0.01, rel=0.05)
+
+
+def test_a_shape_must_tell_more_than_the_form_of_what_it_is_beside() -> None:
+    none, chassis, small = (cast("Trial", SimpleNamespace(members=m)) for m in ((), (3,), (4,)))
+    # No effect, two effects, and a shape beside nothing, beside a large effect and beside a small one.
+    seen = [(0, ()), (1, (3,)), (2, (4,)), (0, (9,)), (1, (3, 9)), (2, (4, 9))]
+    logs = np.array(
+        [[0.0, 2700.0, 50.0, 10.0, 2710.0, 60.0], [0.0, 2000.0, -5.0, 10.0, 2010.0, 5.0]]
+    )
+    form = _form_of_parts([none, chassis, small], seen, logs)
+    np.testing.assert_allclose(form[:, :4], 0.0)
+    np.testing.assert_allclose(form[:, 4:], [[54.0, 1.0], [40.0, 0.0]])
