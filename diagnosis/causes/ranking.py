@@ -55,6 +55,8 @@ class Ranked:
     unknown: float
     shape: Group | None
     """Of the likeliest hypothesis that has one; None where what is left speaks louder for "unknown"."""
+    ahead: float
+    """Log evidence of the best hypothesis over no effect."""
     levels: Mapping[str, float]
     """By block: leftover power of the best hypothesis, in standard deviations of healthy sets."""
     jitter: JitterFit
@@ -87,12 +89,6 @@ class Ranked:
         """The most probable one."""
         return self.hypotheses[0]
 
-    @property
-    def ahead(self) -> float:
-        """Log evidence of the best one over no effect."""
-        none = next(h for h in self.hypotheses if not h.members)
-        return float(self.best.log_evidence[0] - none.log_evidence[0])
-
 
 def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) -> Ranked:
     """Weigh the hypotheses against each other and against "unknown"."""
@@ -118,6 +114,7 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
         shape=shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]
         if shaped > left
         else None,
+        ahead=ahead,
         levels=levels,
         jitter=jitter,
         jitter_probability=float(expit(jitter.log_odds)),

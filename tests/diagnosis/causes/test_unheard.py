@@ -193,6 +193,7 @@ def test_two_causes_that_cannot_be_told_apart_are_not_unknown_together():
         "probability": np.array([0.30, 0.28]),
         "unknown": 0.37,
         "shape": None,
+        "ahead": 0.0,
         "levels": {},
         "jitter": None,
         "jitter_probability": 0.0,

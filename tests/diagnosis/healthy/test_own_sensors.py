@@ -8,19 +8,29 @@ import pytest
 from diagnosis.healthy.noise import load_noise
 from diagnosis.healthy.own_sensors import SWINGS_MORE, with_own_sensors
 from diagnosis.loading.logs import LoadedSet
+from machine.conventions import ACTIVE_COUNT, Array
 from tests.diagnosis.twin_throws import throws
 
 LATE = "valve_dead_time.boom.extra_dead_time_s"
 
 
 def quieter(loaded: LoadedSet) -> LoadedSet:
-    """The same throws from joint sensors without noise."""
-    t_s = throws().throws[0].sensor_t_s
-    still = {
-        "sensor_position_rad_m": np.outer(np.sin(t_s), np.ones(4)),
-        "sensor_velocity_rad_m_per_s": np.outer(np.cos(t_s), np.ones(4)),
-    }
-    return replace(loaded, throws=tuple(replace(t, **still) for t in loaded.throws))
+    """Throws as long as these from joint sensors without noise."""
+
+    def still(of_time: np.ufunc, t_s: Array) -> Array:
+        return np.outer(of_time(t_s), np.ones(ACTIVE_COUNT))
+
+    return replace(
+        loaded,
+        throws=tuple(
+            replace(
+                t,
+                sensor_position_rad_m=still(np.sin, t.sensor_t_s),
+                sensor_velocity_rad_m_per_s=still(np.cos, t.sensor_t_s),
+            )
+            for t in loaded.throws
+        ),
+    )
 
 
 def noisier(loaded: LoadedSet, ratio: float) -> LoadedSet:
