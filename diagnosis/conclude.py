@@ -86,7 +86,7 @@ def conclude(found: Findings) -> Diagnosis:
         ambiguity = _or_nothing(ranked, demoted)
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, causes, gap, found.shrink, ranked, ambiguity),
+        sentence=sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity),
         gap=gap,
         stages=stages,
         causes=causes,
@@ -339,7 +339,7 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
     return entries[:RULED_OUT_COUNT]
 
 
-def _sentence(
+def sentence_of(
     verdict: VerdictKind,
     causes: Sequence[Cause],
     gap: Gap,
@@ -347,6 +347,16 @@ def _sentence(
     ranked: Ranked,
     ambiguity: Ambiguity | None,
 ) -> str:
+    """What a person reads first: the miss, what causes it, and how much of it the cause closes.
+
+    Args:
+        verdict: what is claimed.
+        causes: with their probabilities, best first.
+        gap: between twin and machine.
+        found: how far it shrinks, and by which measure; None if nothing was tried.
+        ranked: the hypotheses behind the causes.
+        ambiguity: what these throws cannot tell apart.
+    """
     size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
     top, sure = causes[0], probability(causes[0].probability)
     if verdict is VerdictKind.NONE:

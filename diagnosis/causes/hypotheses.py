@@ -110,11 +110,11 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
             for w in weights
         ]
     )
-    logs -= _form_of_parts(trials, seen, logs)
+    logs -= form_of_parts(trials, seen, logs)
     return [_weighed(problem, trials[i], m, logs[:, k]) for k, (i, m) in enumerate(seen)]
 
 
-def _form_of_parts(trials: Sequence[Trial], seen: Sequence[Seen], logs: Array) -> Array:
+def form_of_parts(trials: Sequence[Trial], seen: Sequence[Seen], logs: Array) -> Array:
     """Of log evidence (draws, sets) what a shape only has for the form error of the effects beside it.
 
     A real effect is never quite the library's: a share of what a large one explains is nobody else's.

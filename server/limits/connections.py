@@ -77,7 +77,7 @@ class PatientProtocol(H11Protocol):
     _is_waiting = False
     _is_websocket = False
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.Transport) -> None:
         """Begin to wait for the first request."""
         super().connection_made(transport)
         self._address = self.client[0] if self.client else "unknown"

@@ -4,8 +4,9 @@ Impacts, events and audit rows are only ever added. A throw's id is a UUID of ve
 by it is ordering by time: all pages of the history walk an index that ends with it.
 """
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, ClassVar
 
 from sqlalchemy import (
     BigInteger,
@@ -63,7 +64,7 @@ class Base(DeclarativeBase):
             "pk": "pk_%(table_name)s",
         }
     )
-    type_annotation_map = {  # noqa: RUF012  SQLAlchemy's own declaration
+    type_annotation_map: ClassVar[Mapping[Any, Any]] = {
         datetime: UtcDateTime,
         dict[str, Any]: JSON,
         list[Any]: JSON,

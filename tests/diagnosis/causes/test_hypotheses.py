@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from diagnosis.causes.hypotheses import (
-    _form_of_parts,  # pyright: ignore[reportPrivateUsage]
     explore,
+    form_of_parts,
 )
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import pose
@@ -58,6 +58,6 @@ def test_a_shape_must_tell_more_than_the_form_of_what_it_is_beside() -> None:
     logs = np.array(
         [[0.0, 2700.0, 50.0, 10.0, 2710.0, 60.0], [0.0, 2000.0, -5.0, 10.0, 2010.0, 5.0]]
     )
-    form = _form_of_parts([none, chassis, small], seen, logs)
+    form = form_of_parts([none, chassis, small], seen, logs)
     np.testing.assert_allclose(form[:, :4], 0.0)
     np.testing.assert_allclose(form[:, 4:], [[54.0, 1.0], [40.0, 0.0]])
