@@ -1,7 +1,8 @@
 """Flight of a released load: quadratic drag, wind, to a horizontal plane at the target's height; batched.
 
 Equation of motion (frame `machine`, z up): a = -g e_z - k |u| u + |u| (l x u), u = v - w, with
-k = rho Cd pi r^2 / (2 m) and, for a spinning load, l = rho C_L pi r^2 / (2 m) along its spin.
+k = rho Cd pi r^2 / (2 m) and, for a spinning load, l = rho C_L pi r^2 / (2 m) along its spin, with
+C_L = S / (0.4 + 2.32 S), S = r w / |u| (A. M. Nathan, Am. J. Phys. 76, 119, 2008: fit to baseballs).
 Classical fourth-order Runge-Kutta with steps of 10 ms; the crossing of the plane is interpolated with the
 cubic through both ends of the last step (error below 1 mm, tested).
 """
@@ -10,11 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from machine.conventions import GRAVITY_M_PER_S2, Array
+from machine.conventions import GRAVITY_M_PER_S2, Array, IntArray
 from machine.spec import Ball
 
 STEP_S = 0.01
 MAX_FLIGHT_S = 6.0
+LIFT_OFFSET_RATIO = 0.4
+LIFT_SLOPE_RATIO = 2.32
 
 
 class Landing(NamedTuple):
@@ -28,6 +31,25 @@ class Landing(NamedTuple):
     time_s: Array
 
 
+class Spin(NamedTuple):
+    """Of loads in the air, constant over a flight."""
+
+    surface_m_per_s: Array
+    """(..., 3) r w along the axis."""
+    air_per_m: Array
+    """(...) rho pi r^2 / (2 m)."""
+
+    def of(self, rows: IntArray) -> "Spin":
+        """Of some of the loads."""
+        return Spin(self.surface_m_per_s[rows], self.air_per_m[rows])
+
+    def lift_per_m(self, speed_m_per_s: Array) -> Array:
+        """L (..., 3) of the equation above at speeds (..., 1) through the air."""
+        surface = np.sqrt(np.add.reduce(self.surface_m_per_s**2, axis=-1, keepdims=True))
+        slowness = LIFT_OFFSET_RATIO * speed_m_per_s + LIFT_SLOPE_RATIO * surface
+        return self.air_per_m[..., None] * self.surface_m_per_s / np.maximum(slowness, 1e-9)
+
+
 def drag_per_m(ball: Ball) -> float:
     """Return k = rho Cd A / (2 m), 1/m."""
     area_m2 = np.pi * ball.radius_m**2
@@ -38,15 +60,15 @@ def acceleration(
     velocity_m_per_s: Array,
     drag_per_m: Array | float,
     wind_m_per_s: Array,
-    lift_per_m: Array | None = None,
+    spin: Spin | None = None,
 ) -> Array:
-    """Acceleration (..., 3) of the load at a velocity (..., 3), m/s^2; `lift_per_m` (..., 3) is l."""
+    """Acceleration (..., 3) of the load at a velocity (..., 3), m/s^2."""
     relative = velocity_m_per_s - wind_m_per_s
     speed = np.sqrt(np.add.reduce(relative * relative, axis=-1, keepdims=True))
     result = -np.asarray(drag_per_m)[..., None] * speed * relative
     result[..., 2] -= GRAVITY_M_PER_S2
-    if lift_per_m is not None:
-        result += speed * np.cross(lift_per_m, relative)
+    if spin is not None:
+        result += speed * np.cross(spin.lift_per_m(speed), relative)
     return result
 
 
@@ -56,19 +78,19 @@ def step_flight(
     drag_per_m: Array | float,
     wind_m_per_s: Array,
     step_s: Array | float = STEP_S,
-    lift_per_m: Array | None = None,
+    spin: Spin | None = None,
 ) -> tuple[Array, Array]:
     """One Runge-Kutta step of the flight; shapes (..., 3)."""
     h = np.asarray(step_s)[..., None]
     half = 0.5 * h
     v1 = velocity_m_per_s
-    a1 = acceleration(v1, drag_per_m, wind_m_per_s, lift_per_m)
+    a1 = acceleration(v1, drag_per_m, wind_m_per_s, spin)
     v2 = v1 + half * a1
-    a2 = acceleration(v2, drag_per_m, wind_m_per_s, lift_per_m)
+    a2 = acceleration(v2, drag_per_m, wind_m_per_s, spin)
     v3 = v1 + half * a2
-    a3 = acceleration(v3, drag_per_m, wind_m_per_s, lift_per_m)
+    a3 = acceleration(v3, drag_per_m, wind_m_per_s, spin)
     v4 = v1 + h * a3
-    a4 = acceleration(v4, drag_per_m, wind_m_per_s, lift_per_m)
+    a4 = acceleration(v4, drag_per_m, wind_m_per_s, spin)
     sixth = h / 6.0
     position = position_m + sixth * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
     velocity = velocity_m_per_s + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
@@ -81,7 +103,7 @@ def landing(
     plane_height_m: Array | float,
     drag_per_m: Array | float,
     wind_m_per_s: Array | None = None,
-    lift_per_m: Array | None = None,
+    spin: Spin | None = None,
 ) -> Landing:
     """Fly loads (..., 3) until they come down through the plane ``z = plane_height_m``.
 
@@ -91,7 +113,7 @@ def landing(
         plane_height_m: height of the target plane plus the load's radius where its bottom counts.
         drag_per_m: k of the equation above; 0 for a vacuum.
         wind_m_per_s: wind, same frame; none if omitted.
-        lift_per_m: (..., 3) l of the equation above; no spin if omitted.
+        spin: of all loads (N, 3), where there is one.
     """
     shape = np.broadcast_shapes(position_m.shape, velocity_m_per_s.shape)
     position = np.broadcast_to(position_m, shape).astype(np.float64).reshape(-1, 3)
@@ -101,7 +123,6 @@ def landing(
     drag = np.broadcast_to(np.asarray(drag_per_m, dtype=np.float64), shape[:-1]).reshape(-1)
     wind = np.zeros(3) if wind_m_per_s is None else wind_m_per_s
     wind = np.broadcast_to(wind, shape).reshape(-1, 3)
-    lift = None if lift_per_m is None else np.broadcast_to(lift_per_m, shape).reshape(-1, 3)
     end_position = np.full((count, 3), np.nan)
     end_velocity = np.full((count, 3), np.nan)
     end_time = np.full(count, np.nan)
@@ -111,13 +132,13 @@ def landing(
         if flying.size == 0:
             break
         p0, v0 = position[flying], velocity[flying]
-        turn = None if lift is None else lift[flying]
-        p1, v1 = step_flight(p0, v0, drag[flying], wind[flying], lift_per_m=turn)
+        turn = None if spin is None else spin.of(flying)
+        p1, v1 = step_flight(p0, v0, drag[flying], wind[flying], spin=turn)
         down = (p0[:, 2] >= plane[flying]) & (p1[:, 2] < plane[flying])
         if down.any():
             hit = flying[down]
             u = _crossing(p0[down, 2], p1[down, 2], v0[down, 2], v1[down, 2], plane[hit])
-            turn = None if lift is None else lift[hit]
+            turn = None if spin is None else spin.of(hit)
             end_position[hit], end_velocity[hit] = step_flight(
                 p0[down], v0[down], drag[hit], wind[hit], u * STEP_S, turn
             )

@@ -33,7 +33,7 @@ from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
 
-BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit")
+BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit", "payload_mass", "release_spin")
 """Joints stand, valves hang in their play, speeds are cut, for a time that grows with the size in jumps."""
 BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from machine.ballistics import MAX_FLIGHT_S, STEP_S, step_flight
+from machine.ballistics import MAX_FLIGHT_S, STEP_S, Spin, step_flight
 from machine.conventions import Array
 from machine.site.solids import Contact, Solids, touch_share
 
@@ -26,7 +26,7 @@ def touchdown(
     velocity_m_per_s: Array,
     drag_per_m: Array,
     wind_m_per_s: Array,
-    lift_per_m: Array | None = None,
+    spin: Spin | None = None,
 ) -> Touchdown:
     """Fly loads (N, 3) until they touch ground or an object, whichever side of it.
 
@@ -37,7 +37,7 @@ def touchdown(
         velocity_m_per_s: (N, 3) with which.
         drag_per_m: (N,) k of machine.ballistics.
         wind_m_per_s: (N, 3).
-        lift_per_m: (N, 3) l of machine.ballistics; no spin if omitted.
+        spin: of all loads, where there is one.
     """
     count = position_m.shape[0]
     path, speed = [position_m], [velocity_m_per_s]
@@ -45,7 +45,7 @@ def touchdown(
     for _ in range(int(MAX_FLIGHT_S / STEP_S)):
         if not np.any(path[-1][:, 2] > solids.floor_m):
             break
-        p, v = step_flight(path[-1], speed[-1], drag_per_m, wind_m_per_s, STEP_S, lift_per_m)
+        p, v = step_flight(path[-1], speed[-1], drag_per_m, wind_m_per_s, STEP_S, spin)
         path.append(p)
         speed.append(v)
     positions, velocities = np.stack(path), np.stack(speed)
@@ -54,10 +54,10 @@ def touchdown(
     before = closes.argmax(axis=0)[rows] if rows.size else rows
     p0, v0 = positions[before, rows], velocities[before, rows]
     drag, wind = drag_per_m[rows], wind_m_per_s[rows]
-    lift = None if lift_per_m is None else lift_per_m[rows]
+    turn = None if spin is None else spin.of(rows)
 
     def fly(share: Array) -> Array:
-        return step_flight(p0, v0, drag, wind, share * STEP_S, lift)[0]
+        return step_flight(p0, v0, drag, wind, share * STEP_S, turn)[0]
 
     share = touch_share(lambda u: solids.distance(fly(u)) - radius_m, rows.size)
     centre, time_s = np.full((count, 3), np.nan), np.full(count, np.nan)

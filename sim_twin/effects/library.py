@@ -260,8 +260,8 @@ _FLIGHT = (
         "flight",
         (),
         (P("spin_rad_per_s", -30.0, 30.0, 0.3, 10.0, 2.0),),
-        "Backspin (positive) about the horizontal axis across the release velocity; Magnus lift with "
-        "the coefficient of the release: C_L = S / (0.4 + 2.32 S), S = r w / v.",
+        "Backspin (positive) about the horizontal axis across the release velocity; Magnus lift: "
+        "C_L = S / (0.4 + 2.32 S), S = r w / v at the speed v through the air.",
         "A. M. Nathan, The effect of spin on the flight of a baseball, Am. J. Phys. 76 (2008)",
     ),
 )

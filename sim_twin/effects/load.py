@@ -6,10 +6,6 @@ from machine.conventions import Array, IntArray
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
 
-LIFT_OFFSET_RATIO = 0.4
-LIFT_SLOPE_RATIO = 2.32
-"""C_L = S / (0.4 + 2.32 S), S = r w / v: A. M. Nathan, Am. J. Phys. 76 (2008), fit to baseballs."""
-
 
 class LoadEffects:
     """Effects of the stages `release` and `flight`, and the load's mass in the air."""
@@ -33,7 +29,9 @@ class LoadEffects:
         """(N,) nominal mass over true mass: what is left of the air's accelerations."""
         self._radius_m = ball.radius_m
         area_m2 = np.pi * ball.radius_m**2
-        self._air_per_m = ball.air_density_kg_per_m3 * area_m2 / (2.0 * ball.mass_kg)
+        air_per_m = ball.air_density_kg_per_m3 * area_m2 / (2.0 * ball.mass_kg)
+        self.air_per_m = air_per_m * self.mass_share
+        """(N,) rho pi r^2 / (2 m)."""
 
     def delay(self, mean_s: float, sd_s: float) -> tuple[Array | float, Array | float]:
         """Mean and standard deviation (N,) of the opening's delay."""
@@ -52,19 +50,10 @@ class LoadEffects:
             return velocity_m_per_s
         return velocity_m_per_s * (1.0 - self._slowdown[rows, None])
 
-    def lift(self, rows: IntArray, velocity_m_per_s: Array) -> Array:
-        """Spin lift (K, 3) of machine.ballistics for loads of `rows` that leave with these velocities."""
-        speed = np.maximum(np.linalg.norm(velocity_m_per_s, axis=-1), 1e-6)
+    def spin_surface(self, rows: IntArray, velocity_m_per_s: Array) -> Array:
+        """Spin of machine.ballistics (K, 3) of loads of `rows` that leave with these velocities, m/s."""
         level = np.maximum(np.hypot(velocity_m_per_s[:, 0], velocity_m_per_s[:, 1]), 1e-6)
-        spin = self._radius_m * self._spin[rows] / speed
-        coefficient = spin / (LIFT_OFFSET_RATIO + LIFT_SLOPE_RATIO * np.abs(spin))
-        size = self._air_per_m * self.mass_share[rows] * coefficient / level
+        surface = self._radius_m * self._spin[rows] / level
         # Backspin turns about the horizontal axis on the right-hand side of the flight.
-        return np.stack(
-            [
-                size * velocity_m_per_s[:, 1],
-                -size * velocity_m_per_s[:, 0],
-                np.zeros(size.size),
-            ],
-            axis=-1,
-        )
+        along = [velocity_m_per_s[:, 1], -velocity_m_per_s[:, 0], np.zeros(surface.size)]
+        return np.stack([surface * part for part in along], axis=-1)

@@ -1,7 +1,7 @@
 """Effects on the load of the virtual machine: how it is held, let go, and flies.
 
 The flight has its own integrator (classical Runge-Kutta of drag, gusts and Magnus lift), because the
-twin's has no lift and no gusts.
+twin's has no gusts, and so that the two can be held against each other.
 """
 
 from typing import NamedTuple

@@ -264,7 +264,7 @@ class _NominalThrow:
                 load.drag_per_m,
                 load.wind_m_per_s,
                 FRAME_PERIOD_S,
-                load.lift_per_m,
+                load.spin,
             )
             points.append(position[0])
         if load.predicted is not None:

@@ -5,7 +5,7 @@ The flight is integrated with machine.ballistics outside MuJoCo; this module mov
 
 import numpy as np
 
-from machine.ballistics import drag_per_m, landing, step_flight
+from machine.ballistics import Spin, drag_per_m, landing, step_flight
 from machine.conventions import Array, BoolArray, IntArray
 from machine.kinematics import ToolState
 from machine.site.solids import Solids
@@ -45,10 +45,10 @@ class Payload:
             nominal * drag_coefficient / spec.ball.drag_coefficient_ratio * share
         )
         self._radius_m = spec.ball.radius_m
-        self.lift_per_m: Array | None = None
-        """Spin lift of machine.ballistics (N, 3), from the release on; None without spin."""
+        self.spin: Spin | None = None
+        """From the release on; None where no load spins."""
         if self._effects is not None and self._effects.spins:
-            self.lift_per_m = np.zeros((count, 3))
+            self.spin = Spin(np.zeros((count, 3)), self._effects.air_per_m)
         self.surface_height_m = np.zeros(count)
         """Height of the ground the load lands on; a target off the ground raises it. Not looked at where
         there are solids."""
@@ -163,8 +163,8 @@ class Payload:
         self._leave(rows, position_m[rows], velocity_m_per_s[rows])
 
     def _leave(self, rows: IntArray, position: Array, velocity: Array) -> None:
-        if self._effects is not None and self.lift_per_m is not None:
-            self.lift_per_m[rows] = self._effects.lift(rows, velocity)
+        if self._effects is not None and self.spin is not None:
+            self.spin.surface_m_per_s[rows] = self._effects.spin_surface(rows, velocity)
         self.held[rows] = False
         self.flying[rows] = True
         self.release_position_m[rows], self.release_velocity_m_per_s[rows] = position, velocity
@@ -177,8 +177,8 @@ class Payload:
         rows = np.flatnonzero(self.flying)
         step_s = np.minimum((now_ns - self.release_t_ns[rows]) * 1e-9, tick_s)
         p0, v0, drag = self.position_m[rows], self._velocity[rows], self.drag_per_m[rows]
-        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
-        p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s[rows], step_s, lift)
+        spin = None if self.spin is None else self.spin.of(rows)
+        p1, v1 = step_flight(p0, v0, drag, self.wind_m_per_s[rows], step_s, spin)
         self.position_m[rows], self._velocity[rows] = p1, v1
         if self.solids is not None:
             hits = self.solids.closes(p0, p1, self._radius_m)
@@ -198,9 +198,9 @@ class Payload:
         self, rows: IntArray, position: Array, velocity: Array, plane: Array, begin_ns: IntArray
     ) -> None:
         """End the flight of `rows`, which cross their plane within a tick of `begin_ns`."""
-        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
+        spin = None if self.spin is None else self.spin.of(rows)
         end = landing(
-            position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s[rows], lift
+            position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s[rows], spin
         )
         self.impact_m[rows] = end.position_m
         # The survey measures the mark on the surface, not the ball's centre above it.
@@ -221,9 +221,9 @@ class Payload:
 
     def _to_solids(self, rows: IntArray, position: Array, velocity: Array) -> Touchdown:
         assert self.solids is not None
-        lift = None if self.lift_per_m is None else self.lift_per_m[rows]
+        spin = None if self.spin is None else self.spin.of(rows)
         drag, wind = self.drag_per_m[rows], self.wind_m_per_s[rows]
-        return touchdown(self.solids, self._radius_m, position, velocity, drag, wind, lift)
+        return touchdown(self.solids, self._radius_m, position, velocity, drag, wind, spin)
 
     def predicted_impact(self) -> tuple[Array, Array]:
         """Points (N, 3) where released loads come down and their flight times (N,); NaN while held.
@@ -242,7 +242,7 @@ class Payload:
             plane,
             self.drag_per_m,
             self.wind_m_per_s,
-            self.lift_per_m,
+            self.spin,
         )
         point = end.position_m
         point[:, 2] -= self._radius_m

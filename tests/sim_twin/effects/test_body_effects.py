@@ -187,8 +187,6 @@ def test_flight_effects_agree_with_an_independent_integration(surface_m: float) 
     ball = SPEC.ball
     mass, area = ball.mass_kg + 0.4, math.pi * ball.radius_m**2
     air = ball.air_density_kg_per_m3 * area / (2.0 * mass)
-    spin = ball.radius_m * 12.0 / float(np.linalg.norm(velocity))
-    lift = air / (2.32 + 0.4 / spin)
     axis = np.cross(velocity[0], [0.0, 0.0, 1.0])
     axis /= np.linalg.norm(axis)
     wind = np.array([-2.0, 3.0, 0.0])
@@ -196,6 +194,7 @@ def test_flight_effects_agree_with_an_independent_integration(surface_m: float) 
     def motion(_: float, state: Array) -> Array:
         through = state[3:] - wind
         speed = np.linalg.norm(through)
+        lift = air / (2.32 + 0.4 * speed / (ball.radius_m * 12.0))
         drag = -air * (ball.drag_coefficient_ratio + 0.3) * speed * through
         pull = drag + lift * speed * np.cross(axis, through) + [0.0, 0.0, -G]
         return np.concatenate([state[3:], pull])
