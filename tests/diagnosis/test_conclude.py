@@ -5,8 +5,8 @@ from typing import cast
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.conclude import sentence_of
-from diagnosis.verdict import Cause, Gap, VerdictKind
+from diagnosis.conclude import sentence_of, verdict_of, where
+from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 
 
@@ -51,3 +51,53 @@ def test_a_large_effect_may_leave_more() -> None:
     block = "actuation.telescope"
     for ahead, level, is_foreign in ((100.0, 6.0, True), (2000.0, 6.0, False), (9e4, 8.0, True)):
         assert (unknown_log_odds(best, ahead, block, level) > 0.0) is is_foreign
+
+
+def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> None:
+    effect = Effect(effect="joint_sensor_bias", joint="boom", parameters={"bias_rad_m": -0.006})
+    cases = (
+        (0.07, (-0.11, -0.01), None, VerdictKind.NONE),
+        (0.31, (-0.02, 0.04), "wind", VerdictKind.NONE),
+        (0.02, (-0.11, -0.01), None, VerdictKind.AMBIGUOUS),
+        (0.07, (-0.11, 0.20), None, VerdictKind.AMBIGUOUS),
+        (0.07, (0.10, 0.20), None, VerdictKind.EXPLAINED),
+    )
+    for none, ci90, rival, verdict in cases:
+        ranked = SimpleNamespace(
+            best=SimpleNamespace(members=(3,), effects=(effect,)),
+            is_unknown=False,
+            is_doubtful=False,
+            none_probability=none,
+            rival=rival,
+        )
+        gain = Shrink(
+            predicted_ratio=0.0,
+            before_m=0.2,
+            after_m=0.2,
+            ratio=sum(ci90) / 2.0,
+            ci90=ci90,
+            held_out_throws=12,
+            removable_ratio=0.1,
+        )
+        assert verdict_of(cast("Ranked", ranked), gain) is verdict
+
+
+def test_the_place_is_that_of_the_effect_that_most_sets_have() -> None:
+    """A late release beside less drag or a heavier load, which look the same in the air."""
+    delay, mass, drag = (
+        Effect(effect=effect, joint=None, parameters={name: 0.1})
+        for effect, name in (
+            ("release_delay", "extra_delay_s"),
+            ("payload_mass", "extra_mass_kg"),
+            ("air_drag", "extra_drag_coefficient_ratio"),
+        )
+    )
+    hypotheses = [
+        SimpleNamespace(members=members, effects=effects)
+        for members, effects in (((1, 2), (mass, delay)), ((2, 3), (delay, drag)), ((), ()))
+    ]
+    ranked = SimpleNamespace(
+        hypotheses=hypotheses, probability=[0.4, 0.3, 0.2], best=hypotheses[0], levels={}
+    )
+    for verdict in (VerdictKind.AMBIGUOUS, VerdictKind.NONE):
+        assert where(verdict, cast("Ranked", ranked), ()) == {"stage": "release", "joint": None}
