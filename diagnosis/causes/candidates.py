@@ -59,8 +59,10 @@ FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
 STRIDES_RATIO = (1.5, 1.2)
-"""Bent effects are also looked at so many times larger and smaller, one stride after the other: slopes led a
-slew's speed limit of 0.4 from 0.6 to 0.71, and a boom's hysteresis of 0.12 from 0.2 to 0.19, 0.18 and on."""
+"""Bent and late effects are also looked at so many times larger and smaller, one stride after the other:
+slopes led a slew's speed limit of 0.4 from 0.6 to 0.71, a boom's hysteresis of 0.12 from 0.2 to 0.19, 0.18
+and on, and a boom's dead time of 0.148 s from 0.08 s to 0.036 s."""
+STRIDING = (*BENT_EFFECTS, *LATE)
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 PARTNER_COUNT = 4
@@ -151,16 +153,24 @@ def _followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
     """Where looks were simulated, and where bent effects looked better beside it."""
     found = list(looks)
     for ratio in STRIDES_RATIO:
-        seeds = [(t.members, _strode(t, r)) for t in found if t.bent for r in (ratio, 1.0 / ratio)]
+        seeds = [
+            (t.members, sizes)
+            for t in found
+            for r in (ratio, 1.0 / ratio)
+            if (sizes := _strode(problem, t, r)) is not None
+        ]
         found = best_of_each([*found, *_looks(problem, seeds)])
     moved = [t for t in found if t not in looks]
     return [(t.members, t.at) for t in (*looks, *moved)]
 
 
-def _strode(trial: Trial, ratio: float) -> Array:
-    """Sizes at which a trial was simulated, its bent effects so many times larger."""
+def _strode(problem: Problem, trial: Trial, ratio: float) -> Array | None:
+    """Sizes at which a trial was simulated, its bent and late effects so many times larger, if it has any."""
     parts = by_member(trial.plain, trial.members, trial.at)
-    return np.concatenate([part * (ratio if m in trial.bent else 1.0) for m, part in parts.items()])
+    strides = [m for m in parts if problem.layout.groups[m][0] in STRIDING]
+    if not strides:
+        return None
+    return np.concatenate([part * (ratio if m in strides else 1.0) for m, part in parts.items()])
 
 
 def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:

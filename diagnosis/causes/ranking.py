@@ -97,7 +97,7 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     shapes = [_shape(problem, h) for h in hypotheses]
     is_shaped = np.array([shape is not None for shape in shapes])
     probability = bagged_probability(logs, np.array([len(h.members) for h in hypotheses]))
-    shaped = float(probability[is_shaped].sum())
+    shaped = min(float(probability[is_shaped].sum()), 1.0)
     order = np.argsort(-np.where(is_shaped, -1.0, probability), kind="stable")[: (~is_shaped).sum()]
     named = probability[order] / max(1.0 - shaped, 1e-9)
     ordered = [hypotheses[int(i)] for i in order]

@@ -1,10 +1,13 @@
 """From throws to a verdict, on the twin's own throws: the easy case, in which there is nothing to excuse."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from cli.main import main
 from diagnosis.diagnose import CancelledError, diagnose_throws
+from diagnosis.loading.logs import load_throws
 from diagnosis.verdict import Diagnosis, VerdictKind
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -57,6 +60,17 @@ def test_it_can_be_cancelled() -> None:
             health=health(),
         )
     assert len(told) == 2
+
+
+def test_throws_of_one_mode_alone_show_no_effect_of_a_healthy_machine(tmp_path: Path) -> None:
+    """Their slew stands: what its sensor's noise does in the twin is no scale of it."""
+    logs = tmp_path / "logs"
+    asked = ["record", "--plant", "virtual", "--mode", "2d", "--throws", "6", "--out", str(logs)]
+    assert main(asked) == 0
+    loaded = load_throws([logs])
+    twin = loaded.throws[0].twin_profile
+    assert twin is not None
+    assert diagnose_throws(loaded, twin).verdict is VerdictKind.NONE
 
 
 def test_a_machine_of_another_type_is_not_judged_by_what_ours_have_in_common() -> None:

@@ -79,6 +79,11 @@ def kicked(throw: ThrowData, speed_m_per_s: float) -> ThrowData:
     )
 
 
+def without_slew(valve_ratio: Array) -> Array:
+    """A slew that stands, whatever it is told."""
+    return valve_ratio * np.array([0.0, 1.0, 1.0, 1.0])
+
+
 def measured_as(changed: Callable[[ThrowData, float], ThrowData], size: float) -> LoadedSet:
     loaded = throws((), THROWS)
     return replace(loaded, throws=tuple(changed(t, size) for t in loaded.throws))
@@ -128,6 +133,20 @@ def test_a_scale_moves_every_channel_as_throws_with_a_scaled_sensor_differ() -> 
         assert np.corrcoef(slope[block.rows], moved[block.rows])[0, 1] > 0.98, name
         size = float(np.linalg.norm(slope[block.rows]) / np.linalg.norm(moved[block.rows]))
         assert size == pytest.approx(1.0, abs=0.2), name
+
+
+def test_noise_of_a_joint_that_stands_has_no_scale() -> None:
+    """Less of it would only shake the simulated gripper less."""
+    moving, standing = (
+        posed(throws((), 1, received=received)).linear[0].scale[:, 0]
+        for received in (None, without_slew)
+    )
+    prepared = posed(throws((), 1)).prepared[0]
+    gyro, ball = prepared.block("swing.gyro.x"), prepared.block("flight.ball")
+    assert gyro is not None and ball is not None
+    assert np.linalg.norm(standing[gyro.rows]) < 1e-3 * np.linalg.norm(moving[gyro.rows])
+    # It still stands elsewhere than it says.
+    assert np.abs(standing[ball.rows]).max() > 0.1
 
 
 def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
