@@ -41,6 +41,7 @@ PART_COUNT = 3
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 LOUD_COUNT = 2
+SWINGS = tuple(f"swing.gyro.{axis}" for axis in "xyz")
 NEARLY_AS_LOUD_RATIO = 0.5
 """A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""
 PLAIN_LOG_ODDS = 10.0
@@ -312,7 +313,8 @@ def _of_library(problem: Problem) -> list[int]:
 def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> list[int]:
     """Groups that could act on joints that are loud, or where slopes show an effect plainly.
 
-    What hides from slopes may drift, too, where a drift shows plainly; and all joints share the pump.
+    What hides from slopes may drift, too, where a drift shows plainly; all joints share the pump, and a late
+    IMU makes its own channels loud.
     """
     groups = problem.layout.groups
     plain = [groups[e.members[0]] for e in alone if e.log_odds > PLAIN_LOG_ODDS]
@@ -320,10 +322,13 @@ def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> l
     loud = _loud_joints(problem, problem.whitened, base.mean, LOUD_COUNT)
     joints = list(dict.fromkeys([*shown[:LOUD_COUNT], *loud]))
     drifts = any(effect.startswith(DRIFT) for effect, _ in plain[:LOUD_COUNT])
+    is_loud = bool(joints) or any(
+        level >= LOUD_SD for level in _above_healthy(problem, problem.whitened, base.mean, SWINGS)
+    )
     hidden = [
         g
         for g, (effect, joint) in enumerate(groups)
-        if (joint in joints or (joint is None and joints))
+        if (joint in joints or (joint is None and is_loud))
         and effect.startswith(DRIFT) == drifts
         and _sizes_beyond_slopes(problem, g)
     ]
@@ -348,15 +353,24 @@ def _loud_joints(
 
     Judged by what the parameters `mean` leave of the whitened throws.
     """
-    left = levels(whitened, mean)
-    loud = {
-        joint: (left[name] - healthy[0]) / healthy[1]
-        for joint in ACTIVE_JOINTS
-        if (name := f"actuation.{joint}") in left
-        and (healthy := problem.model.unknown_level.get(name)) is not None
-    }
+    names = [f"actuation.{joint}" for joint in ACTIVE_JOINTS]
+    above = _above_healthy(problem, whitened, mean, names)
+    loud: dict[str, float] = dict(zip(ACTIVE_JOINTS, above, strict=True))
     least = max(LOUD_SD, NEARLY_AS_LOUD_RATIO * max(loud.values(), default=0.0))
     return sorted((j for j in loud if loud[j] >= least), key=lambda j: -loud[j])[:count]
+
+
+def _above_healthy(
+    problem: Problem, whitened: Sequence[Whitened], mean: Array, blocks: Sequence[str]
+) -> list[float]:
+    """Power that the parameters `mean` leave in blocks, in sd of healthy sets; -inf of what is not there."""
+    left, healthy = levels(whitened, mean), problem.model.unknown_level
+    return [
+        (left[name] - healthy[name][0]) / healthy[name][1]
+        if name in left and name in healthy
+        else -np.inf
+        for name in blocks
+    ]
 
 
 def _of_joints(problem: Problem, joints: Collection[str]) -> list[int]:

@@ -34,6 +34,11 @@ SWITCH_LAG_S = 0.0275
 SETTLED_S = 1.0
 """Recorded before the throw, after which the gripper hangs where gravity points; a throw that was put into
 its start pose has no such time."""
+CALM_S = 0.12
+CALM_COUNT = 5
+CALM_RANGE_RAD_PER_S = 0.03
+"""So does a gripper whose turning rate stays within this for that long before the throw: at the end of a
+swing of 0.025 rad it would change by as much."""
 SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
 """A switch that is read once a tick is seen half a tick late on average."""
 
@@ -207,6 +212,14 @@ def _imu_at(throw: ThrowData, t_s: Array) -> tuple[Array, Array | None]:
     return rate - throw.gyro_rad_per_s[calm].mean(axis=0), throw.accel_m_per_s2[calm].mean(axis=0)
 
 
+def hung_at_rest(throw: ThrowData) -> bool:
+    """Whether the gripper hung where gravity points when the throw began, and not where it was put."""
+    before = throw.gyro_rad_per_s[(throw.imu_t_s >= -CALM_S) & (throw.imu_t_s <= 0.0)]
+    is_recorded = bool((throw.imu_t_s <= -CALM_S).any()) and before.shape[0] >= CALM_COUNT
+    is_calm = is_recorded and bool(np.all(np.ptp(before, axis=0) < CALM_RANGE_RAD_PER_S))
+    return is_calm or bool((throw.t_s < -SETTLED_S).any())
+
+
 def measured_opening_s(throw: ThrowData) -> float:
     """When the load left, from the gripper switch; NaN if the switch said nothing."""
     return throw.switch_open_t_s - SWITCH_LAG_S - SWITCH_TICK_S
@@ -236,7 +249,7 @@ def replay_input(
         release_t_s=throw.open_command_t_s,
         surface_height_m=height if np.isfinite(height) else float(throw.target_m[2]),
         progress_ratio=progress_ratio,
-        hung_at_rest=bool((throw.t_s < -SETTLED_S).any()),
+        hung_at_rest=hung_at_rest(throw),
         opening_t_s=opening if np.isfinite(opening) else default_opening_s,
         swing_rad=motion.swing_rad,
         swing_rate_rad_per_s=motion.swing_rate_rad_per_s,
