@@ -392,8 +392,9 @@ def sentence_of(
         joint = "" if signature["joint"] is None else f" of the {signature['joint']}"
         if signature["looks_like"] is not None:
             return f"{size}Something unknown in {signature['stage']}{joint}: {signature['looks_like']}."
+        leaves = "the best known cause leaves" if ranked.best.members else "no known cause explains"
         return (
-            f"{size}Something unknown in {signature['stage']}{joint}: the best known cause leaves "
+            f"{size}Something unknown in {signature['stage']}{joint}: {leaves} "
             f"{channel_words(signature['channel'])} {signature['leftover_sd']:.0f} standard deviations "
             "above a healthy machine."
         )

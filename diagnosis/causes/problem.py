@@ -1,10 +1,10 @@
 """One set of throws against one twin, linearised at "no effect"."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from diagnosis.causes.form_error import factors, widened
-from diagnosis.causes.leftovers import in_units, left_of
+from diagnosis.causes.leftovers import in_units, left_of, levels
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import Linear, linearise
@@ -54,9 +54,11 @@ class Problem:
     """What named slopes explain of the shapes (`beside_named`)."""
     off: Sequence[Array]
     """What the twin without any effect leaves of every throw, (n,), in the channels' own units."""
-
     basis: Sequence[Basis]
     """Every throw at "no effect", for hypotheses."""
+    none_levels: Mapping[str, float]
+    """What no effect leaves in every block (`levels`), in a healthy machine's noise: where nothing is
+    explained, nothing is off by its form."""
 
     def at_a_glance(self) -> "Problem":
         """Every other throw of each mode, for a look at many sets of which few are tried again."""
@@ -128,6 +130,7 @@ def _whitened(
         beside,
         [],
         [],
+        {},
     )
 
 
@@ -150,6 +153,7 @@ def _with_form_error(first: Problem) -> Problem:
         off=off,
         whitened=whitened,
         information=information(whitened),
+        none_levels=levels(first.whitened, mean),
         basis=[
             Basis(one, f, w, first.beside)
             for one, f, w in zip(first.linear, factor, whitened, strict=True)

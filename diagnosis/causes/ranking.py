@@ -148,12 +148,14 @@ def unknown_log_odds(best: Hypothesis, ahead: float, block: str, level: float) -
 def unknown_levels(problem: Problem, best: Hypothesis, none: Hypothesis) -> dict[str, float]:
     """Leftover power of every block that has a say (`DEAF_BLOCKS`) against healthy sets, in their sd.
 
-    A block that the best hypothesis has almost brought back to a healthy level counts as healthy.
+    A block that the best hypothesis has almost brought back to a healthy level counts as healthy. Where the
+    best is no effect, nothing is excused as the form of one (`Problem.none_levels`).
     """
     healthy = problem.model.unknown_level
     rough = rough_blocks(best.effects)
     levels: dict[str, float] = {}
-    for name, level in best.levels.items():
+    left = best.levels if best.members else problem.none_levels
+    for name, level in left.items():
         is_shaken = rough and name not in rough and name.startswith(SHAKEN_BLOCKS)
         if name not in healthy or name.startswith(DEAF_BLOCKS) or is_shaken:
             continue

@@ -11,7 +11,7 @@ from sim_twin.effects.effect import Effect
 
 
 def test_an_unknown_effect_is_placed_in_words() -> None:
-    best = SimpleNamespace(effects=())
+    best = SimpleNamespace(members=(1,), effects=())
     ranked = SimpleNamespace(
         levels={"flight.ball": 12.4, "actuation.boom": 1.1}, shape=None, best=best, ahead=0.0
     )
@@ -38,7 +38,9 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
     ):
         best = cast("Hypothesis", SimpleNamespace(effects=effects))
         assert (unknown_log_odds(best, 0.0, block, left[block]) > 0.0) is is_foreign
-    ranked = SimpleNamespace(levels=left, shape=None, best=SimpleNamespace(effects=two), ahead=0.0)
+    ranked = SimpleNamespace(
+        levels=left, shape=None, best=SimpleNamespace(members=(1, 2), effects=two), ahead=0.0
+    )
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
     sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)

@@ -4,13 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.ranking import Ranked
+from diagnosis.causes.ranking import Ranked, unknown_levels
 from diagnosis.causes.selection import total
 from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import unheard_columns
@@ -202,6 +204,23 @@ def test_shapes_leave_the_evidence_of_named_effects_as_it_is() -> None:
     ]
     assert len(gains) >= 4
     assert told[gains].max() < 0.1
+
+
+def test_where_nothing_is_explained_nothing_is_the_form_of_an_effect() -> None:
+    """A share of what no effect leaves counts as form error of the effect that explains it, if one does."""
+    block = "actuation.dipper"
+    problem = cast(
+        "Problem",
+        SimpleNamespace(
+            model=SimpleNamespace(unknown_level={block: (0.0, 0.1)}), none_levels={block: 1.6}
+        ),
+    )
+    none, found = (
+        cast("Hypothesis", SimpleNamespace(members=members, effects=(), levels={block: 0.3}))
+        for members in ((), (4,))
+    )
+    assert unknown_levels(problem, none, none)[block] == pytest.approx(16.0)
+    assert unknown_levels(problem, found, none)[block] == pytest.approx(3.0)
 
 
 def test_two_causes_that_cannot_be_told_apart_are_not_unknown_together():
