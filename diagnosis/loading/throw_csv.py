@@ -18,10 +18,14 @@ from pydantic import ValidationError
 
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, JOINT_NAMES, Array
 from machine.errors import LogError
-from machine.messages import ImpactSurvey
 from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW
 from runtime.records.log_reader import read_throw_log
-from runtime.records.throw_log import RESULT_RECORD, ThrowLog
+from runtime.records.throw_log import (
+    RESULT_RECORD,
+    ThrowLog,
+    impact_from_json,
+    impact_values,
+)
 
 LOG_SUFFIXES: Final = (".mcap", ".csv")
 THROW_COLUMN: Final = "throw_id"
@@ -30,6 +34,7 @@ THROWS_KEY: Final = "throws"
 """Of the line that holds what is each throw's own: target, impact and so on, by throw id."""
 WITHOUT_IMU: Final = "without_imu"
 """Metadata of a throw whose file has no columns of an IMU."""
+TRUTH: Final = {"true": 1.0, "false": 0.0}
 MAX_BYTES: Final = 200_000_000
 """A throw has about 2 MB; beyond this the file is another thing."""
 MAX_NS: Final = 4_000_000_000_000_000_000
@@ -91,7 +96,7 @@ def throw_csv(log: ThrowLog) -> str:
     """A throw log as the text of a CSV file."""
     context = {key: log.metadata[key] for key in CONTEXT_KEYS if key in log.metadata}
     if log.impact is not None:
-        context["impact"] = log.impact.model_dump(mode="json")
+        context["impact"] = impact_values(log.impact)
     start_ns = int(log.control["t_mono_ns"][0]) if len(log.control) else 0
     context["start_t_mono_ns"] = start_ns
     context["impact_t_mono_ns"] = log.impact_t_mono_ns
@@ -144,32 +149,37 @@ def read_throw_csv(path: Path) -> list[ThrowLog]:
             f"are {', '.join(throws)}"
         )
     return [
-        _throw(path, name or path.stem, columns, {**shared, **_group(own, name, path)})
+        _throw(path, columns, _named(path, name, {**shared, **_group(own, name, path)}))
         for name, columns in throws.items()
     ]
 
 
-def _throw(
-    path: Path, name: str, columns: Mapping[str, Array], context: dict[str, Any]
-) -> ThrowLog:
+def _named(path: Path, name: str, context: dict[str, Any]) -> dict[str, Any]:
+    """With the throw's id: that of its rows, else that of the lines above them, else the file's name."""
+    return {"throw_id": path.stem} | context | ({THROW_COLUMN: name} if name else {})
+
+
+def _throw(path: Path, columns: Mapping[str, Array], context: dict[str, Any]) -> ThrowLog:
     """One throw from its columns and what the lines above them say."""
     start_ns = _whole_ns(context, "start_t_mono_ns", path)
     control = _rows(CONTROL_ROW, columns, "t_s", CONTROL_COLUMNS, start_ns, path)
-    sensed = columns.get("sensor_t_s", columns["t_s"])[: len(control)]
-    control["sensor_t_mono_ns"] = start_ns + _nanoseconds(np.nan_to_num(sensed), "sensor_t_s", path)
+    ticks = columns["t_s"][: len(control)]
+    sensed = columns.get("sensor_t_s", ticks)[: len(control)]
+    sensed = np.where(np.isnan(sensed), ticks, sensed)
+    control["sensor_t_mono_ns"] = start_ns + _nanoseconds(sensed, "sensor_t_s", path)
     if "tick_count" not in columns:
         passed = (control["t_mono_ns"] - control["t_mono_ns"][:1]) * 1e-9 / CONTROL_PERIOD_S
         control["tick_count"] = np.round(passed).astype(np.int64)
     impact = context.pop("impact", None)
     try:
-        survey = None if impact is None else ImpactSurvey.model_validate(impact)
-    except ValidationError as error:
+        survey = None if impact is None else impact_from_json(impact)
+    except (ValidationError, AttributeError) as error:
         raise LogError(f"the impact of {path.name} cannot be read: {impact!r}") from error
     ended = {"is_complete": True, **_group(context, RESULT_RECORD, path)}
     impact_ns = _whole_ns(context, "impact_t_mono_ns", path)
     has_imu = {WITHOUT_IMU: True} if "imu_t_s" not in columns else {}
     return ThrowLog(
-        metadata={"throw_id": name, **context, **has_imu, RESULT_RECORD: ended},
+        metadata={**context, **has_imu, RESULT_RECORD: ended},
         control=control,
         imu=_rows(IMU_ROW, columns, "imu_t_s", IMU_COLUMNS, start_ns, path),
         ball=_rows(BALL_ROW, columns, "ball_t_s", BALL_COLUMNS, start_ns, path),
@@ -292,7 +302,11 @@ def _rows(
 
 
 def _number(text: str) -> float:
+    """A cell; what is no number was not measured."""
+    word = text.strip().lower()
+    if word in TRUTH:
+        return TRUTH[word]
     try:
-        return float(text)
+        return float(word)
     except ValueError:
         return float("nan")

@@ -21,7 +21,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from machine.channels import LOG_CHANNELS
 from machine.errors import LogError
-from machine.messages import ImpactSurvey, MachineEvent
+from machine.messages import ImpactSurvey
 from runtime.records.recorder import StoredLog, log_path, part_path, write_throw_log
 from runtime.records.throw_log import (
     CONTEXT_RECORD,
@@ -29,6 +29,8 @@ from runtime.records.throw_log import (
     RESULT_RECORD,
     ROW_TYPES,
     ThrowLog,
+    events_from_json,
+    impact_from_json,
     metadata_from_text,
     rows_from_json,
 )
@@ -189,9 +191,9 @@ def _build(path: Path, raw: RawLog) -> ThrowLog:
         metadata[RESULT_RECORD] = {"is_complete": False}
     try:
         rows = {name: rows_from_json(name, raw.messages[name]) for name in ROW_TYPES}
-        events = tuple(MachineEvent.model_validate_json(text) for text in raw.messages["event"])
+        events = events_from_json(raw.messages["event"])
         impact, impact_t_ns = _impact(raw.messages["impact"])
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise LogError(f"{path} holds a message that does not fit the schema: {error}") from error
     return ThrowLog(
         metadata,
@@ -210,4 +212,4 @@ def _impact(messages: list[bytes]) -> tuple[ImpactSurvey | None, int]:
         return None, 0
     decoded = json.loads(messages[-1])
     t_ns = np.int64(decoded.get("t_mono_ns", 0))
-    return ImpactSurvey.model_validate(decoded), int(t_ns)
+    return impact_from_json(decoded), int(t_ns)

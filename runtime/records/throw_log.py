@@ -6,7 +6,7 @@ log_reader.py reads them.
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.channels import LOG_CHANNELS
-from machine.messages import ImpactSurvey, MachineEvent
+from machine.messages import EventKind, ImpactSurvey, MachineEvent
 from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW, POLICY_ROW
 
 LOG_SCHEMA_VERSION: Final = 1
@@ -111,11 +111,36 @@ def event_to_json(event: MachineEvent) -> bytes:
     return event.model_dump_json().encode()
 
 
+def events_from_json(messages: Sequence[bytes]) -> tuple[MachineEvent, ...]:
+    """Events of the kinds that are known; others are a newer writer's additions.
+
+    Raises:
+        ValueError: an event does not fit the schema.
+    """
+    known = [m for m in messages if json.loads(m).get("kind") in set(EventKind)]
+    return tuple(MachineEvent.model_validate_json(message) for message in known)
+
+
 def impact_to_json(impact: ImpactSurvey, t_mono_ns: int) -> bytes:
     """The surveyed impact with its time, as JSON."""
-    return json.dumps(
-        {"t_mono_ns": t_mono_ns, **impact.model_dump(mode="json")}, separators=(",", ":")
-    ).encode()
+    values = {"t_mono_ns": t_mono_ns, **impact_values(impact)}
+    return json.dumps(values, separators=(",", ":")).encode()
+
+
+def impact_values(impact: ImpactSurvey) -> dict[str, Any]:
+    """The surveyed impact as JSON holds it: null where nobody knows how sure the survey is."""
+    sd_m = impact.sd_m if math.isfinite(impact.sd_m) else None
+    return {**impact.model_dump(mode="json"), "sd_m": sd_m}
+
+
+def impact_from_json(values: Mapping[str, Any]) -> ImpactSurvey:
+    """Inverse of `impact_values`; an `sd_m` that is null or missing is NaN.
+
+    Raises:
+        ValidationError: it does not fit the schema.
+    """
+    sd_m = values.get("sd_m")
+    return ImpactSurvey.model_validate({**values, "sd_m": math.nan if sd_m is None else sd_m})
 
 
 def metadata_to_text(values: Mapping[str, Any]) -> dict[str, str]:

@@ -80,6 +80,25 @@ def test_what_cannot_be_used_is_refused_with_the_reason(
     assert words in loaded.refused[0][1]
 
 
+def test_flags_may_be_words_and_stamps_of_sensors_may_be_left_out(tmp_path: Path) -> None:
+    lines = throw_csv(make_log()).splitlines()
+    start = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    header, *rows = (line.split(",") for line in lines[start:])
+    held, opens = (
+        header.index(f"{name}_ratio") for name in ("payload_held", "gripper_open_commanded")
+    )
+    stamp = header.index("sensor_t_s")
+    for row in rows:
+        for place in (held, opens):
+            row[place] = {"1.0": "True", "0.0": "false"}.get(row[place], row[place])
+        row[stamp] = ""
+    text = "\n".join([*lines[:start], *(",".join(row) for row in (header, *rows))])
+    first, second = (loaded.throws[0] for loaded in both(tmp_path, text))
+    assert second.switch_open_t_s == pytest.approx(first.switch_open_t_s)
+    assert second.open_command_t_s == pytest.approx(first.open_command_t_s)
+    np.testing.assert_allclose(second.sensor_t_s, second.t_s)
+
+
 def several(texts: dict[str, str]) -> str:
     """One file of several throws: a column of ids, and one line with what is each throw's own."""
     own = {
@@ -105,6 +124,10 @@ def test_several_throws_in_one_file(tmp_path: Path) -> None:
     text = throw_csv(make_log())
     _, loaded = both(tmp_path, several({"t1": text, "t2": text.replace('"x_m": 1', '"x_m": 2', 1)}))
     assert [throw.throw_id for throw in loaded.throws] == ["t1", "t2"]
+    # The column of ids goes before a line that names one throw.
+    named = '# throw_id: "t0"\n' + several({"t1": text, "t2": text})
+    (tmp_path / "csv" / "a.csv").write_text(named)
+    assert [t.throw_id for t in load_throws([tmp_path / "csv"]).throws] == ["t1", "t2"]
     first, second = loaded.throws
     np.testing.assert_allclose(second.valve_ratio, first.valve_ratio)
     assert len(first.imu_t_s) == len(second.imu_t_s) > 0

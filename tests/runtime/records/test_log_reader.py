@@ -1,8 +1,11 @@
 """Whatever the bytes: a log or a LogError; a file that was cut gives all that was on the disk."""
 
+import json
 import logging
+import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +15,15 @@ from mcap.writer import Writer
 
 import runtime.records.log_reader
 from machine.errors import LogError
+from machine.messages import ImpactSurvey
 from runtime.records.log_reader import RawLog, read_throw_log, recover_log
 from runtime.records.recorder import LogWriter, part_path, write_throw_log
-from runtime.records.throw_log import metadata_to_text
+from runtime.records.throw_log import (
+    event_to_json,
+    events_from_json,
+    impact_to_json,
+    metadata_to_text,
+)
 from tests.runtime.log_samples import random_log
 
 
@@ -89,6 +98,21 @@ def write_version(path, version) -> None:
         writer.start()
         writer.add_metadata("throw", metadata_to_text({"log_schema_version": version}))
         writer.finish()
+
+
+def test_a_survey_without_its_precision_and_kinds_of_newer_writers_are_read(tmp_path):
+    log = random_log(ticks=20)
+    survey = ImpactSurvey(position_m=(8.0, 0.1, 0.0), sd_m=math.nan, source="manual")
+    path = tmp_path / "t.mcap"
+    write_throw_log(path, replace(log, impact=survey, impact_t_mono_ns=5))
+    found = read_throw_log(path).impact
+    assert found is not None
+    assert found.position_m == survey.position_m
+    assert math.isnan(found.sd_m)
+    assert json.loads(impact_to_json(survey, 5))["sd_m"] is None
+    event = json.loads(event_to_json(log.events[0]))
+    newer = [json.dumps({**event, "kind": kind}).encode() for kind in ("tea_time", event["kind"])]
+    assert [e.kind for e in events_from_json(newer)] == [log.events[0].kind]
 
 
 def test_newer_schema_is_refused_with_the_remedy(tmp_path):
