@@ -267,9 +267,12 @@ def test_large_sizes_are_tried_one_way_at_a_time():
     np.testing.assert_allclose(negative, [0.0, 3.0 * typical[1]])
 
 
-@pytest.mark.parametrize(("begin", "best"), [(0.6, 0.4), (0.3, 0.52)])
-def test_bent_effects_are_followed_both_ways(monkeypatch, begin, best):
-    """From 0.6 slopes led a slew's speed limit of 0.4 to 0.71."""
+@pytest.mark.parametrize(
+    ("effect", "begin", "best"),
+    [("speed_limit", 0.6, 0.4), ("speed_limit", 0.3, 0.52), ("valve_dead_time", 0.08, 0.12)],
+)
+def test_bent_and_late_effects_are_followed_both_ways(monkeypatch, effect, begin, best):
+    """From 0.6 slopes led a slew's speed limit of 0.4 to 0.71, from 0.08 s a dead time of 0.148 s to 0.036."""
 
     def simulated(_, seeds, is_rough):
         assert is_rough
@@ -279,7 +282,8 @@ def test_bent_effects_are_followed_both_ways(monkeypatch, begin, best):
     monkeypatch.setattr(
         candidates, "best_of_each", lambda found: [min(found, key=lambda t: abs(t.at[0] - best))]
     )
-    problem = SimpleNamespace(at_a_glance=lambda: None)
+    plan = SimpleNamespace(groups=[(effect, "slew")])
+    problem = SimpleNamespace(at_a_glance=lambda: None, layout=plan)
     first = trial((0,), np.array([begin]), bent=(0,))
     (_, kept), (_, moved) = candidates._followed(problem, [first])
     assert kept[0] == begin, "all throws decide between them"
@@ -289,5 +293,6 @@ def test_bent_effects_are_followed_both_ways(monkeypatch, begin, best):
 def test_effects_that_do_not_bend_are_left_to_their_slopes(monkeypatch):
     monkeypatch.setattr(candidates, "_looks", lambda _, seeds: list(seeds))
     first = trial((0,), SIZES[:1])
-    ((members, sizes),) = candidates._followed(SimpleNamespace(), [first])
+    plan = SimpleNamespace(groups=[("valve_gain", "slew")])
+    ((members, sizes),) = candidates._followed(SimpleNamespace(layout=plan), [first])
     assert (members, *sizes) == ((0,), *SIZES[:1])
