@@ -272,7 +272,7 @@ def test_large_sizes_are_tried_one_way_at_a_time():
     [("speed_limit", 0.6, 0.4), ("speed_limit", 0.3, 0.52), ("valve_dead_time", 0.08, 0.12)],
 )
 def test_bent_and_late_effects_are_followed_both_ways(monkeypatch, effect, begin, best):
-    """Slopes led a slew's speed limit of 0.4 from 0.6 to 0.71, a dead time of 0.148 s from 0.08 s to 0.036."""
+    """Slopes led a slew's limit of 0.4 from 0.6 to 0.71, a dead time of 0.148 s from 0.08 s to 0.036 s."""
 
     def simulated(_, seeds, is_rough):
         assert is_rough
