@@ -142,7 +142,7 @@ def test_of_a_position_and_its_speed_the_position_is_taken(tmp_path: Path) -> No
 
 
 def test_long_records_are_thinned_out(tmp_path: Path) -> None:
-    """100 000 rows at 10 kHz; a million take 10 times as long to read (docs/diagnosis.md)."""
+    """100 000 rows at 10 kHz; a million take 10 times as long to read (docs/diagnosis_one_stage.md)."""
     t = 1e-4 * np.arange(100_000)
     angle = 0.5 * np.exp(-0.05 * t) * np.cos(3.0 * t)
     angle += np.random.default_rng(7).normal(0.0, 0.002, len(t))
