@@ -41,7 +41,7 @@ PART_COUNT = 3
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
 LOUD_COUNT = 2
-SWINGS = tuple(f"swing.gyro.{axis}" for axis in "xyz")
+SWING_BLOCKS = tuple(f"swing.gyro.{axis}" for axis in "xyz")
 NEARLY_AS_LOUD_RATIO = 0.5
 """A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""
 PLAIN_LOG_ODDS = 10.0
@@ -151,7 +151,7 @@ def _looks(problem: Problem, seeds: Sequence[Seed]) -> list[Trial]:
 
 
 def _followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
-    """Where looks were simulated, and where bent effects looked better beside it."""
+    """Where looks were simulated, and where bent and late effects looked better beside it."""
     found = list(looks)
     for ratio in STRIDES_RATIO:
         seeds = [
@@ -323,7 +323,8 @@ def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> l
     joints = list(dict.fromkeys([*shown[:LOUD_COUNT], *loud]))
     drifts = any(effect.startswith(DRIFT) for effect, _ in plain[:LOUD_COUNT])
     is_loud = bool(joints) or any(
-        level >= LOUD_SD for level in _above_healthy(problem, problem.whitened, base.mean, SWINGS)
+        level >= LOUD_SD
+        for level in _above_healthy(problem, problem.whitened, base.mean, SWING_BLOCKS)
     )
     hidden = [
         g

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnosis.loading.logs import ThrowData
-from diagnosis.loading.measured import measured_motion
+from diagnosis.loading.measured import CALM_S, hung_at_rest, measured_motion
 from machine.conventions import ACTIVE_COUNT
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
 
@@ -49,3 +49,22 @@ def test_a_gripper_that_moves_at_the_start_tells_no_bias_and_no_tilt(throw: Thro
     assert motion.start_force_m_per_s2 is None
     assert motion.gyro_rad_per_s is not None
     assert motion.gyro_rad_per_s[0].min() > 0.4
+
+
+@pytest.mark.parametrize(
+    ("before_s", "rate_rad_per_s", "hung"),
+    [(0.2, 0.0, True), (0.2, 0.06, False), (0.05, 0.0, False), (0.0, 0.0, False)],
+)
+def test_a_gripper_that_was_calm_before_the_throw_hung(
+    throw: ThrowData, before_s: float, rate_rad_per_s: float, hung: bool
+):
+    """Not one that turned, nor one that was put there as the throw began."""
+    at_s = np.arange(-before_s, 0.3, 0.01)
+    gyro = np.zeros((at_s.size, 3))
+    gyro[:, 1] = rate_rad_per_s * np.sin(np.pi * at_s / CALM_S)
+    begun = throw.t_s >= -before_s
+    kept = {
+        field: getattr(throw, field)[begun]
+        for field in ("t_s", "sensor_t_s", "joint_position_rad_m")
+    }
+    assert hung_at_rest(replace(throw, imu_t_s=at_s, gyro_rad_per_s=gyro, **kept)) is hung
