@@ -4,23 +4,19 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from diagnosis.causes.leftovers import levels
 from diagnosis.causes.parameters import ROUGH_EFFECTS
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
     SLAB_SCALES_RATIO,
-    Screen,
     Set,
     SetEvidence,
-    mean_with,
     members_index,
     search,
     subsets,
-    total,
     weigh,
 )
 from diagnosis.causes.shapes import UNHEARD
-from diagnosis.causes.trials import BENT_EFFECTS, Seed, again, kept_at, settle, sizes_in, try_sets
+from diagnosis.causes.trials import BENT_EFFECTS, Seed, kept_at, settle, sizes_in, try_sets
 from diagnosis.causes.weighing import (
     Seen,
     Trial,
@@ -31,7 +27,6 @@ from diagnosis.causes.weighing import (
     is_ahead,
     own_evidence,
 )
-from diagnosis.causes.whitening import Whitened
 from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
 from sim_twin.effects.effect import DRIFT
 
@@ -84,18 +79,19 @@ SHAPED_COUNT = 5
 """Sets with a shape that are weighed."""
 
 
-def settled_singles(problem: Problem, base: Screen) -> list[Trial]:
+def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
     """The most hopeful effects alone, each simulated at its own size.
 
     Candidates are the best by slopes at "no effect", the members of the best sets (alone they may look worse
-    than they are), and everything that could act on suspect joints. `base` is the screen at "no effect".
+    than they are), and everything that could act on suspect joints. `none` is the trial of no effect.
     """
+    base = none.base
     priors = problem.layout.priors
     library = _of_library(problem)
     alone = sorted((weigh(base, priors, (g,)) for g in library), key=lambda e: -e.log_odds)
     first = [e.members[0] for e in alone[:SINGLE_COUNT]]
     first += [g for e in search(base, priors, library)[:PART_COUNT] for g in e.members]
-    suspects = _suspects(problem, base, alone)
+    suspects = _suspects(problem, none, alone)
     seeds: list[Seed] = []
     for group in dict.fromkeys([*first, *suspects]):
         linear = weigh(base, priors, (group,)).mean
@@ -123,22 +119,18 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> list[Seed]:
     slopes show a second effect plainly.
     """
     seeds: list[Seed] = []
-    known = again([t for t in singles if t.members])
-    for place, trial in enumerate(try_sets(problem, known, is_last=True)):
-        own, weighed = trial.members[0], weigh(trial.base, trial.priors, trial.members)
-        size = weighed._replace(mean=trial.sizes)
-        mean = mean_with(trial.base, total(trial.information), trial.priors, size)
+    for place, trial in enumerate(singles):
+        own = trial.members[0]
         suspects = [own] if place == 0 else []
         suspects += [m[-1] for _, m in with_shapes(problem, [trial])]
         joints = [problem.layout.groups[g][1] or "" for g in suspects]
-        joints += _loud_joints(problem, trial.whitened, mean, 1)
+        joints += _loud_joints(problem, trial, 1)
         joints += plain_partner_joints(problem, trial)
-        at = again([trial])[trial.members]
         for group in _of_joints(problem, joints):
             members = tuple(sorted((own, group)))
             if group != own:
                 seeds += [
-                    (members, np.concatenate([at if m == own else other for m in members]))
+                    (members, np.concatenate([trial.at if m == own else other for m in members]))
                     for other in _sizes_beyond_slopes(problem, group)[:PARTNER_SIZE_COUNT]
                 ]
     found = sorted(_looks(problem, seeds), key=lambda t: -own_evidence(t))
@@ -238,7 +230,7 @@ def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set,
     known = {t.members for t in found}
     seeds: dict[Set, Array] = {}
     for trial in leading:
-        sizes = by_member(trial.plain, trial.members, again([trial])[trial.members])
+        sizes = by_member(trial.plain, trial.members, trial.at)
         for part in subsets(trial.members):
             if part and part not in known:
                 seeds.setdefault(part, np.concatenate([sizes[m] for m in part]))
@@ -310,7 +302,7 @@ def _of_library(problem: Problem) -> list[int]:
     return [g for g in range(len(problem.layout.groups)) if not problem.layout.is_unheard(g)]
 
 
-def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> list[int]:
+def _suspects(problem: Problem, none: Trial, alone: Sequence[SetEvidence]) -> list[int]:
     """Groups that could act on joints that are loud, or where slopes show an effect plainly.
 
     What hides from slopes may drift, too, where a drift shows plainly; all joints share the pump, and a late
@@ -319,12 +311,11 @@ def _suspects(problem: Problem, base: Screen, alone: Sequence[SetEvidence]) -> l
     groups = problem.layout.groups
     plain = [groups[e.members[0]] for e in alone if e.log_odds > PLAIN_LOG_ODDS]
     shown = [joint for _, joint in plain if joint is not None]
-    loud = _loud_joints(problem, problem.whitened, base.mean, LOUD_COUNT)
+    loud = _loud_joints(problem, none, LOUD_COUNT)
     joints = list(dict.fromkeys([*shown[:LOUD_COUNT], *loud]))
     drifts = any(effect.startswith(DRIFT) for effect, _ in plain[:LOUD_COUNT])
     is_loud = bool(joints) or any(
-        level >= LOUD_SD
-        for level in _above_healthy(problem, problem.whitened, base.mean, SWING_BLOCKS)
+        level >= LOUD_SD for level in _above_healthy(problem, none, SWING_BLOCKS)
     )
     hidden = [
         g
@@ -347,25 +338,18 @@ def _sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
     return [typical, *(FAR_RATIO * typical * way for way in np.eye(typical.size))]
 
 
-def _loud_joints(
-    problem: Problem, whitened: Sequence[Whitened], mean: Array, count: int
-) -> list[str]:
-    """The driven joints that are furthest above healthy ones, `count` at most, loudest first.
-
-    Judged by what the parameters `mean` leave of the whitened throws.
-    """
+def _loud_joints(problem: Problem, trial: Trial, count: int) -> list[str]:
+    """The driven joints that a trial's set leaves furthest above healthy ones, loudest first."""
     names = [f"actuation.{joint}" for joint in ACTIVE_JOINTS]
-    above = _above_healthy(problem, whitened, mean, names)
+    above = _above_healthy(problem, trial, names)
     loud: dict[str, float] = dict(zip(ACTIVE_JOINTS, above, strict=True))
     least = max(LOUD_SD, NEARLY_AS_LOUD_RATIO * max(loud.values(), default=0.0))
     return sorted((j for j in loud if loud[j] >= least), key=lambda j: -loud[j])[:count]
 
 
-def _above_healthy(
-    problem: Problem, whitened: Sequence[Whitened], mean: Array, blocks: Sequence[str]
-) -> list[float]:
-    """Power that the parameters `mean` leave in blocks, in sd of healthy sets; -inf of what is not there."""
-    left, healthy = levels(whitened, mean), problem.model.unknown_level
+def _above_healthy(problem: Problem, trial: Trial, blocks: Sequence[str]) -> list[float]:
+    """Power that a trial's set leaves in blocks, in sd of healthy sets; -inf of what is not there."""
+    left, healthy = trial.levels, problem.model.unknown_level
     return [
         (left[name] - healthy[name][0]) / healthy[name][1]
         if name in left and name in healthy

@@ -18,25 +18,21 @@ from diagnosis.causes.candidates import (
     settled_singles,
     with_shapes,
 )
-from diagnosis.causes.form_error import rough_blocks
-from diagnosis.causes.leftovers import levels
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
     Information,
     Set,
     SetEvidence,
     bootstrap_weights,
-    mean_with,
     subsets,
     total,
-    weigh,
 )
 from diagnosis.causes.trials import (
     fitted_effects,
     nearer,
     no_effect,
+    seen_in,
     settle,
-    sizes_in,
     try_sets,
     where_they_are,
 )
@@ -68,7 +64,7 @@ class Hypothesis:
     mean: Array
     """Posterior of the whole vector of the layout, scatter of the other parameters included."""
     levels: Mapping[str, float]
-    """By block: log of the residual power per row that is left over all throws."""
+    """By block: log of the residual power per row that its effects leave over all throws."""
     information: Sequence[Information]
     """Of the whole vector, linearised at the hypothesis."""
 
@@ -80,7 +76,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     size; so pairs are looked for behind refined singles, and triples behind refined pairs.
     """
     none = no_effect(problem)
-    found = [none, *of_some_size(problem, settled_singles(problem, none.base))]
+    found = [none, *of_some_size(problem, settled_singles(problem, none))]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
         fair = fair_on_all(found)
@@ -131,17 +127,13 @@ def form_of_parts(trials: Sequence[Trial], seen: Sequence[Seen], logs: Array) ->
 
 def _weighed(problem: Problem, trial: Trial, members: Set, logs: Array) -> Hypothesis:
     """A set as the trial sees it, with its log evidence (draws,) on bootstraps of the throws."""
-    priors, base = trial.priors, trial.base
-    data = total(trial.information)
-    evidence = weigh(base, priors, members)._replace(mean=sizes_in(trial, members))
-    mean = mean_with(base, data, priors, evidence)
-    effects = fitted_effects(problem.layout, members, evidence.mean)
+    evidence, mean = seen_in(trial, members)
     return Hypothesis(
         members=members,
-        effects=effects,
+        effects=fitted_effects(problem.layout, members, evidence.mean),
         evidence=evidence,
         log_evidence=logs,
         mean=mean,
-        levels=levels(trial.whitened, mean, rough_blocks(effects)),
+        levels=trial.levels,
         information=trial.information,
     )

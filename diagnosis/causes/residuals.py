@@ -47,7 +47,7 @@ from sim_twin.twin.profile import TwinProfile
 LANDING_STEP = 1e-3
 THROWS_COUNT = 24
 """Throws linearised side by side: each of 36 took 14 MiB."""
-BATCH_COUNT = 1000
+BATCH_COUNT = 2500
 """Simulations side by side, beyond which no further set joins them (by eye)."""
 
 Known = dict[int, dict[int, Array]]

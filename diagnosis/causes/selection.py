@@ -12,11 +12,13 @@ Miller 2019, arXiv:1912.07104), because the discrepancy of the twin is not the n
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import expit, log_ndtr, logsumexp, softmax
 
 from machine.conventions import Array, IntArray
@@ -85,19 +87,32 @@ class SetEvidence(NamedTuple):
     covariance: Array
 
 
-class Screen(NamedTuple):
+@dataclass(frozen=True)
+class Screen:
     """The "no effect" posterior, from which every hypothesis is a small update."""
 
-    covariance: Array
-    """C = (A + S^-1)^-1 of the scatter."""
+    information: Array
+    """A (p, p) of the data."""
+    root: Array
+    """R (p, p): the scatter is R R'."""
+    lower: Array
+    """L (p, p): I + R'A R = L L'."""
     mean: Array
     """m = C b"""
-    precision: Array
-    """P = A - A C A: what the data say about sizes beyond the scatter."""
     gradient: Array
     """g = b - A m"""
     log_evidence: float
     """Of "no effect", up to a constant of the data."""
+
+    @cached_property
+    def covariance(self) -> Array:
+        """C = (A + S^-1)^-1 of the scatter."""
+        return _squared(self.lower, self.root.T)
+
+    @cached_property
+    def precision(self) -> Array:
+        """P = A - A C A: what the data say about sizes beyond the scatter."""
+        return self.information - _squared(self.lower, self.root.T @ self.information)
 
 
 def inform(
@@ -150,21 +165,29 @@ def total(informations: Sequence[Information], weights: Array | None = None) -> 
 def screen(information: Information, priors: Priors) -> Screen:
     """The posterior when there is nothing but scatter."""
     precision, gradient = information.precision, information.gradient
-    root = np.linalg.cholesky(priors.scatter)
-    inner = np.eye(root.shape[0]) + root.T @ precision @ root
-    lower = np.linalg.cholesky(inner)
-    half = solve_triangular(lower, root.T, lower=True, check_finite=False)
-    covariance = half.T @ half
-    mean = covariance @ gradient
+    root = _lower(priors.scatter)
+    lower = _lower(np.eye(root.shape[0]) + root.T @ precision @ root)
+    mean = root @ cho_solve((lower, True), root.T @ gradient, check_finite=False)
     fit = information.square - float(gradient @ mean)
     log_volume = 2.0 * float(np.log(np.diag(lower)).sum())
     return Screen(
-        covariance,
+        precision,
+        root,
+        lower,
         mean,
-        precision - precision @ covariance @ precision,
         gradient - precision @ mean,
         -0.5 * (fit + log_volume) - information.log_volume,
     )
+
+
+def _lower(covariance: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def _squared(lower: Array, right: Array) -> Array:
+    """Right' (L L')^-1 right."""
+    half = solve_triangular(lower, right, lower=True, check_finite=False)
+    return half.T @ half
 
 
 def bare(information: Information) -> Information:
@@ -330,7 +353,7 @@ def expected_log_odds(
     """
     index = members_index(priors, truth.members)
     base = screen(information, priors)
-    ideal = base._replace(gradient=base.precision[:, index] @ truth.mean)
+    ideal = replace(base, gradient=base.precision[:, index] @ truth.mean)
     own, other = weigh(ideal, priors, truth.members), weigh(ideal, priors, rival)
     prior = set_log_prior(priors, truth.members) - set_log_prior(priors, rival)
     return float(own.log_odds - other.log_odds - prior)

@@ -4,10 +4,12 @@ An effect of finite size bends; so a set is judged about its own sizes, and othe
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from diagnosis.causes.form_error import rough_blocks, widened
+from diagnosis.causes.leftovers import levels
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
     Layout,
@@ -22,13 +24,23 @@ from diagnosis.causes.selection import (
     Information,
     Priors,
     Set,
+    SetEvidence,
     mean_with,
     members_index,
     screen,
     total,
     weigh,
 )
-from diagnosis.causes.weighing import Trial, best_of_each, better, by_member, formed, lead, told
+from diagnosis.causes.weighing import (
+    Trial,
+    best_of_each,
+    better,
+    by_member,
+    fair_on_all,
+    formed,
+    lead,
+    told,
+)
 from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
@@ -37,6 +49,8 @@ BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit", "payload_mass
 """Joints stand, valves hang in their play, speeds are cut, for a time that grows with the size in jumps."""
 BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""
+CLOSE_LOG_ODDS = 300.0
+"""Behind the best set, where the machine's own scatter may still matter: it moved sets by up to 40."""
 MOST_STEPS_COUNT = 3
 """Simulations of a set that may follow each other in search of its sizes."""
 Seed = tuple[Set, Array]
@@ -49,7 +63,6 @@ def try_sets(
     scatter: Sequence[tuple[Effect, ...]] | None = None,
     *,
     is_rough: bool = False,
-    is_last: bool = False,
 ) -> list[Trial]:
     """Simulate every set at its sizes, and estimate the sizes again.
 
@@ -57,8 +70,8 @@ def try_sets(
         problem: the throws.
         seeds: the sets, and the sizes at which they are simulated.
         scatter: of the machine, beside each set; none if left out.
-        is_rough: for a look at many, of which few will be tried again: half the time (`relinearise`).
-        is_last: keep the whitened throws, and what each throw says by itself.
+        is_rough: for a look at many, of which few will be tried again: half the time (`relinearise`), and
+            what each throw says by itself, and what is left of it, is not kept.
     """
     layout = problem.layout
     seeds = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
@@ -84,7 +97,7 @@ def try_sets(
             carried(one, there, p.input.progress_ratio)
             for one, p in zip(at, problem.prepared, strict=True)
         ]
-        trials.append(_estimated(problem, members, own, back, is_last=is_last))
+        trials.append(_estimated(problem, members, own, back, is_rough=is_rough))
     return trials
 
 
@@ -98,36 +111,29 @@ def _estimated(
     effects: Sequence[Effect],
     at: Sequence[Linear],
     *,
-    is_last: bool,
+    is_rough: bool,
 ) -> Trial:
     """The set's trial; effects that may shake other joints do if that tells them better from no effect."""
     rough = rough_blocks(effects)
     trials = [
-        _with_form(problem, members, effects, at, blocks, is_last=is_last)
+        _with_form(problem, members, effects, at, blocks, is_rough=is_rough)
         for blocks in ([(), rough] if rough else [()])
     ]
     return trials[0] if len(trials) == 1 else max(trials, key=lead)
 
 
 def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials; linearised where their machine's own scatter is, too, if that tells them better.
+    """Trials; those close to the best linearised where their machine's scatter is, if that tells them better.
 
     Scatter bends as effects do: told by slopes at the twin alone a hose of one machine was 64 behind no
     effect, and 22 where the machine was.
     """
-    seeds = [(t.members, t.at) for t in trials]
-    there = try_sets(problem, seeds, [_scatter(problem, t) for t in trials], is_last=True)
-    return [
-        _kept(problem, old) if told(old) > told(new) else new
-        for old, new in zip(trials, there, strict=True)
-    ]
-
-
-def _kept(problem: Problem, trial: Trial) -> Trial:
-    """The trial with its whitened throws."""
-    if trial.whitened:
-        return trial
-    return try_sets(problem, again([trial]), is_last=True)[0]
+    fair = fair_on_all(trials)
+    close = [t for t, own in zip(trials, fair, strict=True) if own > max(fair) - CLOSE_LOG_ODDS]
+    seeds = [(t.members, t.at) for t in close]
+    there = try_sets(problem, seeds, [_scatter(problem, t) for t in close])
+    found = {new.members: better(old, new, told) for old, new in zip(close, there, strict=True)}
+    return [found.get(t.members, t) for t in trials]
 
 
 def _scatter(problem: Problem, trial: Trial) -> tuple[Effect, ...]:
@@ -150,9 +156,9 @@ def _with_form(
     at: Sequence[Linear],
     rough: Collection[str],
     *,
-    is_last: bool,
+    is_rough: bool,
 ) -> Trial:
-    kept: list[Whitened] = []
+    throws: list[Whitened] = []
     informations: list[Information] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, at, strict=True)):
         factor = problem.factor[i]
@@ -162,8 +168,8 @@ def _with_form(
             )
         whitened = whiten_throw(p, linear, problem.model, factor, problem.basis[i])
         informations += information([whitened])
-        if is_last:
-            kept.append(whitened)
+        if not is_rough:
+            throws.append(whitened)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
     priors = problem.layout.priors
@@ -172,18 +178,27 @@ def _with_form(
     base = screen(data, priors)
     mean = _sizes_in(data, problem.layout.priors, members)
     bent = tuple(m for m in members if problem.layout.groups[m][0] in BENT_EFFECTS)
-    return Trial(
+    trial = Trial(
         members=members,
         at=start,
         sizes=mean,
-        whitened=kept,
-        # A hundred sets are tried; only those of the last round are weighed on bootstraps of throws.
-        information=informations if is_last else [data],
+        levels={},
+        information=[data] if is_rough else informations,
         priors=priors,
         plain=problem.layout.priors,
         base=base,
         bent=bent,
     )
+    if is_rough:
+        return trial
+    return replace(trial, levels=levels(throws, seen_in(trial, members)[1], rough_blocks(effects)))
+
+
+def seen_in(trial: Trial, members: Set) -> tuple[SetEvidence, Array]:
+    """A set as a trial sees it: its evidence, and all parameters, scatter of the others included."""
+    evidence = weigh(trial.base, trial.priors, members)._replace(mean=sizes_in(trial, members))
+    data = total(trial.information)
+    return evidence, mean_with(trial.base, data, trial.priors, evidence)
 
 
 def sizes_in(trial: Trial, members: Set) -> Array:
@@ -230,24 +245,22 @@ def fitted_effects(layout: Layout, members: Set, sizes: Array) -> tuple[Effect, 
 def no_effect(problem: Problem) -> Trial:
     """The trial of no effect."""
     priors = problem.layout.priors
+    base = screen(total(problem.information), priors)
     return Trial(
         members=(),
         at=np.zeros(0),
         sizes=np.zeros(0),
-        whitened=problem.whitened,
+        levels=levels(problem.whitened, base.mean),
         information=problem.information,
         priors=priors,
         plain=priors,
-        base=screen(total(problem.information), priors),
+        base=base,
     )
 
 
 def settle(problem: Problem, seeds: Sequence[Seed], rounds: int) -> list[Trial]:
     """Simulate and estimate again, some rounds; of a set that begins at several sizes the best."""
-    found = best_of_each(try_sets(problem, seeds))
-    for _ in range(rounds - 1):
-        found = refined(problem, found)
-    return found
+    return nearer(problem, best_of_each(try_sets(problem, seeds)), rounds - 1)
 
 
 def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
@@ -256,7 +269,7 @@ def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     return [better(new, old, told) for old, new in zip(trials, found, strict=True)]
 
 
-def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
+def nearer(problem: Problem, trials: Sequence[Trial], steps: int = MOST_STEPS_COUNT) -> list[Trial]:
     """Trials; once more, where the estimate is further than its uncertainty from what was simulated.
 
     As long as that tells them better; slopes of bent effects are no guide, so that those are always tried.
@@ -265,10 +278,10 @@ def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """
     found = {t.members: t for t in trials}
     moved = [t for t in trials if t.bent or not _is_near(t)]
-    for _ in range(MOST_STEPS_COUNT):
+    for _ in range(steps):
         tried = refined(problem, moved)
-        better = [t for t, old in zip(tried, moved, strict=True) if t is not old]
-        moved = [t for t in better if t.bent or not _is_near(t)]
+        improved = [t for t, old in zip(tried, moved, strict=True) if t is not old]
+        moved = [t for t in improved if t.bent or not _is_near(t)]
         found |= {t.members: t for t in tried}
         if not moved:
             break
@@ -278,16 +291,6 @@ def nearer(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
 def _is_near(trial: Trial) -> bool:
     variance = np.diag(weigh(trial.base, trial.priors, trial.members).covariance)
     return bool(np.all(np.square(trial.sizes - trial.at) <= variance))
-
-
-def again(trials: Sequence[Trial]) -> dict[Set, Array]:
-    """Where trials were simulated: where each was told best, which its estimate need not be.
-
-    Slopes by a size at which a joint breaks loose are no guide: with the noise of a version on the way they
-    led from 0.05 m/s (499 ahead) in three steps to 0.027 m/s (238), where a telescope broke loose at 0.066;
-    and a valve's play from 0.17 (1202 ahead) to 0.07 (404), where it was 0.18.
-    """
-    return {t.members: t.at for t in trials}
 
 
 def kept_at(trial: Trial, members: Set, sizes: Array) -> Array:

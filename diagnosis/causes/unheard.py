@@ -84,11 +84,16 @@ def _of_joint(
 
 
 def _kicks(prepared: PreparedThrow, linear: Linear) -> Array:
-    """Columns (n, 3) of a velocity that the load gains along the gripper's axes as it leaves."""
+    """Columns (n, 3) of a velocity that the load gains along the gripper's axes as it leaves.
+
+    Zero where no tracker saw the load: two coordinates of an impact tell such a push from nothing else.
+    """
+    out = np.zeros((linear.residual.size, 3))
+    if prepared.block("flight.ball") is None:
+        return out
     motion, opening_s = prepared.motion, prepared.input.opening_t_s
     pose = np.concatenate([motion.position_rad_m, motion.swing_rad], axis=1)
     at_opening = np.array([np.interp(opening_s, motion.t_s, track) for track in pose.T])
-    out = np.zeros((linear.residual.size, 3))
     for axis, along in enumerate(gripper_axes(at_opening[None])[0].T):
         flight_shift(prepared, linear, out[:, axis], np.r_[np.zeros(3), along])
     return out

@@ -203,10 +203,10 @@ def _moved(
     steps = np.column_stack([white[:, 0] - of_all, -of_all, white[:, 1:], shapes])
     columns = np.r_[0, 1, 2 + named, first : first + shapes.shape[1]]
     before = basis.whitened.table[rows]
-    after = before.copy()
-    after[:, columns] += steps
-    gram = after.T @ after[:, columns] - before.T @ before[:, columns]
-    return Moved(residual, slopes, columns, after[:, columns], gram)
+    after = before[:, columns] + steps
+    gram = before.T @ steps
+    gram[columns] += steps.T @ after
+    return Moved(residual, slopes, columns, after, gram)
 
 
 @cache

@@ -55,7 +55,7 @@ def trial(members=(), sizes=None, bent=()):
     informed = data()
     priors = formed(PRIORS, informed, members, sizes) if members else PRIORS
     base = screen(informed, priors)
-    return Trial(members, sizes, sizes, [], [informed], priors, PRIORS, base, bent)
+    return Trial(members, sizes, sizes, {}, [informed], priors, PRIORS, base, bent)
 
 
 def compared(*trials):
@@ -155,9 +155,9 @@ def test_effects_too_small_to_be_any_are_left_out():
     def one(latency_s, band_ratio):
         sizes = {late: [latency_s], band: [band_ratio, 0.0]}
         at = np.concatenate([sizes[m] for m in members])
-        return Trial(members, at, at, [], [], plan.priors, plan.priors, None)
+        return Trial(members, at, at, {}, [], plan.priors, plan.priors, None)
 
-    none = Trial((), np.zeros(0), np.zeros(0), [], [], plan.priors, plan.priors, None)
+    none = Trial((), np.zeros(0), np.zeros(0), {}, [], plan.priors, plan.priors, None)
     large, small = one(0.02, 0.1), one(0.003, 0.1)
     impossible = one(-0.05, 0.1)
     assert of_some_size(problem, [none, large, small, impossible]) == [none, large]
@@ -170,7 +170,7 @@ def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(share, is_s
     group = plan.groups.index(("valve_lag", "slew"))
     lag_s = 2.0 * profile.damping_ratio[0] / profile.natural_frequency_rad_per_s[0]
     size = np.array([share * lag_s])
-    one = Trial((group,), size, size, [], [], plan.priors, plan.priors, None)
+    one = Trial((group,), size, size, {}, [], plan.priors, plan.priors, None)
     problem = SimpleNamespace(layout=plan, profile=profile)
     assert (of_some_size(problem, [one]) == [one]) is is_some
 
@@ -195,7 +195,7 @@ def test_limits_within_scatter_or_small_beside_another_effect_are_left_out(
         sizes[plan.groups.index((beside, joint))] = 0.2
     members = tuple(sorted(sizes))
     at = np.array([sizes[m] for m in members])
-    one = Trial(members, at, at, [], [], plan.priors, plan.priors, None)
+    one = Trial(members, at, at, {}, [], plan.priors, plan.priors, None)
     problem = SimpleNamespace(layout=plan, profile=nominal_profile(load_spec()))
     assert (of_some_size(problem, [one]) == [one]) is is_some
 
@@ -229,7 +229,7 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
 
     def at(size):
         return Trial(
-            (1,), np.array([size]), np.array([size - 0.005]), [], [], PRIORS, PRIORS, None, (1,)
+            (1,), np.array([size]), np.array([size - 0.005]), {}, [], PRIORS, PRIORS, None, (1,)
         )
 
     def try_sets(problem, seeds):
