@@ -47,6 +47,8 @@ from sim_twin.effects.effect import DRIFT, Effect
 
 BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit", "payload_mass", "release_spin")
 """Joints stand, valves hang in their play, speeds are cut, for a time that grows with the size in jumps."""
+SHAKING_EFFECTS = (*ROUGH_EFFECTS, "pump_flow_sharing")
+"""One joint's, or the pump's, shows at others, in another form than the library's."""
 BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""
 CLOSE_LOG_ODDS = 300.0
@@ -188,6 +190,7 @@ def _with_form(
         plain=problem.layout.priors,
         base=base,
         bent=bent,
+        is_shaken=any(problem.layout.groups[m][0] in SHAKING_EFFECTS for m in members),
     )
     if is_rough:
         return trial

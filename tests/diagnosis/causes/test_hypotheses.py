@@ -70,6 +70,8 @@ def test_a_late_imu_is_looked_at_though_no_joint_is_loud() -> None:
         prepared = prepare(throws(effects, 6).throws, profile())
         calibration = throws((), 6).throws[0].calibration
         problem = pose(prepared, profile(), calibration, known, layout(known.noise))
-        named = [problem.layout.groups[g] for g in candidates._suspects(problem, no_effect(problem), [])]
+        named = [
+            problem.layout.groups[g] for g in candidates._suspects(problem, no_effect(problem), [])
+        ]
         assert (("imu_latency", None) in named) is is_suspect
         assert not [joint for _, joint in named if joint is not None]

@@ -16,6 +16,7 @@ from diagnosis.causes.candidates import (
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.weighing import (
+    PART_LOG_ODDS,
     Trial,
     better,
     evidence_in,
@@ -143,6 +144,17 @@ def test_what_slopes_cannot_take_back_is_given_to_no_part():
     bent = compared(trial(), trial((0, 1), SIZES, bent=(1,)), one)
     assert bent[0,] == pytest.approx(evidence_in(one.base, one.priors, (0,)))
     assert smooth[0, 1] == pytest.approx(bent[0, 1])
+
+
+def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
+    """They carry nothing back where a joint stands: a dead time had the dead band beside it for nothing."""
+    both, one = trial((0, 1), SIZES), trial((0,), SIZES[:1])
+    lost = one.information[0]._replace(log_volume=one.information[0].log_volume + 500.0)
+    poor = replace(one, information=[lost])
+    own = evidence_in(screen(lost, one.priors), one.priors, (0,))
+    assert compared(trial(), both, poor)[0,] == pytest.approx(own + PART_LOG_ODDS)
+    shaken = compared(trial(), replace(both, is_shaken=True), poor)
+    assert shaken[0,] == compared(trial(), replace(both, is_shaken=True), one)[0,] > own + 400.0
 
 
 def test_effects_too_small_to_be_any_are_left_out():
