@@ -13,6 +13,7 @@ from diagnosis.causes.leftovers import DEAF_BLOCKS, SHAKEN_BLOCKS
 from diagnosis.causes.parameters import Group
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
+from diagnosis.causes.shapes import group_of
 from machine.conventions import Array
 
 UNKNOWN_LEVEL_SD = 5.5
@@ -105,15 +106,20 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     ahead = float(logs[0, order[0]] - logs[0, none])
     odds = [unknown_log_odds(ordered[0], ahead, *one) for one in levels.items()]
     left = float(expit(max(odds, default=-np.inf)))
-    unknown = 1.0 - (1.0 - left) * (1.0 - shaped)
+    follows = float(expit(jitter.log_odds) * expit(jitter.follows_log_odds))
+    unknown = 1.0 - (1.0 - left) * (1.0 - shaped) * (1.0 - follows)
     rival, expected = _rival(problem, ordered, named)
     return Ranked(
         hypotheses=ordered,
         probability=named * (1.0 - unknown),
         unknown=unknown,
-        shape=shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]
-        if shaped > left
-        else None,
+        shape=_loudest(
+            {
+                shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]: shaped,
+                (group_of("opening"), None): follows,
+                None: left,
+            }
+        ),
         ahead=ahead,
         levels=levels,
         jitter=jitter,
@@ -121,6 +127,11 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
         rival=rival,
         rival_log_odds=expected,
     )
+
+
+def _loudest(shapes: Mapping[Group | None, float]) -> Group | None:
+    """What speaks loudest for something unknown; of equals the last."""
+    return max(list(shapes)[::-1], key=lambda shape: shapes[shape])
 
 
 def _shape(problem: Problem, hypothesis: Hypothesis) -> Group | None:

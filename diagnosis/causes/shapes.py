@@ -81,6 +81,14 @@ SHAPES: Final[Mapping[str, Shape]] = {
         stage="release",
         joints=(None,),
     ),
+    "opening": Shape(
+        "the load leaves later or sooner by how the gripper hangs or swings as it opens",
+        (),  # It moves a spread: jitter.py weighs it.
+        slab_sd=0.0,
+        least_sd=0.0,
+        stage="release",
+        joints=(None,),
+    ),
 }
 
 

@@ -79,6 +79,29 @@ def test_jitter_is_a_spread_and_not_a_mean(extra_s: float, is_found: bool) -> No
         assert found.ci90_s[0] < extra_s < found.ci90_s[1] + 0.02
 
 
+@pytest.mark.parametrize(("follows_s", "jitter_s"), [(0.06, 0.0), (0.06, 0.02), (0.0, 0.06)])
+def test_a_spread_that_follows_the_swing_is_no_jitter(follows_s: float, jitter_s: float) -> None:
+    rng = np.random.default_rng(4)
+    loaded = throws((), 12)
+    rate = [
+        np.interp(t.open_command_t_s, p.motion.t_s, p.motion.swing_rate_rad_per_s[:, 0])
+        for t, p in zip(loaded.throws, prepare(loaded.throws, profile()), strict=True)
+    ]
+    late_s = follows_s * (rate - np.mean(rate)) / np.std(rate) + jitter_s * rng.standard_normal(12)
+    late = [
+        replace(t, switch_open_t_s=t.switch_open_t_s + 0.1 + own)
+        for t, own in zip(loaded.throws, late_s, strict=True)
+    ]
+    found = fit_jitter(prepare(late, profile()), profile(), health().noise)
+    assert found.log_odds > 0.0
+    assert (found.follows_log_odds > 0.0) is (follows_s > 0.0)
+    prepared = prepare(late, profile())
+    none = np.zeros_like(prepared[0].motion.swing_rad)
+    hanging = prepared[0].motion._replace(swing_rad=none, swing_rate_rad_per_s=none)
+    still = [replace(p, motion=hanging) for p in prepared]
+    assert fit_jitter(still, profile(), health().noise).follows_log_odds == -np.inf
+
+
 def test_every_pair_of_effects_has_a_separating_motion() -> None:
     singles = {p.effect: p.at(p.step) for p in library()}
     for first in singles.values():
