@@ -81,6 +81,28 @@ def kicked(throw: ThrowData, speed_m_per_s: float) -> ThrowData:
     )
 
 
+def untracked(throw: ThrowData) -> ThrowData:
+    """The same throw where no tracker saw the load."""
+    return replace(throw, ball_t_s=throw.ball_t_s[:0], ball_m=throw.ball_m[:0])
+
+
+def opened_by_the_swing() -> LoadedSet:
+    """Loads that leave later, by the rate at which the gripper swings as it opens."""
+    loaded = throws((), 12)
+    rate = np.array(
+        [
+            np.interp(t.open_command_t_s, p.motion.t_s, p.motion.swing_rate_rad_per_s[:, 0])
+            for t, p in zip(loaded.throws, prepare(loaded.throws, profile()), strict=True)
+        ]
+    )
+    late_s = 0.06 * (rate - rate.mean()) / rate.std()
+    changed = [
+        replace(t, switch_open_t_s=t.switch_open_t_s + own)
+        for t, own in zip(loaded.throws, late_s, strict=True)
+    ]
+    return replace(loaded, throws=tuple(changed))
+
+
 def without_slew(valve_ratio: Array) -> Array:
     """A slew that stands, whatever it is told."""
     return valve_ratio * np.array([0.0, 1.0, 1.0, 1.0])
@@ -163,6 +185,17 @@ def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
     assert not any(left[rows].any() for rows in rest)
 
 
+def test_without_a_tracker_a_kick_is_no_hypothesis() -> None:
+    """An impact's two coordinates tell a push along three axes from nothing."""
+    loaded = throws((), 1)
+    blind = replace(loaded, throws=tuple(untracked(t) for t in loaded.throws))
+    one = posed(blind)
+    assert one.prepared[0].block("flight.ball") is None
+    assert one.prepared[0].block("flight.impact") is not None
+    places = unheard_groups()[f"{UNHEARD}:kick", None]
+    assert not unheard_columns(one.prepared[0], one.linear[0])[:, places].any()
+
+
 @pytest.mark.parametrize(
     ("loaded", "shapes", "where"),
     [
@@ -170,6 +203,7 @@ def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
         (partial(throws, (), THROWS, received=sticky), DRIVE_SHAPES, ("actuation", "dipper")),
         (partial(measured_as, scaled, 0.15), {"scale"}, ("aim", "dipper")),
         (partial(measured_as, kicked, 0.5), {"kick"}, ("release", None)),
+        (opened_by_the_swing, {"opening"}, ("release", None)),
     ],
 )
 def test_what_no_library_has_is_unknown_and_says_what_it_looks_like(
