@@ -2,7 +2,7 @@
 
 The times from the opening command to the switch, with mean and linear trend free, against normal
 distributions of a healthy machine's spread and of wider ones. A spread that follows how the gripper hangs or
-swings as it opens is no jitter, and no effect that the library has (`OPENING`).
+swings at the command is no jitter, and no effect that the library has (shapes.py, "opening").
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ JITTER = "release_jitter"
 PARAMETER = "extra_sd_s"
 LOG_PRIOR = -5.0
 FOLLOWS_LOG_PRIOR = -3.0
-"""For a spread that follows the swing, against jitter: plants of three strangers had one such effect each, in
-36, 36 and 30 sets."""
+"""For a spread that follows the swing, against jitter (by eye): rarer than that. Plants of three strangers
+had one such effect each, in 36, 36 and 30 sets."""
 WIDE_S = 0.2
 """Of mean, trend, and what a standard deviation of the swing changes (by eye)."""
 GRID_COUNT = 61

@@ -55,7 +55,8 @@ class Ranked:
     """(hypotheses,) that each is true; the rest is "unknown"."""
     unknown: float
     shape: Group | None
-    """Of the likeliest hypothesis that has one; None where what is left speaks louder for "unknown"."""
+    """What speaks loudest for "unknown": that of the likeliest hypothesis with one, or of the openings
+    (jitter.py); None where what is left is louder."""
     ahead: float
     """Log evidence of the best hypothesis over no effect."""
     levels: Mapping[str, float]
@@ -108,18 +109,14 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
     left = float(expit(max(odds, default=-np.inf)))
     follows = float(expit(jitter.log_odds) * expit(jitter.follows_log_odds))
     unknown = 1.0 - (1.0 - left) * (1.0 - shaped) * (1.0 - follows)
+    likeliest = shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]
+    loudest = [(left, None), (follows, (group_of("opening"), None)), (shaped, likeliest)]
     rival, expected = _rival(problem, ordered, named)
     return Ranked(
         hypotheses=ordered,
         probability=named * (1.0 - unknown),
         unknown=unknown,
-        shape=_loudest(
-            {
-                shapes[int(np.argmax(np.where(is_shaped, logs[0], -np.inf)))]: shaped,
-                (group_of("opening"), None): follows,
-                None: left,
-            }
-        ),
+        shape=max(loudest, key=lambda one: one[0])[1],
         ahead=ahead,
         levels=levels,
         jitter=jitter,
@@ -127,11 +124,6 @@ def rank(problem: Problem, hypotheses: Sequence[Hypothesis], jitter: JitterFit) 
         rival=rival,
         rival_log_odds=expected,
     )
-
-
-def _loudest(shapes: Mapping[Group | None, float]) -> Group | None:
-    """What speaks loudest for something unknown; of equals the last."""
-    return max(list(shapes)[::-1], key=lambda shape: shapes[shape])
 
 
 def _shape(problem: Problem, hypothesis: Hypothesis) -> Group | None:

@@ -91,8 +91,8 @@ class SetEvidence(NamedTuple):
 class Screen:
     """The "no effect" posterior, from which every hypothesis is a small update."""
 
-    information: Array
-    """A (p, p) of the data."""
+    data_precision: Array
+    """A (p, p)"""
     root: Array
     """R (p, p): the scatter is R R'."""
     lower: Array
@@ -112,7 +112,7 @@ class Screen:
     @cached_property
     def precision(self) -> Array:
         """P = A - A C A: what the data say about sizes beyond the scatter."""
-        return self.information - _squared(self.lower, self.root.T @ self.information)
+        return self.data_precision - _squared(self.lower, self.root.T @ self.data_precision)
 
 
 def inform(
@@ -185,7 +185,7 @@ def _lower(covariance: Array) -> Array:
 
 
 def _squared(lower: Array, right: Array) -> Array:
-    """Right' (L L')^-1 right."""
+    """B' (L L')^-1 B of `lower` L and `right` B."""
     half = solve_triangular(lower, right, lower=True, check_finite=False)
     return half.T @ half
 
