@@ -10,8 +10,8 @@ from diagnosis.causes import candidates
 from diagnosis.causes.hypotheses import explore, form_of_parts
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import pose
-from diagnosis.causes.trials import no_effect
-from diagnosis.causes.weighing import Trial
+from diagnosis.causes.trials import no_effect, try_sets
+from diagnosis.causes.weighing import Trial, evidence_in
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -75,3 +75,35 @@ def test_a_late_imu_is_looked_at_though_no_joint_is_loud() -> None:
         ]
         assert (("imu_latency", None) in named) is is_suspect
         assert not [joint for _, joint in named if joint is not None]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "margin"),
+    [
+        ("passive_viscous_friction", "passive_coulomb_friction", 10.0),
+        ("air_drag", "payload_mass", 10.0),
+        ("passive_viscous_friction", "air_drag", 3.0),
+        ("passive_viscous_friction", "valve_gain", 3.0),
+        ("joint_sensor_latency", "air_drag", 3.0),
+    ],
+)
+def test_what_slopes_at_no_effect_promise_beside_an_effect_is_taken_less_at_its_word(
+    first: str, second: str, margin: float
+) -> None:
+    """Behind viscous friction dry friction promised 4 less than nothing, and the pair was 224 ahead."""
+    known = health()
+    loaded = throws((), 2)
+    prepared = prepare(loaded.throws, profile())
+    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    one, other = (
+        next(g for g, (effect, _) in enumerate(problem.layout.groups) if effect == name)
+        for name in (first, second)
+    )
+    typical = problem.layout.priors.slab_sd[problem.layout.priors.groups[one]]
+    trial = try_sets(problem, {(one,): typical})[0]
+    members = tuple(sorted((one, other)))
+    promise = evidence_in(trial.base, trial.priors, members)
+    every = len(problem.layout.groups)
+    for behind, is_tried in ((margin - 0.5, True), (margin + 0.5, False)):
+        grown = candidates.grown_sets(problem, [trial], every, promise + behind)
+        assert (members in grown) is is_tried
