@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnosis.causes.form_error import rough_blocks, widened
 from diagnosis.causes.leftovers import levels
+from diagnosis.causes.own_play import with_own_play
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
     Layout,
@@ -162,17 +163,21 @@ def _with_form(
     is_rough: bool,
 ) -> Trial:
     throws: list[Whitened] = []
-    informations: list[Information] = []
+    factors: list[Sequence[Array]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, at, strict=True)):
         factor = problem.factor[i]
         if rough:
             factor = widened(
                 p, problem.model, problem.plain[i], problem.off[i], linear.change, rough
             )
-        whitened = whiten_throw(p, linear, problem.model, factor, problem.basis[i])
-        informations += information([whitened])
-        if not is_rough:
-            throws.append(whitened)
+        throws.append(whiten_throw(p, linear, problem.model, factor, problem.basis[i]))
+        factors.append(factor)
+    played = [
+        j for e, j in (problem.layout.groups[m] for m in members) if e == "valve_hysteresis" and j
+    ]
+    if played:
+        throws = with_own_play(problem, throws, at, factors, played)
+    informations = information(throws)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
     priors = problem.layout.priors

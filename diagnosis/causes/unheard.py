@@ -61,26 +61,38 @@ def _of_joint(
     gain = slopes[:, [index_of()[f"valve_gain.{name}.{way}_ratio"] for way in DIRECTIONS]].sum(
         axis=1
     )
-    play = slopes[:, index_of()[f"valve_hysteresis.{name}.half_width_ratio"]]
 
     def at_rows(track: Array) -> Array:
         return np.interp(block.t_s, motion.t_s, track)
 
-    speed = np.abs(motion.velocity_rad_m_per_s[:, joint])
-    way = at_rows(np.cumsum(speed) * CONTROL_PERIOD_S) / WAY_RAD_M
-    bumps = {k: _bump(way, k) for k in {*WAY_POWERS, *PLAY_POWERS}}
+    way = _way(prepared, block, joint)
     place = at_rows(_place(motion.position_rad_m[:, joint], joint))
     others = [k for k in range(ACTIVE_COUNT) if k != joint]
     share = np.abs(gain) / rated[joint]
     return {
-        "way": [gain * bumps[k] for k in WAY_POWERS]
+        "way": [gain * _bump(way, k) for k in WAY_POWERS]
         + [gain * np.cos(np.pi * k * place) for k in PLACE_WAVES],
-        "play": [play * bumps[k] for k in PLAY_POWERS],
+        "play": list(play_columns(prepared, linear, block).T),
         "neighbours": [
             rated[joint] / rated[k] * at_rows(linear.predicted_velocity[:, k]) for k in others
         ],
         "command": [gain * share, gain * share**2],
     }
+
+
+def play_columns(prepared: PreparedThrow, linear: Linear, block: Block) -> Array:
+    """Columns (n, k) of a driven joint's play that changes on the way, at the rows of its block."""
+    joint = block.name.removeprefix("actuation.")
+    slope = linear.jacobian[block.rows, index_of()[f"valve_hysteresis.{joint}.half_width_ratio"]]
+    way = _way(prepared, block, joint_index(joint))
+    return np.column_stack([slope * _bump(way, k) for k in PLAY_POWERS])
+
+
+def _way(prepared: PreparedThrow, block: Block, joint: int) -> Array:
+    """How far a joint has come since the start of the throw, in widths of a bump, at the rows of a block."""
+    motion = prepared.motion
+    speed = np.abs(motion.velocity_rad_m_per_s[:, joint])
+    return np.interp(block.t_s, motion.t_s, np.cumsum(speed) * CONTROL_PERIOD_S) / WAY_RAD_M
 
 
 def _kicks(prepared: PreparedThrow, linear: Linear) -> Array:

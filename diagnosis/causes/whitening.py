@@ -193,13 +193,15 @@ def _moved(
 ) -> Moved:
     """What differences (n,) and (n, p) before whitening make of a block."""
     named = np.flatnonzero(slopes.any(axis=0))
-    change = np.column_stack([residual - slopes @ _middle(model, _named()), slopes[:, named]])
+    change = np.column_stack(
+        [residual - slopes @ healthy_middle(model, _named()), slopes[:, named]]
+    )
     # Only the ball and the impact can be missing, and their noise is white.
     change[~np.isfinite(basis.linear.residual[rows])] = 0.0
     white = whiten(lower, change)
     shapes = -white[:, 1:] @ basis.beside[named]
     first = 2 + slope_count() - shapes.shape[1]
-    of_all = shapes @ _middle(model, unheard_names())
+    of_all = shapes @ healthy_middle(model, unheard_names())
     steps = np.column_stack([white[:, 0] - of_all, -of_all, white[:, 1:], shapes])
     columns = np.r_[0, 1, 2 + named, first : first + shapes.shape[1]]
     before = basis.whitened.table[rows]
@@ -215,7 +217,7 @@ def _named() -> tuple[str, ...]:
     return tuple(p.key for p in library())
 
 
-def _middle(model: NoiseModel, names: Sequence[str]) -> Array:
+def healthy_middle(model: NoiseModel, names: Sequence[str]) -> Array:
     """What all healthy machines are off, in the order of names."""
     return np.array([model.healthy_mean.get(name, 0.0) for name in names])
 
@@ -225,11 +227,11 @@ def _columns(
 ) -> Array:
     """The table's columns before whitening, at some rows."""
     of_set = np.column_stack([set_columns(prepared, linear), unheard_columns(prepared, own)])[rows]
-    middle = _middle(model, _named())
+    middle = healthy_middle(model, _named())
     jacobian = linear.jacobian[rows]
     of_throw = np.column_stack([throw_columns(prepared, own)[rows], own.jacobian[rows]])
     root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
-    usual = of_set[:, : len(SET_NUISANCES)] @ _middle(model, SET_NUISANCES)
+    usual = of_set[:, : len(SET_NUISANCES)] @ healthy_middle(model, SET_NUISANCES)
     columns = np.column_stack(
         [
             linear.residual[rows] - jacobian @ middle - usual,
@@ -260,7 +262,7 @@ def _take_off(table: Array, beside: Array, model: NoiseModel) -> None:
     named, last = 2 + len(library()), 2 + slope_count()
     shapes = table[:, last - beside.shape[1] : last]
     shapes -= table[:, 2:named] @ beside
-    table[:, :2] -= (shapes @ _middle(model, unheard_names()))[:, None]
+    table[:, :2] -= (shapes @ healthy_middle(model, unheard_names()))[:, None]
 
 
 def apart(whitened: Whitened, beside: Array, model: NoiseModel) -> Whitened:
