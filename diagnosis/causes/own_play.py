@@ -1,7 +1,7 @@
 """Play that changes on the way, looked for beside play: with the slopes at that play, not those at none.
 
-At none a valve's play begins to open, and its slopes are not those of play that is there: beside a hysteresis
-that wears off on the way nothing was left that looked like wear.
+Slopes of play that opens from none are not those of play that is there: beside a hysteresis that wears off
+on the way little was left that looked like wear.
 """
 
 from collections.abc import Collection, Sequence

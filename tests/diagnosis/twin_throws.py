@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
-from diagnosis.causes.parameters import SET_NUISANCES, library, scatter_names
+from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
+from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.healthy.filters import nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import LoadedSet, ThrowData
+from diagnosis.loading.prepared import prepare
 from machine.calibration import nominal_calibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import hanging_pitch_rad
@@ -29,6 +31,13 @@ SWITCH_LAG_S = 0.0275
 def profile() -> TwinProfile:
     """Of the nominal machine."""
     return nominal_profile(load_spec())
+
+
+def posed(loaded: LoadedSet) -> Problem:
+    """Throws of the nominal machine as the diagnosis begins with them."""
+    known = health()
+    prepared = prepare(loaded.throws, profile())
+    return pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
 
 
 def _commands(number: int, rng: np.random.Generator) -> tuple[Array, Array]:

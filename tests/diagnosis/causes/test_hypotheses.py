@@ -14,11 +14,10 @@ from diagnosis.causes.trials import no_effect, try_sets
 from diagnosis.causes.weighing import Trial, evidence_in
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
-from tests.diagnosis.twin_throws import health, profile, throws
+from tests.diagnosis.twin_throws import health, posed, profile, throws
 
 
 def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> None:
-    known = health()
     loaded = throws(
         (
             Effect(effect="backlash", joint="dipper", parameters={"gap_rad_m": 0.02}),
@@ -26,8 +25,7 @@ def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> N
         ),
         4,
     )
-    prepared = prepare(loaded.throws, profile())
-    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    problem = posed(loaded)
     found = explore(problem, lambda share: None)
     best = max(found, key=lambda h: h.log_evidence[0])
     pairs = [(e.effect, e.joint) for e in best.effects]
@@ -36,13 +34,10 @@ def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> N
 
 
 def test_a_sensor_that_is_very_late_is_found() -> None:
-    known = health()
     late = Effect(
         effect="joint_sensor_latency", joint="dipper", parameters={"extra_latency_s": 0.13}
     )
-    loaded = throws((late,), 3)
-    prepared = prepare(loaded.throws, profile())
-    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    problem = posed(throws((late,), 3))
     best = max(explore(problem, lambda share: None), key=lambda h: h.log_evidence[0])
     assert [(e.effect, e.joint) for e in best.effects] == [("joint_sensor_latency", "dipper")]
     # Beyond the tick that the smoother leads by on every machine.
@@ -91,10 +86,7 @@ def test_what_slopes_at_no_effect_promise_beside_an_effect_is_taken_less_at_its_
     first: str, second: str, margin: float
 ) -> None:
     """Behind viscous friction dry friction promised 4 less than nothing, and the pair was 224 ahead."""
-    known = health()
-    loaded = throws((), 2)
-    prepared = prepare(loaded.throws, profile())
-    problem = pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    problem = posed(throws((), 2))
     one, other = (
         next(g for g, (effect, _) in enumerate(problem.layout.groups) if effect == name)
         for name in (first, second)

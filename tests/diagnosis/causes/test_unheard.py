@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from diagnosis.causes.hypotheses import Hypothesis
-from diagnosis.causes.parameters import layout, library
-from diagnosis.causes.problem import Problem, pose
+from diagnosis.causes.parameters import library
+from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_levels
 from diagnosis.causes.selection import total
 from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
@@ -22,18 +22,12 @@ from diagnosis.loading.prepared import prepare
 from diagnosis.verdict import VerdictKind
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.twin.grip_point import gripper_axes
-from tests.diagnosis.twin_throws import SWITCH_LAG_S, health, profile, throws
+from tests.diagnosis.twin_throws import SWITCH_LAG_S, health, posed, profile, throws
 
 THROWS = 6
 DIPPER, TELESCOPE = 2, 3
 DRIVE_SHAPES = {"way", "play", "command"}
 """Six throws need not tell which of them a stretch where a joint is slow looks like most."""
-
-
-def posed(loaded: LoadedSet) -> Problem:
-    known = health()
-    prepared = prepare(loaded.throws, profile())
-    return pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
 
 
 def leaking(valve_ratio: Array) -> Array:
