@@ -85,6 +85,20 @@ def test_quiet_joint_sensors_do_not_look_late() -> None:
         assert found.healthy_mean[name] == expected
 
 
+@pytest.mark.parametrize("sd_m", [0.025, 0.05])
+def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
+    """What it shows beyond the type's noise is no effect: not even a share of it may be left over."""
+    rng = np.random.default_rng(3)
+    loaded = throws()
+    noisy = tuple(
+        replace(t, ball_m=t.ball_m + sd_m * rng.standard_normal(t.ball_m.shape))
+        for t in loaded.throws
+    )
+    found = with_own_sensors(load_noise(), replace(loaded, throws=noisy))
+    most = np.hypot(sd_m, load_noise().channels["flight.ball"].noise_sd)
+    assert 0.95 * sd_m < found.channels["flight.ball"].noise_sd < 1.1 * most
+
+
 def test_a_survey_says_how_well_it_saw() -> None:
     loaded = throws()
     rough = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
