@@ -26,7 +26,7 @@ USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
 """White noise that joint speeds of the type show: medians of eight sets (seeds 20261125, 20261126 and
 20261128)."""
 NOISIER_RATIO = 1.1
-"""Joint sensors and load trackers of the type stay below this multiple of their usual noise (trackers: 0.97 to
+"""Joint sensors and trackers of the type stay below this multiple of their usual noise (trackers: 0.97 to
 1.07 in 25 sets of seed 1413302223)."""
 SWINGS_MORE: Final[Mapping[str, float]] = {
     "joint_sensor_bias.telescope.bias_rad_m": 0.06,
