@@ -37,6 +37,8 @@ STEPS_PER_PERIOD: Final = 40
 """The Runge-Kutta method takes (2 pi / n)^5 / 144 of the amplitude a radian, here 1e-6; 24 steps
 took 0.6 % of a weak friction at 50 degrees."""
 UNKNOWN_RATIO: Final = 0.3
+FED_UNKNOWN: Final = 0.95
+"""Probability that something else acts on a swing that grows."""
 MIN_SAMPLES_PER_PERIOD: Final = 6.0
 SPRING_RATIO: Final = 0.5
 """Mean square left on a spring over that left as a pendulum: below this it is a spring."""
@@ -149,7 +151,7 @@ def diagnose_swing(
             f"{'' if is_length else ' rad'}): record from the release until the swing has died down"
         )
     problem = make_problem(usable, length_m, noise, is_length)
-    notes: list[str] = []
+    notes = [_used(swing) for swing in usable]
     left = fit(problem, _frictions(problem), {}).mean_square
     is_clean = math.sqrt(left) < CLEAN_NOISES * noise
     if not is_length and not is_clean and _is_on_a_spring(problem, left):
@@ -161,6 +163,10 @@ def diagnose_swing(
     # What is left after the frictions of a clean record is noise: nothing else can pass for a small one.
     relevant_ratio = 0.0 if is_clean else RELEVANT_RATIO
     selection = select(problem, signal, noise, progress, UNKNOWN_RATIO, relevant_ratio)
+    fed = next((swing.fed for swing in usable if swing.fed is not None), None)
+    if fed is not None:
+        # No effect of the library gives energy: what fits best is a coincidence.
+        selection = replace(selection, unknown_probability=FED_UNKNOWN)
     best = selection.best.fit.as_mapping()
     frequency = best["frequency_rad_per_s"]
     evidence: dict[str, Any] = {
@@ -176,7 +182,7 @@ def diagnose_swing(
         "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in usable)),
         "not_separable": _NOT_SEPARABLE,
     }
-    return diagnosis_of(
+    found = diagnosis_of(
         problem,
         selection,
         noise,
@@ -184,6 +190,20 @@ def diagnose_swing(
         evidence,
         _plots(problem, selection.base.fit.as_mapping(), best),
     )
+    if fed is None:
+        return found
+    words = (
+        f"The amplitude grows by {fed.share:.0%} from {fed.from_s:.3g} to {fed.to_s:.3g} s: energy is fed in "
+        "by a drive or a hand, or comes from another motion of the body. Record a swing that is let go "
+        "and left alone, about one axis."
+    )
+    return found.model_copy(update={"sentence": f"{words} {found.sentence}"})
+
+
+def _used(swing: Swing) -> str:
+    """Which stretch of the record is used, and why."""
+    until_s = swing.since_s + float(swing.time_s[-1])
+    return f"used: {swing.since_s:.4g} to {until_s:.4g} s of the record; {swing.end}"
 
 
 def _frictions(problem: SwingProblem) -> tuple[Option, ...]:
