@@ -14,6 +14,11 @@ import numpy as np
 from diagnosis.alone.agreement import Disagreement, disagreement
 from diagnosis.alone.fit import FreeParameter, Option, fit
 from diagnosis.alone.physics.flight_path import integrate, sampled
+from diagnosis.alone.reading.consistency import (
+    refuse_changed_clock,
+    refuse_changed_unit,
+    refuse_rest,
+)
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.tracks import (
     SCALE_SLACK_RATIO,
@@ -23,6 +28,7 @@ from diagnosis.alone.reading.tracks import (
     falls_freely,
     fastest,
     first_motion,
+    other_unit,
     refuse_fall,
     track_noise,
     upright,
@@ -155,14 +161,20 @@ def diagnose_ball(
     """Diagnose the flights of one ball; `is_mixed_refused` when nothing says that they are of one.
 
     Raises:
-        RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
+        RefusedTableError: nothing falls in them, lengths in another unit or in two, or several balls.
     """
+    refuse_changed_clock([flight.time_s for flight in flights])
+    refuse_rest([flight.position_m for flight in flights], track_noise(flights))
+    for flight in flights:
+        refuse_changed_unit(flight.time_s, flight.position_m)
     flights, notes = upright(flights, scale)
     usable = usable_flights(flights, name, notes)
     problem = make_problem(usable, ball, scale.slack_ratio)
     noise = problem.noise
     if not falls_freely(usable):
-        if not _is_dragged(problem):
+        if _is_in_other_unit(usable, ball) or not _is_dragged(
+            problem, ("air_drag", "release_delay", "release_spin")
+        ):
             refuse_fall(usable)
         notes.append("drag or lift is as strong as gravity for part of the flight")
     split = _disagreement(usable, ball, problem, scale.slack_ratio)
@@ -250,11 +262,19 @@ def _with_expected_drag(found: Diagnosis, is_ball_known: bool) -> Diagnosis:
     return found.model_copy(update={"sentence": f"{found.sentence} {words}"})
 
 
-def _is_dragged(problem: FlightProblem) -> bool:
-    """Whether drag or spin explain what falls at another rate: a shuttlecock, a paper cone, a topspin."""
-    keys = ("air_drag", "release_delay", "release_spin")
+def _is_dragged(problem: FlightProblem, keys: Sequence[str]) -> bool:
+    """Whether these effects explain what falls at another rate: a shuttlecock, a paper cone, a topspin."""
     found = fit(problem, tuple(option for option in problem.options if option.key in keys), {})
     return math.sqrt(found.mean_square) < DRAGGED_RATIO * curvature_signal(problem.flights)
+
+
+def _is_in_other_unit(flights: tuple[Flight, ...], ball: Ball) -> bool:
+    """Whether in another unit gravity, with drag, is enough: before any lift has a say."""
+    other = other_unit(flights)
+    if other is None:
+        return False
+    scaled = tuple(flight._replace(position_m=flight.position_m / other[0]) for flight in flights)
+    return _is_dragged(make_problem(scaled, ball), ("air_drag", "release_delay"))
 
 
 def make_problem(

@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option, fit
 from diagnosis.alone.physics.free_motion import Pull, move
+from diagnosis.alone.reading.consistency import clipped, refuse_changed_clock
 from diagnosis.alone.reading.decay import frictions_of_decay
 from diagnosis.alone.reading.free_swings import (
     MIN_PERIODS,
@@ -143,6 +144,14 @@ def diagnose_swing(
     Raises:
         RefusedTableError: nothing swings, or too few samples a period.
     """
+    if math.isfinite(length_m) and length_m <= 0.0:
+        raise RefusedTableError(
+            f"a length of {length_m:g} m from the pivot to the centre of swing: it must be above 0. Give "
+            "--length-m in metres, or leave it out"
+        )
+    refuse_changed_clock([swing.time_s for swing in swings])
+    notes: list[str] = []
+    swings = [_in_range(swing, notes) for swing in swings]
     noise = swing_noise(swings)
     usable = tuple(s for s in (free_part(swing, noise) for swing in swings) if s is not None)
     if not usable:
@@ -151,7 +160,7 @@ def diagnose_swing(
             f"{'' if is_length else ' rad'}): record from the release until the swing has died down"
         )
     problem = make_problem(usable, length_m, noise, is_length)
-    notes = [_used(swing) for swing in usable]
+    notes += [_used(swing) for swing in usable]
     left = fit(problem, _frictions(problem), {}).mean_square
     is_clean = math.sqrt(left) < CLEAN_NOISES * noise
     if not is_length and not is_clean and _is_on_a_spring(problem, left):
@@ -198,6 +207,19 @@ def diagnose_swing(
         "and left alone, about one axis."
     )
     return found.model_copy(update={"sentence": f"{words} {found.sentence}"})
+
+
+def _in_range(swing: Swing, notes: list[str]) -> Swing:
+    """Without samples at the end of the sensor's range."""
+    out = clipped(swing.angle_rad)
+    if not np.any(out):
+        return swing
+    limit = float(np.max(np.abs(swing.angle_rad[out])))
+    notes.append(
+        f"{int(np.sum(out))} of {len(out)} samples left out: the angle is cut off at {limit:.4g}, several "
+        "equal extremes one after the other. A sensor of a larger range tells more"
+    )
+    return swing._replace(time_s=swing.time_s[~out], angle_rad=swing.angle_rad[~out])
 
 
 def _used(swing: Swing) -> str:

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.reading.columns import integrated
+from diagnosis.alone.reading.consistency import clipped
 from diagnosis.alone.reading.envelope import (
     NOISE_AMPLITUDES,
     collapse,
@@ -18,6 +19,7 @@ from diagnosis.alone.reading.envelope import (
     growth,
     half_swings,
 )
+from diagnosis.alone.reading.layout import RefusedTableError
 from machine.conventions import Array
 
 MIN_PERIODS: Final = 2.0
@@ -164,7 +166,16 @@ def swing_of_rate(time_s: Array, rate: Array) -> Swing:
 
     What a hand does before and after it is left out first, and the rest after it, where only noise would be
     integrated. The middle is the mean over a whole period, so that the decay does not count as drift.
+
+    Raises:
+        RefusedTableError: the gyro's range was too small.
     """
+    if np.any(out := clipped(rate)):
+        raise RefusedTableError(
+            f"the rate of turn is cut off at {float(np.max(np.abs(rate[out]))):.4g} rad/s in "
+            f"{int(np.sum(out))} of {len(out)} samples: what lies beyond cannot be integrated. Set a larger "
+            "range of the gyro, or swing less far"
+        )
     noise = max(swing_noise((Swing(time_s, rate),)), 1e-3 * float(np.ptp(rate)))
     swing, rate = _free_of_rate(Swing(time_s, rate), noise)
     time_s = swing.time_s
