@@ -45,6 +45,10 @@ SPHERE_DRAG_COEFFICIENT: Final = 0.47
 """Below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965)."""
 LEAN_RAD: Final = 0.02
 """Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
+WIDEST_ROLL_RAD: Final = 0.15
+"""Of a camera that nobody levelled, by eye."""
+SURELY_WIND: Final = 5.0
+"""Difference of log likelihoods beyond which wind is not taken for a rolled camera."""
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 BLOCKS_PER_FLIGHT: Final = 5
@@ -198,7 +202,34 @@ def diagnose_ball(
         evidence,
         _plots(problem, selection.base.fit.as_mapping(), best),
     )
+    if (roll := _roll_in_place_of_wind(problem, selection)) is not None:
+        words = (
+            f"In place of wind a camera that is rolled by {roll:.2g} degrees explains them as well."
+        )
+        found = found.model_copy(update={"sentence": f"{found.sentence} {words}"})
     return _with_expected_drag(found, known)
+
+
+def _roll_in_place_of_wind(problem: FlightProblem, selection: Selection) -> float | None:
+    """Lean of the vertical, degrees, with which the flights need no wind; None if they do need it."""
+    best = selection.best.fit
+    if "wind" not in selection.best.effects:
+        return None
+    nuisance = tuple(
+        p._replace(low=-WIDEST_ROLL_RAD, high=WIDEST_ROLL_RAD, prior_sd=math.inf)
+        if p.name.startswith("lean")
+        else p
+        for p in problem.nuisance
+    )
+    rest = tuple(option for option in best.options if option.key != "wind")
+    rolled = fit(replace(problem, nuisance=nuisance), rest, {})
+    independent = len(problem.block) / selection.correlation_samples
+    more = 0.5 * independent * math.log(rolled.mean_square / best.mean_square)
+    if more > SURELY_WIND:
+        return None
+    values = rolled.as_mapping()
+    leans = [value for name, value in values.items() if name.startswith("lean")]
+    return math.degrees(math.hypot(*leans))
 
 
 def _evidence(
