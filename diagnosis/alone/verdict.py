@@ -252,7 +252,8 @@ def _sentence(
             share = "in part " if selection.left_ratio > PARTLY_RATIO else ""
             return (
                 f"The {where} {shows} {share}{words}; on held-out data this removes "
-                f"{shrink.ratio:.0%} of the gap ({low:.0%} to {high:.0%}), predicted {shrink.predicted_ratio or 0.0:.0%}; {left}."
+                f"{shrink.ratio:.0%} of the gap ({low:.0%} to {high:.0%}), predicted "
+                f"{shrink.predicted_ratio or 0.0:.0%}; {left}."
             )
 
 

@@ -76,3 +76,14 @@ def test_a_swing_that_was_pumped_up_and_let_go_is_free() -> None:
     assert free is not None
     assert free.fed is None
     assert 9.5 < free.since_s < 13.0
+
+
+@pytest.mark.parametrize("drift", [0.0, -0.03])
+def test_a_frequency_that_drifts_is_unknown_and_said(tmp_path: Path, drift: float) -> None:
+    t = np.arange(0.0, 30.0, 0.04)
+    phase = 4.0 * (t + 0.5 * drift * t**2 / t[-1])
+    angle = 0.1 * np.exp(-0.02 * t) * np.cos(phase)
+    angle += np.random.default_rng(7).normal(0.0, 0.001, len(t))
+    found = swing_from_csv(write(tmp_path / "a.csv", {"t": t, "angle_rad": angle}))
+    assert (found.verdict is VerdictKind.UNKNOWN) == (drift != 0.0)
+    assert ("The frequency changes by -2.0%" in found.sentence) == (drift != 0.0)
