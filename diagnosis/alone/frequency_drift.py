@@ -16,11 +16,14 @@ from diagnosis.alone.fit import (
     interval_factor,
     standard_errors,
 )
+from diagnosis.alone.reading.envelope import half_swings
 from diagnosis.alone.reading.free_swings import Swing
 
 MIN_DRIFT_RATIO: Final = 0.003
 """By eye: less is within what a wrong rest angle or an amplitude of a third does to it."""
 MIN_THIRD_ROWS: Final = 40
+MIN_HALF_SWINGS: Final = 8
+"""By eye: fewer fix no frequency beside two frictions."""
 SURE_WIDTHS: Final = 3.0
 """Half widths of the 90 % intervals of both frequencies."""
 _NAME: Final = "frequency_rad_per_s"
@@ -48,7 +51,7 @@ def frequency_drift(
 
     Args:
         swing: its free part.
-        noise: of one sample, rad.
+        noise: of one sample, rad or m.
         problem_of: the problem of a third, in which the frequency is free, and the options to fit.
     """
     rows = len(swing.time_s) // 3
@@ -57,7 +60,7 @@ def frequency_drift(
     found: list[tuple[float, float]] = []
     for part in (slice(0, rows), slice(-rows, None)):
         time_s, angle = swing.time_s[part], swing.angle_rad[part]
-        if float(np.std(angle)) < 3.0 * noise:
+        if len(half_swings(angle, noise)) < MIN_HALF_SWINGS:
             return None
         problem, options = problem_of(Swing(time_s - time_s[0], angle))
         own = fit(problem, tuple(options), {})
