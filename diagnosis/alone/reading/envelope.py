@@ -75,6 +75,10 @@ def envelope(values: Array, noise: float) -> Envelope:
     ends = np.append(edges[1:], len(away))
     turns = np.array([i + np.argmax(np.abs(away[i:j])) for i, j in zip(edges, ends, strict=True)])
     half = round(float(np.median(np.diff(turns)))) if len(turns) > 1 else len(away)
+    if len(turns) > 2 and len(away) - turns[-1] <= max(half // 8, 1):
+        # The record ends on the way to that turn.
+        edges, turns = edges[:-1], turns[:-1]
+        return Envelope(edges, turns, np.sign(away[turns[:-1]]) * -np.diff(values[turns]))
     side = np.sign(away[turns])
     if turns[-1] + half < len(away):
         edges, turns = np.append(edges, turns[-1] + half), np.append(turns, turns[-1] + half)
