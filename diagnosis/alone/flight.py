@@ -14,6 +14,11 @@ import numpy as np
 from diagnosis.alone.agreement import Disagreement, disagreement
 from diagnosis.alone.fit import FreeParameter, Option, fit
 from diagnosis.alone.physics.flight_path import integrate, sampled
+from diagnosis.alone.reading.consistency import (
+    refuse_changed_clock,
+    refuse_changed_unit,
+    refuse_rest,
+)
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.tracks import (
     SCALE_SLACK_RATIO,
@@ -23,6 +28,7 @@ from diagnosis.alone.reading.tracks import (
     falls_freely,
     fastest,
     first_motion,
+    other_unit,
     refuse_fall,
     track_noise,
     upright,
@@ -39,6 +45,10 @@ SPHERE_DRAG_COEFFICIENT: Final = 0.47
 """Below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965)."""
 LEAN_RAD: Final = 0.02
 """Of the vertical, by eye: a camera on a tripod is set up to half a degree, by hand to one."""
+WIDEST_ROLL_RAD: Final = 0.15
+"""Of a camera that nobody levelled, by eye."""
+SURELY_WIND: Final = 5.0
+"""Difference of log likelihoods beyond which wind is not taken for a rolled camera."""
 STEPS_COUNT: Final = 200
 FINEST_STEP_S: Final = 0.002
 BLOCKS_PER_FLIGHT: Final = 5
@@ -155,14 +165,20 @@ def diagnose_ball(
     """Diagnose the flights of one ball; `is_mixed_refused` when nothing says that they are of one.
 
     Raises:
-        RefusedTableError: nothing falls in them, lengths in another unit, or flights of several balls.
+        RefusedTableError: nothing falls in them, lengths in another unit or in two, or several balls.
     """
+    refuse_changed_clock([flight.time_s for flight in flights])
+    refuse_rest([flight.position_m for flight in flights], track_noise(flights))
+    for flight in flights:
+        refuse_changed_unit(flight.time_s, flight.position_m)
     flights, notes = upright(flights, scale)
     usable = usable_flights(flights, name, notes)
     problem = make_problem(usable, ball, scale.slack_ratio)
     noise = problem.noise
     if not falls_freely(usable):
-        if not _is_dragged(problem):
+        if _is_in_other_unit(usable, ball) or not _is_dragged(
+            problem, ("air_drag", "release_delay", "release_spin")
+        ):
             refuse_fall(usable)
         notes.append("drag or lift is as strong as gravity for part of the flight")
     split = _disagreement(usable, ball, problem, scale.slack_ratio)
@@ -186,7 +202,34 @@ def diagnose_ball(
         evidence,
         _plots(problem, selection.base.fit.as_mapping(), best),
     )
+    if (roll := _roll_in_place_of_wind(problem, selection)) is not None:
+        words = (
+            f"In place of wind a camera that is rolled by {roll:.2g} degrees explains them as well."
+        )
+        found = found.model_copy(update={"sentence": f"{found.sentence} {words}"})
     return _with_expected_drag(found, known)
+
+
+def _roll_in_place_of_wind(problem: FlightProblem, selection: Selection) -> float | None:
+    """Lean of the vertical, degrees, with which the flights need no wind; None if they do need it."""
+    best = selection.best.fit
+    if "wind" not in selection.best.effects:
+        return None
+    nuisance = tuple(
+        p._replace(low=-WIDEST_ROLL_RAD, high=WIDEST_ROLL_RAD, prior_sd=math.inf)
+        if p.name.startswith("lean")
+        else p
+        for p in problem.nuisance
+    )
+    rest = tuple(option for option in best.options if option.key != "wind")
+    rolled = fit(replace(problem, nuisance=nuisance), rest, {})
+    independent = len(problem.block) / selection.correlation_samples
+    more = 0.5 * independent * math.log(rolled.mean_square / best.mean_square)
+    if more > SURELY_WIND:
+        return None
+    values = rolled.as_mapping()
+    leans = [value for name, value in values.items() if name.startswith("lean")]
+    return math.degrees(math.hypot(*leans))
 
 
 def _evidence(
@@ -250,11 +293,19 @@ def _with_expected_drag(found: Diagnosis, is_ball_known: bool) -> Diagnosis:
     return found.model_copy(update={"sentence": f"{found.sentence} {words}"})
 
 
-def _is_dragged(problem: FlightProblem) -> bool:
-    """Whether drag or spin explain what falls at another rate: a shuttlecock, a paper cone, a topspin."""
-    keys = ("air_drag", "release_delay", "release_spin")
+def _is_dragged(problem: FlightProblem, keys: Sequence[str]) -> bool:
+    """Whether these effects explain what falls at another rate: a shuttlecock, a paper cone, a topspin."""
     found = fit(problem, tuple(option for option in problem.options if option.key in keys), {})
     return math.sqrt(found.mean_square) < DRAGGED_RATIO * curvature_signal(problem.flights)
+
+
+def _is_in_other_unit(flights: tuple[Flight, ...], ball: Ball) -> bool:
+    """Whether in another unit gravity, with drag, is enough: before any lift has a say."""
+    other = other_unit(flights)
+    if other is None:
+        return False
+    scaled = tuple(flight._replace(position_m=flight.position_m / other[0]) for flight in flights)
+    return _is_dragged(make_problem(scaled, ball), ("air_drag", "release_delay"))
 
 
 def make_problem(

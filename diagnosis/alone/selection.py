@@ -158,7 +158,8 @@ def select(
     _come_down(problem, visited)
     _prune(problem, visited)
     ranked, base_scored, length = _posterior(problem, visited, signal, relevant_ratio * signal)
-    left = math.sqrt(max(ranked[0].fit.mean_square - noise**2, 0.0)) / max(signal, 1e-12)
+    # Of held-out data, as the sentence says it: what is fitted away and does not come back is not explained.
+    left = math.sqrt(max(ranked[0].held_out - noise**2, 0.0)) / max(signal, 1e-12)
     unknown = 1.0 / (1.0 + math.exp(-(left - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
     return Selection(tuple(ranked), base_scored, length, signal, noise, unknown)
 

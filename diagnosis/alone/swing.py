@@ -12,7 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option, fit
+from diagnosis.alone.frequency_drift import frequency_drift
 from diagnosis.alone.physics.free_motion import Pull, move
+from diagnosis.alone.reading.consistency import clipped, refuse_changed_clock
 from diagnosis.alone.reading.decay import frictions_of_decay
 from diagnosis.alone.reading.free_swings import (
     MIN_PERIODS,
@@ -37,6 +39,8 @@ STEPS_PER_PERIOD: Final = 40
 """The Runge-Kutta method takes (2 pi / n)^5 / 144 of the amplitude a radian, here 1e-6; 24 steps
 took 0.6 % of a weak friction at 50 degrees."""
 UNKNOWN_RATIO: Final = 0.3
+STRANGE_UNKNOWN: Final = 0.95
+"""Probability that something else acts on a swing that grows, or whose frequency drifts."""
 MIN_SAMPLES_PER_PERIOD: Final = 6.0
 SPRING_RATIO: Final = 0.5
 """Mean square left on a spring over that left as a pendulum: below this it is a spring."""
@@ -141,6 +145,8 @@ def diagnose_swing(
     Raises:
         RefusedTableError: nothing swings, or too few samples a period.
     """
+    notes: list[str] = []
+    swings = _checked(swings, length_m, notes)
     noise = swing_noise(swings)
     usable = tuple(s for s in (free_part(swing, noise) for swing in swings) if s is not None)
     if not usable:
@@ -149,7 +155,7 @@ def diagnose_swing(
             f"{'' if is_length else ' rad'}): record from the release until the swing has died down"
         )
     problem = make_problem(usable, length_m, noise, is_length)
-    notes: list[str] = []
+    notes += [_used(swing) for swing in usable]
     left = fit(problem, _frictions(problem), {}).mean_square
     is_clean = math.sqrt(left) < CLEAN_NOISES * noise
     if not is_length and not is_clean and _is_on_a_spring(problem, left):
@@ -161,29 +167,105 @@ def diagnose_swing(
     # What is left after the frictions of a clean record is noise: nothing else can pass for a small one.
     relevant_ratio = 0.0 if is_clean else RELEVANT_RATIO
     selection = select(problem, signal, noise, progress, UNKNOWN_RATIO, relevant_ratio)
+    words = _energy_fed_in(usable) or ("" if is_clean else _drift_in_words(problem))
+    if words:
+        # No effect of the library does that: what fits best is a coincidence.
+        selection = replace(selection, unknown_probability=STRANGE_UNKNOWN)
+    unit = "m" if is_length else "rad"
     best = selection.best.fit.as_mapping()
-    frequency = best["frequency_rad_per_s"]
-    evidence: dict[str, Any] = {
-        "swings": len(usable),
-        "samples": int(sum(len(s.time_s) for s in usable)),
-        "span_s": float(sum(s.time_s[-1] for s in usable)),
-        "rate_hz": float(np.median([1.0 / np.median(np.diff(s.time_s)) for s in usable])),
-        "noise": {"value": noise, "unit": "m" if is_length else "rad"},
+    found = diagnosis_of(
+        problem,
+        selection,
+        noise,
+        StageNames(Stage.SWING, joint, unit, _SEPARATING),
+        _evidence(problem, best["frequency_rad_per_s"], unit, notes),
+        _plots(problem, selection.base.fit.as_mapping(), best),
+    )
+    return found.model_copy(update={"sentence": f"{words} {found.sentence}".strip()})
+
+
+def _checked(swings: Sequence[Swing], length_m: float, notes: list[str]) -> list[Swing]:
+    """The swings without what their sensor cut off.
+
+    Raises:
+        RefusedTableError: a length below 0, or a clock that changes.
+    """
+    if math.isfinite(length_m) and length_m <= 0.0:
+        raise RefusedTableError(
+            f"a length of {length_m:g} m from the pivot to the centre of swing: it must be above 0. Give "
+            "--length-m in metres, or leave it out"
+        )
+    refuse_changed_clock([swing.time_s for swing in swings])
+    return [_in_range(swing, notes) for swing in swings]
+
+
+def _evidence(
+    problem: SwingProblem, frequency: float, unit: str, notes: Sequence[str]
+) -> dict[str, Any]:
+    """What was seen, and what swings cannot tell; `frequency` in rad/s."""
+    swings = problem.swings
+    return {
+        "swings": len(swings),
+        "samples": int(sum(len(s.time_s) for s in swings)),
+        "span_s": float(sum(s.time_s[-1] for s in swings)),
+        "rate_hz": float(np.median([1.0 / np.median(np.diff(s.time_s)) for s in swings])),
+        "noise": {"value": problem.noise, "unit": unit},
         "frequency_hz": frequency / (2.0 * math.pi),
         "pulls_back": "in proportion to the deflection" if problem.is_linear else "as a pendulum",
         "length_of_equal_pendulum_m": GRAVITY_M_PER_S2 / frequency**2,
         "notes": notes,
-        "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in usable)),
+        "largest_angle_rad": float(max(np.max(np.abs(s.angle_rad)) for s in swings)),
         "not_separable": _NOT_SEPARABLE,
     }
-    return diagnosis_of(
-        problem,
-        selection,
-        noise,
-        StageNames(Stage.SWING, joint, "m" if is_length else "rad", _SEPARATING),
-        evidence,
-        _plots(problem, selection.base.fit.as_mapping(), best),
+
+
+def _energy_fed_in(swings: Sequence[Swing]) -> str:
+    """How much a swing grows; empty when none does."""
+    fed = next((swing.fed for swing in swings if swing.fed is not None), None)
+    if fed is None:
+        return ""
+    return (
+        f"The amplitude grows by {fed.share:.0%} from {fed.from_s:.3g} to {fed.to_s:.3g} s: energy is fed in "
+        "by a drive or a hand, or comes from another motion of the body. Record a swing that is let go "
+        "and left alone, about one axis."
     )
+
+
+def _drift_in_words(problem: SwingProblem) -> str:
+    """How much the frequency of a swing changes over its record; empty when no swing shows it surely."""
+
+    def of_third(part: Swing) -> tuple[SwingProblem, tuple[Option, ...]]:
+        third = make_problem((part,), math.nan, problem.noise, problem.is_linear)
+        return third, _frictions(third)[:1]
+
+    for swing in problem.swings:
+        drift = frequency_drift(swing, problem.noise, of_third)
+        if drift is not None and drift.is_sure:
+            return (
+                f"The frequency changes by {drift.ratio:+.1%} from the first to the last third of the swing, "
+                "beyond what its amplitude does: length, load or stiffness change meanwhile, or the clock "
+                "drifts. Let it warm up, fasten the load, or record a shorter swing."
+            )
+    return ""
+
+
+def _in_range(swing: Swing, notes: list[str]) -> Swing:
+    """Without samples at the end of the sensor's range."""
+    out = clipped(swing.angle_rad)
+    if not np.any(out):
+        return swing
+    limit = float(np.max(np.abs(swing.angle_rad[out])))
+    notes.append(
+        f"{int(np.sum(out))} of {len(out)} samples left out: the angle is cut off at {limit:.4g}, several "
+        "equal extremes one after the other. A sensor of a larger range tells more"
+    )
+    return swing._replace(time_s=swing.time_s[~out], angle_rad=swing.angle_rad[~out])
+
+
+def _used(swing: Swing) -> str:
+    """Which stretch of the record is used, and why."""
+    until_s = swing.since_s + float(swing.time_s[-1])
+    return f"used: {swing.since_s:.4g} to {until_s:.4g} s of the record; {swing.end}"
 
 
 def _frictions(problem: SwingProblem) -> tuple[Option, ...]:

@@ -31,6 +31,8 @@ MAX_CAUSES_COUNT: Final = 6
 AMBIGUOUS_RATIO: Final = 0.25
 """A rival set with at least this share of the winner's probability, with other effects, is a draw."""
 
+SHOWN_GAIN_RATIO: Final = 0.01
+"""Of the gap: an effect that may remove less of it on held-out data is not shown by them."""
 RIVAL_RATIO: Final = 0.05
 PARTLY_RATIO: Final = 0.15
 """Of the motion: when more is left unexplained, the sentence says so before the effects."""
@@ -56,14 +58,17 @@ def diagnosis_of(
 ) -> Diagnosis:
     """The result of one stage alone."""
     shrink = held_out_shrink(problem, selection, noise)
-    ambiguity = _ambiguity(selection, names)
+    ambiguity = _ambiguity(selection, names) or _doubt(selection, shrink, names)
     verdict = _verdict(selection, ambiguity)
     causes = _causes(problem, selection, names)
     limits = hidden_limits(problem, selection) if verdict is VerdictKind.NONE else ()
     ratio = shrink.before_m / max(noise, 1e-12)
+    sentence = _sentence(verdict, causes, shrink, selection, names, limits)
+    if verdict is VerdictKind.AMBIGUOUS and ambiguity is not None:
+        sentence += f" It may as well be {ambiguity.members[1]}: {ambiguity.why}."
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, causes, shrink, selection, names, limits),
+        sentence=sentence,
         gap=Gap(trajectory_rms_ratio=ratio),
         stages=(
             StageGap(
@@ -175,6 +180,32 @@ def _ambiguity(selection: Selection, names: StageNames) -> Ambiguity | None:
     return None
 
 
+def _doubt(selection: Selection, shrink: Shrink, names: StageNames) -> Ambiguity | None:
+    """Between effects and none: "none" is nearly as probable, or held-out data do not show the effects."""
+    best = selection.best
+    if not best.effects:
+        return None
+    none = next((item.probability for item in selection.ranked if not item.effects), 0.0)
+    low, high = shrink.ci90
+    if none >= AMBIGUOUS_RATIO * best.probability:
+        why = f"probabilities {best.probability:.2f} and {none:.2f}"
+    elif low < SHOWN_GAIN_RATIO:
+        why = (
+            f"held-out data do not show the effects: they remove {low:.0%} to {high:.0%} of the gap"
+        )
+    else:
+        return None
+    return Ambiguity(
+        members=(" + ".join(best.effects), "none"),
+        separating_motion={
+            "kind": names.stage.value,
+            "joint": names.joint,
+            "words": _general_motion(names.stage),
+        },
+        why=why,
+    )
+
+
 def _general_motion(stage: Stage) -> str:
     return {
         Stage.ACTUATION: "steps of three sizes and ramps of three slopes in both directions, with 3 s rests",
@@ -217,10 +248,12 @@ def _sentence(
             return f"Something acts on the {where} that no effect of the library explains: {left}.{best}"
         case _:
             low, high = shrink.ci90
+            shows = "shows" if verdict is VerdictKind.EXPLAINED else "may show"
             share = "in part " if selection.left_ratio > PARTLY_RATIO else ""
             return (
-                f"The {where} shows {share}{words}; on held-out data this removes {shrink.ratio:.0%} of the "
-                f"gap ({low:.0%} to {high:.0%}), predicted {shrink.predicted_ratio or 0.0:.0%}; {left}."
+                f"The {where} {shows} {share}{words}; on held-out data this removes "
+                f"{shrink.ratio:.0%} of the gap ({low:.0%} to {high:.0%}), predicted "
+                f"{shrink.predicted_ratio or 0.0:.0%}; {left}."
             )
 
 

@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import nnls
 
-from diagnosis.alone.reading.free_swings import Swing, half_swings
+from diagnosis.alone.reading.envelope import half_swings
+from diagnosis.alone.reading.free_swings import Swing
 from machine.conventions import Array
 
 MIN_WINDOWS_COUNT: Final = 4

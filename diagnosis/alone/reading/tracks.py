@@ -28,6 +28,10 @@ SCALE_SLACK_RATIO: Final = 0.02
 """Of the length scale, by eye: a metre stick that is read to a centimetre, a ball nearer than its scale."""
 PIXEL_SLACK_RATIO: Final = 0.25
 """Of a scale taken from gravity, by eye: drag bends the parabola that it is read from."""
+UNITS: Final = ((1000.0, "mm"), (100.0, "cm"), (1.0 / 0.3048, "feet"))
+"""How many make a metre."""
+SLOWED_RATIO: Final = 0.3
+"""Of gravity: films in slow motion are slowed at least twice."""
 MAX_FLIGHT_ROWS: Final = 150
 """Rows that a flight is averaged down to: the noise goes, and the motion within a mean of rows is a line."""
 
@@ -215,24 +219,36 @@ def falls_freely(flights: Sequence[Flight]) -> bool:
     return 0.2 < fall / GRAVITY_M_PER_S2 < 1.6
 
 
+def other_unit(flights: Sequence[Flight]) -> tuple[float, str] | None:
+    """How many of a unit make a metre, and its name, when the flights first fall as fast as in that unit."""
+    fall = float(np.median([_initial_fall(flight) for flight in flights]))
+    return next(
+        (one for one in UNITS if 0.85 * one[0] < fall / GRAVITY_M_PER_S2 < 1.15 * one[0]), None
+    )
+
+
 def refuse_fall(flights: Sequence[Flight]) -> None:
-    """Refuse what neither gravity nor drag explains; other units show by their factor.
+    """Refuse what neither gravity nor drag explains; other units, and slowed films, show by their factor.
 
     Raises:
         RefusedTableError: another unit or axis, or no free flight.
     """
-    down = [_initial_fall(flight) for flight in flights]
-    fall = float(np.median(down))
-    for factor, unit in ((1000.0, "mm"), (100.0, "cm"), (1.0 / 0.3048, "feet")):
-        if 0.85 * factor < fall / GRAVITY_M_PER_S2 < 1.15 * factor:
-            raise RefusedTableError(
-                f"the ball falls at {fall:.4g} m/s^2: swapped units ({unit} for m). "
-                f"Give --length-unit {unit}"
-            )
+    fall = float(np.median([_initial_fall(flight) for flight in flights]))
+    if (other := other_unit(flights)) is not None:
+        raise RefusedTableError(
+            f"the ball falls at {fall:.4g} m/s^2: swapped units ({other[1]} for m). "
+            f"Give --length-unit {other[1]}"
+        )
+    slowed = ""
+    if 0.0 < fall < SLOWED_RATIO * GRAVITY_M_PER_S2:
+        slowed = (
+            f"; a film in slow motion, if it is one, runs {math.sqrt(GRAVITY_M_PER_S2 / fall):.2g} times too "
+            "slowly: give --fps of the camera in place of the player's"
+        )
     raise RefusedTableError(
         f"the ball first falls at {fall:.3g} m/s^2 along z, gravity is 9.81: wrong axis or sign (z is "
         "up), swapped units, or this is no free flight. Choose the columns, or give --length-unit (px takes "
-        "the scale from gravity)"
+        f"the scale from gravity){slowed}"
     )
 
 
