@@ -1,0 +1,60 @@
+"""Logs of joints as they are: end stops, merged topics, clocks that differ, gains that drift, servos."""
+
+from pathlib import Path
+
+import numpy as np
+
+from diagnosis.alone.diagnose import actuation_from_csv
+from tests.diagnosis.alone.answers import effects, notes_of, value
+from tests.diagnosis.alone.planted import Columns, write
+
+STEP_S = 0.002
+
+
+def operated(
+    seed: int,
+    stops: tuple[float, float] = (-np.inf, np.inf),
+    gain_growth: float = 0.0,
+    command_late_s: float = 0.0,
+    span_s: float = 60.0,
+) -> Columns:
+    """A joint of 0.4 rad/s, dead time 0.15 s, lag 0.15 s, bands of 10 %, under held levers at 50 Hz."""
+    rng = np.random.default_rng(seed)
+    count = round(span_s / STEP_S)
+    lever = np.zeros(count)
+    k, way = 0, 1.0
+    while k < count:
+        held = round(rng.uniform(0.6, 2.2) / STEP_S)
+        if rng.random() < 0.65:
+            way = -way if rng.random() < 0.75 else way
+            lever[k : k + held] = way * rng.uniform(0.2, 1.0)
+        k += held
+    speed = angle = 0.0
+    angles = np.zeros(count)
+    for k in range(count):
+        u = lever[max(k - 75, 0)]
+        steady = 0.4 * np.sign(u) * max(abs(u) - 0.1, 0.0) / 0.9
+        speed += STEP_S / 0.15 * (steady * (1.0 + gain_growth * k / count) - speed)
+        angle += STEP_S * speed
+        if not stops[0] < angle < stops[1]:
+            angle, speed = float(np.clip(angle, *stops)), 0.0
+        angles[k] = angle
+    rows = np.arange(0, count, 10)
+    told = np.clip(rows - round(command_late_s / STEP_S), 0, None)
+    return {
+        "time_s": rows * STEP_S,
+        "cmd": lever[told],
+        "pos_rad": angles[rows] + rng.normal(0.0, 0.001, len(rows)),
+    }
+
+
+def test_stays_at_end_stops_are_left_out(tmp_path: Path) -> None:
+    free = operated(5)
+    low, high = np.quantile(free["pos_rad"], [0.06, 0.94])
+    found = actuation_from_csv(write(tmp_path / "a.csv", operated(5, (float(low), float(high)))))
+    assert effects(found) == {"valve_dead_band", "valve_dead_time", "valve_lag"}
+    low, _, high = value(found, "valve_dead_band", "positive_ratio")
+    assert low < 0.1 < high
+    assert "end stop" in notes_of(found)
+    whole = actuation_from_csv(write(tmp_path / "a.csv", free))
+    assert "end stop" not in notes_of(whole)
