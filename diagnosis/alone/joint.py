@@ -165,6 +165,7 @@ def make_problem(motion: Motion, read: Command, kind: Kind, period_s: float) -> 
             0.0 if motion.is_speed else float(np.ptp(motion.output)),
             motion.unit,
             not motion.is_speed,
+            is_speed=kind == "speed",
         ),
         block=spread_blocks(grid_s[sample], blocks, run),
         noise=noise,
