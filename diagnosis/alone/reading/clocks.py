@@ -110,7 +110,10 @@ def _steady(table: Table) -> str:
 
 
 def _is_steady(table: Table, name: str) -> bool:
-    steps: Array = np.diff(table.numbers(name))
+    values = table.numbers(name)
+    if np.mean(np.isfinite(values)) < STEADY_RATIO:
+        return False
+    steps: Array = np.diff(values)
     typical = float(np.nanmedian(steps))
     good = (steps > 0.3 * typical) & (steps < 3.0 * typical)
     return typical > 0.0 and float(np.mean(good)) > STEADY_RATIO

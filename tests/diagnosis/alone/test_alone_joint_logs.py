@@ -58,3 +58,38 @@ def test_stays_at_end_stops_are_left_out(tmp_path: Path) -> None:
     assert "end stop" in notes_of(found)
     whole = actuation_from_csv(write(tmp_path / "a.csv", free))
     assert "end stop" not in notes_of(whole)
+
+
+def test_rows_of_merged_topics_are_no_missing_numbers(tmp_path: Path) -> None:
+    run = operated(6)
+    rows: list[str] = []
+    for k, (t, u, q) in enumerate(zip(*run.values(), strict=True)):
+        rows.append(f"{t:.4f},,{q:.5f}")
+        if k % 3 == 0:
+            rows.append(f"{t + 0.001:.4f},{u:.4f},")
+        rows.extend(f"{t + 0.002 + 0.001 * n:.4f},," for n in range(4))
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,cmd,pos_rad\n" + "\n".join(rows) + "\n")
+    found = actuation_from_csv(path)
+    assert effects(found) == {"valve_dead_band", "valve_dead_time", "valve_lag"}
+    low, _, high = value(found, "valve_dead_time", "extra_dead_time_s")
+    assert low < 0.15 < high
+    assert "held from before" in notes_of(found)
+    assert "taken as rows of something else" in notes_of(found)
+
+
+def test_the_rate_of_a_servo_is_limited_by_a_speed(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    goal = np.repeat(rng.uniform(-0.8, 0.8, 30), 500 + rng.integers(0, 9))
+    place, places = 0.0, np.zeros(len(goal))
+    for k, wanted in enumerate(goal):
+        place += float(np.clip(wanted - place, -3.0 * STEP_S, 3.0 * STEP_S))
+        places[k] = place
+    rows = np.arange(0, len(goal), 10)
+    seen = places[rows] + rng.normal(0.0, 0.001, len(rows))
+    servo = {"time_s": rows * STEP_S, "cmd_rad": goal[rows], "pos_rad": seen}
+    found = actuation_from_csv(write(tmp_path / "a.csv", servo))
+    assert effects(found) == {"speed_limit"}
+    low, _, high = value(found, "speed_limit", "limit_rad_m_per_s")
+    assert low < 3.0 < high
+    assert found.causes[0].effects[0].parameters["limit_rad_m_per_s"].unit == "rad/s"
