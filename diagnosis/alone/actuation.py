@@ -19,6 +19,7 @@ from diagnosis.alone.selection import Selection, select
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.loading.clock_audit import ClockAudit
 from diagnosis.verdict import Diagnosis, Stage
+from machine.conventions import Array
 
 MIN_SPAN_S: Final = 2.0
 RELEVANT_RATIO: Final = 0.015
@@ -27,6 +28,14 @@ LEAST_EXPLAINED_RATIO: Final = 0.1
 """Of the variance; by eye: five parameters read about 0.02 into noise of the shortest records."""
 POSITION_RATIO: Final = 0.25
 """A position that follows its command leaves less than this unexplained; a drifting one does not follow."""
+LEAST_LEFT_RATIO: Final = 0.1
+"""Of the motion: when less is left unexplained the clocks agree well enough."""
+LONGEST_LEAD_S: Final = 2.0
+SHIFTS_COUNT: Final = 80
+"""Of the command, to either side, that are tried."""
+LEAST_LEAD_PERIODS: Final = 3.0
+LEAD_RATIO: Final = 0.8
+"""Of the variance that the best delay leaves: commands that repeat may lead by as much as they lag."""
 LONGEST_SPAN_S: Final = 150.0
 """A tick is then 30 ms, still less than any lag worth naming; longer records add time and little else."""
 _NOT_SEPARABLE: Final = [
@@ -75,6 +84,7 @@ def diagnose_joint(
             notes.append("the position follows the command: taken as a position command")
     notes.extend(problem.notes)
     unit = motion.unit if problem.kind == "position" else f"{motion.unit}/s"
+    _check_clocks(problem, selection, period_s)
     _check_follows(problem, selection, unit)
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
     evidence: dict[str, Any] = {
@@ -99,6 +109,39 @@ def diagnose_joint(
         evidence,
         _plots(problem, base, best, unit),
     )
+
+
+def _check_clocks(problem: ActuationProblem, selection: Selection, period_s: float) -> None:
+    """Refuse a motion that comes before its command.
+
+    Raises:
+        RefusedTableError: it fits a command clearly better that was given later than any before it.
+    """
+    if selection.left_ratio < LEAST_LEFT_RATIO:
+        return
+    command, tick_s = problem.command, problem.step_s
+    most = min(round(LONGEST_LEAD_S / tick_s), len(command) // 4)
+    shifts = np.unique(np.round(np.linspace(-most, most, 2 * SHIFTS_COUNT + 1)).astype(int))
+    left = np.array([_left_of_line(problem, np.roll(command, int(-k))) for k in shifts])
+    ahead, behind = shifts > 0, shifts <= 0
+    best = int(shifts[ahead][np.argmin(left[ahead])])
+    least_s = max(LEAST_LEAD_PERIODS * period_s, 2.0 * problem.command_period_s)
+    if best * tick_s < least_s or np.min(left[ahead]) > LEAD_RATIO * np.min(left[behind]):
+        return
+    raise RefusedTableError(
+        f"the motion leads the command by {best * tick_s:.2g} s or more: with the command that much earlier "
+        f"a line leaves {np.min(left[ahead]):.0%} of the motion's variance, without or with a delay at least "
+        f"{np.min(left[behind]):.0%}. The clocks of the two columns differ, or the command was logged late: "
+        "shift one column and run this again"
+    )
+
+
+def _left_of_line(problem: ActuationProblem, command: Array) -> float:
+    """Share of the variance that a line through the command leaves of what was measured."""
+    matrix = np.stack([np.ones(problem.sample.size), command[problem.sample]], axis=1)
+    line, *_ = np.linalg.lstsq(matrix, problem.measured, rcond=None)
+    left = np.var(problem.measured - matrix @ line)
+    return float(left) / max(float(np.var(problem.measured)), 1e-300)
 
 
 def _check_follows(problem: ActuationProblem, selection: Selection, unit: str) -> None:

@@ -1,10 +1,11 @@
-"""Logs of joints as they are: end stops, merged topics, clocks that differ, gains that drift, servos."""
+"""Logs of joints as they are: end stops, merged topics, clocks that differ, servos."""
 
 from pathlib import Path
 
 import numpy as np
 
 from diagnosis.alone.diagnose import actuation_from_csv
+from diagnosis.verdict import VerdictKind
 from tests.diagnosis.alone.answers import effects, notes_of, value
 from tests.diagnosis.alone.planted import Columns, write
 
@@ -14,7 +15,6 @@ STEP_S = 0.002
 def operated(
     seed: int,
     stops: tuple[float, float] = (-np.inf, np.inf),
-    gain_growth: float = 0.0,
     command_late_s: float = 0.0,
     span_s: float = 60.0,
 ) -> Columns:
@@ -34,7 +34,7 @@ def operated(
     for k in range(count):
         u = lever[max(k - 75, 0)]
         steady = 0.4 * np.sign(u) * max(abs(u) - 0.1, 0.0) / 0.9
-        speed += STEP_S / 0.15 * (steady * (1.0 + gain_growth * k / count) - speed)
+        speed += STEP_S / 0.15 * (steady - speed)
         angle += STEP_S * speed
         if not stops[0] < angle < stops[1]:
             angle, speed = float(np.clip(angle, *stops)), 0.0
@@ -93,3 +93,10 @@ def test_the_rate_of_a_servo_is_limited_by_a_speed(tmp_path: Path) -> None:
     low, _, high = value(found, "speed_limit", "limit_rad_m_per_s")
     assert low < 3.0 < high
     assert found.causes[0].effects[0].parameters["limit_rad_m_per_s"].unit == "rad/s"
+
+
+def test_a_motion_before_its_command_is_refused(tmp_path: Path) -> None:
+    found = actuation_from_csv(write(tmp_path / "a.csv", operated(8, command_late_s=0.6)))
+    assert found.verdict is VerdictKind.BAD_DATA
+    assert "the motion leads the command by" in found.sentence
+    assert "shift one column" in found.sentence
