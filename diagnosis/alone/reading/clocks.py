@@ -50,6 +50,8 @@ def time_of(table: Table, given: str | None, fps: float | None = None) -> str:
         exact = [n for n in found if n.strip().lower() in TIME_WORDS]
         first = [n for n in found if table.words(n)[0] in TIME_WORDS]
         found = exact if len(exact) == 1 else first if len(first) == 1 else found
+    if len(found) > 1 and all(table.labels(n) == table.labels(found[0]) for n in found[1:]):
+        found = found[:1]  # the same times twice
     if len(found) > 1:
         raise RefusedTableError(
             f"which column of {table.path.name} is the time? It has {', '.join(table.columns)} "

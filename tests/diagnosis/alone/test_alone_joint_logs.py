@@ -100,3 +100,16 @@ def test_a_motion_before_its_command_is_refused(tmp_path: Path) -> None:
     assert found.verdict is VerdictKind.BAD_DATA
     assert "the motion leads the command by" in found.sentence
     assert "shift one column" in found.sentence
+
+
+def test_a_goal_is_a_command_and_the_same_times_twice_are_one_clock(tmp_path: Path) -> None:
+    run = operated(9, span_s=20.0)
+    named = {
+        "time": run["time_s"],
+        "stamp": run["time_s"],
+        "goal_rad": run["cmd"],
+        "pos_rad": run["pos_rad"],
+    }
+    notes = notes_of(actuation_from_csv(write(tmp_path / "a.csv", named)))
+    assert "column 'goal_rad' taken as the command" in notes
+    assert "column 'time' taken as the time" in notes
