@@ -14,6 +14,7 @@ from diagnosis.alone.fit import (
     parameters_of,
     standard_errors,
 )
+from machine.conventions import Array
 
 DEAD_TIME: Final = "valve_dead_time.extra_dead_time_s"
 LAGS: Final = frozenset(
@@ -37,6 +38,8 @@ def intervals(
     half = np.hypot(half, problem.accuracy_ratio * found.values)
     late = {DEAD_TIME} if DEAD_TIME in found.names else LAGS
     half = np.where([name in late for name in found.names], half + problem.timing_s, half)
+    if problem.timing_s > 0.0 and not (late | {DEAD_TIME}) & set(found.names):
+        half = half + _shift_of_late_command(problem, found)
     low, high = bounds(problem, found)
     thresholds = {
         name for name, p in parameters_of(problem, found.options).items() if p.is_threshold
@@ -49,6 +52,18 @@ def intervals(
             ends = (min(ends[0], tried[0]), max(ends[1], tried[1]))
         ranges[name] = (float(max(ends[0], least)), float(min(ends[1], most)))
     return ranges
+
+
+def _shift_of_late_command(problem: Problem, found: Fit) -> Array:
+    """(parameters,) how far a command late by its time stamp's error moves them, linearly.
+
+    Where no delay is fitted something else takes it: a servo that is told late seems faster than it is.
+    """
+    # A part of a tick does not delay what a rate limits: twice the error, a whole period, is simulated.
+    late = problem.residuals([{**found.as_mapping(), DEAD_TIME: 2.0 * problem.timing_s}])[0]
+    scale = np.maximum(np.linalg.norm(found.jacobian, axis=0), 1e-12)
+    moved, *_ = np.linalg.lstsq(found.jacobian / scale, 0.5 * (late - found.residual), rcond=1e-8)
+    return np.abs(moved) / scale
 
 
 def _as_good(

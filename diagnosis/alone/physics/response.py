@@ -20,9 +20,15 @@ LEAST_BAND_RATIO: Final = 0.005
 
 
 def actuation_options(
-    period_s: float, span_s: float, top_speed: float, travel: float, unit: str, has_position: bool
+    period_s: float,
+    span_s: float,
+    top_speed: float,
+    travel: float,
+    unit: str,
+    has_position: bool,
+    is_speed: bool = True,
 ) -> tuple[Option, ...]:
-    """What may lie between a command and a joint's speed.
+    """What may lie between a command and a joint's speed, or the position of a servo.
 
     The lower bounds are the smallest sizes worth naming: half a sample period for times, 1 % for ratios.
 
@@ -33,6 +39,7 @@ def actuation_options(
         travel: range of the position, unit; 0 without one.
         unit: of the position, ``rad``, ``deg``, ``m``...
         has_position: whether a position was measured.
+        is_speed: whether the command means a speed; else a position, and `top_speed` is the largest one.
     """
     longest = min(max(0.1 * span_s, 0.3), 2.0)
     step = max(period_s, 0.01)
@@ -53,7 +60,11 @@ def actuation_options(
             (lag, FreeParameter("stopping_lag_s", "s", least, 5.0, (0.05, 0.3, 1.0))),
         ),
         *_spool_options(),
-        *_limit_options(period_s, top_speed, unit),
+        *(
+            _limit_options(period_s, top_speed, unit)
+            if is_speed
+            else (_slew_option(top_speed, unit),)
+        ),
     ]
     if has_position:
         gap = FreeParameter(
@@ -142,6 +153,18 @@ def _limit_options(period_s: float, top_speed: float, unit: str) -> tuple[Option
     )
 
 
+def _slew_option(largest: float, unit: str) -> Option:
+    """A servo's position changes at no more than a speed."""
+    limit = FreeParameter(
+        "limit_rad_m_per_s",
+        f"{unit}/s",
+        0.02 * largest,
+        200.0 * largest,
+        (10.0 * largest, 3.0 * largest, 0.5 * largest),
+    )
+    return Option("servo_speed_limit", "speed_limit", (limit,))
+
+
 def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
     """Speed of the joint over a command, unit/s.
 
@@ -163,7 +186,14 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
     # A delay changes places with everything before it that has no clock of its own; last, it does not blunt
     # the edges that dead band and stiction look at.
     steady = _delayed(steady, values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s)
-    speed = _lagged(steady, step_s, values)
+    slew = values.get("servo_speed_limit.limit_rad_m_per_s", 0.0)
+    if slew > 0.0 and "valve_lag.extra_lag_s" in values:
+        # A servo's loop asks for a speed in proportion to its error, and that speed is what is limited.
+        rise = 1.0 - math.exp(-step_s / values["valve_lag.extra_lag_s"])
+        speed = _rate_limited(steady, slew * step_s, rise)
+    else:
+        speed = _lagged(steady, step_s, values)
+        speed = _rate_limited(speed, slew * step_s) if slew > 0.0 else speed
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
         speed = _rate_limited(speed, limit * step_s)
     # Lag and limit give the speed that a tick's command has led to at its end: the next tick's beginning.
@@ -271,12 +301,12 @@ def _two_sided(steady: Array, step_s: float, rise_s: float, stop_s: float) -> Ar
     )
 
 
-def _rate_limited(speed: Array, most: float) -> Array:
-    """Changes by at most `most` a tick."""
+def _rate_limited(speed: Array, most: float, rise: float = 1.0) -> Array:
+    """Goes `rise` of the way to each tick's value, by at most `most` a tick."""
     y = float(speed[0])
     return np.array(
         [
-            y := y + (most if u - y > most else -most if u - y < -most else u - y)
+            y := y + (most if (d := rise * (u - y)) > most else -most if d < -most else d)
             for u in speed.tolist()
         ]
     )

@@ -50,6 +50,8 @@ def time_of(table: Table, given: str | None, fps: float | None = None) -> str:
         exact = [n for n in found if n.strip().lower() in TIME_WORDS]
         first = [n for n in found if table.words(n)[0] in TIME_WORDS]
         found = exact if len(exact) == 1 else first if len(first) == 1 else found
+    if len(found) > 1 and all(table.labels(n) == table.labels(found[0]) for n in found[1:]):
+        found = found[:1]  # the same times twice
     if len(found) > 1:
         raise RefusedTableError(
             f"which column of {table.path.name} is the time? It has {', '.join(table.columns)} "
@@ -110,7 +112,10 @@ def _steady(table: Table) -> str:
 
 
 def _is_steady(table: Table, name: str) -> bool:
-    steps: Array = np.diff(table.numbers(name))
+    values = table.numbers(name)
+    if np.mean(np.isfinite(values)) < STEADY_RATIO:
+        return False
+    steps: Array = np.diff(values)
     typical = float(np.nanmedian(steps))
     good = (steps > 0.3 * typical) & (steps < 3.0 * typical)
     return typical > 0.0 and float(np.mean(good)) > STEADY_RATIO

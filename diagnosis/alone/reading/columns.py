@@ -17,7 +17,16 @@ COMMAND_WORDS: Final = (
     *("command", "cmd", "joystick", "joy", "lever", "valve", "input", "u", "control", "setpoint"),
     *("pwm", "duty", "throttle", "js", "ansteuerung", "hebel", "ventil", "stellgröße"),
 )
-REFERENCE_WORDS: Final = ("reference", "ref", "desired", "target", "demand", "request", "soll")
+REFERENCE_WORDS: Final = (
+    "reference",
+    "ref",
+    "desired",
+    "target",
+    "demand",
+    "request",
+    "goal",
+    "soll",
+)
 """A wanted position or speed: the command of a servo, when no lever or valve was logged."""
 WEAK_COMMAND_WORDS: Final = ("current", "voltage", "signal", "spannung", "strom")
 POSITION_WORDS: Final = (

@@ -8,14 +8,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.reading.motion import Motion
+from diagnosis.alone.reading.runs import moves_on
 from machine.conventions import Array
 
 MIN_CHANGES_COUNT: Final = 20
 """Fewer changes of the command do not tell how often it was logged."""
 LONGEST_COMMAND_PERIOD_S: Final = 0.2
 """Changes further apart are steps of whoever gave them, and no slow log."""
-SMOOTH_RATIO: Final = 0.5
-"""Of the changes: when as many are followed by another one at once, the lever moved on and on."""
 FULL_SCALES: Final = {
     **dict.fromkeys((1.0, 100.0), 0.7),
     **dict.fromkeys((127.0, 255.0, 1023.0, 1024.0, 32767.0), 0.9),
@@ -79,9 +78,8 @@ def read_command(motion: Motion, words: tuple[str, ...], period_s: float) -> Com
     full = _full(largest, words) if rest == 0.0 else largest
     kind = "the largest of the record" if full == largest else f"the largest here is {largest:.4g}"
     notes.append(f"full command taken as {full:.4g} ({kind}): parts of command are of that")
-    changed = np.diff(motion.command) != 0.0
-    again = float(np.mean(changed[1:][changed[:-1]])) if np.any(changed[:-1]) else 0.0
-    return Command(rest, full, again > SMOOTH_RATIO, _period(motion, period_s), tuple(notes))
+    is_smooth = moves_on(motion.command)
+    return Command(rest, full, is_smooth, _period(motion, period_s), tuple(notes))
 
 
 def _full(largest: float, words: tuple[str, ...]) -> float:
@@ -97,6 +95,7 @@ def _full(largest: float, words: tuple[str, ...]) -> float:
 def _period(motion: Motion, period_s: float) -> float:
     """Shortest usual time between two changes of the logged command, s; at least the sample period."""
     changes = motion.time_s[1:][np.diff(motion.command) != 0.0]
+    period_s = max(period_s, motion.told_period_s)
     if changes.size < MIN_CHANGES_COUNT:
         return period_s
     shortest = float(np.quantile(np.diff(changes), 0.1))

@@ -9,7 +9,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.reading.layout import MIN_ROWS, RefusedTableError
-from diagnosis.alone.reading.runs import audit_times, clean_series, split_runs, time_seconds
+from diagnosis.alone.reading.runs import (
+    MAX_MISSING_RATIO,
+    audit_times,
+    clean_series,
+    is_even,
+    moves_on,
+    split_runs,
+    time_seconds,
+)
 from diagnosis.alone.reading.tables import Table
 from diagnosis.alone.reading.units import motion_in_si
 from diagnosis.loading.clock_audit import ClockAudit
@@ -32,6 +40,8 @@ class Motion(NamedTuple):
     """(rows,) number of the run."""
     is_speed: bool
     unit: str
+    told_period_s: float = 0.0
+    """How often a command was logged that came evenly and more seldom than the joint; else 0."""
 
 
 def read_motion(
@@ -63,22 +73,42 @@ def read_motion(
         )
         if not np.any(known):
             raise RefusedTableError(f"the command {command!r} has no number in run {number + 1}")
-        held = np.clip(np.searchsorted(raw_s[known], own_s, side="right") - 1, 0, None)
         shift = start_s - own_s[0] if parts else 0.0
-        parts.append((own_s + shift, commands[known][held], position))
+        u = _between_rows(raw_s[known], commands[known], own_s)
+        parts.append((own_s + shift, u, position))
         start_s = float(parts[-1][0][-1]) + REST_BETWEEN_RUNS_S
     if not parts:
         raise RefusedTableError(
             f"no run of {table.path.name} has {MIN_ROWS} rows with {command!r} and {output!r}"
         )
     time_s, u, position = (np.concatenate(column) for column in zip(*parts, strict=True))
-    longest = runs == int(np.argmax(np.bincount(runs)))
+    longest_run = runs == int(np.argmax(np.bincount(runs)))
+    longest = longest_run
+    if np.mean(np.isfinite(values[longest])) < 1.0 - MAX_MISSING_RATIO:
+        longest = longest & np.isfinite(values)  # rows of other topics are no samples of the joint
     audit = audit_times(table, raw_s[longest], f"{table.path.name}")
     if len(parts) > 1:
         table.notes.append(f"{len(parts)} runs, taken one after the other with rest between")
     run = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
     _check_changes(command, output, u, position)
-    return Motion(time_s, u, position, run, is_speed, unit), audit
+    told_s = raw_s[longest_run & np.isfinite(commands)]
+    is_slow = len(told_s) < 0.5 * np.sum(longest) and is_even(told_s)
+    # What was told counts from the nearest row of the joint on.
+    told_period_s = float(np.median(np.diff(told_s))) + 1.0 / audit.rate_hz if is_slow else 0.0
+    return Motion(time_s, u, position, run, is_speed, unit, told_period_s), audit
+
+
+def _between_rows(told_s: Array, told: Array, own_s: Array) -> Array:
+    """(rows,) commands at the rows of the joint: held, or a line where they are seldom, even and moving on.
+
+    A command that is written only when it changes comes unevenly.
+    """
+    is_slow = len(told_s) < 0.5 * len(own_s)
+    if is_slow and is_even(told_s) and moves_on(told):
+        return np.interp(own_s, told_s, told)
+    # Between two rows of the joint the nearer one takes it over: the next one would add half a period.
+    near_s = own_s + (0.49 * float(np.median(np.diff(own_s))) if is_slow else 0.0)
+    return told[np.clip(np.searchsorted(told_s, near_s, side="right") - 1, 0, None)]
 
 
 def _check_changes(command: str, output: str, u: Array, position: Array) -> None:

@@ -19,6 +19,10 @@ RUN_GAP_S: Final = 1.0
 RUN_GAP_PERIODS: Final = 12.0
 """A pause of this many periods (and of 1 s) begins a new run."""
 MAX_MISSING_RATIO: Final = 0.3
+SMOOTH_RATIO: Final = 0.5
+"""Of the changes: when as many are followed by another one at once, the lever moved on and on."""
+HOLE_PERIODS: Final = 3.5
+"""A step between rows of as many median ones is a hole."""
 TIME_UNITS: Final[Mapping[str, float]] = {
     **dict.fromkeys(("ns", "nanosec", "nanoseconds"), 1e-9),
     **dict.fromkeys(("us", "micros", "microseconds"), 1e-6),
@@ -123,18 +127,41 @@ def clean_series(
     holes = last - first + 1 - inside.size
     if ends:
         notes.append(f"{what}: {ends} rows without a number at the ends left out")
-    if holes > MAX_MISSING_RATIO * (last - first + 1):
+    is_merged = holes > MAX_MISSING_RATIO * (last - first + 1) and is_even(time_s[inside])
+    if is_merged:
+        notes.append(
+            f"{what}: {holes} of {last - first + 1} rows are blank, the others come evenly: taken as rows of "
+            "something else, left out"
+        )
+    elif holes > MAX_MISSING_RATIO * (last - first + 1):
         raise RefusedTableError(
             f"{what} lacks {holes} of {last - first + 1} numbers (NaN or empty): the sensor dropped out. "
             "Repair it and record again"
         )
-    if holes:
+    elif holes:
         notes.append(f"{what}: {holes} missing numbers inside interpolated")
     time_s, values = time_s[inside], values[inside]
     fresh = np.concatenate([[True], np.diff(time_s) > 0.0])
     if not np.all(fresh):
         notes.append(f"{what}: {int(np.sum(~fresh))} rows with a repeated time dropped")
     return time_s[fresh], values[fresh]
+
+
+def is_even(time_s: Array) -> bool:
+    """Whether few of the steps between rows are holes, by the time that those take."""
+    steps = np.diff(time_s)
+    steps = steps[steps > 0.0]
+    if steps.size == 0:
+        return False
+    holes_s = float(np.sum(steps[steps > HOLE_PERIODS * np.median(steps)]))
+    return holes_s < MAX_MISSING_RATIO * float(np.sum(steps))
+
+
+def moves_on(commands: Array) -> bool:
+    """Whether a lever moves on from row to row, rather than to jump and stay."""
+    changed = np.diff(commands) != 0.0
+    again = float(np.mean(changed[1:][changed[:-1]])) if np.any(changed[:-1]) else 0.0
+    return again > SMOOTH_RATIO
 
 
 def audit_times(table: Table, time_s: Array, what: str) -> ClockAudit:

@@ -16,6 +16,8 @@ from diagnosis.alone.reading.layout import RefusedTableError, number, read_layou
 from machine.conventions import Array
 
 NUMBERS_RATIO: Final = 0.5
+BLANKS: Final = frozenset(["", "nan", "na", "n/a", "null", "none"])
+"""Cells of a row that tells nothing of a column."""
 ANGLE_DEGREES: Final = ("deg", "degs", "degrees", "degree", "grad")
 """``grad`` as German tables have it; gradians are not measured in."""
 LARGEST: Final = 1e20
@@ -45,7 +47,7 @@ class Table:
         """A column as numbers, (rows,); empty or unreadable cells are nan.
 
         Raises:
-            RefusedTableError: no such column, or hardly a number in it.
+            RefusedTableError: no such column, or hardly a number in the cells that are not blank.
         """
         if name in self.derived:
             return self.derived[name].copy()
@@ -55,12 +57,15 @@ class Table:
         except ValueError:
             values = np.array([number(text) for text in cells])
         values[~(np.abs(values) < LARGEST)] = np.nan
-        good = float(np.mean(np.isfinite(values))) if len(values) else 0.0
-        if good < NUMBERS_RATIO:
-            raise RefusedTableError(
-                f"column {name!r} of {self.path.name} holds a number in {good:.0%} of its rows; "
-                "choose another column"
-            )
+        good = np.isfinite(values)
+        if (share := float(np.mean(good)) if len(values) else 0.0) < NUMBERS_RATIO:
+            # Topics merged into one table leave each other's cells blank: those speak against no column.
+            filled = np.array([text.strip().lower() not in BLANKS for text in cells])
+            if not np.any(good) or np.sum(good) < NUMBERS_RATIO * np.sum(filled):
+                raise RefusedTableError(
+                    f"column {name!r} of {self.path.name} holds a number in {share:.0%} of its rows; "
+                    "choose another column"
+                )
         return values
 
     def clock(self, name: str) -> Array:
