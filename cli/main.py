@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     verb = VERBS.get(argv[0])
     if verb is None:
         print(f"downrange: no verb '{argv[0]}'\n\n{_overview()}", file=sys.stderr)
-        return 2
+        return 1
     try:
         module = importlib.import_module(verb.module)
     except ModuleNotFoundError as error:
@@ -93,6 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except DownrangeError as error:
         print(f"downrange {argv[0]}: {error}", file=sys.stderr)
         return 1
+    except SystemExit as end:
+        # Of options that are wrong; 2 is what `diagnose` says of an ambiguity.
+        raise SystemExit(1 if end.code == 2 else end.code) from None
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130

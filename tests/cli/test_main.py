@@ -16,7 +16,7 @@ def test_without_a_verb_the_overview_names_every_verb(capsys):
 
 
 def test_an_unknown_verb_is_named_and_the_overview_follows(capsys):
-    assert command_line.main(["trow"]) == 2
+    assert command_line.main(["trow"]) == 1
     err = capsys.readouterr().err
     assert "no verb 'trow'" in err
     assert "throw" in err
