@@ -21,9 +21,14 @@ HEADER_LINES: Final = 60
 """The first row of numbers is looked for in as many lines."""
 MAX_BYTES: Final = 1_500_000_000
 """Beyond this a table does not fit into the memory of a small machine (about 4 times its size is needed)."""
+ARCHIVE_MARK: Final = b"PK\x03\x04"
+"""With which zip archives begin; spreadsheets are such."""
+LOOK_BYTES: Final = 4096
+BINARY_RATIO: Final = 0.1
+"""Of the first bytes of a file: with more control characters it is no text."""
 NO_NUMBERS: Final = ("nan", "inf", "-inf", "na", "n/a", "null", "none")
 _TIMES: Final = ("s", "sec", "ms", "us", "ns", "min")
-_LENGTHS: Final = ("m", "cm", "mm", "ft", "in", "px", "m/s", "cm/s", "mm/s")
+_LENGTHS: Final = ("m", "cm", "mm", "ft", "yd", "in", "px", "m/s", "cm/s", "mm/s", "ft/s")
 _ANGLES: Final = ("rad", "deg", "°", "rad/s", "deg/s", "°/s")
 UNITS: Final = frozenset({*_TIMES, *_LENGTHS, *_ANGLES, "%", "pct", "v", "-", "1"})
 """What the cells of a row of units hold."""
@@ -44,7 +49,7 @@ class Layout(NamedTuple):
 
 
 def read_layout(path: Path) -> Layout:
-    """Read a table; comma, semicolon, tab or blanks between cells.
+    """Read a table; comma, semicolon, bar, tab or blanks between cells.
 
     Raises:
         RefusedTableError: missing, empty, or without names for its columns.
@@ -63,7 +68,7 @@ def read_layout(path: Path) -> Layout:
     data = [line for line in lines if not line.lstrip().startswith("#")]
     if len(data) < MIN_ROWS:
         raise RefusedTableError(
-            f"{path.name} has {len(data)} rows, at least {MIN_ROWS} are needed: empty or cut off"
+            f"{path.name} has {len(data)} lines, at least {MIN_ROWS} are needed: empty or cut off"
         )
     separator = _separator(data)
     is_comma_decimal = separator == ";" and any("," in line for line in data[1:20])
@@ -79,17 +84,33 @@ def read_layout(path: Path) -> Layout:
 
 
 def _encoding(path: Path) -> str:
-    """UTF-16 by its mark (spreadsheets export it), else UTF-8."""
+    """UTF-16 by its mark (spreadsheets export it), else UTF-8.
+
+    Raises:
+        RefusedTableError: no text.
+    """
     with path.open("rb") as file:
-        start = file.read(2)
-    return "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+        start = file.read(LOOK_BYTES)
+    if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    if start.startswith(ARCHIVE_MARK):
+        raise RefusedTableError(
+            f"{path.name} is an archive or a spreadsheet (.xlsx), not text: export the sheet as CSV"
+        )
+    control = sum(byte < 0x20 and byte not in b"\t\n\r\x00" for byte in start)
+    if control > BINARY_RATIO * len(start):
+        raise RefusedTableError(
+            f"{path.name} is not text ({control} of its first {len(start)} bytes are control characters): "
+            "export the record as CSV"
+        )
+    return "utf-8-sig"
 
 
 def _separator(lines: Sequence[str]) -> str:
     """What most lines have equally often; a comma between the digits of a number separates nothing."""
     part = [*lines[: LOOK_LINES // 2], *lines[-LOOK_LINES // 2 :]]
     best, most = " ", 0
-    for separator in ";\t,":
+    for separator in ";\t|,":
         counts = Counter(line.count(separator) for line in part)
         count, lines_count = counts.most_common(1)[0]
         if count > 0 and lines_count > max(most, 0.5 * len(part)):

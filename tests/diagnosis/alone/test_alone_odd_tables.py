@@ -32,6 +32,7 @@ def lines_of(columns: Columns, separator: str) -> list[str]:
         ("Exported 3 May\nmass A\nt\ttheta_deg\tomega", "\t", False, "above the header"),
         ("t;theta;omega\ns;deg;deg/s", ";", True, "row below the header"),
         ("\n\nt,theta [°],omega", ",", False, None),
+        ("t|theta_deg|omega_deg_s", "|", False, None),
     ],
 )
 def test_layouts_of_other_programs(
@@ -184,3 +185,26 @@ def test_nothing_crashes_on_rubbish(tmp_path: Path, rows: list[str]) -> None:
     ):
         assert found.verdict is VerdictKind.BAD_DATA
         assert found.sentence
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"PK\x03\x04" + bytes(range(256)) * 20, "export the sheet as CSV"),
+        (bytes(range(256)) * 20, "is not text"),
+    ],
+)
+def test_what_is_no_text_is_said_to_be_none(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with pytest.raises(RefusedTableError, match=words):
+        read_layout(path)
+
+
+def test_a_row_of_yards_is_a_row_of_units(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n".join(f"{0.1 * k:.1f},{k},{k},{k}" for k in range(30))
+    path.write_text(f"Time,Carry,Side,Height\n[s],[yd],[yd],[ft]\n{rows}\n")
+    found = read_layout(path)
+    assert found.header == ["Time", "Carry", "Side", "Height"]
+    assert found.units == {"Time": "s", "Carry": "yd", "Side": "yd", "Height": "ft"}
