@@ -11,7 +11,7 @@ from diagnosis.causes.jitter import JITTER, PARAMETER
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.causes.selection import members_index, screen, total, weigh
+from diagnosis.causes.selection import NORMAL_90, members_index, screen, total, weigh
 from diagnosis.causes.shapes import shape_of
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.logs import LoadedSet
@@ -32,7 +32,6 @@ from diagnosis.verdict import (
 )
 from sim_twin.effects.effect import Effect, effect_stage, parameter_unit
 
-NORMAL_90 = 1.6449
 SIZE_ERROR_RATIO = 0.15
 """Of an effect's size: the real effect is never quite the library's. With 0.04, 69 % of 13 intervals on a
 development challenge held; the median error was 22 %."""

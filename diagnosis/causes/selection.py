@@ -29,6 +29,8 @@ Set = tuple[int, ...]
 
 SLAB_SCALES_RATIO = (1.0, 0.35, 0.12)
 """The slab is a mixture of these multiples of the prior's width: effects come in all sizes."""
+NORMAL_90 = 1.6449
+"""Standard deviations to either side that hold 90 %."""
 MIN_SLAB_OVER_SPIKE_RATIO = 4.0
 """A slab narrower than this would only be a second spike."""
 

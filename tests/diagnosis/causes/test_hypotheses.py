@@ -8,13 +8,13 @@ import pytest
 
 from diagnosis.causes import candidates
 from diagnosis.causes.hypotheses import explore, form_of_parts
-from diagnosis.causes.parameters import layout
-from diagnosis.causes.problem import pose
+from diagnosis.causes.selection import SetEvidence
 from diagnosis.causes.trials import no_effect, try_sets
-from diagnosis.causes.weighing import Trial, evidence_in
-from diagnosis.loading.prepared import prepare
+from diagnosis.causes.weighing import Trial, evidence_in, is_ahead
 from sim_twin.effects.effect import Effect
-from tests.diagnosis.twin_throws import health, posed, profile, throws
+from tests.diagnosis.twin_throws import posed, throws
+
+SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})
 
 
 def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> None:
@@ -57,19 +57,31 @@ def test_a_shape_must_tell_more_than_the_form_of_what_it_is_beside() -> None:
     np.testing.assert_allclose(form[:, 4:], [[54.0, 1.0], [40.0, 0.0]])
 
 
-def test_a_late_imu_is_looked_at_though_no_joint_is_loud() -> None:
-    """0.077 s of it, 12000 ahead of no effect, was never simulated for a machine with quiet joints."""
-    late = Effect(effect="imu_latency", joint=None, parameters={"extra_latency_s": 0.08})
-    for effects, is_suspect in (((late,), True), ((), False)):
-        known = health()
-        prepared = prepare(throws(effects, 6).throws, profile())
-        calibration = throws((), 6).throws[0].calibration
-        problem = pose(prepared, profile(), calibration, known, layout(known.noise))
+def test_what_no_joint_is_loud_for_is_looked_at_beside_drifts_too() -> None:
+    """A late IMU of 0.077 s, 12000 ahead of none, and a soft chassis, 5400 ahead, were never simulated."""
+    problem = posed(throws((), 6))
+    drift = problem.layout.groups.index(("warm_up_drift:wind.x_m_per_s", None))
+    plain = SetEvidence((drift,), 20.0, np.zeros(1), np.zeros((1, 1)))
+    for alone in ([], [plain]):
         named = [
-            problem.layout.groups[g] for g in candidates._suspects(problem, no_effect(problem), [])
+            problem.layout.groups[g]
+            for g in candidates._suspects(problem, no_effect(problem), alone)
         ]
-        assert (("imu_latency", None) in named) is is_suspect
+        assert {("imu_latency", None), ("chassis_compliance", None)} <= set(named)
         assert not [joint for _, joint in named if joint is not None]
+
+
+def test_a_soft_chassis_is_found_and_a_firm_one_is_not() -> None:
+    for effects, is_found in (((SOFT,), True), ((), False)):
+        problem = posed(throws(effects, 6))
+        singles = candidates.of_some_size(
+            problem, candidates.settled_singles(problem, no_effect(problem))
+        )
+        found = [t for t in singles if problem.layout.groups[t.members[0]][0] == SOFT.effect]
+        assert bool(found) is is_found
+        if found:
+            assert is_ahead(found[0])
+            assert found[0].sizes[0] == pytest.approx(SOFT.parameters["pitch_rad"], rel=0.2)
 
 
 @pytest.mark.parametrize(
