@@ -148,6 +148,27 @@ def test_a_parameter_wanted_twice_is_moved_once(
     np.testing.assert_allclose(twice, once, atol=1e-9)
 
 
+def test_a_sensors_bias_is_simulated_and_keeps_the_slopes_of_no_effect(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    """What a machine's own biases are is known along those alone; a gripper's length is known by itself."""
+    prepared, first = own
+    calibration = prepared[0].throw.calibration
+    of_load = np.r_[*(b.rows for b in prepared[0].blocks if b.name.startswith(("swing", "flight")))]
+    for effect, joint, size, is_kept in (
+        ("joint_sensor_bias", "dipper", 0.04, True),
+        ("gripper_length", None, 0.2, False),
+    ):
+        wanted = [p for p in library() if p.group == (effect, joint)]
+        moved = Effect(effect=effect, joint=joint, parameters={wanted[0].name: size})
+        args = (prepared, profile(), calibration, health().filters, first)
+        again = next(relinearise(*args, [((moved,), wanted)]))[0]
+        column = index_of()[wanted[0].key]
+        before, after = (one.jacobian[of_load, column] for one in (first[0], again))
+        assert np.nanmax(np.abs(again.change[of_load])) > 0.02
+        assert np.array_equal(after, before) == is_kept
+
+
 def test_a_late_imu_reports_slopes_of_the_swing_late(
     own: tuple[list[PreparedThrow], list[Linear]],
 ) -> None:
