@@ -8,7 +8,7 @@ from typing import Literal
 import tyro
 
 from diagnosis.alone.diagnose import actuation_from_csv, flight_from_csv, swing_from_csv
-from diagnosis.alone.flight import Ball
+from diagnosis.alone.flight_problem import Ball
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import load_throws

@@ -11,7 +11,8 @@ from typing import Final, Literal
 import numpy as np
 
 from diagnosis.alone.actuation import diagnose_joint
-from diagnosis.alone.flight import Ball, diagnose_ball
+from diagnosis.alone.flight import diagnose_ball
+from diagnosis.alone.flight_problem import Ball
 from diagnosis.alone.reading.clocks import time_of
 from diagnosis.alone.reading.columns import (
     axes_of,

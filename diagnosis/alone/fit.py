@@ -6,6 +6,7 @@ A structure is a set of options; each option adds the parameters of one effect t
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -96,6 +97,14 @@ class Problem(Protocol):
         """Nuisance of one run of the record alone, such as where a flight began; known for held-out runs."""
         ...
 
+    @property
+    def horizons(self) -> tuple[Array, ...]:
+        """(samples,) weights of what a search from nothing begins with, the shortest first; may be empty.
+
+        Where motion runs away from a guess that is a little off, a record is fitted from its beginning on.
+        """
+        ...
+
     def guess(self, names: Sequence[str]) -> Mapping[str, float]:
         """Parameters of a structure read off the data by other means: one more start. May be empty."""
         ...
@@ -168,8 +177,8 @@ def fit(
     centre = np.array([p.starts[0] for p in parameters.values()])
     known = np.flatnonzero(np.isfinite(sd))
 
-    def weighted(x: Array) -> Array:
-        residual = unweighted(x) if use is None else unweighted(x) * use
+    def weighted(x: Array, part: Array | float = 1.0) -> Array:
+        residual = unweighted(x) * (part if use is None else part * use)
         if known.size == 0:
             return residual
         # What is known beforehand counts as one more measurement of that parameter.
@@ -181,6 +190,8 @@ def fit(
     for first in starts:
         margin = 1e-6 * (high - low)
         x0 = np.clip(np.array([first[name] for name in names]), low + margin, high - margin)
+        for part in problem.horizons if set(names) - set(start) else ():
+            x0 = solve(partial(weighted, part=part), x0, low, high, QUICK_ITERATIONS).x
         limit = iterations if len(starts) == 1 else min(iterations, QUICK_ITERATIONS)
         solved = solve(weighted, x0, low, high, limit)
         if solved.cost < best_cost:

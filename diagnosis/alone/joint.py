@@ -90,6 +90,11 @@ class ActuationProblem:
         """None: the record is one run."""
         return frozenset()
 
+    @property
+    def horizons(self) -> tuple[Array, ...]:
+        """None: no motion runs away from its guess."""
+        return ()
+
     def guess(self, names: Sequence[str]) -> Mapping[str, float]:
         """None: the starts are enough."""
         return {}

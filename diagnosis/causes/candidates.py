@@ -4,20 +4,18 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from diagnosis.causes.least_sizes import is_some
 from diagnosis.causes.parameters import ROUGH_EFFECTS, View, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
-    NORMAL_90,
-    SLAB_SCALES_RATIO,
     Set,
     SetEvidence,
-    members_index,
     search,
     subsets,
     weigh,
 )
 from diagnosis.causes.shapes import UNHEARD
-from diagnosis.causes.trials import BENT_EFFECTS, Seed, kept_at, settle, sizes_in, try_sets
+from diagnosis.causes.trials import BENT_EFFECTS, SWAYING, Seed, kept_at, settle, sizes_in, try_sets
 from diagnosis.causes.weighing import (
     Seen,
     Trial,
@@ -28,7 +26,7 @@ from diagnosis.causes.weighing import (
     is_ahead,
     own_evidence,
 )
-from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
+from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import DRIFT
 
 SINGLE_COUNT = 6
@@ -51,9 +49,6 @@ WITH_THRESHOLD = (
 )
 LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
 """A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
-SWAYING = ("chassis_compliance",)
-"""So is a chassis that gives way: a softer one sways slower. Of one by 0.02 rad slopes at none showed
-nothing, and simulated it was 5400 ahead of none, where 36 had been the most."""
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
@@ -66,16 +61,6 @@ PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 PARTNER_COUNT = 4
 """Pairs that no slope shows which are worth more than one simulation."""
-LEAST_OVER_SCATTER_RATIO = 1.5
-"""A boom's speed limit scatters by 0.16: it came first, of 0.04 to 0.15, in five of 448 sets, and was in none
-of them."""
-LEAST_LIMIT_RATIO = 1.3
-"""Of its prior's width, for a speed limit beside another effect. In 340 sets of two challenges nine of eleven
-second effects that were not there were speed limits, eight of 0.06 to 0.20 and one of 0.33, and in 64
-development pairs (seed 20261130) one of 0.26; those that were found and were there beside another effect were
-of 0.37 on."""
-FASTER_RATIO = 0.2
-"""Of a joint's mean lag."""
 MARGIN_LOG_ODDS = 3.0
 """A grown set must promise to come this close to the best one."""
 STALE_MARGIN_LOG_ODDS = 10.0
@@ -104,7 +89,7 @@ def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
     for group in dict.fromkeys([*first, *suspects]):
         linear = weigh(base, priors, (group,)).mean
         beyond = _sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
-        shows = not beyond or bool(_is_some(problem, (group,), linear).any())
+        shows = not beyond or bool(is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
     hopeful = most_hopeful(_looks(problem, seeds))[:SINGLE_COUNT]
     return settle(problem, _followed(problem, hopeful), 2)
@@ -261,83 +246,6 @@ def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set,
             if part and part not in known:
                 seeds.setdefault(part, np.concatenate([sizes[m] for m in part]))
     return seeds
-
-
-def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials all of whose effects are larger than the narrowest prior that they could have.
-
-    A sensor of the slew that is 3 ms late explained how the gripper shook when its gears met, and was named.
-    """
-    return [
-        t
-        for t in trials
-        if _is_some(problem, t.members, t.sizes).all()
-        and not _is_hardly_faster(problem, t)
-        and not _hardly_sways(problem, t)
-    ]
-
-
-def _hardly_sways(problem: Problem, trial: Trial) -> bool:
-    """Whether a trial's chassis may as well stand firm by its own estimate.
-
-    About a sway of another frequency slopes and scatter are others: a twin's own throws were told 3 better
-    by a chassis of 0.0009 +- 0.0011 rad.
-    """
-    swaying = [m for m in trial.members if problem.layout.groups[m][0] in SWAYING]
-    if not swaying:
-        return False
-    covariance = weigh(trial.base, trial.priors, trial.members).covariance
-    least = by_member(trial.plain, trial.members, NORMAL_90 * np.sqrt(np.diag(covariance)))
-    sizes = by_member(trial.plain, trial.members, trial.sizes)
-    return any(bool((sizes[m] < least[m]).all()) for m in swaying)
-
-
-def _is_hardly_faster(problem: Problem, trial: Trial) -> bool:
-    """Whether a joint of a trial answers sooner than its twin, but by less than a response is told to.
-
-    That is how far the measured response of a healthy joint may be from its own, and no slope at the twin
-    shows it, where a lag begins as one of the spool: two of 28 healthy machines had a slew of 0.34 s that was
-    0.045 s faster, 9 and 13 ahead of no effect.
-    """
-    response = zip(
-        problem.profile.damping_ratio, problem.profile.natural_frequency_rad_per_s, strict=True
-    )
-    mean_lag_s = {j: 2.0 * z / w for j, (z, w) in zip(ACTIVE_JOINTS, response, strict=True)}
-    sizes = by_member(trial.plain, trial.members, trial.sizes)
-    groups = [(*problem.layout.groups[m], float(size[0])) for m, size in sizes.items()]
-    return any(
-        effect == "valve_lag" and -FASTER_RATIO * mean_lag_s[str(joint)] < size < 0.0
-        for effect, joint, size in groups
-    )
-
-
-def _is_some(problem: Problem, members: Set, sizes: Array) -> BoolArray:
-    """Of which groups of a set any size counts, as far as it is possible at all."""
-    priors = problem.layout.priors
-    index = members_index(priors, members)
-    size = np.abs(np.clip(sizes, priors.low[index], priors.high[index]))
-    parts = by_member(priors, members, size).items()
-    return np.array(
-        [(part > _least_sizes(problem, m, len(members))).any() for m, part in parts],
-        dtype=np.bool_,
-    )
-
-
-def _least_sizes(problem: Problem, group: int, member_count: int) -> Array:
-    """From which sizes on an effect counts, one of so many of a set.
-
-    Slopes at the twin do not show what healthy machines scatter by effects that bend: those have to be
-    larger. A limit that cuts off little beside another effect is that effect's own error at full speed.
-    """
-    priors, effect = problem.layout.priors, problem.layout.groups[group][0]
-    index = priors.groups[group]
-    least = SLAB_SCALES_RATIO[-1] * priors.slab_sd[index]
-    if effect in BENT_EFFECTS:
-        scatter_sd = np.sqrt(np.diag(priors.scatter)[index])
-        least = np.maximum(least, LEAST_OVER_SCATTER_RATIO * scatter_sd)
-    if effect == "speed_limit" and member_count > 1:
-        least = np.maximum(least, LEAST_LIMIT_RATIO * priors.slab_sd[index])
-    return least
 
 
 def _of_library(problem: Problem) -> list[int]:

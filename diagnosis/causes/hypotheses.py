@@ -13,11 +13,11 @@ from diagnosis.causes.candidates import (
     PART_COUNT,
     grown_sets,
     missing_parts,
-    of_some_size,
     partnered,
     settled_singles,
     with_shapes,
 )
+from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.selection import (
     Information,

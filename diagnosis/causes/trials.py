@@ -48,6 +48,9 @@ from sim_twin.effects.effect import DRIFT, Effect
 
 BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit", "payload_mass", "release_spin")
 """Joints stand, valves hang in their play, speeds are cut, for a time that grows with the size in jumps."""
+SWAYING = ("chassis_compliance",)
+"""A softer chassis sways slower. Of one by 0.02 rad slopes at none showed nothing, and simulated it was 5400
+ahead of none, where 36 had been the most."""
 SHAKING_EFFECTS = (*ROUGH_EFFECTS, "pump_flow_sharing")
 """One joint's, or the pump's, shows at others, in another form than the library's."""
 BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")

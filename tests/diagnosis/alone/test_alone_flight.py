@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.alone.diagnose import flight_from_csv
-from diagnosis.alone.flight import Ball
+from diagnosis.alone.flight_problem import Ball
 from diagnosis.verdict import VerdictKind
 
 DROPS = Path(__file__).parents[1] / "data" / "ball_drops" / "ball_drops.csv"

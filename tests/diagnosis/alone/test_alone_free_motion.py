@@ -8,7 +8,7 @@ from diagnosis.alone.fit import fit
 from diagnosis.alone.physics.free_motion import Pull, move
 from diagnosis.alone.reading.decay import COULOMB, VISCOUS, frictions_of_decay
 from diagnosis.alone.reading.free_swings import Swing, free_part, swing_noise
-from diagnosis.alone.swing import make_problem
+from diagnosis.alone.swing_problem import make_problem
 
 NOISE_RAD = 1e-3
 """What the fit is told; the angles have none."""

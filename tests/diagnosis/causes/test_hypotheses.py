@@ -8,6 +8,7 @@ import pytest
 
 from diagnosis.causes import candidates
 from diagnosis.causes.hypotheses import explore, form_of_parts
+from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.selection import SetEvidence
 from diagnosis.causes.trials import no_effect, try_sets
 from diagnosis.causes.weighing import Trial, evidence_in, is_ahead
@@ -74,9 +75,7 @@ def test_what_no_joint_is_loud_for_is_looked_at_beside_drifts_too() -> None:
 def test_a_soft_chassis_is_found_and_a_firm_one_is_not() -> None:
     for effects, is_found in (((SOFT,), True), ((), False)):
         problem = posed(throws(effects, 6))
-        singles = candidates.of_some_size(
-            problem, candidates.settled_singles(problem, no_effect(problem))
-        )
+        singles = of_some_size(problem, candidates.settled_singles(problem, no_effect(problem)))
         found = [t for t in singles if problem.layout.groups[t.members[0]][0] == SOFT.effect]
         assert bool(found) is is_found
         if found:

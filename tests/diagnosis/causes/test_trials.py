@@ -10,9 +10,9 @@ from diagnosis.causes import candidates, trials, weighing
 from diagnosis.causes.candidates import (
     missing_parts,
     most_hopeful,
-    of_some_size,
     plain_partner_joints,
 )
+from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.weighing import (
