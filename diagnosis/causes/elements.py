@@ -1,6 +1,6 @@
 """What is simulated of a throw about a set of effects: itself, one parameter moved, one measurement moved."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -110,11 +110,10 @@ def moved_parameters(
 
 
 @cache
-def _driven() -> tuple[Parameter, ...]:
-    """Parameters that slopes show in the motion of driven joints; joints that stand have none."""
-    return tuple(
-        p for p in library() if View.ACTUATION in p.views and p.effect not in ROUGH_EFFECTS
-    )
+def _others(view: View) -> tuple[Parameter, ...]:
+    """Parameters that slopes show in a view; joints that stand have none."""
+    shown = (p for p in library() if view in p.views and p.effect not in ROUGH_EFFECTS)
+    return tuple(p for p in shown if _bends(p, view))
 
 
 @cache
@@ -140,11 +139,11 @@ def part_about(
     wanted: Sequence[Parameter],
     views: Sequence[View],
     *,
-    is_rough: bool,
+    followed: Collection[View],
 ) -> Part:
     """Elements of a throw about a set of effects; views that look alike for another set are shared with it.
 
-    Among the parameters wanted of driven joints are all others there (`_driven`), unless it is a rough look.
+    Beside the parameters wanted of a view that is `followed` are all others there (`_others`).
     """
     bases: dict[View, int] = {}
     moves: Moves = {}
@@ -152,11 +151,11 @@ def part_about(
         acting = tuple(e for e in effects if view in _views_of(acting_effect(e)))
         # Wanted twice, a parameter would be moved twice, and its slope be twice what it is.
         own = list(dict.fromkeys(p for p in wanted if view in p.views and _bends(p, view)))
+        if own and view in followed:
+            own += [p for p in _others(view) if p not in own]
         key = throw, view, acting, tuple(p.key for p in own)
         if key not in shared:
             base = plan.add(throw, acting, view)
-            if view is View.ACTUATION and own and not is_rough:
-                own += [p for p in _driven() if p not in own]
             shared[key] = base, moved_parameters(plan, throw, acting, own, (view,))
         bases[view], found = shared[key]
         moves |= found

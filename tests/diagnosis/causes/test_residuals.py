@@ -129,7 +129,7 @@ def test_behind_a_late_valve_all_that_its_joint_does_is_late(
     assert off < 0.25 * np.linalg.norm(after)
     assert off < 0.6 * np.linalg.norm(after - before)
     # A rough look takes the slopes of "no effect".
-    rough = next(relinearise(*args, is_rough=True))[0].jacobian[block.rows, lag]
+    rough = next(relinearise(*args, followed=()))[0].jacobian[block.rows, lag]
     np.testing.assert_array_equal(rough, before)
 
 
@@ -167,6 +167,37 @@ def test_a_sensors_bias_is_simulated_and_keeps_the_slopes_of_no_effect(
         before, after = (one.jacobian[of_load, column] for one in (first[0], again))
         assert np.nanmax(np.abs(again.change[of_load])) > 0.02
         assert np.array_equal(after, before) == is_kept
+
+
+def test_about_a_longer_gripper_the_swing_is_followed_where_it_is_asked_for(
+    own: tuple[list[PreparedThrow], list[Linear]],
+) -> None:
+    """Friction slows another swing there; with the slopes at none inertia was named beside a length."""
+    prepared, first = own
+    longer = Effect(effect="gripper_length", joint=None, parameters={"extra_length_m": 0.25})
+    wanted = [p for p in library() if p.group == (longer.effect, longer.joint)]
+    calibration = prepared[0].throw.calibration
+    args = (prepared, profile(), calibration, health().filters, first, [((longer,), wanted)])
+    gyro = prepared[0].block("swing.gyro.y")
+    assert gyro is not None
+    viscous = index_of()["passive_viscous_friction.extra_viscous_per_s"]
+    before, usual, followed = (
+        one.jacobian[gyro.rows, viscous]
+        for one in (
+            first[0],
+            next(relinearise(*args))[0],
+            next(relinearise(*args, followed=(View.SWING,)))[0],
+        )
+    )
+    np.testing.assert_array_equal(usual, before)
+    step = 0.05
+    thick = Effect(
+        effect="passive_viscous_friction", joint=None, parameters={"extra_viscous_per_s": step}
+    )
+    both = next(relinearise(*args[:5], [((longer, thick), wanted)]))[0]
+    change = next(relinearise(*args))[0].residual[gyro.rows] - both.residual[gyro.rows]
+    off = [float(np.linalg.norm(change / step - slope)) for slope in (before, followed)]
+    assert off[1] < 0.5 * off[0]
 
 
 def test_a_late_imu_reports_slopes_of_the_swing_late(
