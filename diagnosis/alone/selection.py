@@ -42,6 +42,8 @@ FLOOR_RATIO: Final = 0.005
 """Of the response's own size: differences smaller than this decide nothing, whatever the noise."""
 CLEAN_NOISES: Final = 1.2
 """A fit that leaves less than as many standard deviations of the noise leaves noise."""
+LEAST_RATIO: Final = 1.3
+"""Times the smallest magnitude that is looked for: an effect below it is none."""
 RELEVANT_RATIO: Final = 0.002
 """Of the response, by eye: an effect that explains less beyond the others is not named."""
 PRUNED_RATIO: Final = 1.5
@@ -253,7 +255,9 @@ def _posterior(
         for option in found.options:
             rest = tuple(sorted({o.effect for o in found.options if o.key != option.key}))
             for less in [item for item in scored.values() if item.effects == rest]:
-                if less.fit.mean_square - found.mean_square < relevant**2:
+                gain = less.fit.mean_square - found.mean_square
+                # At the least size that is looked for it is what the search fell back on.
+                if _is_least(found, option) or gain < relevant**2:
                     score = min(score, less.score + IDLE_LOG_PRIOR)
         scored[key] = Scored(found, held_out, score)
     top = max(item.score for item in scored.values())
@@ -276,7 +280,7 @@ def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
         first = option.parameters[0]
         if option.effect not in ENDLESS_EFFECTS:
             asked = names if first.low <= 0.0 else names[:1]
-            if not any(far[name] for name in asked) or 0.0 < values[names[0]] < 1.3 * first.low:
+            if not any(far[name] for name in asked) or _is_least(found, option):
                 return True
             if max(abs(values[name]) for name in names) < option.least:
                 return True
@@ -284,6 +288,13 @@ def _has_idle_effect(problem: Problem, found: Fit, length: float) -> bool:
             if p.is_void_at_high and values[name] > 0.98 * p.high:
                 return True
     return False
+
+
+def _is_least(found: Fit, option: Option) -> bool:
+    """Whether an effect came out at the smallest magnitude that is looked for."""
+    first = option.parameters[0]
+    size = found.as_mapping()[f"{option.key}.{first.name}"]
+    return option.effect not in ENDLESS_EFFECTS and 0.0 < size < LEAST_RATIO * first.low
 
 
 def _merge(ranked: Sequence[Scored]) -> list[Scored]:
