@@ -151,7 +151,7 @@ def relinearise(
         views: to simulate; those that the wanted parameters move if left out.
         followed: views in which all slopes are taken about the set, where it moves them: those of the swing
             cost some seconds a set. About a gripper that is longer by 0.27 m, with the slopes of the swing at
-            none, inertia was named beside the length; with those about it the length is 257 more likely.
+            none, inertia was named beside the length, which has 257 more of log evidence with those about it.
     """
     inputs = [p.input for p in prepared]
     waiting = list(requests)
