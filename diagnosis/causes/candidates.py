@@ -15,11 +15,11 @@ from diagnosis.causes.selection import (
     weigh,
 )
 from diagnosis.causes.shapes import UNHEARD
-from diagnosis.causes.trials import BENT_EFFECTS, SWAYING, Seed, kept_at, settle, sizes_in, try_sets
+from diagnosis.causes.strides import LATE, followed, look, polished
+from diagnosis.causes.trials import SWAYING, Seed, kept_at, settle, sizes_in
 from diagnosis.causes.weighing import (
     Seen,
     Trial,
-    best_of_each,
     by_member,
     evidence_in,
     fair_on_all,
@@ -47,16 +47,11 @@ WITH_THRESHOLD = (
     "stiction",
     "pump_flow_sharing",
 )
-LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
-"""A large delay is no multiple of a small one's slope: these, too, start from a typical size."""
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
-STRIDES_RATIO = (1.5, 1.2)
-"""Bent, late and swaying effects are also looked at so many times larger and smaller, stride by stride:
-slopes led a slew's speed limit of 0.4 from 0.6 to 0.71, a boom's hysteresis of 0.12 from 0.2 to 0.19, 0.18
-and on, and a boom's dead time of 0.148 s from 0.08 s to 0.036 s."""
-STRIDING = (*BENT_EFFECTS, *LATE, *SWAYING)
+BETWEEN_RATIO = 1.75
+"""And from this one: a dipper that broke loose at 0.11 rad/s was told by neither 0.05 nor 0.15 rad/s."""
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 PARTNER_COUNT = 4
@@ -91,8 +86,14 @@ def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
         beyond = _sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
         shows = not beyond or bool(is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
-    hopeful = most_hopeful(_looks(problem, seeds))[:SINGLE_COUNT]
-    return settle(problem, _followed(problem, hopeful), 2)
+    looks = look(problem, seeds)
+    # At another size, or on all throws, what loses to no effect in itself may well beat it.
+    hopeful = [*most_hopeful(looks)[:SINGLE_COUNT], *sorted(looks, key=_best_first)[:PART_COUNT]]
+    return polished(problem, settle(problem, followed(problem, list(dict.fromkeys(hopeful))), 2))
+
+
+def _best_first(trial: Trial) -> float:
+    return -own_evidence(trial)
 
 
 def most_hopeful(trials: Sequence[Trial]) -> list[Trial]:
@@ -126,37 +127,8 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> list[Seed]:
                     (members, np.concatenate([trial.at if m == own else other for m in members]))
                     for other in _sizes_beyond_slopes(problem, group)[:PARTNER_SIZE_COUNT]
                 ]
-    found = sorted(_looks(problem, seeds), key=lambda t: -own_evidence(t))
-    return _followed(problem, found[:PARTNER_COUNT])
-
-
-def _looks(problem: Problem, seeds: Sequence[Seed]) -> list[Trial]:
-    """A first look at sets, each at the best of its sizes."""
-    return best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
-
-
-def _followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
-    """Where looks were simulated, and where bent and late effects looked better beside it."""
-    found = list(looks)
-    for ratio in STRIDES_RATIO:
-        seeds = [
-            (t.members, sizes)
-            for t in found
-            for r in (ratio, 1.0 / ratio)
-            if (sizes := _strode(problem, t, r)) is not None
-        ]
-        found = best_of_each([*found, *_looks(problem, seeds)])
-    moved = [t for t in found if t not in looks]
-    return [(t.members, t.at) for t in (*looks, *moved)]
-
-
-def _strode(problem: Problem, trial: Trial, ratio: float) -> Array | None:
-    """Sizes at which a trial was simulated, its bent and late effects so many times larger, if it has any."""
-    parts = by_member(trial.plain, trial.members, trial.at)
-    strides = [m for m in parts if problem.layout.groups[m][0] in STRIDING]
-    if not strides:
-        return None
-    return np.concatenate([part * (ratio if m in strides else 1.0) for m, part in parts.items()])
+    found = sorted(look(problem, seeds), key=_best_first)
+    return followed(problem, found[:PARTNER_COUNT])
 
 
 def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
@@ -284,7 +256,8 @@ def _sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
         return []
     typical = priors.slab_sd[priors.groups[group]]
     # Of two directions, one would hide the other.
-    return [typical, *(FAR_RATIO * typical * way for way in np.eye(typical.size))]
+    far = [FAR_RATIO * typical * way for way in np.eye(typical.size)]
+    return [typical, *far, BETWEEN_RATIO * typical]
 
 
 def _loud_joints(problem: Problem, trial: Trial, count: int) -> list[str]:

@@ -27,6 +27,7 @@ from diagnosis.causes.selection import (
     subsets,
     total,
 )
+from diagnosis.causes.strides import polished
 from diagnosis.causes.trials import (
     fitted_effects,
     nearer,
@@ -80,21 +81,13 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     tick(0.4)
     for size, (behind, kept) in enumerate(GROWTH, start=2):
         fair = fair_on_all(found)
-        ordered = [found[i] for i in np.argsort(fair)[::-1]]
-        best = [t for t in ordered if len(t.members) == size - 1]
+        best = [t for t in _ranked(found) if len(t.members) == size - 1]
         partners = partnered(problem, best[:PARTNERED_COUNT]) if size == 2 else []
-        known = {members for members, _ in partners}
         grown = grown_sets(problem, best[:behind], kept, max(fair)).items()
-        seeds = [*((m, sizes) for m, sizes in grown if m not in known), *partners]
-        found += of_some_size(problem, settle(problem, seeds, 2 if size == 2 else 1))
+        settled = settle(problem, [*grown, *partners], 2 if size == 2 else 1)
+        found += of_some_size(problem, settled)
         tick(0.4 + 0.2 * (size - 1))
-    ranked = [found[i] for i in np.argsort(fair_on_all(found))[::-1]]
-    found += try_sets(problem, missing_parts(found, ranked[:PART_COUNT]))
-    by_members = {t.members: t for t in found}
-    chosen = [t.members for t in ranked[:WEIGHED_COUNT] if t.members]
-    # A set must not win because it was simulated nearer to its best size than its own parts were.
-    parts = [p for m in chosen[:PART_COUNT] for p in subsets(m) if p and p in by_members]
-    last = nearer(problem, [by_members[m] for m in dict.fromkeys([*chosen, *parts])])
+    last = _best_with_parts(problem, found)
     tick(0.9)
     weights = bootstrap_weights(len(problem.prepared), BOOTSTRAP_COUNT)
     # Where the machine is, too little may be left of an effect.
@@ -108,6 +101,27 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
     )
     logs -= form_of_parts(trials, seen, logs)
     return [_weighed(problem, trials[i], m, logs[:, k]) for k, (i, m) in enumerate(seen)]
+
+
+def _best_with_parts(problem: Problem, found: Sequence[Trial]) -> list[Trial]:
+    """The best sets and the parts of those that then lead, each as near to its best size as strides come.
+
+    The first trial is that of no effect. A set must not win because it was simulated nearer to its best size
+    than its own parts were.
+    """
+    chosen = [t for t in _ranked(found)[:WEIGHED_COUNT] if t.members]
+    best = polished(problem, nearer(problem, chosen))
+    leading = _ranked([found[0], *best])[:PART_COUNT]
+    tried = [*found, *try_sets(problem, missing_parts(found, leading))]
+    wanted = {p for t in leading for p in subsets(t.members) if p}
+    wanted -= {t.members for t in best}
+    parts = [t for t in tried if t.members in wanted]
+    return [*best, *polished(problem, nearer(problem, parts))]
+
+
+def _ranked(trials: Sequence[Trial]) -> list[Trial]:
+    """Best first."""
+    return [trials[i] for i in np.argsort(fair_on_all(trials))[::-1]]
 
 
 def form_of_parts(trials: Sequence[Trial], seen: Sequence[Seen], logs: Array) -> Array:

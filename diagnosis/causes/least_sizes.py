@@ -19,11 +19,17 @@ from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
 LEAST_OVER_SCATTER_RATIO = 1.5
 """A boom's speed limit scatters by 0.16: it came first, of 0.04 to 0.15, in five of 448 sets, and was in none
 of them."""
-LEAST_LIMIT_RATIO = 1.3
-"""Of its prior's width, for a speed limit beside another effect. In 340 sets of two challenges nine of eleven
-second effects that were not there were speed limits, eight of 0.06 to 0.20 and one of 0.33, and in 64
-development pairs (seed 20261130) one of 0.26; those that were found and were there beside another effect were
-of 0.37 on."""
+LEAST_BESIDE_RATIO = {
+    "speed_limit": 1.3,
+    "valve_hysteresis": 0.35,
+    "backlash": 0.35,
+    "stiction": 0.35,
+}
+"""Of its prior's width, beside another effect: less is that one's own error of form. In 340 sets of two
+challenges nine of eleven second effects that were not there were speed limits, eight of 0.06 to 0.20 and one
+of 0.33, and in 64 development pairs (seed 20261130) one of 0.26; those that were found and were there beside
+another effect were of 0.37 on. A hysteresis of 0.008 was named beside a backlash, stiction of 0.012 rad/s
+beside a late sensor; the smallest play or stiction of five challenges' pairs has 0.45 of its width."""
 FASTER_RATIO = 0.2
 """Of a joint's mean lag."""
 
@@ -100,6 +106,6 @@ def _least_sizes(problem: Problem, group: int, member_count: int) -> Array:
     if effect in BENT_EFFECTS:
         scatter_sd = np.sqrt(np.diag(priors.scatter)[index])
         least = np.maximum(least, LEAST_OVER_SCATTER_RATIO * scatter_sd)
-    if effect == "speed_limit" and member_count > 1:
-        least = np.maximum(least, LEAST_LIMIT_RATIO * priors.slab_sd[index])
+    if member_count > 1:
+        least = np.maximum(least, LEAST_BESIDE_RATIO.get(effect, 0.0) * priors.slab_sd[index])
     return least
