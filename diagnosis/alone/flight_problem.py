@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.held_out import every_third
 from diagnosis.alone.physics.flight_path import integrate, sampled
 from diagnosis.alone.reading.tracks import (
     SCALE_SLACK_RATIO,
@@ -16,7 +17,6 @@ from diagnosis.alone.reading.tracks import (
     first_motion,
     track_noise,
 )
-from diagnosis.alone.selection import every_third
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
 AIR_DENSITY_KG_PER_M3: Final = 1.204

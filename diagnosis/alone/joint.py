@@ -11,6 +11,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.held_out import every_third, spread_blocks
 from diagnosis.alone.physics.response import (
     actuation_options,
     play,
@@ -22,7 +23,6 @@ from diagnosis.alone.reading.end_stops import find_end_stops
 from diagnosis.alone.reading.layout import RefusedTableError
 from diagnosis.alone.reading.motion import Motion
 from diagnosis.alone.reading.slopes import sample_noise, speed_window
-from diagnosis.alone.selection import every_third, spread_blocks
 from machine.conventions import Array, BoolArray, IntArray
 
 Kind = Literal["speed", "position"]

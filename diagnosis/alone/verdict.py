@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from diagnosis.alone.fit import Problem
+from diagnosis.alone.held_out import held_out_shrink
 from diagnosis.alone.intervals import intervals
 from diagnosis.alone.limits import Limit, hidden_limits
 from diagnosis.alone.selection import (
@@ -11,7 +12,6 @@ from diagnosis.alone.selection import (
     Scored,
     Selection,
     describe,
-    held_out_shrink,
 )
 from diagnosis.verdict import (
     Ambiguity,
