@@ -7,9 +7,11 @@ import tyro
 
 from cli.campaigns import progress_line
 from diagnosis.challenge.make import make_challenge
+from diagnosis.challenge.measures import Measure, measures
 from diagnosis.challenge.run import answered, run_challenge
-from diagnosis.challenge.score import Measure, as_json, match, measures, read_sealed, table
+from diagnosis.challenge.score import match, read_sealed
 from diagnosis.challenge.score import mistakes as missed
+from diagnosis.challenge.score_table import as_json, table
 from diagnosis.challenge.truth import Tier
 from machine.errors import UsageError
 

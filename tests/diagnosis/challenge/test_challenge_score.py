@@ -7,17 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.challenge.score import (
-    Measure,
-    Scored,
-    calibration_error,
-    match,
-    measures,
-    mistakes,
-    read_sealed,
-    table,
-    wilson,
-)
+from diagnosis.challenge.measures import Measure, calibration_error, measures, wilson
+from diagnosis.challenge.score import Scored, match, mistakes, read_sealed
+from diagnosis.challenge.score_table import table
 from diagnosis.challenge.truth import SetTruth, Tier, TrueEffect
 from diagnosis.verdict import (
     Ambiguity,

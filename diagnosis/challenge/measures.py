@@ -1,0 +1,214 @@
+"""What a challenge asks for: every number with how many sets it stands on and its interval."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.challenge.score import (
+    NONE_LABEL,
+    UNKNOWN_LABEL,
+    Scored,
+    cause_label,
+    effect_key,
+)
+from diagnosis.challenge.truth import Tier
+
+STRONG_RATIO: Final = 2.0
+CLEAR_RATIO: Final = 0.97
+"""Sizes were cut at bounds: a hair below twice the limit is twice the limit."""
+TOP_COUNT: Final = 3
+ECE_BINS: Final = 10
+NORMAL_95: Final = 1.96
+LEAST_PROBABILITY: Final = 1e-3
+"""An answer that gives the truth no chance scores no worse than this in the log score."""
+
+
+class Measure(NamedTuple):
+    """One line of the table."""
+
+    name: str
+    number: int
+    """Sets, or effects, that it stands on."""
+    value: float
+    low: float
+    high: float
+    bar: str = ""
+    """What was asked for."""
+    is_share: bool = True
+
+
+def wilson(hits: int, count: int, normal: float = NORMAL_95) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if count == 0:
+        return float("nan"), float("nan")
+    share, z2 = hits / count, normal**2
+    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
+    half = normal / (1 + z2 / count) * np.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
+    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+
+
+def measures(scored: Sequence[Scored]) -> list[Measure]:
+    """All lines of the table."""
+    tier = {t: [s for s in scored if s.truth.tier is t] for t in Tier}
+    singles = tier[Tier.SINGLE]
+    strong = [s for s in singles if s.multiple_ratio >= CLEAR_RATIO * STRONG_RATIO]
+    weak = [s for s in singles if s.multiple_ratio < CLEAR_RATIO * STRONG_RATIO]
+    cross = tier[Tier.CROSS]
+    cross_single = [s for s in cross if len(s.truth.effects) == 1]
+    cross_pair = [s for s in cross if len(s.truth.effects) == 2]
+    hidden = [s for s in scored if s.truth.effects]
+    known = [s for s in hidden if s.truth.tier is not Tier.UNKNOWN]
+    lines = [
+        _share("false alarms on null", tier[Tier.NULL], lambda s: s.top != NONE_LABEL, "<= 3 %"),
+        _share("effect noticed, single >= 2x", strong, _noticed),
+        _share("effect noticed, single < 2x", weak, _noticed),
+        _share("stage named, all with an effect", hidden, _stage_right, ">= 95 %"),
+        _share("stage named, single >= 2x", strong, _stage_right),
+        _share("cause, single >= 2x, alone", strong, lambda s: s.is_right),
+        _share("cause, single >= 2x", strong, lambda s: s.is_right_or_ambiguous, ">= 90 %"),
+        _share("cause of any joint, single >= 2x", strong, _effect_right),
+        _share("cause among the first 3, single >= 2x", strong, _among_first),
+        _share("cause, single < 2x", weak, lambda s: s.is_right_or_ambiguous),
+        _share("exact set, pairs", tier[Tier.PAIR], lambda s: s.is_right, ">= 70 %"),
+        _share("exact set or one of two, pairs", tier[Tier.PAIR], _named_or_one_of_two),
+        _share("cause, cross-solver single", cross_single, lambda s: s.is_right_or_ambiguous),
+        _share("exact set, cross-solver pairs", cross_pair, lambda s: s.is_right),
+        _share("unknown flagged", tier[Tier.UNKNOWN], lambda s: s.top == UNKNOWN_LABEL, ">= 80 %"),
+        _share("known called unknown", known, lambda s: s.top == UNKNOWN_LABEL, "<= 5 %"),
+        _number("F1 of effects, pairs", [_f1(s) for s in (*tier[Tier.PAIR], *cross_pair)], np.mean),
+        _number("probability on the truth", [s.truth_probability for s in scored], np.mean),
+        _number(
+            "log score",
+            [float(np.log(max(s.truth_probability, LEAST_PROBABILITY))) for s in scored],
+            np.mean,
+        ),
+        Measure(
+            "calibration error (ECE)", len(scored), calibration_error(scored), *_NO, "<= 0.1", False
+        ),
+        Measure("AUROC of unknown", len(scored), _auroc(scored), *_NO, "", False),
+        *_sizes(scored),
+        *_shrinks(hidden),
+        _number("seconds a set, median", [s.seconds for s in scored], np.median, "<= 60"),
+        _number("seconds a set, worst", [s.seconds for s in scored], np.max),
+        _number("memory, MiB, worst", [s.memory_mib for s in scored], np.max, "<= 1536"),
+        _share("failed", scored, lambda s: s.said is None),
+    ]
+    return [line for line in lines if line.number]
+
+
+_NO: Final = (float("nan"), float("nan"))
+
+
+def _share(
+    name: str, sets: Sequence[Scored], hit: Callable[[Scored], bool], bar: str = ""
+) -> Measure:
+    hits = sum(bool(hit(s)) for s in sets)
+    value = hits / len(sets) if sets else float("nan")
+    return Measure(name, len(sets), value, *wilson(hits, len(sets)), bar)
+
+
+def _number(
+    name: str, values: Sequence[float], of: Callable[[Sequence[float]], Any], bar: str = ""
+) -> Measure:
+    finite = [value for value in values if np.isfinite(value)]
+    value = float(of(finite)) if finite else float("nan")
+    return Measure(name, len(finite), value, *_NO, bar, False)
+
+
+def _noticed(s: Scored) -> bool:
+    return s.top is not None and s.top != NONE_LABEL
+
+
+def _named_or_one_of_two(s: Scored) -> bool:
+    """Whether the exact set was named, or is one of two that the throws are said not to tell apart."""
+    return s.is_right or s.is_right_or_ambiguous
+
+
+def _stage_right(s: Scored) -> bool:
+    return s.where in {effect.stage for effect in s.truth.effects}
+
+
+def _effect_right(s: Scored) -> bool:
+    return s.top is not None and {e for e, _ in s.top} == {e for e, _ in s.label}
+
+
+def _among_first(s: Scored) -> bool:
+    return s.label in [label for label, _ in s.ranked[:TOP_COUNT]]
+
+
+def _f1(s: Scored) -> float:
+    named = s.top or NONE_LABEL
+    hits = len(named & s.label)
+    return 2.0 * hits / (len(named) + len(s.label)) if named or s.label else 1.0
+
+
+def calibration_error(scored: Sequence[Scored]) -> float:
+    """Expected calibration error of the most probable answer's probability, in 10 bins."""
+    pairs = [(s.ranked[0][1], s.ranked[0][0] == s.label) for s in scored if s.ranked]
+    if not pairs:
+        return float("nan")
+    said, right = np.array(pairs, dtype=np.float64).T
+    place = np.minimum((said * ECE_BINS).astype(int), ECE_BINS - 1)
+    gaps = [
+        (place == b).mean() * abs(said[place == b].mean() - right[place == b].mean())
+        for b in range(ECE_BINS)
+        if (place == b).any()
+    ]
+    return float(np.sum(gaps))
+
+
+def _auroc(scored: Sequence[Scored]) -> float:
+    """Chance that an unknown set got a higher probability of "unknown" than another one."""
+    chance = [
+        (sum(p for label, p in s.ranked if label == UNKNOWN_LABEL), s.truth.tier is Tier.UNKNOWN)
+        for s in scored
+    ]
+    yes = np.array([p for p, unknown in chance if unknown])
+    no = np.array([p for p, unknown in chance if not unknown])
+    if not yes.size or not no.size:
+        return float("nan")
+    higher = (yes[:, None] > no).mean() + 0.5 * (yes[:, None] == no).mean()
+    return float(higher)
+
+
+def _sizes(scored: Sequence[Scored]) -> list[Measure]:
+    """Errors and intervals of the magnitudes of causes that were named rightly."""
+    errors: list[float] = []
+    covered: list[bool] = []
+    for s in scored:
+        if not s.is_right or s.said is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
+            continue
+        cause = next(c for c in s.said.causes if cause_label(c) == s.label)
+        for effect in s.truth.effects:
+            key = effect_key(effect.effect, effect.joint, effect.parameters)
+            found = next(
+                e for e in cause.effects if effect_key(e.effect, e.joint, e.parameters) == key
+            )
+            names = set(effect.parameters) | set(found.parameters)
+            true = np.array([effect.parameters.get(name, 0.0) for name in sorted(names)])
+            fitted = [found.parameters.get(name) for name in sorted(names)]
+            value = np.array([0.0 if f is None else f.value for f in fitted])
+            errors.append(float(np.linalg.norm(value - true) / np.linalg.norm(true)))
+            covered += [
+                f.ci90[0] <= size <= f.ci90[1]
+                for f, size in zip(fitted, true, strict=True)
+                if f is not None
+            ]
+    hits = sum(covered)
+    share = hits / len(covered) if covered else float("nan")
+    return [
+        _number("size error, median", errors, np.median, "<= 0.10"),
+        Measure(
+            "90 % intervals that hold", len(covered), share, *wilson(hits, len(covered)), "85-95 %"
+        ),
+    ]
+
+
+def _shrinks(hidden: Sequence[Scored]) -> list[Measure]:
+    found = [s.said.shrink for s in hidden if s.said is not None and s.said.shrink is not None]
+    off = [abs(f.predicted_ratio - f.ratio) for f in found if f.predicted_ratio is not None]
+    return [
+        _number("removable gap closed, median", [f.ratio for f in found], np.median, ">= 0.80"),
+        _number("predicted against realised shrink, median", off, np.median, "<= 0.10"),
+    ]
