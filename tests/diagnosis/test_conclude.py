@@ -5,7 +5,9 @@ from typing import cast
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.conclude import sentence_of, verdict_of, where
+from diagnosis.conclude import verdict_of
+from diagnosis.places import where
+from diagnosis.sentence import sentence_of
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 

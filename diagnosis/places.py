@@ -1,0 +1,73 @@
+"""Where to look: stage and joint of a cause, or of what no effect explains."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from diagnosis.causes.ranking import Ranked, unknown_log_odds
+from diagnosis.causes.shapes import shape_of
+from diagnosis.fitted_causes import effect_names
+from diagnosis.verdict import (
+    Stage,
+    StageGap,
+    VerdictKind,
+)
+from sim_twin.effects.effect import Effect, effect_stage
+
+
+def where(
+    verdict: VerdictKind, ranked: Ranked, stages: Sequence[StageGap]
+) -> dict[str, str | None] | None:
+    """The stage and joint to look at: those of the leftover, or of the effect of the cause that is surest.
+
+    Where nothing is claimed, those of the effect that would be most probable if there were one.
+    """
+    if verdict is VerdictKind.UNKNOWN:
+        signature = signature_of(ranked)
+        return {"stage": signature["stage"], "joint": signature["joint"]}
+    claimed = verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS)
+    if claimed and not ranked.best.members:
+        return _place(ranked.jitter.effect())
+    looked_at = [ranked.best] if claimed else ranked.hypotheses
+    possible = {m: e for h in looked_at for m, e in zip(h.members, h.effects, strict=True)}
+    if possible:
+        return _place(possible[max(possible, key=lambda member: _inclusion(ranked, member))])
+    largest = max(stages, key=lambda s: s.share_ratio, default=None)
+    return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
+
+
+def _place(effect: Effect) -> dict[str, str | None]:
+    return {"stage": effect_stage(effect), "joint": effect.joint}
+
+
+def _inclusion(ranked: Ranked, member: int) -> float:
+    """Probability of all sets that have an effect."""
+    shares = zip(ranked.hypotheses, ranked.probability, strict=True)
+    return sum(float(p) for h, p in shares if member in h.members)
+
+
+def named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
+    """Stage and joint of every effect of the cause that is named."""
+    if verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
+        return []
+    named = ranked.best.effects or (ranked.jitter.effect(),)
+    return [_place(effect) for effect in named]
+
+
+def signature_of(ranked: Ranked) -> dict[str, Any]:
+    """Where an unknown effect shows, and what it looks like."""
+    best, ahead = ranked.best, ranked.ahead
+    name = max(ranked.levels, key=lambda b: unknown_log_odds(best, ahead, b, ranked.levels[b]))
+    stage, _, channel = name.partition(".")
+    joint = channel if stage == Stage.ACTUATION else None
+    shape = None if ranked.shape is None else shape_of(ranked.shape[0])
+    if ranked.shape is not None and shape is not None:
+        stage, joint = shape.stage, ranked.shape[1]
+        name = stage if joint is None else f"{stage}.{joint}"
+    return {
+        "stage": stage,
+        "joint": joint,
+        "channel": name,
+        "leftover_sd": round(ranked.levels.get(name, 0.0), 1),
+        "looks_like": None if shape is None else shape.said,
+        "nearest": effect_names(ranked.best.effects) or "none",
+    }
