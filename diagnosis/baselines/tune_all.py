@@ -19,8 +19,9 @@ from diagnosis.baselines.common import (
     run_twin,
     throw_errors,
 )
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import Parameter, library
-from diagnosis.causes.residuals import Linear, linearise, relinearise
+from diagnosis.causes.residuals import linearise, relinearise
 from diagnosis.healthy.filters import nothing
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.verdict import Diagnosis

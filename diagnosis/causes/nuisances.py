@@ -5,8 +5,8 @@ Each is a column of slopes times its standard deviation; all of them are margina
 
 import numpy as np
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import SET_NUISANCES, index_of, library
-from diagnosis.causes.residuals import Linear
 from diagnosis.loading.prepared import PreparedThrow
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import rotate_z

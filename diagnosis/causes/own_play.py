@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import total
 from diagnosis.causes.shapes import PLAY_POWERS, group_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import play_columns

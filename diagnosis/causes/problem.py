@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 from diagnosis.causes.form_error import factors, widened
 from diagnosis.causes.leftovers import in_units, left_of, levels
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
-from diagnosis.causes.residuals import Linear, linearise
+from diagnosis.causes.residuals import linearise
 from diagnosis.causes.selection import Information, screen, total
 from diagnosis.causes.whitening import (
     Basis,

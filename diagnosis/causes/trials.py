@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnosis.causes.form_error import rough_blocks, widened
 from diagnosis.causes.leftovers import levels
+from diagnosis.causes.linear import Linear, carried
 from diagnosis.causes.own_play import with_own_play
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
@@ -21,7 +22,7 @@ from diagnosis.causes.parameters import (
     library,
 )
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import Linear, carried, relinearise
+from diagnosis.causes.residuals import relinearise
 from diagnosis.causes.selection import (
     Information,
     Priors,

@@ -5,9 +5,9 @@ Those of drives are slopes of the library times something measured; a sensor's s
 
 import numpy as np
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.nuisances import flight_shift
 from diagnosis.causes.parameters import index_of, joint_index
-from diagnosis.causes.residuals import Linear
 from diagnosis.causes.shapes import (
     PLACE_WAVES,
     PLAY_POWERS,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.nuisances import set_columns, throw_columns, throw_nuisances
 from diagnosis.causes.parameters import (
     SET_NUISANCES,
@@ -19,7 +20,6 @@ from diagnosis.causes.parameters import (
     library,
     set_names,
 )
-from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Information, inform_gram
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.unheard import unheard_columns

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.causes.leftovers import leftovers
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import joint_index, library
-from diagnosis.causes.residuals import Linear
 from diagnosis.causes.selection import Priors, screen, total
 from diagnosis.causes.shapes import unheard_least_sd, unheard_names
 from diagnosis.causes.whitening import Whitened, information

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import View, index_of, library
-from diagnosis.causes.residuals import Linear, linearise, relinearise
+from diagnosis.causes.residuals import linearise, relinearise
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from sim_twin.effects.effect import Effect

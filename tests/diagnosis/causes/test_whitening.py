@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.residuals import Linear, relinearise
+from diagnosis.causes.residuals import relinearise
 from diagnosis.causes.whitening import Whitened, whiten_throw
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
