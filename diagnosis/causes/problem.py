@@ -18,13 +18,14 @@ from diagnosis.causes.whitening import (
     information,
     whiten_throw,
 )
-from diagnosis.healthy.adapt import filters_help, misfit, scaled_to, stranger
+from diagnosis.healthy.adapt import CLEAR_LOG_POWER, filters_help, misfit, scaled_to
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
+from diagnosis.healthy.stranger import as_near_as_shown, stranger
 from diagnosis.loading.prepared import PreparedThrow
 from machine.calibration import ValveCalibration
-from machine.conventions import Array
+from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import TwinProfile
 
 GLANCE_COUNT = 6
@@ -86,18 +87,23 @@ def pose(
     linear = linearise(prepared, profile, calibration, healthy)
     is_stranger = not health.is_own and not filters_help(prepared, linear, healthy)
     if is_stranger:
-        healthy, model = nothing(), stranger(model)
+        healthy, model = nothing(), stranger(model, (1.0,) * len(ACTIVE_JOINTS))
         layout = layout_of(model)
         linear = linearise(prepared, profile, calibration, healthy)
     found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
-    if not health.is_own:
-        excess = misfit(found.whitened, layout.priors, model)
-        if not is_stranger:
-            # Machines of the type are never much nearer to their twin than the others.
-            excess = {stage: max(factor, 1.0) for stage, factor in excess.items()}
+    # Machines of the type are never much nearer to their twin than the others.
+    for least in () if health.is_own else (0.0, 1.0) if is_stranger else (1.0,):
+        clear = 0.0 if is_stranger else CLEAR_LOG_POWER
+        excess = misfit(found.whitened, layout.priors, model, clear)
+        excess = {stage: max(factor, least) for stage, factor in excess.items()}
         if any(factor != 1.0 for factor in excess.values()):
             model = scaled_to(model, excess)
             found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    if is_stranger:
+        near = as_near_as_shown(health.noise, total(found.information))
+        model = near.model_copy(update={"channels": model.channels})
+        # Whitening knows of no scatter of machines.
+        found = replace(found, model=model, layout=layout_of(model))
     return _with_form_error(found)
 
 

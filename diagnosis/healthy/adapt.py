@@ -12,13 +12,11 @@ import numpy as np
 
 from diagnosis.causes.leftovers import leftovers
 from diagnosis.causes.linear import Linear
-from diagnosis.causes.parameters import joint_index, library
+from diagnosis.causes.parameters import joint_index
 from diagnosis.causes.selection import Priors, screen, total
-from diagnosis.causes.shapes import unheard_least_sd, unheard_names
 from diagnosis.causes.whitening import Whitened, information
 from diagnosis.healthy.filters import HealthyModel, correction
-from diagnosis.healthy.noise import NoiseModel, Scatter
-from diagnosis.healthy.own_sensors import SWINGS_MORE
+from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import AXES, PreparedThrow
 from machine.conventions import ACTIVE_JOINTS
 
@@ -27,8 +25,6 @@ COMMON = {
     "swing": tuple(f"swing.gyro.{axis}" for axis in AXES),
 }
 """Blocks of which more than half must be loud before a stage counts as misfit."""
-STRANGER_RATIO = 2.0
-"""Of the library's tolerances: how far machines of another type may be off on top (by eye)."""
 LEAST_MISFIT_RATIO = 0.5
 """No twin is nearer to a machine, however quiet its sensors: strangers with sensors like the type's come down
 to 0.49, those without noise to 0.01, where what steps of 10 ms are off looked like an effect."""
@@ -62,30 +58,12 @@ def filters_help(
     return not gains or float(np.mean(gains)) >= 0.0
 
 
-def stranger(model: NoiseModel) -> NoiseModel:
-    """The model for a machine of another type: what the type's machines have in common does not hold for it.
-
-    Only the clocks keep their mean, which is that of our own smoothing of joint sensors; everything else may
-    be off by what the type is off in the mean and in its scatter, and by some of the library's tolerance, or
-    of what no machine of the type is nearer to its twin by, each by itself.
-    """
-    names = model.machine_scatter.names
-    tolerance = dict(zip(unheard_names(), unheard_least_sd().tolist(), strict=True))
-    tolerance |= {p.key: p.tolerance for p in library()}
-    # Of the type's machines, what noise of their sensors looks like is part of the mean.
-    tolerance |= {name: size / STRANGER_RATIO for name, size in SWINGS_MORE.items()}
-    middle = np.array([model.healthy_mean.get(name, 0.0) for name in names])
-    is_clock = np.array(["latency" in name for name in names])
-    free = np.array([STRANGER_RATIO * tolerance.get(name, 0.0) for name in names])
-    variance = np.diag(model.machine_scatter.covariance(names)) + free**2
-    variance += np.where(is_clock, 0.0, middle) ** 2
-    kept = {name: float(m) for name, m, clock in zip(names, middle, is_clock, strict=True) if clock}
-    return model.model_copy(
-        update={"healthy_mean": kept, "machine_scatter": Scatter.of(names, np.diag(variance))}
-    )
-
-
-def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> dict[str, float]:
+def misfit(
+    whitened: Sequence[Whitened],
+    priors: Priors,
+    model: NoiseModel,
+    clear_log_power: float = CLEAR_LOG_POWER,
+) -> dict[str, float]:
     """Factor between a stage's discrepancy and that of the type's healthy machines; 1 unless it is clear.
 
     The lower median over a stage's blocks: an effect at one joint, or two, does not count.
@@ -105,7 +83,7 @@ def misfit(whitened: Sequence[Whitened], priors: Priors, model: NoiseModel) -> d
         )
         middle = excess[(len(excess) - 1) // 2] if excess else 0.0
         ratio = max(float(np.exp(0.5 * middle)), LEAST_MISFIT_RATIO)
-        found[stage] = ratio if abs(middle) > CLEAR_LOG_POWER else 1.0
+        found[stage] = ratio if abs(middle) > clear_log_power else 1.0
     return found
 
 

@@ -31,16 +31,16 @@ NOISIER_RATIO = 1.1
 SWINGS_MORE: Final[Mapping[str, float]] = {
     "joint_sensor_bias.telescope.bias_rad_m": 0.06,
     **{f"unheard.scale.{joint}.scale_ratio": 0.01 for joint in ACTIVE_JOINTS},
+    **{f"joint_sensor_latency.{joint}.extra_latency_s": 0.008 for joint in ACTIVE_JOINTS},
+    "joint_sensor_latency.slew.extra_latency_s": 0.004,
+    "joint_sensor_latency.telescope.extra_latency_s": 0.02,
+    "imu_latency.extra_latency_s": 0.004,
 }
 """What looks like a gripper that noise of joint sensors shakes in the twin, about 1 % of its swing: a
-telescope that is shorter than its sensor says, or sensors that report too much. By this with sensors like the
-type's, and with the square of what they leave."""
+telescope that is shorter than its sensor says, sensors that report too much, or late ones. By this with
+sensors like the type's, and with the square of what they leave; that of the type's own motion is learned."""
 LEAST_TRACK_COUNT = NOISE_WINDOW_COUNT + 3
 """Samples of a track that hold a window of third differences."""
-QUIET_SHARE_RATIO = 0.02
-"""Noise also makes the simulated gripper lead: sensors of the type look 10 ms late, and those of 0.02, 0.05,
-0.2 and 0.3 times its noise by 0, 1, 7 and 10 ms (scratch sets of 12 throws). The square of the noise at which
-half of it is left."""
 LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
 
 
@@ -63,29 +63,20 @@ def with_own_sensors(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
     }
     # A command may have been held for a row, or have moved on within it.
     unsure_s = 0.5 * max(1.0 / loaded.rates["control"] - CONTROL_PERIOD_S, 0.0)
-    further = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
+    unsure = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
     louder = shaking["swing.gyro"] ** 2 - 1.0
-    further |= {name: size * louder for name, size in SWINGS_MORE.items()}
-    late = _late_by_noise(loaded.throws)
-    mean = {n: m * (late if "latency" in n else 1.0) for n, m in model.healthy_mean.items()}
     set_scatter = model.set_scatter
-    for name, more in further.items():
+    for name in unsure | SWINGS_MORE:
+        more = np.hypot(unsure.get(name, 0.0), louder * SWINGS_MORE.get(name, 0.0))
         sd = float(np.hypot(set_scatter.sd_of(name), more))
         set_scatter = set_scatter.with_sd(name, sd)
-    update = {"channels": channels, "set_scatter": set_scatter, "healthy_mean": mean}
-    return model.model_copy(update=update)
+    return model.model_copy(update={"channels": channels, "set_scatter": set_scatter})
 
 
 def _shown_ratio(throws: Sequence[ThrowData]) -> Array:
     """White noise of the joint speeds (4,) over that of the type."""
     shown = [white_noise_sd(t.sensor_velocity_rad_m_per_s) for t in throws]
     return np.median(shown, axis=0) / np.array(USUAL_SPEED_SD_RAD_M_PER_S)
-
-
-def _late_by_noise(throws: Sequence[ThrowData]) -> float:
-    """Share of what the type's sensors look late by that these show; 1 unless they are quieter."""
-    square = min(NOISIER_RATIO * float(np.median(_shown_ratio(throws))), 1.0) ** 2
-    return (1.0 + QUIET_SHARE_RATIO) * square / (square + QUIET_SHARE_RATIO)
 
 
 def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:

@@ -21,6 +21,7 @@ from diagnosis.identify.quantity import (
 from diagnosis.intervals import deviation_interval
 from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
+from diagnosis.loading.velocity_lag import velocity_lag_s
 from diagnosis.threads import one_blas_thread
 from machine.ballistics import drag_per_m, step_flight
 from machine.conventions import CONTROL_PERIOD_S, Array
@@ -147,7 +148,7 @@ def _let_go(throw: ThrowData, spec: MachineSpec) -> tuple[float, float]:
     Before it, the load moves with the grip centre; afterwards it falls. The grip's motion is measured, the
     load's offset in the claws is fitted with its prior.
     """
-    motion = measured_motion(throw)
+    motion = measured_motion(throw, velocity_lag_s([throw]))
     position = np.concatenate([motion.position_rad_m, motion.swing_rad], axis=1)
     velocity = np.concatenate([motion.velocity_rad_m_per_s, motion.swing_rate_rad_per_s], axis=1)
     grip = grip_centre(spec, position, velocity)

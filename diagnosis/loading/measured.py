@@ -22,8 +22,11 @@ NOISIER_RATIO = 1.3
 NOISE_WINDOW_COUNT = 24
 SETTLED_COUNT = 60
 """So many ticks away a sample does not move what is smoothed."""
-JERK_SD_RAD_M_PER_S3 = 60.0
-"""White jerk of the smoother: a drive reaches 3 rad/s2 within some 50 ms."""
+LEAST_STEP_S = 1e-4
+"""Samples nearer than this are one."""
+JERK_SD_RAD_M_PER_S3 = 15.0
+"""White jerk of the smoother. A drive's own is 60 (3 rad/s2 within some 50 ms), which lets so much noise
+through that a low pass over it, a latency, pays. At 15 the swing that follows is nearest to the gyro."""
 REST_S = 0.06
 """Before the valves' dead time is over the gripper hangs still: the gyro then reads its bias."""
 REST_RATE_RAD_PER_S = 0.04
@@ -79,13 +82,21 @@ class MeasuredMotion(NamedTuple):
         )
 
 
-def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
+def new_samples(at_s: Array) -> BoolArray:
+    """Which of these times (n,) are a new sample, bool (n,)."""
+    return np.concatenate([[True], np.diff(at_s) > LEAST_STEP_S])
+
+
+def smooth_joints(
+    throw: ThrowData, t_s: Array, velocity_lag_s: Array
+) -> tuple[Array, Array, Array]:
     """Position, velocity, acceleration (T, 4) at `t_s` from both sensors of each driven joint.
 
-    Least squares with a penalty on the third difference; the sensors' time stamps are kept.
+    Least squares with a penalty on the third difference; the sensors' time stamps are kept, and velocity
+    sensors are taken to lag by (4,) behind the position sensors.
     """
     at = throw.sensor_t_s
-    keep = np.concatenate([[True], np.diff(at) > 1e-4])
+    keep = new_samples(at)
     grid = np.arange(at[keep][0], at[keep][-1] + 0.5 * CONTROL_PERIOD_S, CONTROL_PERIOD_S)
     outputs = np.empty((3, t_s.size, ACTIVE_COUNT))
     sensors = (throw.sensor_position_rad_m, throw.sensor_velocity_rad_m_per_s)
@@ -93,7 +104,8 @@ def smooth_joints(throw: ThrowData, t_s: Array) -> tuple[Array, Array, Array]:
     for joint in range(ACTIVE_COUNT):
         position = np.interp(grid, at[keep], throw.sensor_position_rad_m[keep, joint])
         velocity = np.interp(grid, at[keep], throw.sensor_velocity_rad_m_per_s[keep, joint])
-        smooth = _smooth(position, velocity, *(own_sd[sensor, joint] for sensor in (0, 1)))
+        sds = own_sd[0, joint], own_sd[1, joint]
+        smooth = _smooth(position, velocity, *sds, float(velocity_lag_s[joint]))
         speed = np.gradient(smooth, CONTROL_PERIOD_S)
         push = np.gradient(speed, CONTROL_PERIOD_S)
         for row, channel in enumerate((smooth, speed, push)):
@@ -116,18 +128,23 @@ def white_noise_sd(values: Array) -> Array:
 
 
 def _smooth(
-    position: Array, velocity: Array, position_sd_rad_m: float, velocity_sd_rad_m_per_s: float
+    position: Array,
+    velocity: Array,
+    position_sd_rad_m: float,
+    velocity_sd_rad_m_per_s: float,
+    lag_s: float,
 ) -> Array:
-    """Minimise |x - position|^2 / sp^2 + |D1 x - velocity|^2 / sv^2 + |D3 x|^2 / sj^2, (n,)."""
+    """Minimise |x - position|^2 / sp^2 + |D1 x - lag D2 x - velocity|^2 / sv^2 + |D3 x|^2 / sj^2, (n,)."""
     n, h = position.size, CONTROL_PERIOD_S
     bands = np.zeros((4, n))
     right = position / position_sd_rad_m**2
     bands[0] = 1.0 / position_sd_rad_m**2
     # Central differences for the velocity, third differences for the jerk.
-    _add(bands, np.array([-0.5, 0.0, 0.5]) / h / velocity_sd_rad_m_per_s)
-    inner = velocity[1:-1] / velocity_sd_rad_m_per_s**2 * 0.5 / h
-    right[2:] += inner
-    right[:-2] -= inner
+    reported = np.array([-0.5, 0.0, 0.5]) / h - lag_s * np.array([1.0, -2.0, 1.0]) / h**2
+    _add(bands, reported / velocity_sd_rad_m_per_s)
+    inner = velocity[1:-1] / velocity_sd_rad_m_per_s**2
+    for place, share in enumerate(reported):
+        right[place : n - 2 + place] += share * inner
     _add(bands, np.array([-1.0, 3.0, -3.0, 1.0]) / h**3 / JERK_SD_RAD_M_PER_S3)
     return np.asarray(solveh_banded(bands, right, lower=True))
 
@@ -141,6 +158,8 @@ def smoothed_as_sd(shown_sd: Array) -> Array:
 def smoothed_noise(noise_sd: Array, taken_for_sd: Array) -> tuple[float, float]:
     """What noise of a joint's position and velocity sensor leaves in its smoothed speed and acceleration.
 
+    A lag of the velocity sensor, which raises it a little for all machines alike, is left out.
+
     Args:
         noise_sd: of the two sensors (2,), rad or m and per s.
         taken_for_sd: (2,) what the smoother takes for it.
@@ -150,7 +169,7 @@ def smoothed_noise(noise_sd: Array, taken_for_sd: Array) -> tuple[float, float]:
     for sensor in (0, 1):
         pulse = np.zeros((2, count))
         pulse[sensor, SETTLED_COUNT] = noise_sd[sensor]
-        smooth = _smooth(pulse[0], pulse[1], float(taken_for_sd[0]), float(taken_for_sd[1]))
+        smooth = _smooth(pulse[0], pulse[1], float(taken_for_sd[0]), float(taken_for_sd[1]), 0.0)
         speed = np.gradient(smooth, CONTROL_PERIOD_S)
         push = np.gradient(speed, CONTROL_PERIOD_S)
         parts.append((float(np.sum(speed**2)), float(np.sum(push**2))))
@@ -175,13 +194,13 @@ def rows_of_interest(throw: ThrowData) -> BoolArray:
     return (throw.t_s >= -1e-9) & (throw.t_s <= last)
 
 
-def measured_motion(throw: ThrowData) -> MeasuredMotion:
+def measured_motion(throw: ThrowData, velocity_lag_s: Array) -> MeasuredMotion:
     """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
 
-    Without an IMU the machine's own estimate of pitch and roll stands in.
+    Velocity sensors lag by (4,). Without an IMU the machine's own estimate of pitch and roll stands in.
     """
     t_s = throw.t_s[rows_of_interest(throw)]
-    position, velocity, acceleration = smooth_joints(throw, t_s)
+    position, velocity, acceleration = smooth_joints(throw, t_s, velocity_lag_s)
     if throw.imu_t_s.size == 0:
         rows, free = rows_of_interest(throw), slice(ACTIVE_COUNT, None)
         swung, rates = throw.joint_position_rad_m[rows, free], throw.joint_velocity_rad_m_per_s

@@ -16,6 +16,7 @@ from diagnosis.loading.measured import (
     measured_opening_s,
     replay_input,
 )
+from diagnosis.loading.velocity_lag import velocity_lag_s
 from machine.conventions import ACTIVE_JOINTS, Array, IntArray
 from sim_twin.replay.replay import ReplayInput
 from sim_twin.twin.profile import TwinProfile
@@ -68,11 +69,14 @@ def prepare(throws: Sequence[ThrowData], profile: TwinProfile) -> list[PreparedT
     """Measured motion and residual layout of every throw, in the order in which they were thrown."""
     ordered = sorted(throws, key=lambda throw: (throw.recorded_at_ns, throw.throw_id))
     last = max(len(ordered) - 1, 1)
-    return [_prepare(throw, profile, number / last) for number, throw in enumerate(ordered)]
+    lag_s = velocity_lag_s(ordered)
+    return [_prepare(throw, profile, n / last, lag_s) for n, throw in enumerate(ordered)]
 
 
-def _prepare(throw: ThrowData, profile: TwinProfile, progress_ratio: float) -> PreparedThrow:
-    motion = measured_motion(throw)
+def _prepare(
+    throw: ThrowData, profile: TwinProfile, progress_ratio: float, lag_s: Array
+) -> PreparedThrow:
+    motion = measured_motion(throw, lag_s)
     data = replay_input(
         throw, motion, progress_ratio, throw.open_command_t_s + profile.release_delay_s
     )

@@ -15,7 +15,11 @@ _ANGLES = ("yaw", "pitch", "roll")
 
 
 class DelayLine:
-    """The last values of N machines, read back late by a time of their own; linear between ticks."""
+    """The last values of N machines, read back late by a time of their own.
+
+    Between ticks a parabola through three rows: a straight line would smooth away part of the noise that a
+    replay of measured motion has, and a sensor would look late where the motion is rough.
+    """
 
     def __init__(self, latency_s: Array) -> None:
         """Hold as much as the longest latency needs.
@@ -26,7 +30,7 @@ class DelayLine:
         ticks = np.maximum(latency_s, 0.0) / CONTROL_PERIOD_S
         self._whole: IntArray = np.floor(ticks + 1e-9).astype(np.int64)
         self._fraction = np.maximum(ticks - self._whole, 0.0)
-        self._depth = math.ceil(float(ticks.max(initial=0.0))) + 2
+        self._depth = math.ceil(float(ticks.max(initial=0.0))) + 3
         self._values = np.zeros((self._depth, *latency_s.shape))
         rows, channels = latency_s.shape
         self._at = np.arange(rows)[:, None], np.arange(channels)
@@ -43,9 +47,13 @@ class DelayLine:
 
     def read(self) -> Array:
         """Late values (N, C) as of the newest tick."""
-        newer = self._values[((self._tick - self._whole) % self._depth, *self._at)]
-        older = self._values[((self._tick - self._whole - 1) % self._depth, *self._at)]
-        return newer + self._fraction * (older - newer)
+        s = self._fraction
+        weights = 0.5 * (s - 1.0) * (s - 2.0), s * (2.0 - s), 0.5 * s * (s - 1.0)
+        late = np.zeros_like(s)
+        for older, weight in enumerate(weights):
+            row = (self._tick - self._whole - older) % self._depth
+            late += weight * self._values[(row, *self._at)]
+        return late
 
 
 class SensorEffects:

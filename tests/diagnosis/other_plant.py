@@ -32,6 +32,8 @@ class Odd(NamedTuple):
     speed_reduction_ratio: tuple[float, float, float, float] = FOUR_ZEROS
     noise_ratio: float = 1.0
     """Noise of the joint sensors over that of the twin's."""
+    filter_s: float = 0.0
+    """Time constant of all joint sensors, positions and velocities alike."""
     row_ticks: int = 1
     """Every so many ticks a row is recorded."""
     release_delay_s: float = 0.0
@@ -125,11 +127,13 @@ def _throw(start: Array, valve: Array, odd: Odd, delay_s: float) -> _Thrown:
     body = model.body("payload").id
     release_step = round((OPEN_TICK * 0.01 + delay_s) / STEP_S)
     rows: list[Array] = []
-    load = np.zeros(6)
+    load, seen = np.zeros(6), np.concatenate([data.qpos, data.qvel])
+    share = 1.0 if odd.filter_s == 0.0 else -np.expm1(-STEP_S / odd.filter_s)
     for step in range(TICKS * TICK_STEPS):
+        seen = seen + share * (np.concatenate([data.qpos, data.qvel]) - seen)
         if step % TICK_STEPS == 0:
             mujoco.mj_forward(model, data)
-            rows.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+            rows.append(np.concatenate([seen, data.sensordata]))
         if step == release_step:
             mujoco.mj_forward(model, data)
             spatial = np.zeros(6)

@@ -8,11 +8,9 @@ import pytest
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.whitening import whiten_throw
-from diagnosis.healthy.adapt import filters_help, misfit, scaled_to, stranger
+from diagnosis.healthy.adapt import filters_help, misfit, scaled_to
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
-from diagnosis.healthy.noise import load_noise
-from diagnosis.healthy.own_sensors import SWINGS_MORE
 from diagnosis.loading.prepared import prepare
 from machine.conventions import ACTIVE_JOINTS
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -73,14 +71,3 @@ def test_filters_that_lead_away_from_the_machine_are_not_used(problem: Problem) 
     )
     assert not filters_help(problem.prepared, problem.linear, filters) or posed.healthy == nothing()
     assert posed.healthy == nothing()
-
-
-def test_a_stranger_may_be_off_in_its_own_way_but_for_its_clocks() -> None:
-    model, found = load_noise(), stranger(load_noise())
-    clock = "joint_sensor_latency.boom.extra_latency_s"
-    assert found.healthy_mean[clock] == model.healthy_mean[clock]
-    assert "base_height.extra_height_m" not in found.healthy_mean
-    for name in ("base_height.extra_height_m", "unheard.command.slew.third_ratio"):
-        assert found.machine_scatter.sd_of(name) > model.machine_scatter.sd_of(name)
-    for name, size in SWINGS_MORE.items():
-        assert found.machine_scatter.sd_of(name) > size

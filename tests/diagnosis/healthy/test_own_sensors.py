@@ -76,15 +76,6 @@ def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
         assert found.set_scatter.sd_of(name) > 2.0 * model.set_scatter.sd_of(name)
 
 
-def test_quiet_joint_sensors_do_not_look_late() -> None:
-    model, found = load_noise(), with_own_sensors(load_noise(), quieter(throws()))
-    late = [name for name in model.healthy_mean if "sensor_latency" in name]
-    assert len(late) == 4
-    for name, mean in model.healthy_mean.items():
-        expected = pytest.approx(0.0, abs=1e-4) if "latency" in name else mean
-        assert found.healthy_mean[name] == expected
-
-
 @pytest.mark.parametrize("sd_m", [0.025, 0.05])
 def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
     """What it shows beyond the type's noise is no effect: not even a share of it may be left over."""

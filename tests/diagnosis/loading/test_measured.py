@@ -11,6 +11,9 @@ from diagnosis.loading.measured import CALM_S, hung_at_rest, measured_motion
 from machine.conventions import ACTIVE_COUNT
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
 
+PROMPT = np.zeros(ACTIVE_COUNT)
+"""No lag of the velocity sensors."""
+
 
 @pytest.fixture
 def throw(tmp_path: Path) -> ThrowData:
@@ -33,19 +36,19 @@ def began_at(throw: ThrowData, swing_rad: float, tilt_rad: float) -> ThrowData:
 
 def test_a_start_as_the_imu_felt_it_can_be_wrong_with_it(throw: ThrowData):
     """The machine takes 30 mrad of a first tilt for friction and bias."""
-    told = measured_motion(began_at(throw, swing_rad=0.07, tilt_rad=0.1))
+    told = measured_motion(began_at(throw, swing_rad=0.07, tilt_rad=0.1), PROMPT)
     assert told.start_force_m_per_s2 is not None
     np.testing.assert_allclose(
         told.start_force_m_per_s2, 9.81 * np.array([np.sin(0.1), 0.0, np.cos(0.1)])
     )
-    knew = measured_motion(began_at(throw, swing_rad=0.0, tilt_rad=0.1))
+    knew = measured_motion(began_at(throw, swing_rad=0.0, tilt_rad=0.1), PROMPT)
     assert knew.start_force_m_per_s2 is None
 
 
 def test_a_gripper_that_moves_at_the_start_tells_no_bias_and_no_tilt(throw: ThrowData):
     moving = began_at(throw, swing_rad=0.07, tilt_rad=0.1)
     moving = replace(moving, gyro_rad_per_s=moving.gyro_rad_per_s + 0.5)
-    motion = measured_motion(moving)
+    motion = measured_motion(moving, PROMPT)
     assert motion.start_force_m_per_s2 is None
     assert motion.gyro_rad_per_s is not None
     assert motion.gyro_rad_per_s[0].min() > 0.4

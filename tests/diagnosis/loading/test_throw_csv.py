@@ -144,7 +144,7 @@ def test_without_an_imu_the_swing_is_the_machines_own_estimate(tmp_path: Path) -
     _, loaded = both(tmp_path, without(throw_csv(log), "gyro_", "accel_", "imu_"))
     (throw,) = loaded.throws
     assert any("no IMU" in note for note in throw.notes)
-    motion = measured_motion(throw)
+    motion = measured_motion(throw, np.zeros(4))
     rows = rows_of_interest(throw)
     np.testing.assert_allclose(motion.swing_rad, throw.joint_position_rad_m[rows, 4:])
     (prepared,) = prepare([throw], nominal_profile(load_spec()))

@@ -9,6 +9,7 @@ from machine.conventions import CONTROL_PERIOD_NS, Array
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
 from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+from sim_twin.effects.sensor import DelayLine
 from sim_twin.replay.replay import ReplayElement, ReplayOutput, replay
 from sim_twin.twin.twin import Twin
 from tests.sim_twin.twin_throw import CALIBRATION, PROFILE, SPEC, Recorded, record
@@ -202,3 +203,29 @@ def test_any_mixture_within_the_bounds_stays_finite(plain: Recorded) -> None:
     assert (simulated >= low - 0.081).all()
     assert (simulated <= high + 0.081).all()
     assert np.abs(out.gyro_rad_per_s).max() < 60.0
+
+
+def through(values: Array, latency_s: float) -> Array:
+    """Values (T,), one a tick, as a delay line reads them back."""
+    line = DelayLine(np.array([[latency_s]]))
+    line.fill(values[:1])
+    late = np.empty_like(values)
+    for tick, value in enumerate(values):
+        line.push(np.array([[value]]))
+        late[tick] = line.read()[0, 0]
+    return late
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.001, 0.005, 0.01, 0.0237])
+def test_a_late_sensor_reads_a_parabola_as_it_was(latency_s: float) -> None:
+    t_s = 0.01 * np.arange(40)
+    late = through(3.0 * t_s**2 - t_s, latency_s)
+    then_s = t_s[6:] - latency_s
+    np.testing.assert_allclose(late[6:], 3.0 * then_s**2 - then_s, atol=1e-12)
+
+
+@pytest.mark.parametrize("latency_s", [0.001, 0.003, 0.005])
+def test_a_late_sensor_keeps_rough_motion(latency_s: float) -> None:
+    """Else a smoother twin looks better where joints are noisy, and a sensor late that is not."""
+    rough = np.sin(2.0 * np.pi * np.arange(400) / 12.0)
+    assert np.std(through(rough, latency_s)[8:]) / np.std(rough[8:]) == pytest.approx(1.0, abs=0.01)
