@@ -281,3 +281,13 @@ def test_large_sizes_are_tried_one_way_at_a_time():
     assert (between < 3.0 * typical).all()
     np.testing.assert_allclose(positive, [3.0 * typical[0], 0.0])
     np.testing.assert_allclose(negative, [0.0, 3.0 * typical[1]])
+
+
+@pytest.mark.parametrize("ahead", [-50.0, 50.0])
+def test_no_effect_is_told_by_what_is_left_where_slopes_were_taken(ahead):
+    """Never better than that: what is left at the twin goes with the slopes there."""
+    none = trial()
+    away = [i._replace(bare_square=i.square - 2.0 * ahead) for i in none.information]
+    found = trials.at_home(replace(none, information=away))
+    with_it, without = weighing.screens(found, found.information[0])
+    assert without.log_evidence - with_it.log_evidence == pytest.approx(min(ahead, 0.0), abs=1e-6)
