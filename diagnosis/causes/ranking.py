@@ -21,11 +21,11 @@ UNKNOWN_WIDTH_SD = 1.0
 """Leftover power, in standard deviations of healthy sets, at which "unknown" is as likely as not. On 340 sets
 of two challenges healthy ones left 3.2 at most, unknown effects that no shape shows mostly 6 to 27, and known
 ones 5.2 at most but a late sensor before a late valve (5.7) and a pump (5.5)."""
-CROWDED_LEVEL_SD = 2.6
-CROWDED_WIDTH_SD = 0.5
+CROWDED_LEVEL_SD = 1.7
+CROWDED_WIDTH_SD = 0.4
 """The same at a joint where the best set has two effects or more: together they take most of what a foreign
-one does. Of 312 sets (seeds 1618964378, 20261130, 20261131) seven foreign effects passed for two at their
-joint and left 2.8 to 8.4 there (five) or 0.3 and less; 26 known sets left 2.4 at most, or 3.9 and 6.7."""
+one does. Of 200 sets (seed 680363348) ten known ones with two effects at a joint left 1.4 there at most, less
+what the form of large ones leaves (below), and four foreign ones that passed for two left 0.5 to 1.8."""
 FORM_LEVEL_SD = 1.0
 FORM_LOG_EVIDENCE = 1000.0
 """So many more standard deviations for so much log evidence of the best set over none, twice at most: the

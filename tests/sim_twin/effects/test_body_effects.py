@@ -387,7 +387,8 @@ def test_sensors_report_biased_late_and_turned_values() -> None:
         gyro.append(np.stack([ours.imu_gyro_rad_per_s[0], theirs.imu_gyro_rad_per_s[0]]))
         assert ours.imu_t_mono_ns[0] == theirs.imu_t_mono_ns[0]
     joints, rates = np.stack(seen), np.stack(gyro)
-    late = 0.5 * (joints[37:77, 1] + joints[38:78, 1])
+    # Half way between two rows, on the parabola through them and the one before.
+    late = 0.375 * joints[38:78, 1] + 0.75 * joints[37:77, 1] - 0.125 * joints[36:76, 1]
     np.testing.assert_allclose(joints[40:, 0] - [0.03, 0.0], late, atol=1e-9)
     turn = rotate_z(rates[37:77, 1], np.full(40, -0.2))
     np.testing.assert_allclose(rates[40:, 0], turn, atol=1e-9)

@@ -50,7 +50,7 @@ def test_an_effect_is_fully_described(name: str) -> None:
         assert p.low <= 0.0 < p.high, "0 is no effect"
         assert p.low <= p.step <= p.high, "the finite difference can be taken"
         assert 0.0 < p.tolerance < p.prior_sd
-        assert p.tolerance < p.step <= 4.0 * p.prior_sd
+        assert p.tolerance <= p.step <= 4.0 * p.prior_sd
 
 
 def test_the_library_holds_every_name_of_the_contract() -> None:
