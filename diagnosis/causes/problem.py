@@ -30,6 +30,11 @@ from sim_twin.twin.profile import TwinProfile
 
 GLANCE_COUNT = 6
 """Fewer throws at a glance would show too little: then it is at all of them."""
+TYPE_LOOKS = ((1.0, CLEAR_LOG_POWER),)
+"""Looks at the misfit: the least factor, and from which log power on it is clear. Machines of the type are
+never much nearer to their twin than the others."""
+STRANGER_LOOKS = ((0.0, 0.0), (1.0, 0.0))
+"""A stranger's are twice: a factor scales its discrepancy, and not the noise that is left beside it."""
 OF_THROWS = "prepared", "plain", "factor", "linear", "whitened", "information", "off", "basis"
 """Fields of a problem with an entry for every throw."""
 
@@ -91,11 +96,10 @@ def pose(
         layout = layout_of(model)
         linear = linearise(prepared, profile, calibration, healthy)
     found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
-    # Machines of the type are never much nearer to their twin than the others.
-    for least in () if health.is_own else (0.0, 1.0) if is_stranger else (1.0,):
-        clear = 0.0 if is_stranger else CLEAR_LOG_POWER
-        excess = misfit(found.whitened, layout.priors, model, clear)
-        excess = {stage: max(factor, least) for stage, factor in excess.items()}
+    looks = STRANGER_LOOKS if is_stranger else TYPE_LOOKS
+    for least_ratio, clear_log_power in () if health.is_own else looks:
+        excess = misfit(found.whitened, layout.priors, model, clear_log_power)
+        excess = {stage: max(factor, least_ratio) for stage, factor in excess.items()}
         if any(factor != 1.0 for factor in excess.values()):
             model = scaled_to(model, excess)
             found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)

@@ -30,8 +30,8 @@ COMMON_CLOCK_SD_S = 0.008
 """All sensors may be late together by it, if all that is commanded is as much earlier: no log tells that
 (docs/diagnosis.md), but noise in measured joints does as if, since a later twin is a smoother one."""
 LEAST_VISCOUS_PER_S = 0.015
-"""Healthy strangers whose gripper was integrated in steps of 1 and 2 ms have 0.01 to 0.03 more than the twin,
-and 0.01 to 0.025 rad/s2 less dry friction (nine sets of three plants)."""
+"""Healthy strangers whose gripper was integrated in steps of 1 and 2 ms have 0.013 to 0.030 more than their
+twin, and 0 to 0.027 rad/s2 less dry friction (eight sets of three plants)."""
 LEAST_DEAD_BAND_RATIO = 0.008
 """Another valve's overlap is not the table's to 0.5 %: two strangers had 0.02 to 0.035 at the slew or the
 telescope, beside nothing or beside another effect. With 0.012 a slew's limit of 0.4 gets a hysteresis beside
