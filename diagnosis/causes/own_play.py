@@ -11,7 +11,7 @@ import numpy as np
 
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import total
+from diagnosis.causes.selection import Priors, total
 from diagnosis.causes.shapes import PLAY_POWERS, group_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import play_columns
 from diagnosis.causes.whitening import (
@@ -32,10 +32,11 @@ def with_own_play(
     at: Sequence[Linear],
     factors: Sequence[Sequence[Array]],
     joints: Collection[str],
-) -> list[Whitened]:
+) -> tuple[list[Whitened], Priors]:
     """Throws whose shapes of changing play, at some joints, have the slopes of a trial.
 
     Of them only what the named slopes of the trial do not explain: play that is the same all along is play.
+    The priors know what else they look like.
 
     Args:
         problem: the throws.
@@ -53,10 +54,12 @@ def with_own_play(
     ]
     beside = beside_named(total(information(own)), problem.layout)[:, places]
     named = slice(2, 2 + beside.shape[0])
+    looks_like = problem.beside.copy()
+    looks_like[:, places] = beside
     return [
         _with_columns(w, columns, w.table[:, columns] - w.table[:, named] @ beside, middle)
         for w in own
-    ]
+    ], problem.layout.priors._replace(looks_like=looks_like)
 
 
 def _whitened_play(

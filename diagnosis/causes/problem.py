@@ -146,7 +146,10 @@ def _whitened(
 
 
 def _with_form_error(first: Problem) -> Problem:
-    """With the discrepancy that effects bring wherever the twin without any is off."""
+    """With the discrepancy that effects bring wherever the twin without any is off.
+
+    From here on a shape moves what it looks like as well (`Priors.looks_like`).
+    """
     prepared, model = first.prepared, first.model
     mean = screen(total(first.information), first.layout.priors).mean
     off = [
@@ -160,6 +163,7 @@ def _with_form_error(first: Problem) -> Problem:
     ]
     return replace(
         first,
+        layout=replace(first.layout, priors=first.layout.priors._replace(looks_like=first.beside)),
         factor=factor,
         off=off,
         whitened=whitened,

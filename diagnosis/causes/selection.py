@@ -64,6 +64,9 @@ class Information(NamedTuple):
     """c of that residual."""
 
 
+NO_SHAPES = np.zeros((0, 0))
+
+
 class Priors(NamedTuple):
     """Priors of p parameters in g groups; a group is one effect at one joint."""
 
@@ -79,6 +82,10 @@ class Priors(NamedTuple):
     """Parameter indices of each group."""
     log_prior: Array
     """(g,) log odds of each group's presence before the data."""
+    looks_like: Array = NO_SHAPES
+    """(c, u) what the last u parameters, the shapes, look like in the first c: a set that has a shape moves
+    these, too. What healthy machines scatter along a shape is counted beside them alone: scatter along a
+    sensor's scale, which has a bias in its mean, would hide biases."""
 
 
 class SetEvidence(NamedTuple):
@@ -220,7 +227,7 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     index = members_index(priors, members)
     if index.size == 0:
         return SetEvidence((), 0.0, np.zeros(0), np.zeros((0, 0)))
-    precision, gradient = base.precision[np.ix_(index, index)], base.gradient[index]
+    precision, gradient = _about_sizes(base, priors, index)
     low, high = priors.low[index], priors.high[index]
     found = [_weigh_slab(precision, gradient, slab, low, high) for slab in _slabs(priors, index)]
     logs = np.array([entry[0] for entry in found])
@@ -229,14 +236,30 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     return SetEvidence(members, log_odds + set_log_prior(priors, members), best[1], best[2])
 
 
+def _about_sizes(base: Screen, priors: Priors, index: IntArray) -> tuple[Array, Array]:
+    """P and g of the sizes of a hypothesis with these parameters."""
+    if index.max() < priors.slab_sd.size - priors.looks_like.shape[1]:
+        return base.precision[np.ix_(index, index)], base.gradient[index]
+    moved = _moved_by(priors, index)
+    return moved.T @ base.precision @ moved, moved.T @ base.gradient
+
+
+def _moved_by(priors: Priors, index: IntArray) -> Array:
+    """What all parameters move by (p, k) for each size of a hypothesis with these parameters."""
+    moved = np.zeros((priors.slab_sd.size, index.size))
+    moved[index, np.arange(index.size)] = 1.0
+    shape = index - (priors.slab_sd.size - priors.looks_like.shape[1])
+    is_shape = shape >= 0
+    moved[: priors.looks_like.shape[0], is_shape] += priors.looks_like[:, shape[is_shape]]
+    return moved
+
+
 def mean_with(base: Screen, data: Information, priors: Priors, found: SetEvidence) -> Array:
     """Posterior mean of all parameters: members at their sizes, and the scatter that the data then want."""
     if not found.members:
         return base.mean
-    index = members_index(priors, found.members)
-    mean = base.mean - base.covariance @ (data.precision[:, index] @ found.mean)
-    mean[index] += found.mean
-    return mean
+    moved = _moved_by(priors, members_index(priors, found.members)) @ found.mean
+    return np.asarray(base.mean - base.covariance @ (data.precision @ moved) + moved)
 
 
 def set_log_prior(priors: Priors, members: Set) -> float:

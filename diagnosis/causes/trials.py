@@ -217,16 +217,15 @@ def _with_form(
     played = [
         j for e, j in (problem.layout.groups[m] for m in members) if e == "valve_hysteresis" and j
     ]
+    plain = problem.layout.priors
     if played:
-        throws = with_own_play(problem, throws, at, factors, played)
+        throws, plain = with_own_play(problem, throws, at, factors, played)
     informations = information(throws)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
-    priors = problem.layout.priors
-    if members:
-        priors = formed(priors, data, members, start)
+    priors = formed(plain, data, members, start) if members else plain
     base = screen(data, priors)
-    mean = _sizes_in(data, problem.layout.priors, members)
+    mean = _sizes_in(data, plain, members)
     bent = tuple(m for m in members if problem.layout.groups[m][0] in BENT_EFFECTS)
     trial = Trial(
         members=members,
@@ -235,7 +234,7 @@ def _with_form(
         levels={},
         information=[data] if is_rough else informations,
         priors=priors,
-        plain=problem.layout.priors,
+        plain=plain,
         base=base,
         bent=bent,
         is_shaken=any(problem.layout.groups[m][0] in SHAKING_EFFECTS for m in members),

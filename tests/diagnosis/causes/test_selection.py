@@ -21,6 +21,7 @@ from diagnosis.causes.selection import (
     expected_log_odds,
     inform,
     inform_gram,
+    mean_with,
     screen,
     search,
     total,
@@ -108,6 +109,26 @@ def test_evidence_equals_the_dense_gaussian() -> None:
     # The mixture's smaller scales are lifted to the same least width here.
     sd[[0, 2]] = np.hypot(MIN_SLAB_OVER_SPIKE_RATIO * 0.5, 0.5)
     assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0 + PARTNER_LOG_PRIOR)
+
+
+def test_a_shape_also_moves_what_it_looks_like_as_the_dense_gaussian_does() -> None:
+    rng = np.random.default_rng(8)
+    jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
+    prior = prior._replace(looks_like=np.array([[0.7], [0.0], [-1.2]]))
+    data = inform(residual, jacobian, np.zeros((30, 1)))
+    base = screen(data, prior)
+    found = weigh(base, prior, (3,))
+
+    moved = np.array([0.7, 0.0, -1.2, 1.0])
+    slab = MIN_SLAB_OVER_SPIKE_RATIO * 0.5
+    spread = prior.scatter + slab**2 * np.outer(moved, moved)
+    density: Any = multivariate_normal
+    none, own = (np.eye(30) + jacobian @ c @ jacobian.T for c in (prior.scatter, spread))
+    ahead = density.logpdf(residual, cov=own) - density.logpdf(residual, cov=none)
+    assert found.log_odds == pytest.approx(float(ahead) - 4.0)
+    expected = spread @ jacobian.T @ np.linalg.solve(own, residual)
+    np.testing.assert_allclose(mean_with(base, data, prior, found), expected, atol=1e-10)
 
 
 def test_true_pair_is_found_and_nothing_else() -> None:

@@ -13,8 +13,9 @@ from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_levels
-from diagnosis.causes.selection import total
+from diagnosis.causes.selection import total, weigh
 from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
+from diagnosis.causes.trials import no_effect
 from diagnosis.causes.unheard import unheard_columns
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import LoadedSet, ThrowData
@@ -210,6 +211,37 @@ def test_what_no_library_has_is_unknown_and_says_what_it_looks_like(
     assert isinstance(signature, dict)
     assert (signature["stage"], signature["joint"]) == where
     assert signature["looks_like"] in {shape and SHAPES[shape].said for shape in shapes}
+
+
+def biased(throw: ThrowData, bias_rad: float) -> ThrowData:
+    """A dipper whose sensor is off by the same everywhere; the estimate of the swing stays plumb."""
+    off = bias_rad * np.eye(ACTIVE_COUNT)[DIPPER]
+    estimate = throw.joint_position_rad_m.copy()
+    estimate[:, DIPPER] += bias_rad
+    estimate[:, ACTIVE_COUNT] -= bias_rad
+    return replace(
+        throw,
+        sensor_position_rad_m=throw.sensor_position_rad_m + off,
+        joint_position_rad_m=estimate,
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "size", "is_scale"), [(scaled, 0.04, True), (biased, -0.04, False)]
+)
+def test_a_sensor_s_scale_and_its_bias_are_told_from_each_other_as_they_look(
+    changed: Callable[[ThrowData, float], ThrowData], size: float, is_scale: bool
+) -> None:
+    """A scale's mean is a bias: on what a bias leaves of it alone a scale lost to the bias."""
+    problem = posed(measured_as(changed, size))
+    base, priors, groups = no_effect(problem).base, problem.layout.priors, problem.layout.groups
+    scale, bias = (
+        weigh(base, priors, (groups.index((name, "dipper")),))
+        for name in (f"{UNHEARD}:scale", "joint_sensor_bias")
+    )
+    assert (scale.log_odds > bias.log_odds) == is_scale
+    assert abs(scale.log_odds - bias.log_odds) > 10.0
+    assert (scale if is_scale else bias).mean == pytest.approx(size, rel=0.25)
 
 
 def test_the_same_throws_without_it_have_no_effect() -> None:
