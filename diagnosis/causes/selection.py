@@ -174,6 +174,12 @@ def total(informations: Sequence[Information], weights: Array | None = None) -> 
     )
 
 
+def log_likelihood(information: Information, theta: Array) -> float:
+    """What the data say about parameters theta (p,)."""
+    fit = theta @ (information.precision @ theta - 2.0 * information.gradient)
+    return -0.5 * (information.square + float(fit)) - information.log_volume
+
+
 def screen(information: Information, priors: Priors) -> Screen:
     """The posterior when there is nothing but scatter."""
     precision, gradient = information.precision, information.gradient

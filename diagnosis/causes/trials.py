@@ -11,6 +11,7 @@ import numpy as np
 from diagnosis.causes.form_error import rough_blocks, widened
 from diagnosis.causes.leftovers import levels
 from diagnosis.causes.linear import Linear, carried
+from diagnosis.causes.own_noise import in_common_noise
 from diagnosis.causes.own_play import with_own_play
 from diagnosis.causes.parameters import (
     ROUGH_EFFECTS,
@@ -221,6 +222,8 @@ def _with_form(
     if played:
         throws, plain = with_own_play(problem, throws, at, factors, played)
     informations = information(throws)
+    if rough:
+        informations = in_common_noise(problem, factors, informations)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
     priors = formed(plain, data, members, start) if members else plain

@@ -38,7 +38,7 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
         (two, "actuation.slew", False),
         (two[:1], "actuation.boom", False),
     ):
-        best = cast("Hypothesis", SimpleNamespace(effects=effects))
+        best = cast("Hypothesis", SimpleNamespace(members=(1, 2), effects=effects))
         assert (unknown_log_odds(best, 0.0, block, left[block]) > 0.0) is is_foreign
     ranked = SimpleNamespace(
         levels=left, shape=None, best=SimpleNamespace(members=(1, 2), effects=two), ahead=0.0
@@ -51,10 +51,19 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
 
 def test_a_large_effect_may_leave_more() -> None:
     """A pump 2000 ahead of no effect leaves 6 sd at a joint by its form alone."""
-    best = cast("Hypothesis", SimpleNamespace(effects=()))
+    best = cast("Hypothesis", SimpleNamespace(members=(3,), effects=()))
     block = "actuation.telescope"
     for ahead, level, is_foreign in ((100.0, 6.0, True), (2000.0, 6.0, False), (9e4, 8.0, True)):
         assert (unknown_log_odds(best, ahead, block, level) > 0.0) is is_foreign
+
+
+def test_where_no_effect_is_best_less_is_foreign() -> None:
+    """Nothing has a form there that could leave more: command drop-outs left 4.9 sd and were none."""
+    none = cast("Hypothesis", SimpleNamespace(members=(), effects=()))
+    pump = cast("Hypothesis", SimpleNamespace(members=(3,), effects=()))
+    block = "actuation.telescope"
+    for best, level, is_foreign in ((none, 4.9, True), (none, 3.8, False), (pump, 4.9, False)):
+        assert (unknown_log_odds(best, 0.0, block, level) > 0.0) is is_foreign
 
 
 def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> None:
