@@ -25,11 +25,12 @@ QUIET_LEVEL_SD = 4.5
 QUIET_WIDTH_SD = 0.5
 """The same where no effect is best: nothing has a form then that could leave more. Of 40 healthy sets (seed
 680363348) one left 3.8, the others 2.4 at most; command drop-outs that had been none left 4.9."""
-CROWDED_LEVEL_SD = 1.7
+CROWDED_LEVEL_SD = 3.4
 CROWDED_WIDTH_SD = 0.4
 """The same at a joint where the best set has two effects or more: together they take most of what a foreign
-one does. Of 200 sets (seed 680363348) ten known ones with two effects at a joint left 1.4 there at most, less
-what the form of large ones leaves (below), and four foreign ones that passed for two left 0.5 to 1.8."""
+one does. Of 475 sets (seeds 680363348, 1741499251, unknown ones of 1618984247) known ones with two effects at
+a joint left 3.2 there at most, less what the form of large ones leaves (below), but for two with a stiction
+(4.8 and 5.2); foreign ones that no shape shows left 3.6, and 6.1 and more."""
 FORM_LEVEL_SD = 1.0
 FORM_LOG_EVIDENCE = 1000.0
 """So many more standard deviations for so much log evidence of the best set over none, twice at most: the

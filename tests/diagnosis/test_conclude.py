@@ -32,7 +32,7 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
         Effect(effect=effect, joint="boom", parameters={name: 0.1})
         for effect, name in (("valve_hysteresis", "half_width_ratio"), ("valve_lag", "extra_lag_s"))
     )
-    left = {"flight.ball": 4.0, "actuation.boom": 3.3, "actuation.slew": 3.3}
+    left = {"flight.ball": 4.0, "actuation.boom": 3.6, "actuation.slew": 3.6}
     for effects, block, is_foreign in (
         (two, "actuation.boom", True),
         (two, "actuation.slew", False),

@@ -9,27 +9,30 @@ from typing import cast
 import numpy as np
 import pytest
 
+from diagnosis.causes import candidates
+from diagnosis.causes.candidates import with_shapes
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_levels
 from diagnosis.causes.selection import total, weigh
 from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
-from diagnosis.causes.trials import no_effect
+from diagnosis.causes.trials import no_effect, try_sets
 from diagnosis.causes.unheard import unheard_columns
+from diagnosis.causes.weighing import Trial
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import LoadedSet, ThrowData
 from diagnosis.loading.prepared import prepare
 from diagnosis.verdict import VerdictKind
-from machine.conventions import ACTIVE_COUNT, Array
+from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, Array
+from sim_twin.effects.effect import Effect
 from sim_twin.twin.grip_point import gripper_axes
 from tests.diagnosis.twin_throws import SWITCH_LAG_S, health, posed, profile, throws
 
 THROWS = 6
 DIPPER, TELESCOPE = 2, 3
-DRIVE_SHAPES = {"way", "play", "command", None}
-"""Six throws need not tell which of them a stretch where a joint is slow looks like most; beside two effects
-at its joint what they leave may be louder than any."""
+DRIVE_SHAPES = {"way", "play", "command"}
+"""Throws need not tell which of them a stretch where a joint is slow looks like most."""
 
 
 def leaking(valve_ratio: Array) -> Array:
@@ -196,21 +199,22 @@ def test_without_a_tracker_a_kick_is_no_hypothesis() -> None:
     ("loaded", "shapes", "where"),
     [
         (partial(throws, (), THROWS, received=leaking), {"neighbours"}, ("actuation", "dipper")),
-        (partial(throws, (), THROWS, received=sticky), DRIVE_SHAPES, ("actuation", "dipper")),
+        # In six throws it passes for a dead band and a speed limit.
+        (partial(throws, (), 12, received=sticky), DRIVE_SHAPES, ("actuation", "dipper")),
         (partial(measured_as, scaled, 0.15), {"scale"}, ("aim", "dipper")),
         (partial(measured_as, kicked, 0.5), {"kick"}, ("release", None)),
         (opened_by_the_swing, {"opening"}, ("release", None)),
     ],
 )
 def test_what_no_library_has_is_unknown_and_says_what_it_looks_like(
-    loaded: Callable[[], LoadedSet], shapes: set[str | None], where: tuple[str, str | None]
+    loaded: Callable[[], LoadedSet], shapes: set[str], where: tuple[str, str | None]
 ) -> None:
     found = diagnose_throws(loaded(), profile(), health=health())
     signature = found.evidence["unknown"]
     assert found.verdict is VerdictKind.UNKNOWN
     assert isinstance(signature, dict)
     assert (signature["stage"], signature["joint"]) == where
-    assert signature["looks_like"] in {shape and SHAPES[shape].said for shape in shapes}
+    assert signature["looks_like"] in {SHAPES[shape].said for shape in shapes}
 
 
 def biased(throw: ThrowData, bias_rad: float) -> ThrowData:
@@ -242,6 +246,37 @@ def test_a_sensor_s_scale_and_its_bias_are_told_from_each_other_as_they_look(
     assert (scale.log_odds > bias.log_odds) == is_scale
     assert abs(scale.log_odds - bias.log_odds) > 10.0
     assert (scale if is_scale else bias).mean == pytest.approx(size, rel=0.25)
+
+
+def shaped(problem: Problem, *trials: Trial) -> set[tuple[str, str | None]]:
+    """Shapes that are weighed, alone or beside what trials have."""
+    return {problem.layout.groups[m[-1]] for _, m in with_shapes(problem, trials)}
+
+
+def dipper_effect(effect: str, size: float) -> Effect:
+    sizes = {"positive_ratio": size, "negative_ratio": size}
+    return Effect(effect=effect, joint="dipper", parameters=sizes)
+
+
+def test_what_a_name_explains_is_no_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gain looks like a speed that changes on the way, or with the command, and has nothing beside."""
+    problem = posed(throws((dipper_effect("valve_gain", 0.15),), THROWS))
+    like_a_gain = {(f"{UNHEARD}:way", "dipper"), (f"{UNHEARD}:command", "dipper")}
+    assert not shaped(problem, no_effect(problem)) & like_a_gain
+    monkeypatch.setattr(candidates, "LEAST_OWN_LOG_EVIDENCE", 0.0)
+    assert shaped(problem, no_effect(problem)) >= like_a_gain
+
+
+def test_beside_a_dead_band_its_joint_s_metering_is_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = posed(throws((dipper_effect("valve_dead_band", 0.1),), 3))
+    group = problem.layout.groups.index(("valve_dead_band", "dipper"))
+    trial = try_sets(problem, {(group,): np.array([0.1, 0.1])})[0]
+    monkeypatch.setattr(candidates, "LEAST_OWN_LOG_EVIDENCE", -1.0)
+    monkeypatch.setattr(candidates, "own_evidence", lambda _: -np.inf)
+    monkeypatch.setattr(candidates, "SHAPED_COUNT", 100)
+    everywhere = {(f"{UNHEARD}:command", joint) for joint in ACTIVE_JOINTS}
+    assert everywhere - shaped(problem, trial) == {(f"{UNHEARD}:command", "dipper")}
+    assert everywhere <= shaped(problem, no_effect(problem))
 
 
 def test_the_same_throws_without_it_have_no_effect() -> None:
