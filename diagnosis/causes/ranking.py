@@ -28,7 +28,7 @@ QUIET_WIDTH_SD = 0.5
 CROWDED_LEVEL_SD = 3.4
 CROWDED_WIDTH_SD = 0.4
 """The same at a joint where the best set has two effects or more: together they take most of what a foreign
-one does. Of 475 sets (seeds 680363348, 1741499251, unknown ones of 1618984247) known ones with two effects at
+one does. Of 425 sets (seeds 680363348, 1741499251, unknown ones of 1618984247) known ones with two effects at
 a joint left 3.2 there at most, less what the form of large ones leaves (below), but for two with a stiction
 (4.8 and 5.2); foreign ones that no shape shows left 3.6, and 6.1 and more."""
 FORM_LEVEL_SD = 1.0

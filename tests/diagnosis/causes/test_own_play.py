@@ -19,8 +19,6 @@ from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, throws
 
 PLAY = Effect(effect="valve_hysteresis", joint="dipper", parameters={"half_width_ratio": 0.1})
-
-
 SIZE = index_of()["valve_hysteresis.dipper.half_width_ratio"]
 PLACES = np.array(unheard_groups()[group_of("play"), "dipper"])
 
