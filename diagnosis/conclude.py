@@ -23,6 +23,7 @@ from diagnosis.verdict import (
     Shrink,
     VerdictKind,
 )
+from sim_twin.effects.effect import Effect
 
 LEAST_GAIN_RATIO = 0.05
 """An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
@@ -62,9 +63,7 @@ def conclude(found: Findings) -> Diagnosis:
     verdict = verdict_of(ranked, shrunk)
     ambiguity: Ambiguity | None = None
     if verdict is VerdictKind.AMBIGUOUS:
-        ambiguity = (
-            _or_nothing(ranked, demoted or "") if ranked.rival is None else _ambiguity(ranked)
-        )
+        ambiguity = ambiguity_of(ranked, demoted)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity),
@@ -146,7 +145,16 @@ def _gap(found: Findings) -> Gap:
     )
 
 
-def _ambiguity(ranked: Ranked) -> Ambiguity:
+def ambiguity_of(ranked: Ranked, demoted: str | None) -> Ambiguity:
+    """What the throws leave open: which cause, or, where it was demoted, whether it is one at all."""
+    # Jitter that is there either way is part of either cause.
+    more = (ranked.jitter.effect(),) if ranked.jitter_probability > 0.5 else ()
+    if ranked.rival is None:
+        return _or_nothing(ranked, more, demoted or "")
+    return _ambiguity(ranked, more)
+
+
+def _ambiguity(ranked: Ranked, more: tuple[Effect, ...]) -> Ambiguity:
     rival = ranked.rival
     if rival is None:
         raise ValueError("no rival, no ambiguity")
@@ -161,7 +169,10 @@ def _ambiguity(ranked: Ranked) -> Ambiguity:
     ]
     first = (mine or own or list(ranked.best.effects))[0]
     second = (other or list(rival.effects))[0]
-    members = (effect_names(ranked.best.effects), effect_names(rival.effects))
+    members = (
+        effect_names((*ranked.best.effects, *more)),
+        effect_names((*rival.effects, *more)),
+    )
     return Ambiguity(
         members=members,
         separating_motion=separating_motion(first, second),
@@ -173,10 +184,10 @@ def _ambiguity(ranked: Ranked) -> Ambiguity:
     )
 
 
-def _or_nothing(ranked: Ranked, why: str) -> Ambiguity:
+def _or_nothing(ranked: Ranked, more: tuple[Effect, ...], why: str) -> Ambiguity:
     """A cause that the throws favour, and that gains nothing that can be shown."""
     return Ambiguity(
-        members=(effect_names(ranked.best.effects), "none"),
+        members=(effect_names((*ranked.best.effects, *more)), effect_names(more) or "none"),
         separating_motion=alone_motion(ranked.best.effects[0]),
         why=why,
     )

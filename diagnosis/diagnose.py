@@ -1,6 +1,7 @@
 """A set of throws against the twin of its machine: where the gap lies, what causes it, how far it shrinks."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from time import perf_counter
 
 import numpy as np
@@ -17,6 +18,7 @@ from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
+from diagnosis.second_process import SecondProcess
 from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread
@@ -38,6 +40,8 @@ def diagnose_throws(
     cancel: Callable[[], bool] | None = None,
     health: Health | None = None,
     reference: LoadedSet | None = None,
+    *,
+    is_alone: bool = True,
 ) -> Diagnosis:
     """Diagnose a set of throws.
 
@@ -49,6 +53,7 @@ def diagnose_throws(
         health: what a healthy machine of the type looks like; the calibrated one if left out.
         reference: throws of the same machine while it was healthy, which tell effects from what this machine
             is off anyway; without them it is compared with healthy machines of the type.
+        is_alone: whether a second core is free for it.
 
     Raises:
         CancelledError: `cancel` said so.
@@ -59,9 +64,9 @@ def diagnose_throws(
         return refused
     if reference is not None:
         check_reference(reference, loaded.throws)
-    with one_blas_thread():
+    with one_blas_thread(), SecondProcess() if is_alone else nullcontext() as second:
         known = load_health() if health is None else health
-        return _diagnose(loaded, reference, profile, known, progress, cancel)
+        return _diagnose(loaded, reference, profile, known, progress, cancel, second)
 
 
 def _diagnose(
@@ -71,6 +76,7 @@ def _diagnose(
     health: Health,
     progress: Progress | None,
     cancel: Callable[[], bool] | None,
+    second: SecondProcess | None,
 ) -> Diagnosis:
     started = perf_counter()
     seconds: dict[str, float] = {}
@@ -97,7 +103,7 @@ def _diagnose(
     plan = layout(model)
     if jitter.log_odds > 0.0:
         health = health._replace(noise=model.with_jitter(jitter.size_s))
-    problem = pose(prepared, profile, calibration, health, plan)
+    problem = pose(prepared, profile, calibration, health, plan).shared_with(second)
     tell(0.35, "which: sets of effects")
     hypotheses = explore(problem, lambda s: tell(0.35 + 0.5 * s, "which: sets of effects"))
     ranked = rank(problem, hypotheses, jitter)

@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from diagnosis.causes.elements import STRAIGHT_EFFECTS
 from diagnosis.causes.least_sizes import is_some
 from diagnosis.causes.parameters import ROUGH_EFFECTS, Group, View, library
 from diagnosis.causes.problem import Problem
@@ -177,9 +178,12 @@ def grown_sets(
 def _has_stale_slopes(problem: Problem, trial: Trial, group: int) -> bool:
     """Whether a group's slopes in a trial are those at no effect though the trial moves what they show.
 
-    So it is for effects of the swing and the flight alone; what a valve or a sensor moves is followed.
+    So it is for effects of the swing and the flight alone, and for sensors' biases beside them
+    (`STRAIGHT_EFFECTS`); what a valve or a late sensor moves is followed.
     """
     own, *moved = (_views(problem, g) for g in (group, *trial.members))
+    if problem.layout.groups[group][0] in STRAIGHT_EFFECTS:
+        own = own - {View.ACTUATION}
     return any(own & other and View.ACTUATION not in own | other for other in moved)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from diagnosis.causes.parameters import ROUGH_EFFECTS
 from diagnosis.healthy.noise import NoiseModel, whitener
-from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.loading.prepared import Block, PreparedThrow
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 
@@ -43,12 +43,7 @@ def rough_blocks(effects: Sequence[Effect]) -> set[str]:
 
 
 def widened(
-    prepared: PreparedThrow,
-    model: NoiseModel,
-    healthy: Sequence[Array],
-    off: Array,
-    change: Array | None = None,
-    rough: Collection[str] = (),
+    prepared: PreparedThrow, model: NoiseModel, healthy: Sequence[Array], off: Array
 ) -> list[Array]:
     """Factors with the discrepancy that an effect brings, whichever it is.
 
@@ -60,23 +55,56 @@ def widened(
         model: noise.
         healthy: factors without it.
         off: (n,) what the twin without any effect leaves of the throw.
-        change: (n,) what effects change that shake the other joints.
-        rough: blocks of the joints of these effects.
+    """
+    return [
+        _with(model, block, lower, _of_form(block, lower, off))
+        for block, lower in zip(prepared.blocks, healthy, strict=True)
+    ]
+
+
+def shaken(
+    prepared: PreparedThrow,
+    model: NoiseModel,
+    healthy: Sequence[Array],
+    common: Sequence[Array],
+    off: Array,
+    change: Array,
+    rough: Collection[str],
+) -> list[Array]:
+    """Factors with what effects bring that shake the other joints as well.
+
+    Args:
+        prepared: the throw.
+        model: noise.
+        healthy: factors of a healthy machine.
+        common: those with the discrepancy that any effect brings (`widened`); of blocks that nothing shakes
+            they are kept.
+        off: (n,) what the twin without any effect leaves of the throw.
+        change: (n,) what the effects change.
+        rough: blocks of their joints.
     """
     shaking = [b.rows for b in prepared.blocks if b.name in rough]
     found: list[Array] = []
-    for block, lower in zip(prepared.blocks, healthy, strict=True):
-        extra = FORM_ERROR_RATIO.get(block.name.partition(".")[0], 0.0) * _clear(
-            off[block.rows], lower
-        )
-        if change is not None and block.name.startswith("actuation") and block.name not in rough:
-            for rows in shaking:
-                extra = extra + SHAKE_RATIO * _clear(change[rows], lower)
-        channel = model.channels[block.name]
-        found.append(
-            whitener(channel, block.t_s, block.rate, block.push, extra) if extra.any() else lower
-        )
+    for block, lower, usual in zip(prepared.blocks, healthy, common, strict=True):
+        if not block.name.startswith("actuation") or block.name in rough:
+            found.append(usual)
+            continue
+        extra = _of_form(block, lower, off)
+        for rows in shaking:
+            extra = extra + SHAKE_RATIO * _clear(change[rows], lower)
+        found.append(_with(model, block, lower, extra))
     return found
+
+
+def _of_form(block: Block, lower: Array, off: Array) -> Array:
+    """More discrepancy (n,) of a block for the form of effects."""
+    ratio = FORM_ERROR_RATIO.get(block.name.partition(".")[0], 0.0)
+    return ratio * _clear(off[block.rows], lower)
+
+
+def _with(model: NoiseModel, block: Block, lower: Array, extra: Array) -> Array:
+    channel = model.channels[block.name]
+    return whitener(channel, block.t_s, block.rate, block.push, extra) if extra.any() else lower
 
 
 def _clear(change: Array, lower: Array) -> Array:

@@ -84,4 +84,4 @@ def _with_columns(whitened: Whitened, columns: IntArray, values: Array, middle: 
     moved = np.r_[0, 1, columns]
     gram[:, moved] = table.T @ table[:, moved]
     gram[moved] = gram[:, moved].T
-    return replace(whitened, table=table, gram=gram)
+    return replace(whitened, first=table, gram=gram, changes=())

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from diagnosis.causes.form_error import factors, widened
 from diagnosis.causes.leftovers import in_units, left_of, levels
 from diagnosis.causes.linear import Linear
+from diagnosis.causes.own_noise import AtNone, at_none
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import linearise
@@ -24,6 +25,7 @@ from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.healthy.stranger import as_near_as_shown, stranger
 from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.second_process import SecondProcess
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import TwinProfile
@@ -35,7 +37,17 @@ TYPE_LOOKS = ((1.0, CLEAR_LOG_POWER),)
 never much nearer to their twin than the others."""
 STRANGER_LOOKS = ((0.0, 0.0), (1.0, 0.0))
 """A stranger's are twice: a factor scales its discrepancy, and not the noise that is left beside it."""
-OF_THROWS = "prepared", "plain", "factor", "linear", "whitened", "information", "off", "basis"
+OF_THROWS = (
+    "prepared",
+    "plain",
+    "factor",
+    "linear",
+    "whitened",
+    "information",
+    "off",
+    "basis",
+    "at_none",
+)
 """Fields of a problem with an entry for every throw."""
 
 
@@ -45,6 +57,7 @@ class Problem:
 
     prepared: Sequence[PreparedThrow]
     profile: TwinProfile
+    """The machine's as it is known to be while it is healthy (`Health.at_home`)."""
     calibration: ValveCalibration
     healthy: HealthyModel
     model: NoiseModel
@@ -66,6 +79,16 @@ class Problem:
     none_levels: Mapping[str, float]
     """What no effect leaves in every block (`levels`), in a healthy machine's noise: where nothing is
     explained, nothing is off by its form."""
+    at_none: Sequence[AtNone]
+    """What no effect leaves of every throw, beside the throw's nuisances, in the channels' own units."""
+    second: SecondProcess | None = None
+    """Tries half of the sets."""
+
+    def shared_with(self, second: SecondProcess | None) -> "Problem":
+        """The same, of whose sets a second process tries half."""
+        if second is not None:
+            second.keep(self)
+        return replace(self, second=second)
 
     def at_a_glance(self) -> "Problem":
         """Every other throw of each mode, for a look at many sets of which few are tried again."""
@@ -89,6 +112,7 @@ def pose(
     An effect's discrepancy is in the noise from here on (`widened`), wherever the twin without any is off.
     """
     healthy, model = health.filters, health.noise
+    profile = health.at_home(profile)
     linear = linearise(prepared, profile, calibration, healthy)
     is_stranger = not health.is_own and not filters_help(prepared, linear, healthy)
     if is_stranger:
@@ -142,6 +166,7 @@ def _whitened(
         [],
         [],
         {},
+        [],
     )
 
 
@@ -161,16 +186,21 @@ def _with_form_error(first: Problem) -> Problem:
         whiten_throw(p, one, model, f, beside=first.beside)
         for p, one, f in zip(prepared, first.linear, factor, strict=True)
     ]
+    told = information(whitened)
+    none = screen(total(told), first.layout.priors).mean
     return replace(
         first,
         layout=replace(first.layout, priors=first.layout.priors._replace(looks_like=first.beside)),
         factor=factor,
         off=off,
         whitened=whitened,
-        information=information(whitened),
+        information=told,
         none_levels=levels(first.whitened, mean),
         basis=[
             Basis(one, f, w, first.beside)
             for one, f, w in zip(first.linear, factor, whitened, strict=True)
+        ],
+        at_none=[
+            at_none(p, f, w, none) for p, f, w in zip(prepared, factor, whitened, strict=True)
         ],
     )

@@ -31,7 +31,7 @@ from sim_twin.twin.profile import TwinProfile
 
 THROWS_COUNT = 24
 """Throws linearised side by side: each of 36 took 14 MiB."""
-BATCH_COUNT = 2500
+BATCH_COUNT = 700
 """Simulations side by side, beyond which no further set joins them (by eye)."""
 
 

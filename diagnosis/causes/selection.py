@@ -33,6 +33,9 @@ NORMAL_90 = 1.6449
 """Standard deviations to either side that hold 90 %."""
 MIN_SLAB_OVER_SPIKE_RATIO = 4.0
 """A slab narrower than this would only be a second spike."""
+MOST_SIDE_RATIO = 0.4
+"""Of a bound: a slab is no wider to its side. A load that may be 5 kg heavier and 0.5 kg lighter is not as
+likely to be lighter by 0.45 as heavier by it; in four sets with more drag (seed 20261126) it stood for it."""
 
 
 FORM_TEMPERATURE_RATIO = 8.0
@@ -235,7 +238,8 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
         return SetEvidence((), 0.0, np.zeros(0), np.zeros((0, 0)))
     precision, gradient = _about_sizes(base, priors, index)
     low, high = priors.low[index], priors.high[index]
-    found = [_weigh_slab(precision, gradient, slab, low, high) for slab in _slabs(priors, index)]
+    slabs = _slabs(priors, index, precision, gradient)
+    found = [_weigh_slab(precision, gradient, slab, low, high) for slab in slabs]
     logs = np.array([entry[0] for entry in found])
     best = found[int(np.argmax(logs))]
     log_odds = float(logsumexp(logs) - np.log(len(found)))
@@ -274,8 +278,13 @@ def set_log_prior(priors: Priors, members: Set) -> float:
     return alone + PARTNER_LOG_PRIOR * comb(len(members), 2)
 
 
-def _slabs(priors: Priors, index: IntArray) -> list[Array]:
+def _slabs(priors: Priors, index: IntArray, precision: Array, gradient: Array) -> list[Array]:
+    """Widths of the slab to the side to which each size lies."""
     widest = priors.slab_sd[index]
+    size = np.linalg.solve(precision + np.diag(widest**-2), gradient)
+    bound = np.where(size < 0.0, -priors.low[index], priors.high[index])
+    # Where there is no room at all to a side, the mass within the bounds tells.
+    widest = np.where(bound > 0.0, np.minimum(widest, MOST_SIDE_RATIO * bound), widest)
     spike_sd = np.sqrt(np.diag(priors.scatter)[index])
     least = np.minimum(MIN_SLAB_OVER_SPIKE_RATIO * spike_sd, widest)
     return [np.maximum(scale * widest, least) for scale in SLAB_SCALES_RATIO]

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.trials import BENT_EFFECTS, SWAYING, Seed, try_sets
+from diagnosis.causes.trials import BENT_EFFECTS, CURVED_EFFECTS, SWAYING, Seed, try_sets
 from diagnosis.causes.weighing import Trial, best_of_each, by_member
 
 LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
 """A large delay is no multiple of a small one's slope."""
-STRIDING = (*BENT_EFFECTS, *LATE, *SWAYING)
+STRIDING = (*BENT_EFFECTS, *CURVED_EFFECTS, *LATE, *SWAYING)
 LONG_STRIDES_RATIO = (1.5, 1.2)
 """Of looks: slopes led a slew's speed limit of 0.4 from 0.6 to 0.71, a boom's hysteresis of 0.12 from 0.2 to
 0.19, 0.18 and on, and a boom's dead time of 0.148 s from 0.08 s to 0.036 s."""
@@ -21,7 +21,7 @@ with a gain at its joint a dipper's at 0.7, 50 behind 0.63."""
 
 def look(problem: Problem, seeds: Sequence[Seed]) -> list[Trial]:
     """A first look at sets, each at the best of its sizes."""
-    return best_of_each(try_sets(problem.at_a_glance(), seeds, is_rough=True))
+    return best_of_each(try_sets(problem, seeds, is_rough=True))
 
 
 def followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
@@ -34,10 +34,10 @@ def followed(problem: Problem, looks: Sequence[Trial]) -> list[Seed]:
 
 
 def polished(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials, their bent effects where they are told best within a few short strides."""
+    """Trials, their effects that bend or curve where they are told best within a few short strides."""
     found = list(trials)
     for ratio in SHORT_STRIDES_RATIO:
-        beside = try_sets(problem, _beside(problem, found, BENT_EFFECTS, ratio))
+        beside = try_sets(problem, _beside(problem, found, (*BENT_EFFECTS, *CURVED_EFFECTS), ratio))
         found = best_of_each([*found, *beside])
     return found
 

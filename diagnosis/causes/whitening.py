@@ -7,7 +7,7 @@ slopes times its standard deviation; all of them are marginalised, none is ever 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -33,14 +33,16 @@ def slope_count() -> int:
     return len(library()) + len(set_names())
 
 
-@dataclass(frozen=True, slots=True)
+Change = tuple[slice, IntArray, Array]
+"""Rows, columns, and what stands there."""
+
+
+@dataclass(frozen=True)
 class Whitened:
     """A throw in units of its own noise."""
 
-    table: Array
-    """(n, 2 + p + s + q): residual, carried back to no effect along the slopes; residual without any effect;
-    slopes by the library's parameters, then by the set's nuisances; and by what differs from throw to throw,
-    in independent directions of unit spread."""
+    first: Array
+    """The table, but for the changes."""
     progress_ratio: float
     """Share of a drift that acts in this throw."""
     rows: Mapping[str, slice]
@@ -49,6 +51,22 @@ class Whitened:
     """Sum of the logs of the noise's Cholesky diagonals."""
     gram: Array
     """(2 + p + s + q,) squared: products of the table's columns."""
+    changes: tuple[Change, ...] = ()
+
+    @cached_property
+    def table(self) -> Array:
+        """All columns (n, 2 + p + s + q); most of what is looked at roughly needs their products alone.
+
+        Residual, carried back to no effect along the slopes; residual without any effect; slopes by the
+        library's parameters, then by the set's nuisances; and by what differs from throw to throw, in
+        independent directions of unit spread.
+        """
+        if not self.changes:
+            return self.first
+        table = self.first.copy()
+        for rows, columns, values in self.changes:
+            table[rows, columns] = values
+        return table
 
     @property
     def residual(self) -> Array:
@@ -92,6 +110,15 @@ class Basis:
     """What named slopes explain of the shapes (`beside_named`)."""
     last: dict[str, Moved] = field(default_factory=dict[str, Moved])
     """By block, of the set before: sets that are tried after each other often share an effect."""
+    grams: dict[str, Array] = field(default_factory=dict[str, Array])
+    """By block, its part of the gram, where it was asked for."""
+
+    def gram_of(self, block: Block) -> Array:
+        """A block's part of the gram."""
+        if block.name not in self.grams:
+            rows = self.whitened.table[block.rows]
+            self.grams[block.name] = rows.T @ rows
+        return self.grams[block.name]
 
 
 def whiten_throw(
@@ -115,52 +142,54 @@ def whiten_throw(
     """
     log_volume = float(sum(np.log(np.diag(lower)).sum() for lower in factor))
     names = {block.name: block.rows for block in prepared.blocks}
-    if basis is None:
-        table = np.empty((linear.residual.size, 2 + slope_count() + len(throw_nuisances())))
-        blocks = list(zip(prepared.blocks, factor, strict=True))
-        _fill(table, prepared, linear, linear, model, beside, blocks)
-        gram = table.T @ table
-    else:
-        table, gram = basis.whitened.table.copy(), basis.whitened.gram.copy()
-        _change(table, gram, prepared, linear, model, factor, basis)
-    return Whitened(table, prepared.input.progress_ratio, names, log_volume, gram)
+    progress_ratio = prepared.input.progress_ratio
+    if basis is not None:
+        gram, changes = _changed(prepared, linear, model, factor, basis)
+        return Whitened(basis.whitened.table, progress_ratio, names, log_volume, gram, changes)
+    table = np.empty((linear.residual.size, 2 + slope_count() + len(throw_nuisances())))
+    blocks = list(zip(prepared.blocks, factor, strict=True))
+    for rows, _, values in _whitened(prepared, linear, linear, model, beside, blocks):
+        table[rows] = values
+    return Whitened(table, progress_ratio, names, log_volume, table.T @ table)
 
 
-def _fill(
-    table: Array,
+def _whitened(
     prepared: PreparedThrow,
     linear: Linear,
     own: Linear,
     model: NoiseModel,
     beside: Array | None,
     blocks: Sequence[tuple[Block, Array]],
-) -> None:
-    """Whiten blocks, each by its factor, into the table; nuisances and shapes have the slopes of `own`."""
+) -> list[Change]:
+    """Rows of blocks, each whitened by its factor; nuisances and shapes have the slopes of `own`."""
     if not blocks:
-        return
+        return []
     columns = _columns(prepared, linear, own, model, np.r_[*(block.rows for block, _ in blocks)])
+    found: list[Change] = []
     first = 0
     for block, lower in blocks:
         last = first + block.rows.stop - block.rows.start
-        table[block.rows] = whiten(lower, columns[first:last])
+        values = whiten(lower, columns[first:last])
         if beside is not None:
-            _take_off(table[block.rows], beside, model)
+            _take_off(values, beside, model)
+        found.append((block.rows, np.arange(values.shape[1]), values))
         first = last
+    return found
 
 
-def _change(
-    table: Array,
-    gram: Array,
+def _changed(
     prepared: PreparedThrow,
     linear: Linear,
     model: NoiseModel,
     factor: Sequence[Array],
     basis: Basis,
-) -> None:
-    """From the basis' table and gram to those of `linear`, in place.
+) -> tuple[Array, tuple[Change, ...]]:
+    """The gram of `linear`, and what its table has that the basis' has not.
 
     Whitening is linear: in the same noise only what differs from the basis is whitened.
     """
+    gram = basis.whitened.gram.copy()
+    changes: list[Change] = []
     there = np.isfinite(linear.residual) == np.isfinite(basis.linear.residual)
     others: list[tuple[Block, Array]] = []
     for place, (block, lower) in enumerate(zip(prepared.blocks, factor, strict=True)):
@@ -175,13 +204,13 @@ def _change(
             if moved is None or not _is_of(moved, residual, slopes):
                 moved = _moved(basis, rows, lower, model, residual, slopes)
                 basis.last[block.name] = moved
-            table[rows, moved.columns] = moved.values
+            changes.append((rows, moved.columns, moved.values))
             gram[:, moved.columns] += moved.gram
             gram[moved.columns] = gram[:, moved.columns].T
-    _fill(table, prepared, linear, basis.linear, model, basis.beside, others)
-    for block, _ in others:
-        before, after = basis.whitened.table[block.rows], table[block.rows]
-        gram += after.T @ after - before.T @ before
+    fresh = _whitened(prepared, linear, basis.linear, model, basis.beside, others)
+    for (block, _), (_, _, after) in zip(others, fresh, strict=True):
+        gram += after.T @ after - basis.gram_of(block)
+    return gram, (*changes, *fresh)
 
 
 def _is_of(moved: Moved, residual: Array, slopes: Array) -> bool:
@@ -269,7 +298,7 @@ def apart(whitened: Whitened, beside: Array, model: NoiseModel) -> Whitened:
     """A throw that was whitened with the shapes as they are, with what is left of them beside the named."""
     table = whitened.table.copy()
     _take_off(table, beside, model)
-    return replace(whitened, table=table, gram=table.T @ table)
+    return replace(whitened, first=table, gram=table.T @ table, changes=())
 
 
 def information(whitened: Sequence[Whitened]) -> list[Information]:

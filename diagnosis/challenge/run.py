@@ -84,7 +84,8 @@ def run_challenge(
         progress(len(sets) - len(waiting), len(sets))
     if not waiting:
         return 0
-    for name, found in spread([(folder / name, method) for name in waiting], answer, jobs):
+    tasks = [(folder / name, method, jobs == 1) for name in waiting]
+    for name, found in spread(tasks, answer, jobs):
         done[name] = found
         _write(out, answers)
         if progress is not None:
@@ -92,17 +93,22 @@ def run_challenge(
     return len(waiting)
 
 
-def answer(folder: Path, method: str) -> tuple[str, dict[str, Any]]:
+def answer(
+    folder: Path,
+    method: str,
+    is_alone: bool = False,
+) -> tuple[str, dict[str, Any]]:
     """Diagnose one set, named by its folder; an error of the program is an answer, and a wrong one."""
     started = perf_counter()
     try:
         loaded = load_throws([folder])
         profile = load_profile(folder / PROFILE_NAME)
         healthy = folder.parent / REFERENCE / profile.machine_id
+        more = {"is_alone": is_alone} if method == DIAGNOSE else {}
         if method == DIAGNOSE and healthy.is_dir():
-            found = _method(method)(loaded, profile, health=_own_health(healthy))
+            found = _method(method)(loaded, profile, health=_own_health(healthy), **more)
         else:
-            found = _method(method)(loaded, profile)
+            found = _method(method)(loaded, profile, **more)
         said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
         said["evidence"] = _small(said["evidence"])
     except Exception as error:  # the harness must outlive whatever it tests

@@ -5,8 +5,8 @@ from typing import cast
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.conclude import verdict_of
-from diagnosis.places import where
+from diagnosis.conclude import ambiguity_of, verdict_of
+from diagnosis.places import signature_of, where
 from diagnosis.sentence import sentence_of
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
@@ -114,3 +114,52 @@ def test_the_place_is_that_of_the_effect_that_most_sets_have() -> None:
     )
     for verdict in (VerdictKind.AMBIGUOUS, VerdictKind.NONE):
         assert where(verdict, cast("Ranked", ranked), ()) == {"stage": "release", "joint": None}
+
+
+def test_jitter_is_part_of_either_cause_that_may_be() -> None:
+    """Members have the names of the causes, so that both are found among them."""
+    load = Effect(effect="load_dependent_speed", joint="boom", parameters={"loss_ratio": 0.1})
+    gain = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": 0.1})
+    jitter = SimpleNamespace(
+        effect=lambda: Effect(effect="release_jitter", parameters={"extra_sd_s": 0.07})
+    )
+    best, rival = (
+        SimpleNamespace(members=(place,), effects=(effect,))
+        for place, effect in enumerate((load, gain))
+    )
+    for share, either, second, members in (
+        (
+            0.9,
+            rival,
+            None,
+            (
+                "load dependent speed of the boom and release jitter",
+                "valve gain of the boom and release jitter",
+            ),
+        ),
+        (0.1, rival, None, ("load dependent speed of the boom", "valve gain of the boom")),
+        (
+            0.9,
+            None,
+            "why",
+            ("load dependent speed of the boom and release jitter", "release jitter"),
+        ),
+        (0.1, None, "why", ("load dependent speed of the boom", "none")),
+    ):
+        ranked = SimpleNamespace(
+            best=best, rival=either, rival_log_odds=1.0, jitter=jitter, jitter_probability=share
+        )
+        assert ambiguity_of(cast("Ranked", ranked), second).members == members
+
+
+def test_a_gripper_that_swings_otherwise_about_one_axis_alone_has_a_pin_that_moves_otherwise() -> (
+    None
+):
+    """Friction, length and inertia act about both axes: an undercarriage that winds up does not."""
+    best = SimpleNamespace(members=(), effects=())
+    for other, stage, joint in ((1.3, "aim", "slew"), (9.0, "swing", None)):
+        levels = {"swing.gyro.x": 22.0, "swing.gyro.y": other, "swing.gyro.z": 5.0}
+        ranked = SimpleNamespace(levels=levels, shape=None, best=best, ahead=0.0)
+        found = signature_of(cast("Ranked", ranked))
+        assert (found["stage"], found["joint"]) == (stage, joint)
+        assert found["channel"] == "swing.gyro.x"

@@ -215,3 +215,17 @@ def test_how_many_effects_is_surer_than_which() -> None:
     assert probability[2] == pytest.approx(
         1.0 / (1.0 + np.exp(9.0 / COUNT_TEMPERATURE_RATIO)), rel=0.01
     )
+
+
+def test_a_slab_is_no_wider_than_its_bound_allows_to_either_side() -> None:
+    """What may be 9 more and 0.5 less is not as likely to be 0.4 less as 0.4 more."""
+
+    def log_odds(size: float, low: float) -> float:
+        truth = np.array([size, 0.0, 0.0])
+        prior = priors(3)._replace(low=np.array([low, -FREE, -FREE]), high=np.full(3, 9.0))
+        exact = inform(np.eye(3) @ truth * 100.0, 100.0 * np.eye(3), np.zeros((3, 0)))
+        return weigh(screen(exact, prior), prior, (0,)).log_odds
+
+    assert log_odds(0.4, -FREE) == pytest.approx(log_odds(-0.4, -FREE))
+    assert log_odds(-0.4, -0.5) < log_odds(0.4, -0.5) - 0.3
+    assert log_odds(0.4, -0.5) == pytest.approx(log_odds(0.4, -FREE), abs=0.25)

@@ -20,8 +20,7 @@ def at(*sizes):
 
 def problem_of(effect):
     groups = [(effect, "slew"), ("valve_gain", "slew")]
-    glance = SimpleNamespace(layout=SimpleNamespace(groups=groups), is_glance=True)
-    return SimpleNamespace(layout=glance.layout, is_glance=False, at_a_glance=lambda: glance)
+    return SimpleNamespace(layout=SimpleNamespace(groups=groups))
 
 
 @pytest.fixture
@@ -30,7 +29,6 @@ def seen(monkeypatch):
     asked = SimpleNamespace(best=0.0, glances=[])
 
     def simulated(problem, seeds, *, is_rough=False):
-        assert is_rough == problem.is_glance
         asked.glances += [is_rough] * len(seeds)
         return [at(*sizes) for _, sizes in seeds]
 

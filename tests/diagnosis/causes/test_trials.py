@@ -175,13 +175,24 @@ def test_effects_too_small_to_be_any_are_left_out():
     assert of_some_size(problem, [none, large, small, impossible]) == [none, large]
 
 
-@pytest.mark.parametrize(("share", "is_some"), [(-0.15, False), (-0.3, True), (0.15, True)])
-def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(share, is_some):
-    """Below a fifth of its mean lag a measured response may be off by as much; a slower joint counts."""
+@pytest.mark.parametrize(
+    ("effect", "share", "is_some"),
+    [
+        ("valve_lag", -0.15, False),
+        ("valve_lag", -0.3, True),
+        ("valve_lag", 0.15, True),
+        ("valve_dead_time", -0.09, False),
+        ("valve_dead_time", -0.15, True),
+        ("valve_dead_time", 0.09, True),
+        ("valve_gain", -0.15, True),
+    ],
+)
+def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(effect, share, is_some):
+    """Below a share of its mean lag a measured response may be off by as much; a slower joint counts."""
     plan, profile = layout(load_noise()), nominal_profile(load_spec())
-    group = plan.groups.index(("valve_lag", "slew"))
+    group = plan.groups.index((effect, "slew"))
     lag_s = 2.0 * profile.damping_ratio[0] / profile.natural_frequency_rad_per_s[0]
-    size = np.array([share * lag_s])
+    size = np.full(plan.priors.groups[group].size, share * lag_s)
     one = Trial((group,), size, size, {}, [], plan.priors, plan.priors, None)
     problem = SimpleNamespace(layout=plan, profile=profile)
     assert (of_some_size(problem, [one]) == [one]) is is_some
