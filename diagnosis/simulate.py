@@ -15,7 +15,7 @@ from diagnosis.causes.parameters import View
 from diagnosis.loading.prepared import IMU_UNTIL_AFTER_OPENING_S
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
-from sim_twin.effects.effect import Effect, acting_effect, effect_stage, resolve
+from sim_twin.effects.effect import Effect, acting_effect, resolve
 from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, fly, replay
@@ -93,8 +93,6 @@ def simulate(
         chosen = [elements[r] for r in drives]
         velocity = replay_drives(inputs, chosen, profile, calibration, as_measured=True)
         out.joint_velocity_rad_m_per_s[drives, : velocity.shape[1]] = velocity
-    # Where joints move as measured, what their valves do is no matter.
-    profile = profile.model_copy(update={"effects": tuple(_behind_drives(profile.effects))})
     if swings:
         _swing(out, inputs, elements, swings, profile, calibration)
     for rows, is_cut in ((rows_of(*slow), False), (rows_of(*quick), True)):
@@ -119,10 +117,6 @@ def late(track: Array, latency_s: float) -> Array:
     if latency_s <= 0.0:
         return track
     return shifted(track, np.asarray(-latency_s / CONTROL_PERIOD_S))
-
-
-def _behind_drives(effects: Sequence[Effect]) -> list[Effect]:
-    return [e for e in effects if effect_stage(e) != "actuation"]
 
 
 def _has_memory(effects: Sequence[Effect]) -> bool:

@@ -128,12 +128,6 @@ def index_of() -> Mapping[str, int]:
     return {p.key: i for i, p in enumerate(library())}
 
 
-@cache
-def bending() -> tuple[Parameter, ...]:
-    """Parameters of `BENDING_EFFECTS`."""
-    return tuple(p for p in library() if p.effect in BENDING_EFFECTS)
-
-
 Group = tuple[str, str | None]
 """Effect and joint; ``warm_up_drift:<effect>.<parameter>`` for a drift, ``unheard:<shape>`` for a shape."""
 
@@ -166,8 +160,6 @@ class Layout:
 ROUGH_EFFECTS = ("stiction", "backlash")
 """Whose joint stands while its valve is open, breaks loose and meets its drive again by forces that the twin
 does not have."""
-BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
-"""By which healthy machines scatter so much that slopes at the twin are no good guide."""
 DRIFTING = (
     "valve_dead_time",
     "valve_lag",

@@ -57,7 +57,6 @@ class Problem:
 
     prepared: Sequence[PreparedThrow]
     profile: TwinProfile
-    """The machine's as it is known to be while it is healthy (`Health.at_home`)."""
     calibration: ValveCalibration
     healthy: HealthyModel
     model: NoiseModel
@@ -112,7 +111,6 @@ def pose(
     An effect's discrepancy is in the noise from here on (`widened`), wherever the twin without any is off.
     """
     healthy, model = health.filters, health.noise
-    profile = health.at_home(profile)
     linear = linearise(prepared, profile, calibration, healthy)
     is_stranger = not health.is_own and not filters_help(prepared, linear, healthy)
     if is_stranger:

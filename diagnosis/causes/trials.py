@@ -18,7 +18,6 @@ from diagnosis.causes.parameters import (
     Layout,
     Parameter,
     View,
-    bending,
     effects_of,
     index_of,
     library,
@@ -62,6 +61,8 @@ SWAYING = ("chassis_compliance",)
 ahead of none, where 36 had been the most."""
 SHAKING_EFFECTS = (*ROUGH_EFFECTS, "pump_flow_sharing")
 """One joint's, or the pump's, shows at others, in another form than the library's."""
+BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
+"""By which healthy machines scatter so much that slopes at the twin are no good guide."""
 CLOSE_LOG_ODDS = 300.0
 """Behind the best set, where the machine's own scatter may still matter: on eleven development sets it
 moved those within 400 of the best by 41 at most."""
@@ -111,7 +112,7 @@ def _tried(
     effects = [fitted_effects(layout, members, sizes) for members, sizes in seeds]
     about = [(*own, *off) for own, off in zip(effects, beside, strict=True)]
     only = [
-        [*_constants(layout, members), *(bending() if off else ())]
+        [*_constants(layout, members), *(_bending() if off else ())]
         for (members, _), off in zip(seeds, beside, strict=True)
     ]
     found = relinearise(
@@ -138,6 +139,10 @@ def _followed(*, is_rough: bool, is_last: bool) -> tuple[View, ...]:
     if is_rough:
         return ()
     return (View.ACTUATION, View.SWING) if is_last else (View.ACTUATION,)
+
+
+def _bending() -> list[Parameter]:
+    return [p for p in library() if p.effect in BENDING_EFFECTS]
 
 
 def _estimated(
@@ -168,7 +173,7 @@ def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     close = _within(trials, CLOSE_LOG_ODDS)
     there = _moved_there(problem, close, [t.at for t in close])
     found = {new.members: better(old, new, told) for old, new in zip(close, there, strict=True)}
-    rivals = _within(list(found.values()), RIVAL_LOG_ODDS)
+    rivals = [t for t in _within(list(found.values()), RIVAL_LOG_ODDS) if t.members]
     if any(_swings(problem, t) and not _is_near(t) for t in rivals):
         for new in _moved_there(problem, rivals, [t.sizes for t in rivals]):
             found[new.members] = better(found[new.members], new, told)
@@ -216,7 +221,7 @@ def _scatter(problem: Problem, trial: Trial) -> tuple[Effect, ...]:
     mean[members_index(trial.plain, trial.members)] -= own.mean
     middle = problem.model.healthy_mean
     return tuple(
-        p.at(p.clip(middle.get(p.key, 0.0) + float(mean[index_of()[p.key]]))) for p in bending()
+        p.at(p.clip(middle.get(p.key, 0.0) + float(mean[index_of()[p.key]]))) for p in _bending()
     )
 
 

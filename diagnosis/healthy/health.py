@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 from diagnosis.healthy.filters import HealthyModel, load_healthy
 from diagnosis.healthy.noise import NoiseModel, load_noise
-from sim_twin.effects.effect import Effect
-from sim_twin.twin.profile import TwinProfile
 
 
 class Health(NamedTuple):
@@ -15,13 +13,6 @@ class Health(NamedTuple):
     noise: NoiseModel
     is_own: bool = False
     """Learned from throws of this very machine as well: there is nothing left to adapt."""
-    home: tuple[Effect, ...] = ()
-    """What this machine is off its twin by effects that bend. The twin is simulated there, and `noise` tells
-    of what is off beside it."""
-
-    def at_home(self, profile: TwinProfile) -> TwinProfile:
-        """The twin as this machine is known to be while it is healthy."""
-        return profile.model_copy(update={"effects": (*profile.effects, *self.home)})
 
 
 def load_health() -> Health:

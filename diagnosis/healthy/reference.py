@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.parameters import bending, layout, scatter_names
+from diagnosis.causes.parameters import layout, scatter_names
 from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.selection import total
 from diagnosis.healthy.health import Health
@@ -57,29 +57,11 @@ def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
 
 
 def of_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:
-    """What is known of this machine, from its type and from throws while it was healthy.
-
-    Told twice, by slopes at the twin and then by those where that says that the machine is: one with a slow
-    slew was 50 likelier there.
-    """
+    """What is known of this machine, from its type and from throws while it was healthy."""
+    plan = layout(health.noise)
     prepared, calibration = prepare(reference.throws, profile), reference.throws[0].calibration
-    first = pose(prepared, profile, calibration, health, layout(health.noise))
-    own = Health(first.healthy, first.model, is_own=True)
-    near = _moved(own, _narrowed(first.model, first))
-    again = pose(prepared, profile, calibration, near, layout(near.noise))
-    told = _narrowed(again.model, again)
-    return _moved(near._replace(noise=told), told)
-
-
-def _moved(health: Health, told: NoiseModel) -> Health:
-    """Health with its home moved by what is told of the machine's effects that bend."""
-    off = {p.key: p.clip(told.healthy_mean.get(p.key, 0.0)) for p in bending()}
-    middle = health.noise.healthy_mean
-    left = {key: middle.get(key, 0.0) - size for key, size in off.items()}
-    return health._replace(
-        noise=health.noise.model_copy(update={"healthy_mean": {**middle, **left}}),
-        home=(*health.home, *(p.at(off[p.key]) for p in bending())),
-    )
+    problem = pose(prepared, profile, calibration, health, plan)
+    return Health(problem.healthy, _narrowed(problem.model, problem), is_own=True)
 
 
 def _narrowed(model: NoiseModel, problem: Problem) -> NoiseModel:

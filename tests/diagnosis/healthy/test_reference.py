@@ -61,21 +61,6 @@ def test_throws_of_the_healthy_machine_become_its_mean() -> None:
     assert own.noise.set_scatter == known.noise.set_scatter
 
 
-def test_a_machines_drives_are_simulated_as_its_healthy_throws_tell_them() -> None:
-    fast = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": 0.06})
-    own = of_reference(throws((fast,), 6, seed=5), profile(), health())
-    home = sum(
-        e.parameters.get("positive_ratio", 0.0)
-        for e in own.home
-        if (e.effect, e.joint) == ("valve_gain", "boom")
-    )
-    assert 0.005 < home < 0.06
-    # What it is off beside its home is what slopes still have to tell.
-    assert abs(own.noise.healthy_mean["valve_gain.boom.positive_ratio"]) < 0.003
-    assert own.at_home(profile()).effects == own.home
-    assert health().at_home(profile()) == profile()
-
-
 def test_a_diagnosis_says_what_it_was_compared_with() -> None:
     def renamed(loaded: LoadedSet) -> LoadedSet:
         return replace(
