@@ -69,8 +69,8 @@ def _is_hardly_faster(problem: Problem, trial: Trial) -> bool:
 
     That is how far the measured response of a healthy joint may be from its own, and no slope at the twin
     shows it, where a lag begins as one of the spool: two of 28 healthy machines had a slew of 0.34 s that was
-    0.045 s faster, 9 and 13 ahead of no effect. In all 16 sets of one whose slew takes 0.34 s (seed 20261126)
-    a dead time shorter by 0.03 s was told as well as none, in three it was 18 to 36 ahead.
+    0.045 s faster, 9 and 13 ahead of no effect; and in three of 16 sets of one (seed 20261126) a slew without
+    any effect had a dead time shorter by 0.025 to 0.036 s, up to 36 ahead.
     """
     response = zip(
         problem.profile.damping_ratio, problem.profile.natural_frequency_rad_per_s, strict=True

@@ -33,6 +33,10 @@ of 83 single effects (seed 1204560035) had a second one; with 15, and with 25, t
 the nine those four that shake no other joint are alone again (`Trial.is_shaken` is for the other five)."""
 
 
+LEAST_TOLD_RATIO = 1e-6
+"""Of the precision of a size's wide prior: data with less say nothing."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
     """A set of effects, linearised at its sizes."""
@@ -77,7 +81,10 @@ def formed(priors: Priors, data: Information, members: Set, sizes: Array) -> Pri
         sizes: of its parameters, group after group.
     """
     index = members_index(priors, members)
-    own = np.maximum(np.diag(data.precision), 1e-12)
+    own = np.diag(data.precision)
+    # What the data say nothing about looks like nothing; its products are rounding errors.
+    is_told = own * np.square(priors.slab_sd) > LEAST_TOLD_RATIO
+    own = np.where(is_told, own, np.inf)
     kinds = np.array(_kinds(own.size))
     variance = np.zeros(own.size)
     # Effects of one kind are off as a whole: alike ones may be large against each other.

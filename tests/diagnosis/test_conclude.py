@@ -71,9 +71,13 @@ def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> Non
     cases = (
         (0.07, (-0.11, -0.01), None, VerdictKind.NONE),
         (0.31, (-0.02, 0.04), "wind", VerdictKind.NONE),
-        (0.02, (-0.11, -0.01), None, VerdictKind.AMBIGUOUS),
-        (0.07, (-0.11, 0.20), None, VerdictKind.AMBIGUOUS),
+        (0.002, (-0.11, -0.01), None, VerdictKind.AMBIGUOUS),
+        (0.07, (-0.05, 0.20), None, VerdictKind.AMBIGUOUS),
         (0.07, (0.10, 0.20), None, VerdictKind.EXPLAINED),
+        (0.07, (-0.26, 1.00), None, VerdictKind.NONE),
+        (0.02, (-0.26, 1.00), None, VerdictKind.AMBIGUOUS),
+        (0.02, (-0.06, 0.15), None, VerdictKind.NONE),
+        (0.002, (-0.06, 0.15), None, VerdictKind.EXPLAINED),
     )
     for none, ci90, rival, verdict in cases:
         ranked = SimpleNamespace(

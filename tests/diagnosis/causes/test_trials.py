@@ -302,3 +302,14 @@ def test_no_effect_is_told_by_what_is_left_where_slopes_were_taken(ahead):
     found = trials.at_home(replace(none, information=away))
     with_it, without = weighing.screens(found, found.information[0])
     assert without.log_evidence - with_it.log_evidence == pytest.approx(min(ahead, 0.0), abs=1e-6)
+
+
+def test_what_the_data_say_nothing_about_looks_like_nothing():
+    """Its products are rounding errors: a drift that no throw showed scattered by 5e5 and stopped a look."""
+    informed = data()
+    precision = informed.precision.copy()
+    precision[2], precision[:, 2] = 1e-9, 1e-9
+    precision[2, 2] = -3e-11
+    priors = formed(PRIORS, informed._replace(precision=precision), (0,), np.array([3.0]))
+    assert priors.scatter[2, 2] == PRIORS.scatter[2, 2]
+    screen(informed._replace(precision=precision), priors)
