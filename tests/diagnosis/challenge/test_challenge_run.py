@@ -111,8 +111,9 @@ def test_places_that_would_spoil_it_are_refused(tmp_path: Path, made: tuple[Path
         make(tmp_path, tmp_path.parent / "truth.json")
 
 
-def _fake(loaded: LoadedSet, profile: TwinProfile, health: Health) -> Diagnosis:
+def _fake(loaded: LoadedSet, profile: TwinProfile, health: Health, *, is_alone: bool) -> Diagnosis:
     assert health.is_own
+    assert is_alone, "one set at a time may have a second process"
     if "set-0002" in loaded.throws[0].throw_id:
         raise ValueError("broken on purpose")
     return Diagnosis(verdict=VerdictKind.NONE, evidence={"clocks": 1, "where": None})
