@@ -1,7 +1,7 @@
 """A set of throws against the twin of its machine: where the gap lies, what causes it, how far it shrinks."""
 
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from time import perf_counter
 
 import numpy as np
@@ -64,7 +64,7 @@ def diagnose_throws(
         return refused
     if reference is not None:
         check_reference(reference, loaded.throws)
-    with one_blas_thread(), SecondProcess() if is_alone else nullcontext() as second:
+    with one_blas_thread(), closing(SecondProcess()) if is_alone else nullcontext() as second:
         known = load_health() if health is None else health
         return _diagnose(loaded, reference, profile, known, progress, cancel, second)
 

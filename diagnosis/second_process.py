@@ -12,8 +12,7 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from multiprocessing.connection import Connection
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 Work = Callable[..., Any]
 """A function of a module, called with the value and what it is asked with."""
@@ -24,7 +23,7 @@ GONE = (EOFError, OSError, pickle.PickleError)
 
 
 class SecondProcess:
-    """Does half of the work, side by side with this process; a context, left when the work is done."""
+    """Does half of the work, side by side with this process; to be closed when the work is done."""
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
@@ -37,23 +36,12 @@ class SecondProcess:
         self._pipe = Connection(ours.detach())
         self._answers = True
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.end()
-
     @property
     def is_there(self) -> bool:
         """Whether the process runs."""
         return self._process.poll() is None
 
-    def end(self) -> None:
+    def close(self) -> None:
         """End it, whatever it does."""
         self._answers = False
         self._pipe.close()
@@ -73,7 +61,12 @@ class SecondProcess:
         mine, theirs = items[::2], items[1::2]
         self._send((work, theirs, more))
         found: list[Any] = [None] * len(items)
-        found[::2] = work(value, mine, *more)
+        try:
+            found[::2] = work(value, mine, *more)
+        except BaseException:
+            # Its answer would be taken for that to the next question.
+            self.close()
+            raise
         found[1::2] = self._answer() or work(value, theirs, *more)
         return found
 

@@ -1,6 +1,6 @@
 """Sets that are told in noise of their own: what the noise alone is worth belongs to nobody."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +14,13 @@ from machine.conventions import Array
 
 
 class AtNone(NamedTuple):
-    """A throw without any effect, the machine's scatter at its best values."""
+    """A throw without any effect, the machine's scatter at its best values; block by block."""
 
-    columns: Mapping[str, Array]
-    """By block (n, 1 + q): what is left, and the throw's nuisances, in the channel's own unit."""
-    lower: Mapping[str, Array]
-    """Cholesky factors of the common noise, by block."""
-    gram: Mapping[str, Array]
+    columns: Sequence[Array]
+    """(n, 1 + q): what is left, and the throw's nuisances, in the channel's own unit."""
+    lower: Sequence[Array]
+    """Cholesky factors of the common noise."""
+    gram: Sequence[Array]
     """Products of the columns (1 + q, 1 + q), whitened by it."""
     log_likelihood: float
     """In it."""
@@ -39,26 +39,23 @@ def at_none(
     """
     left = whitened.residual - explained(whitened, mean)
     table = np.column_stack([left, whitened.nuisance])
-    lower = {block.name: own for block, own in zip(prepared.blocks, factor, strict=True)}
-    white = {block.name: table[block.rows] for block in prepared.blocks}
-    gram = {name: rows.T @ rows for name, rows in white.items()}
-    columns = {name: lower[name] @ rows for name, rows in white.items()}
-    return AtNone(columns, lower, gram, _log_likelihood(gram, lower))
+    white = [table[block.rows] for block in prepared.blocks]
+    gram = [rows.T @ rows for rows in white]
+    columns = [lower @ rows for lower, rows in zip(factor, white, strict=True)]
+    return AtNone(columns, factor, gram, _log_likelihood(gram, factor))
 
 
-def _log_likelihood(gram: Mapping[str, Array], lower: Mapping[str, Array]) -> float:
+def _log_likelihood(gram: Sequence[Array], lower: Sequence[Array]) -> float:
     """The throw's nuisances marginalised (`selection.inform`)."""
-    whole = np.sum(list(gram.values()), axis=0)
+    whole = np.sum(gram, axis=0)
     inner = np.eye(whole.shape[0] - 1) + whole[1:, 1:]
     fit = float(whole[0, 1:] @ np.linalg.solve(inner, whole[1:, 0]))
-    volume = sum(float(np.log(np.diag(own)).sum()) for own in lower.values())
+    volume = sum(float(np.log(np.diag(own)).sum()) for own in lower)
     return -0.5 * (float(whole[0, 0]) - fit + float(np.linalg.slogdet(inner)[1])) - volume
 
 
 def in_common_noise(
-    throws: Sequence[AtNone],
-    factors: Sequence[Mapping[str, Array]],
-    found: Sequence[Information],
+    throws: Sequence[AtNone], factors: Sequence[Sequence[Array]], found: Sequence[Information]
 ) -> list[Information]:
     """What throws say in some noise, less what that noise has ahead of all other sets' at no effect.
 
@@ -68,19 +65,20 @@ def in_common_noise(
 
     Args:
         throws: without any effect.
-        factors: of the noise that is their own, by block.
+        factors: of the noise that is their own, of every throw's blocks.
         found: what they say in it, throw after throw.
     """
     return [
-        one._replace(log_volume=one.log_volume + _ahead(none, lower))
-        for one, none, lower in zip(found, throws, factors, strict=True)
+        one._replace(log_volume=one.log_volume + _ahead(none, factor))
+        for one, none, factor in zip(found, throws, factors, strict=True)
     ]
 
 
-def _ahead(none: AtNone, lower: Mapping[str, Array]) -> float:
+def _ahead(none: AtNone, factor: Sequence[Array]) -> float:
     """How much likelier a throw without any effect is in some noise than in the common one."""
-    gram = dict(none.gram)
-    for name in (n for n in gram if lower[n] is not none.lower[n]):
-        rows = whiten(lower[name], none.columns[name])
-        gram[name] = rows.T @ rows
-    return _log_likelihood(gram, lower) - none.log_likelihood
+    gram = list(none.gram)
+    for place, (lower, common) in enumerate(zip(factor, none.lower, strict=True)):
+        if lower is not common:
+            rows = whiten(lower, none.columns[place])
+            gram[place] = rows.T @ rows
+    return _log_likelihood(gram, factor) - none.log_likelihood

@@ -258,14 +258,7 @@ def _with_form(
         throws, plain = with_own_play(problem, throws, at, factors, played)
     informations = information(throws)
     if rough:
-        informations = in_common_noise(
-            problem.at_none,
-            [
-                {b.name: own for b, own in zip(p.blocks, factor, strict=True)}
-                for p, factor in zip(problem.prepared, factors, strict=True)
-            ],
-            informations,
-        )
+        informations = in_common_noise(problem.at_none, factors, informations)
     data = total(informations)
     start = np.array([v for e in effects for v in _sizes_of(e)])
     priors = formed(plain, data, members, start) if members else plain

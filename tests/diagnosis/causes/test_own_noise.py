@@ -25,11 +25,7 @@ def test_no_effect_is_as_probable_in_noise_of_its_own_as_in_the_common_noise() -
     mean = screen(total(problem.information), problem.layout.priors).mean
     common = [log_likelihood(one, mean) for one in problem.information]
     before = [log_likelihood(one, mean) for one in there]
-    factors = [
-        {block.name: own for block, own in zip(p.blocks, factor, strict=True)}
-        for p, factor in zip(problem.prepared, wide, strict=True)
-    ]
-    after = [log_likelihood(one, mean) for one in in_common_noise(problem.at_none, factors, there)]
+    after = [log_likelihood(one, mean) for one in in_common_noise(problem.at_none, wide, there)]
     assert np.abs(np.subtract(before, common)).min() > 100.0
     assert after == pytest.approx(common)
     assert [one.log_likelihood for one in problem.at_none] == pytest.approx(common)

@@ -313,3 +313,44 @@ def test_what_the_data_say_nothing_about_looks_like_nothing():
     priors = formed(PRIORS, informed._replace(precision=precision), (0,), np.array([3.0]))
     assert priors.scatter[2, 2] == PRIORS.scatter[2, 2]
     screen(informed._replace(precision=precision), priors)
+
+
+def test_a_rough_look_is_at_every_other_throw(monkeypatch):
+    fields = ("prepared", "profile", "calibration", "healthy", "linear", "layout")
+    whole, glance = (SimpleNamespace(second=None, **dict.fromkeys(fields, n)) for n in (12, 6))
+    whole.at_a_glance = lambda: glance
+    seen = []
+
+    def relinearised(prepared, *_, **__):
+        seen.append(prepared)
+        return []
+
+    monkeypatch.setattr(trials, "relinearise", relinearised)
+    trials.try_sets(whole, [], is_rough=True)
+    trials.try_sets(whole, [])
+    assert seen == [6, 12]
+
+
+def test_a_second_process_tries_sets_where_there_is_more_than_one():
+    asked = []
+    second = SimpleNamespace(halved=lambda work, problem, items, *how: asked.append((items, how)))
+    seeds = [((0,), np.array([1.0])), ((1,), np.array([2.0]))]
+    trials.try_sets(SimpleNamespace(second=second), seeds, is_rough=True)
+    assert asked == [([(seeds[0], ()), (seeds[1], ())], (True, False))]
+
+
+@pytest.mark.parametrize(
+    ("behind", "grown", "is_stale"),
+    [
+        (("gripper_length", None), ("joint_sensor_bias", "telescope"), True),
+        (("joint_sensor_latency", "dipper"), ("joint_sensor_bias", "dipper"), False),
+        (("gripper_length", None), ("valve_lag", "boom"), False),
+    ],
+)
+def test_a_sensors_bias_has_the_slopes_of_no_effect_beside_what_swings(behind, grown, is_stale):
+    plan = layout(load_noise())
+    one, other = (plan.groups.index(named) for named in (behind, grown))
+    found = candidates._has_stale_slopes(
+        SimpleNamespace(layout=plan), SimpleNamespace(members=(one,)), other
+    )
+    assert found is is_stale
