@@ -7,9 +7,9 @@ import tyro
 
 from cli.campaigns import progress_line
 from diagnosis.challenge.make import make_challenge
-from diagnosis.challenge.measures import Measure, measures
+from diagnosis.challenge.measures import measures
 from diagnosis.challenge.run import answered, run_challenge
-from diagnosis.challenge.score import match, read_sealed
+from diagnosis.challenge.score import Scored, match, read_sealed
 from diagnosis.challenge.score import mistakes as missed
 from diagnosis.challenge.score_table import as_json, table
 from diagnosis.challenge.truth import Tier
@@ -121,7 +121,8 @@ def score(
 ) -> int:
     """Score answers against the sealed truth; several files give a column each.
 
-    Shares have 95 % Wilson intervals. The sealed file must have the hash that the challenge published.
+    Shares have 95 % Wilson intervals. The others' columns tell how far off the first one's sizes are on the
+    effects that they name. The sealed file must have the hash that the challenge published.
 
     Example: downrange challenge score answers.json lag.json --sealed truth.json
 
@@ -134,23 +135,20 @@ def score(
     if not files:
         raise UsageError("give at least one file of answers")
     documents = answered(files)
-    columns: list[tuple[str, list[Measure]]] = []
+    columns: list[tuple[str, list[Scored]]] = []
     for path, document in zip(files, documents, strict=True):
-        truths = read_sealed(sealed, str(document["sealed_sha256"]))
-        scored = match(document, truths)
+        scored = match(document, read_sealed(sealed, str(document["sealed_sha256"])))
         if not scored:
             raise UsageError(f"{path} holds no answers yet")
-        columns.append((str(document["method"]), measures(scored)))
-    print(table(columns))
+        columns.append((str(document["method"]), scored))
+    (method, first), *others = columns
+    lines = [(method, measures(first)), *((name, measures(one, first)) for name, one in others)]
+    print(table(lines))
     if json is not None:
-        json.write_text(as_json(columns), encoding="utf-8")
+        json.write_text(as_json(lines), encoding="utf-8")
     if mistakes:
         print()
-        print(
-            "\n".join(
-                missed(match(documents[0], read_sealed(sealed, documents[0]["sealed_sha256"])))
-            )
-        )
+        print("\n".join(missed(first)))
     return 0
 
 

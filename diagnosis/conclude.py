@@ -66,7 +66,7 @@ def conclude(found: Findings) -> Diagnosis:
     verdict = verdict_of(ranked, shrunk)
     ambiguity: Ambiguity | None = None
     if verdict is VerdictKind.AMBIGUOUS:
-        ambiguity = ambiguity_of(ranked, demoted)
+        ambiguity = ambiguity_of(ranked, shrunk)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity),
@@ -107,13 +107,17 @@ def verdict_of(ranked: Ranked, gain: Shrink | None) -> VerdictKind:
     if ranked.is_unknown:
         return VerdictKind.UNKNOWN
     if not ranked.best.members:
-        has_jitter = ranked.jitter_probability > 0.5
-        return VerdictKind.EXPLAINED if has_jitter else VerdictKind.NONE
-    if ranked.is_doubtful or (gain is not None and _is_idle(gain, ranked.none_probability)):
-        return VerdictKind.NONE
+        return VerdictKind.EXPLAINED if ranked.has_jitter else VerdictKind.NONE
+    if _is_doubtful(ranked, gain):
+        return VerdictKind.AMBIGUOUS if ranked.has_jitter else VerdictKind.NONE
     if ranked.rival is None and _demoted(ranked, gain) is None:
         return VerdictKind.EXPLAINED
     return VerdictKind.AMBIGUOUS
+
+
+def _is_doubtful(ranked: Ranked, gain: Shrink | None) -> bool:
+    """Whether "none" is too probable for a claim, jitter apart."""
+    return ranked.is_doubtful or (gain is not None and _is_idle(gain, ranked.none_probability))
 
 
 def _is_idle(gain: Shrink, none: float) -> bool:
@@ -156,12 +160,15 @@ def _gap(found: Findings) -> Gap:
     )
 
 
-def ambiguity_of(ranked: Ranked, demoted: str | None) -> Ambiguity:
-    """What the throws leave open: which cause, or, where it was demoted, whether it is one at all."""
+def ambiguity_of(ranked: Ranked, gain: Shrink | None) -> Ambiguity:
+    """What the throws leave open: which cause, or, where that is in doubt, whether it is one at all."""
     # Jitter that is there either way is part of either cause.
-    more = (ranked.jitter.effect(),) if ranked.jitter_probability > 0.5 else ()
-    if ranked.rival is None:
-        return _or_nothing(ranked, more, demoted or "")
+    more = (ranked.jitter.effect(),) if ranked.has_jitter else ()
+    if ranked.is_doubtful:
+        why = f"that there is nothing beside the jitter is {percent(ranked.none_probability)} probable"
+        return _or_nothing(ranked, more, why)
+    if ranked.rival is None or _is_doubtful(ranked, gain):
+        return _or_nothing(ranked, more, _demoted(ranked, gain) or "")
     return _ambiguity(ranked, more)
 
 

@@ -33,12 +33,13 @@ def where(
         signature = signature_of(ranked)
         return {"stage": signature["stage"], "joint": signature["joint"]}
     claimed = verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS)
-    if claimed and not ranked.best.members:
-        return _place(ranked.jitter.effect())
     looked_at = [ranked.best] if claimed else ranked.hypotheses
-    possible = {m: e for h in looked_at for m, e in zip(h.members, h.effects, strict=True)}
+    members = {m: e for h in looked_at for m, e in zip(h.members, h.effects, strict=True)}
+    possible = [(_inclusion(ranked, member), effect) for member, effect in members.items()]
+    if ranked.has_jitter:
+        possible.append((ranked.jitter_probability, ranked.jitter.effect()))
     if possible:
-        return _place(possible[max(possible, key=lambda member: _inclusion(ranked, member))])
+        return _place(max(possible, key=lambda one: one[0])[1])
     largest = max(stages, key=lambda s: s.share_ratio, default=None)
     return None if largest is None else {"stage": largest.stage, "joint": largest.joint}
 

@@ -8,6 +8,7 @@ import numpy as np
 from diagnosis.challenge.score import (
     NONE_LABEL,
     UNKNOWN_LABEL,
+    Label,
     Scored,
     cause_label,
     effect_key,
@@ -48,8 +49,13 @@ def wilson(hits: int, count: int, normal: float = NORMAL_95) -> tuple[float, flo
     return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
 
 
-def measures(scored: Sequence[Scored]) -> list[Measure]:
-    """All lines of the table."""
+def measures(scored: Sequence[Scored], beside: Sequence[Scored] = ()) -> list[Measure]:
+    """All lines of the table.
+
+    Args:
+        scored: answers of one method.
+        beside: those of another one, whose sizes are compared on the effects that both name.
+    """
     tier = {t: [s for s in scored if s.truth.tier is t] for t in Tier}
     singles = tier[Tier.SINGLE]
     strong = [s for s in singles if s.multiple_ratio >= CLEAR_RATIO * STRONG_RATIO]
@@ -86,8 +92,9 @@ def measures(scored: Sequence[Scored]) -> list[Measure]:
         Measure(
             "calibration error (ECE)", len(scored), calibration_error(scored), *_NO, "<= 0.1", False
         ),
-        Measure("AUROC of unknown", len(scored), _auroc(scored), *_NO, "", False),
-        *_sizes(scored),
+        Measure("AUROC of an effect", len(scored), _effect_auroc(scored), *_NO, "", False),
+        Measure("AUROC of unknown", len(scored), _unknown_auroc(scored), *_NO, "", False),
+        *_sizes(scored, beside),
         *_shrinks(hidden),
         _number("seconds a set, median", [s.seconds for s in scored], np.median, "<= 60"),
         _number("seconds a set, worst", [s.seconds for s in scored], np.max),
@@ -158,51 +165,79 @@ def calibration_error(scored: Sequence[Scored]) -> float:
     return float(np.sum(gaps))
 
 
-def _auroc(scored: Sequence[Scored]) -> float:
+def _effect_auroc(scored: Sequence[Scored]) -> float:
+    """Chance that a set with an effect got a lower probability of "none" than a healthy one.
+
+    What an alarm is worth whatever its threshold: who never alarms has no false ones.
+    """
+    return _auroc(scored, NONE_LABEL, lambda s: s.truth.tier is Tier.NULL)
+
+
+def _unknown_auroc(scored: Sequence[Scored]) -> float:
     """Chance that an unknown set got a higher probability of "unknown" than another one."""
-    chance = [
-        (sum(p for label, p in s.ranked if label == UNKNOWN_LABEL), s.truth.tier is Tier.UNKNOWN)
-        for s in scored
-    ]
-    yes = np.array([p for p, unknown in chance if unknown])
-    no = np.array([p for p, unknown in chance if not unknown])
+    return _auroc(scored, UNKNOWN_LABEL, lambda s: s.truth.tier is Tier.UNKNOWN)
+
+
+def _auroc(scored: Sequence[Scored], label: Label, has_it: Callable[[Scored], bool]) -> float:
+    """Chance that a set that has it got a higher probability of it than another one; ties count half."""
+    chance = [(sum(p for said, p in s.ranked if said == label), has_it(s)) for s in scored]
+    yes = np.array([p for p, has in chance if has])
+    no = np.array([p for p, has in chance if not has])
     if not yes.size or not no.size:
         return float("nan")
-    higher = (yes[:, None] > no).mean() + 0.5 * (yes[:, None] == no).mean()
-    return float(higher)
+    return float((yes[:, None] > no).mean() + 0.5 * (yes[:, None] == no).mean())
 
 
-def _sizes(scored: Sequence[Scored]) -> list[Measure]:
+def _sizes(scored: Sequence[Scored], beside: Sequence[Scored]) -> list[Measure]:
     """Errors and intervals of the magnitudes of causes that were named rightly."""
-    errors: list[float] = []
-    covered: list[bool] = []
-    for s in scored:
-        if not s.is_right or s.said is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
-            continue
-        cause = next(c for c in s.said.causes if cause_label(c) == s.label)
-        for effect in s.truth.effects:
-            key = effect_key(effect.effect, effect.joint, effect.parameters)
-            found = next(
-                e for e in cause.effects if effect_key(e.effect, e.joint, e.parameters) == key
-            )
-            names = set(effect.parameters) | set(found.parameters)
-            true = np.array([effect.parameters.get(name, 0.0) for name in sorted(names)])
-            fitted = [found.parameters.get(name) for name in sorted(names)]
-            value = np.array([0.0 if f is None else f.value for f in fitted])
-            errors.append(float(np.linalg.norm(value - true) / np.linalg.norm(true)))
-            covered += [
-                f.ci90[0] <= size <= f.ci90[1]
-                for f, size in zip(fitted, true, strict=True)
-                if f is not None
-            ]
+    named = {key: fit for s in scored for key, fit in _fits(s).items()}
+    covered = [hit for fit in named.values() for hit in fit.covered]
     hits = sum(covered)
     share = hits / len(covered) if covered else float("nan")
+    others = {key: fit for s in beside for key, fit in _fits(s).items() if key in named}
     return [
-        _number("size error, median", errors, np.median, "<= 0.10"),
+        _number("size error, median", [fit.error for fit in named.values()], np.median, "<= 0.10"),
+        _number(
+            "size error of the first, same effects",
+            [fit.error for fit in others.values()],
+            np.median,
+        ),
         Measure(
             "90 % intervals that hold", len(covered), share, *wilson(hits, len(covered)), "85-95 %"
         ),
     ]
+
+
+class _Fit(NamedTuple):
+    error: float
+    """Distance of the parameters from the true ones over the true ones' norm."""
+    covered: list[bool]
+    """Of each parameter: whether its interval holds the true one."""
+
+
+def _fits(s: Scored) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
+    """By set and effect, if the cause is right."""
+    if not s.is_right or s.said is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
+        return {}
+    cause = next(c for c in s.said.causes if cause_label(c) == s.label)
+    by_key = {effect_key(e.effect, e.joint, e.parameters): e for e in cause.effects}
+    fits: dict[tuple[str, tuple[str, str | None]], _Fit] = {}
+    for effect in s.truth.effects:
+        key = effect_key(effect.effect, effect.joint, effect.parameters)
+        found = by_key[key]
+        names = sorted(set(effect.parameters) | set(found.parameters))
+        true = np.array([effect.parameters.get(name, 0.0) for name in names])
+        fitted = [found.parameters.get(name) for name in names]
+        value = np.array([0.0 if f is None else f.value for f in fitted])
+        fits[s.truth.set_id, key] = _Fit(
+            float(np.linalg.norm(value - true) / np.linalg.norm(true)),
+            [
+                f.ci90[0] <= size <= f.ci90[1]
+                for f, size in zip(fitted, true, strict=True)
+                if f is not None
+            ],
+        )
+    return fits
 
 
 def _shrinks(hidden: Sequence[Scored]) -> list[Measure]:

@@ -85,6 +85,7 @@ def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> Non
             is_unknown=False,
             is_doubtful=False,
             none_probability=none,
+            has_jitter=False,
             rival=rival,
         )
         gain = Shrink(
@@ -114,46 +115,90 @@ def test_the_place_is_that_of_the_effect_that_most_sets_have() -> None:
         for members, effects in (((1, 2), (mass, delay)), ((2, 3), (delay, drag)), ((), ()))
     ]
     ranked = SimpleNamespace(
-        hypotheses=hypotheses, probability=[0.4, 0.3, 0.2], best=hypotheses[0], levels={}
+        hypotheses=hypotheses,
+        probability=[0.4, 0.3, 0.2],
+        best=hypotheses[0],
+        levels={},
+        has_jitter=False,
     )
     for verdict in (VerdictKind.AMBIGUOUS, VerdictKind.NONE):
         assert where(verdict, cast("Ranked", ranked), ()) == {"stage": "release", "joint": None}
+
+
+def test_jitter_is_claimed_and_looked_at_where_all_else_is_in_doubt() -> None:
+    """Blind sets had jitter of 2 and 4 limits that was none, for a slow slew that may have been there."""
+    slow = Effect(effect="speed_limit", joint="slew", parameters={"reduction_ratio": 0.2})
+    best = SimpleNamespace(members=(3,), effects=(slow,))
+    none = SimpleNamespace(members=(), effects=())
+    for share, verdict, stage in (
+        (0.99, VerdictKind.AMBIGUOUS, "release"),
+        (0.3, VerdictKind.NONE, "actuation"),
+    ):
+        ranked = cast(
+            "Ranked",
+            SimpleNamespace(
+                hypotheses=[best, none],
+                probability=[0.55, 0.45],
+                best=best,
+                rival=none,
+                is_unknown=False,
+                is_doubtful=True,
+                none_probability=0.45,
+                has_jitter=share > 0.5,
+                jitter_probability=share,
+                jitter=_jitter_of(0.07),
+            ),
+        )
+        assert verdict_of(ranked, None) is verdict
+        assert where(verdict, ranked, ()) == {
+            "stage": stage,
+            "joint": None if stage == "release" else "slew",
+        }
+        if verdict is VerdictKind.AMBIGUOUS:
+            members = ambiguity_of(ranked, None).members
+            assert members == ("speed limit of the slew and release jitter", "release jitter")
+
+
+def _jitter_of(size_s: float) -> SimpleNamespace:
+    effect = Effect(effect="release_jitter", parameters={"extra_sd_s": size_s})
+    return SimpleNamespace(effect=lambda: effect)
 
 
 def test_jitter_is_part_of_either_cause_that_may_be() -> None:
     """Members have the names of the causes, so that both are found among them."""
     load = Effect(effect="load_dependent_speed", joint="boom", parameters={"loss_ratio": 0.1})
     gain = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": 0.1})
-    jitter = SimpleNamespace(
-        effect=lambda: Effect(effect="release_jitter", parameters={"extra_sd_s": 0.07})
-    )
     best, rival = (
         SimpleNamespace(members=(place,), effects=(effect,))
         for place, effect in enumerate((load, gain))
     )
-    for share, either, second, members in (
+    for share, either, members in (
         (
             0.9,
             rival,
-            None,
             (
                 "load dependent speed of the boom and release jitter",
                 "valve gain of the boom and release jitter",
             ),
         ),
-        (0.1, rival, None, ("load dependent speed of the boom", "valve gain of the boom")),
+        (0.1, rival, ("load dependent speed of the boom", "valve gain of the boom")),
         (
             0.9,
             None,
-            "why",
             ("load dependent speed of the boom and release jitter", "release jitter"),
         ),
-        (0.1, None, "why", ("load dependent speed of the boom", "none")),
+        (0.1, None, ("load dependent speed of the boom", "none")),
     ):
         ranked = SimpleNamespace(
-            best=best, rival=either, rival_log_odds=1.0, jitter=jitter, jitter_probability=share
+            best=best,
+            rival=either,
+            rival_log_odds=1.0,
+            is_doubtful=False,
+            none_probability=0.0,
+            has_jitter=share > 0.5,
+            jitter=_jitter_of(0.07),
         )
-        assert ambiguity_of(cast("Ranked", ranked), second).members == members
+        assert ambiguity_of(cast("Ranked", ranked), None).members == members
 
 
 def test_a_gripper_that_swings_otherwise_about_one_axis_alone_has_a_pin_that_moves_otherwise() -> (

@@ -169,6 +169,28 @@ def test_pairs_need_both_effects() -> None:
     assert value([exact], "size error, median").value == pytest.approx(0.075)
 
 
+def test_who_never_alarms_or_names_little_is_compared_fairly() -> None:
+    """Alarms by rank, sizes on the effects that both name."""
+    quiet, loud = said(VerdictKind.NONE, cause(0.9, name="none")), (cause(0.9, RIGHT), NONE)
+    healthy, faulty = truth(Tier.NULL), truth(Tier.SINGLE, DELAY, name="set-0002")
+    ours = [
+        Scored(healthy, quiet, 1.0),
+        Scored(faulty, said(VerdictKind.EXPLAINED, *loud), 1.0),
+    ]
+    mute = [Scored(one, quiet, 1.0) for one in (healthy, faulty)]
+    assert value(mute, "false alarms on null").value == 0.0
+    assert value(mute, "AUROC of an effect").value == 0.5
+    assert value(ours, "AUROC of an effect").value == 1.0
+    rough = cause(0.9, fitted("valve_dead_time", "boom", extra_dead_time_s=0.13))
+    theirs = [Scored(faulty, said(VerdictKind.EXPLAINED, rough), 1.0)]
+    name = "size error of the first, same effects"
+    assert [m for m in measures(ours) if m.name == name] == []
+    by_name = {m.name: m for m in measures(theirs, ours)}
+    assert by_name["size error, median"].value == pytest.approx(0.3)
+    assert (by_name[name].value, by_name[name].number) == (pytest.approx(0.05), 1)
+    assert [m for m in measures(mute, ours) if m.name == name] == []
+
+
 def test_drifts_are_told_by_what_drifts() -> None:
     drift = hidden("warm_up_drift", "boom", **{"valve_gain.positive_ratio": 0.2})
     named = fitted("warm_up_drift", "boom", **{"valve_gain.negative_ratio": 0.2})
