@@ -64,6 +64,9 @@ STALE_MARGIN_LOG_ODDS = 10.0
 viscous friction of 0.25 those of dry friction promised 4 less than nothing, and simulated the pair was 224
 ahead. For all sets 10 is too much: three single effects (seed 1413302223) were answered again with it, and a
 late dipper's sensor got a bias beside it, a sticking dipper a late boom's sensor."""
+TWINS = (("valve_dead_time", "valve_lag"), ("valve_gain", "load_dependent_speed"))
+"""Effects at one joint that look so much alike that neither is named before the other was simulated. A
+stranger's dead time of a boom, 62 ms, was surely a lag (93 %): no dead time had come as far as that."""
 METERING_EFFECTS = ("valve_dead_band", "valve_gain")
 SHAPED_COUNT = 5
 """Sets with a shape that are weighed."""
@@ -245,6 +248,27 @@ def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set,
         for part in subsets(trial.members):
             if part and part not in known:
                 seeds.setdefault(part, np.concatenate([sizes[m] for m in part]))
+    return seeds
+
+
+def missing_twins(
+    problem: Problem, found: Sequence[Trial], leading: Sequence[Trial]
+) -> dict[Set, Array]:
+    """The leading sets with one effect's twin in its place (`TWINS`), if they were not simulated."""
+    groups = problem.layout.groups
+    other = dict(TWINS) | {b: a for a, b in TWINS}
+    known = {t.members for t in found}
+    seeds: dict[Set, Array] = {}
+    for trial in leading:
+        for member in trial.members:
+            effect, joint = groups[member]
+            twin = (other.get(effect, ""), joint)
+            if twin not in groups:
+                continue
+            swapped = {*trial.members, groups.index(twin)} - {member}
+            members = tuple(sorted(swapped))
+            if members not in known and len(members) == len(trial.members):
+                seeds.setdefault(members, sizes_in(trial, members))
     return seeds
 
 

@@ -13,6 +13,7 @@ from diagnosis.causes.candidates import (
     PART_COUNT,
     grown_sets,
     missing_parts,
+    missing_twins,
     partnered,
     settled_singles,
     with_shapes,
@@ -104,7 +105,7 @@ def explore(problem: Problem, tick: Callable[[float], None]) -> list[Hypothesis]
 
 
 def _best_with_parts(problem: Problem, found: Sequence[Trial]) -> list[Trial]:
-    """The best sets and the parts of those that then lead, each as near to its best size as strides come.
+    """The best sets, and twins and parts of those that then lead, each as near to its best size as it comes.
 
     The first trial is that of no effect. A set must not win because it was simulated nearer to its best size
     than its own parts were.
@@ -112,11 +113,12 @@ def _best_with_parts(problem: Problem, found: Sequence[Trial]) -> list[Trial]:
     chosen = [t for t in _ranked(found)[:WEIGHED_COUNT] if t.members]
     best = polished(problem, nearer(problem, chosen))
     leading = _ranked([found[0], *best])[:PART_COUNT]
+    twins = nearer(problem, try_sets(problem, missing_twins(problem, found, leading)))
     tried = [*found, *try_sets(problem, missing_parts(found, leading))]
     wanted = {p for t in leading for p in subsets(t.members) if p}
     wanted -= {t.members for t in best}
     parts = [t for t in tried if t.members in wanted]
-    return [*best, *polished(problem, nearer(problem, parts))]
+    return [*best, *twins, *polished(problem, nearer(problem, parts))]
 
 
 def _ranked(trials: Sequence[Trial]) -> list[Trial]:

@@ -9,12 +9,14 @@ import pytest
 from diagnosis.causes import candidates, trials, weighing
 from diagnosis.causes.candidates import (
     missing_parts,
+    missing_twins,
     most_hopeful,
     plain_partner_joints,
 )
 from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.selection import Priors, inform, screen
+from diagnosis.causes.trials import sizes_in
 from diagnosis.causes.weighing import (
     PART_LOG_ODDS,
     Trial,
@@ -155,6 +157,44 @@ def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
     assert compared(trial(), both, poor)[0,] == pytest.approx(own + PART_LOG_ODDS)
     shaken = compared(trial(), replace(both, is_shaken=True), poor)
     assert shaken[0,] == compared(trial(), replace(both, is_shaken=True), one)[0,] > own + 400.0
+
+
+@pytest.mark.parametrize(
+    ("scatter_sd", "at_ratio", "bent", "is_shaken", "is_scatter"),
+    [
+        (2.0, 1.0, (), False, True),
+        (2.0, 1.5, (), False, False),
+        (2.0, 1.0, (0,), False, False),
+        (2.0, 1.0, (), True, False),
+        (0.001, 1.0, (), False, False),
+    ],
+    ids=["there", "simulated elsewhere", "bent", "shakes others", "no machine is off by as much"],
+)
+def test_a_machine_that_is_there_by_itself_is_no_effect(
+    scatter_sd, at_ratio, bent, is_shaken, is_scatter
+):
+    """What is told better because it was simulated is told so for a healthy machine that is there, too."""
+    plain = PRIORS._replace(scatter=np.diag([scatter_sd**2, 1e-6, 1e-6]))
+    at, there = at_ratio * SIZES[:1], data()
+    there = there._replace(bare_square=there.bare_square + 1000.0)
+    twin = there._replace(square=there.bare_square)
+    none = Trial((), SIZES[:0], SIZES[:0], {}, [twin], plain, plain, screen(twin, plain))
+    priors = formed(plain, there, (0,), at)
+    one = Trial((0,), at, at, {}, [there], priors, plain, screen(there, priors), bent, is_shaken)
+    told_by = none.base.log_evidence + 500.0 * is_scatter
+    assert compared(none, one)[()] == pytest.approx(told_by)
+
+
+def test_a_lag_is_not_named_before_a_dead_time_was_simulated():
+    """At the same joint, at the size that slopes give it there, beside the same other effects."""
+    groups = [("valve_lag", "boom"), ("imu_latency", None), ("valve_dead_time", "boom")]
+    problem = SimpleNamespace(layout=SimpleNamespace(groups=groups))
+    both, swapped = trial((0, 1), SIZES), trial((1, 2), SIZES)
+    seeds = missing_twins(problem, [trial(), both], [trial(), both])
+    assert list(seeds) == [(1, 2)]
+    np.testing.assert_array_equal(seeds[1, 2], sizes_in(both, (1, 2)))
+    assert missing_twins(problem, [trial(), both, swapped], [both]) == {}
+    assert missing_twins(problem, [both], [trial((0, 2), SIZES), trial((1,), SIZES[:1])]) == {}
 
 
 def test_effects_too_small_to_be_any_are_left_out():
