@@ -51,8 +51,10 @@ WITH_THRESHOLD = (
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
-BETWEEN_RATIO = 1.75
-"""And from this one: a dipper that broke loose at 0.11 rad/s was told by neither 0.05 nor 0.15 rad/s."""
+BETWEEN_RATIO = (1.75,)
+STICTION_BETWEEN_RATIO = (1.35, 1.75, 2.15, 2.55)
+"""And from these: a dipper that broke loose at 0.11 rad/s was told by neither 0.05 nor 0.15 rad/s, and one of
+0.135 rad/s between 0.1 and 0.14 rad/s alone."""
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 PARTNER_COUNT = 4
@@ -64,9 +66,14 @@ STALE_MARGIN_LOG_ODDS = 10.0
 viscous friction of 0.25 those of dry friction promised 4 less than nothing, and simulated the pair was 224
 ahead. For all sets 10 is too much: three single effects (seed 1413302223) were answered again with it, and a
 late dipper's sensor got a bias beside it, a sticking dipper a late boom's sensor."""
-TWINS = (("valve_dead_time", "valve_lag"), ("valve_gain", "load_dependent_speed"))
-"""Effects at one joint that look so much alike that neither is named before the other was simulated. A
-stranger's dead time of a boom, 62 ms, was surely a lag (93 %): no dead time had come as far as that."""
+TWINS = (
+    ("valve_dead_time", "valve_lag"),
+    ("valve_gain", "load_dependent_speed"),
+    ("payload_mass", "air_drag"),
+)
+"""Effects that look so much alike that neither is named before the other was simulated at its joint. A
+stranger's dead time of a boom, 62 ms, was surely a lag (93 %): no dead time had come as far as that. A load
+heavier by 4.5 kg beside a late slew was less drag, and 9 ahead of it once it was simulated."""
 METERING_EFFECTS = ("valve_dead_band", "valve_gain")
 SHAPED_COUNT = 5
 """Sets with a shape that are weighed."""
@@ -309,7 +316,8 @@ def _sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
     typical = priors.slab_sd[priors.groups[group]]
     # Of two directions, one would hide the other.
     far = [FAR_RATIO * typical * way for way in np.eye(typical.size)]
-    return [typical, *far, BETWEEN_RATIO * typical]
+    between = STICTION_BETWEEN_RATIO if effect == "stiction" else BETWEEN_RATIO
+    return [typical, *far, *(ratio * typical for ratio in between)]
 
 
 def _loud_joints(problem: Problem, trial: Trial, count: int) -> list[str]:

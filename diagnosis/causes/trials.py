@@ -171,8 +171,7 @@ def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     the scatter alone was worth 17 to a light load and to the drag that was there.
     """
     close = _within(trials, CLOSE_LOG_ODDS)
-    there = _moved_there(problem, close, [t.at for t in close])
-    found = {new.members: better(old, new, told) for old, new in zip(close, there, strict=True)}
+    found = {t.members: t for t in moved_there(problem, close)}
     rivals = [t for t in _within(list(found.values()), RIVAL_LOG_ODDS) if t.members]
     if any(_swings(problem, t) and not _is_near(t) for t in rivals):
         for new in _moved_there(problem, rivals, [t.sizes for t in rivals]):
@@ -184,6 +183,12 @@ def _within(trials: Sequence[Trial], log_odds: float) -> list[Trial]:
     """Trials whose evidence is so near to that of the best one."""
     fair = fair_on_all(trials)
     return [t for t, own in zip(trials, fair, strict=True) if own > max(fair) - log_odds]
+
+
+def moved_there(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials, linearised where their machine's scatter is, if that tells them better."""
+    there = _moved_there(problem, trials, [t.at for t in trials])
+    return [better(old, new, told) for old, new in zip(trials, there, strict=True)]
 
 
 def _moved_there(problem: Problem, trials: Sequence[Trial], sizes: Sequence[Array]) -> list[Trial]:

@@ -33,6 +33,9 @@ of 83 single effects (seed 1204560035) had a second one; with 15, and with 25, t
 the nine those four that shake no other joint are alone again (`Trial.is_shaken` is for the other five)."""
 
 
+THERE_SD = 2.0
+"""Posterior standard deviations of a size: a machine's scatter nearer than that to what was simulated is told
+by the slopes there."""
 LEAST_TOLD_RATIO = 1e-6
 """Of the precision of a size's wide prior: data with less say nothing."""
 
@@ -219,9 +222,9 @@ def _as_scatter(trial: Trial, data: Information) -> float:
     """
     if trial.bent or trial.is_shaken:
         return -np.inf
-    variance = np.diag(weigh(trial.base, trial.priors, trial.members).covariance)
+    sd = np.sqrt(np.diag(weigh(trial.base, trial.priors, trial.members).covariance))
     away = trial.base.mean[members_index(trial.plain, trial.members)] - trial.at
-    is_there = bool(np.all(np.square(away) <= variance))
+    is_there = bool(np.all(np.abs(away) <= THERE_SD * sd))
     return screen(data, trial.plain).log_evidence if is_there else -np.inf
 
 

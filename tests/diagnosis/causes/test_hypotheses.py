@@ -1,5 +1,6 @@
 """What no slope at zero shows is found: a second effect at one joint, a sensor that is very late."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,7 +11,7 @@ from diagnosis.causes import candidates
 from diagnosis.causes.hypotheses import explore, form_of_parts
 from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.selection import SetEvidence
-from diagnosis.causes.trials import no_effect, try_sets
+from diagnosis.causes.trials import Seed, no_effect, try_sets
 from diagnosis.causes.weighing import Trial, evidence_in, is_ahead
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, throws
@@ -44,6 +45,24 @@ def test_a_sensor_that_is_very_late_is_found() -> None:
     # Beyond the tick that the smoother leads by on every machine.
     found_s = best.effects[0].parameters["extra_latency_s"]
     assert found_s == pytest.approx(0.13 - 0.01, rel=0.05)
+
+
+def test_breakaway_speeds_are_looked_at_closely(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dipper that broke loose at 0.135 rad/s was told better than by none from 0.1 to 0.14 alone."""
+    stuck = Effect(effect="stiction", joint="dipper", parameters={"breakaway_rad_m_per_s": 0.13})
+    problem = posed(throws((stuck,), 4))
+    stiction = problem.layout.groups.index(("stiction", "dipper"))
+    sizes: list[float] = []
+
+    def look(_: object, seeds: Sequence[Seed]) -> list[Trial]:
+        sizes.extend(float(at[0]) for members, at in seeds if members == (stiction,))
+        return try_sets(problem, seeds[:1], is_rough=True)
+
+    monkeypatch.setattr(candidates, "look", look)
+    candidates.settled_singles(problem, no_effect(problem))
+    steps = np.diff(np.log(sorted(size for size in sizes if size >= 0.05)))
+    assert steps.max() < np.log(1.4)
+    assert max(sizes) == pytest.approx(0.15)
 
 
 def test_a_shape_must_tell_more_than_the_form_of_what_it_is_beside() -> None:

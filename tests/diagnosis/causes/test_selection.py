@@ -12,6 +12,7 @@ from diagnosis.causes.selection import (
     FORM_TEMPERATURE_RATIO,
     MIN_SLAB_OVER_SPIKE_RATIO,
     PARTNER_LOG_PRIOR,
+    THIRD_LOG_PRIOR,
     Information,
     Priors,
     SetEvidence,
@@ -24,6 +25,7 @@ from diagnosis.causes.selection import (
     mean_with,
     screen,
     search,
+    set_log_prior,
     total,
     weigh,
 )
@@ -188,10 +190,22 @@ def test_equal_sensitivities_cannot_be_told_apart() -> None:
     assert expected_log_odds(information, prior, truth, (2,)) > 5.0
 
 
+def test_a_third_effect_is_rarer_than_a_second_but_not_a_shape_beside_two() -> None:
+    plain = priors(4)
+    shaped = plain._replace(looks_like=np.zeros((3, 1)))
+    alone = set_log_prior(plain, (0,))
+    assert set_log_prior(plain, (0, 1)) == 2.0 * alone + PARTNER_LOG_PRIOR
+    beside = 3.0 * alone + 3.0 * PARTNER_LOG_PRIOR
+    assert set_log_prior(plain, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
+    assert set_log_prior(shaped, (0, 1, 3)) == beside
+    assert set_log_prior(shaped, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
+
+
 def test_bagging_shares_probability_when_throws_disagree() -> None:
     weights = bootstrap_weights(4, 50)
-    assert (weights.sum(axis=1) == 4).all()
+    np.testing.assert_allclose(weights.sum(axis=1), 4.0)
     assert (weights[0] == 1).all()
+    assert (weights > 0.0).all(), "what one throw tells is told in every bootstrap"
     # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
     speaks = np.array([30.0, 30.0, -30.0, -29.0])
     log_odds = np.column_stack([weights @ speaks, np.zeros(50)])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.causes import candidates, trials, weighing
+from diagnosis.causes import candidates, hypotheses, trials, weighing
 from diagnosis.causes.candidates import (
     missing_parts,
     missing_twins,
@@ -163,7 +163,7 @@ def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
     ("scatter_sd", "at_ratio", "bent", "is_shaken", "is_scatter"),
     [
         (2.0, 1.0, (), False, True),
-        (2.0, 1.5, (), False, False),
+        (2.0, 2.0, (), False, False),
         (2.0, 1.0, (0,), False, False),
         (2.0, 1.0, (), True, False),
         (0.001, 1.0, (), False, False),
@@ -270,6 +270,20 @@ def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():
     seeds = missing_parts([trial(), one, both], [both])
     assert list(seeds) == [(1,)]
     np.testing.assert_array_equal(seeds[1,], SIZES[1:])
+
+
+def test_parts_of_the_set_that_leads_in_the_end_are_simulated(monkeypatch):
+    """Where its machine is a set may lead that did not lead before."""
+    monkeypatch.setattr(
+        hypotheses, "try_sets", lambda _, seeds: [trial(m, z) for m, z in seeds.items()]
+    )
+    for name in ("nearer", "moved_there"):
+        monkeypatch.setattr(hypotheses, name, lambda _, tried: tried)
+    found = hypotheses.parts_of_leader(
+        None, [trial(), trial((0,), SIZES[:1]), trial((0, 1), SIZES)]
+    )
+    assert [t.members for t in found] == [(1,)]
+    np.testing.assert_array_equal(found[0].at, SIZES[1:])
 
 
 def test_a_second_effect_that_slopes_show_plainly_makes_its_joint_suspect():
