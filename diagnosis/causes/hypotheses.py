@@ -117,7 +117,7 @@ def _best_with_parts(problem: Problem, found: Sequence[Trial]) -> list[Trial]:
     best = polished(problem, nearer(problem, chosen))
     leading = _ranked([found[0], *best])[:PART_COUNT]
     twins = nearer(problem, try_sets(problem, missing_twins(problem, found, leading)))
-    tried = [*found, *try_sets(problem, missing_parts(found, leading))]
+    tried = [*found, *try_sets(problem, missing_parts([*found, *twins], leading))]
     wanted = {p for t in leading for p in subsets(t.members) if p}
     wanted -= {t.members for t in best}
     parts = [t for t in tried if t.members in wanted]

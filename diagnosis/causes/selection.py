@@ -354,8 +354,8 @@ def _best_first(evidence: SetEvidence) -> float:
 def bootstrap_weights(throw_count: int, draws: int, seed: int = 0) -> Array:
     """How much each throw counts in each bootstrap (draws, throws); the first row is the data itself.
 
-    The Bayesian bootstrap (Rubin, Ann. Statist. 9, 1981): a third of those that draw throws leave one out. A
-    slew's speed limit that showed in two throws of twelve, 263 ahead of none, was none for that (19 %).
+    The Bayesian bootstrap (Rubin, Ann. Statist. 9, 1981). One that draws throws leaves each of twelve out in
+    35 % of draws: a slew's speed limit that few throws show, 263 ahead of none, was none for that (19 %).
     """
     weights = throw_count * np.random.default_rng(seed).dirichlet(np.ones(throw_count), draws)
     weights[0] = 1.0
