@@ -48,8 +48,8 @@ PARTNER_LOG_PRIOR = -1.0
 looks like another one. With -3 the best pair was 0 to 3 behind the best single in 5 of 65 sets with two
 effects (12 and more behind in 7, 3 to 6 in 3) and in 3 of 85 with one, of two challenges."""
 THIRD_LOG_PRIOR = -8.0
-"""More for a third one with a name (by eye). A real one tells hundreds; in five of seven sets with two (seeds
-713672797, 1240021187) the best third one beside them was -2 to 12 ahead without."""
+"""More for a third one with a name (by eye): in five of seven sets with two (seeds 713672797, 1240021187)
+the best third one beside them was -2 to 12 ahead without."""
 
 
 class Information(NamedTuple):

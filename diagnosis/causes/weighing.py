@@ -216,9 +216,10 @@ def fair_evidence(
 def _as_scatter(trial: Trial, data: Information) -> float:
     """Log evidence of no effect where a trial's set was simulated, if the machine may be there by itself.
 
-    A healthy machine whose gripper had 8.5 % less inertia, two standard deviations, was told by 33 better
-    with that inertia simulated than by slopes about none. That is no evidence for an effect: told by the
-    slopes there its scatter is as good. Slopes of bent effects tell nothing of a machine without them.
+    A healthy machine that looked like 8.5 % less inertia, two standard deviations of healthy ones, was told
+    by 33 better with that inertia simulated than by slopes about none. That is no evidence for an effect:
+    told by the slopes there its scatter is as good. Slopes of bent effects tell nothing of a machine without
+    them.
     """
     if trial.bent or trial.is_shaken:
         return -np.inf
