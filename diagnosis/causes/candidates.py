@@ -57,6 +57,8 @@ STICTION_BETWEEN_RATIO = (1.35, 1.75, 2.15, 2.55)
 0.135 rad/s between 0.1 and 0.14 rad/s alone."""
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
+SMALLER_RATIO = ((1.0, 0.6), (0.6, 1.0), (0.6, 0.6))
+"""Of a dead band alone, in both directions: what it may be beside another effect at its joint."""
 PARTNER_COUNT = 4
 """Pairs that no slope shows which are worth more than one simulation."""
 MARGIN_LOG_ODDS = 3.0
@@ -140,11 +142,30 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> list[Seed]:
             members = tuple(sorted((own, group)))
             if group != own:
                 seeds += [
-                    (members, np.concatenate([trial.at if m == own else other for m in members]))
-                    for other in _sizes_beyond_slopes(problem, group)[:PARTNER_SIZE_COUNT]
+                    (members, np.concatenate([first if m == own else other for m in members]))
+                    for first, other in _sizes_together(problem, trial, group)
                 ]
     found = sorted(look(problem, seeds), key=_best_first)
     return followed(problem, found[:PARTNER_COUNT])
+
+
+def _sizes_together(problem: Problem, single: Trial, group: int) -> list[tuple[Array, Array]]:
+    """Sizes of a single effect and a second one to start from together; none if slopes tell the second.
+
+    A dead band alone also stands for what a gain or stiction at its joint does: a dipper's of 0.09 and 0.36
+    beside a stiction of 0.113 rad/s came out as 0.2 and 0.49, where stiction settled at 0.06, 700 behind;
+    one of 0.29 beside a gain as 0.4, where slopes said that the gain was none, 100 behind.
+    """
+    sizes = _sizes_beyond_slopes(problem, group)
+    groups = problem.layout.groups
+    (effect, joint), second = groups[single.members[0]], groups[group]
+    if effect == "valve_dead_band" and second in {("stiction", joint), ("valve_gain", joint)}:
+        smaller = [single.at * share for share in SMALLER_RATIO]
+        none = np.zeros(problem.layout.priors.groups[group].size)
+        return [(at, other) for at in [single.at, *smaller] for other in sizes] or [
+            (at, none) for at in smaller
+        ]
+    return [(single.at, other) for other in sizes[:PARTNER_SIZE_COUNT]]
 
 
 def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:

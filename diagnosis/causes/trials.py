@@ -166,16 +166,15 @@ def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
     """Trials; those close to the best linearised where their machine's scatter is, if that tells them better.
 
     Scatter bends as effects do: told by slopes at the twin alone a hose of one machine was 64 behind no
-    effect, and 22 where the machine was. Slopes of all that swings move sizes, too: those that moved are
-    simulated once more (a hose of 1.4 1/s2 from 1.7 to 1.46), and with them their rivals: a second look at
-    the scatter alone was worth 17 to a light load and to the drag that was there.
+    effect, and 22 where the machine was. Slopes of all that swings move sizes, too (a hose of 1.4 1/s2 from
+    1.7 to 1.46). So the best set and its rivals, no effect among them, are looked at once more: that was
+    worth 17 to a light load and to the drag that was there, and 9 to a dead band beside a spin.
     """
     close = _within(trials, CLOSE_LOG_ODDS)
     found = {t.members: t for t in moved_there(problem, close)}
-    rivals = [t for t in _within(list(found.values()), RIVAL_LOG_ODDS) if t.members]
-    if any(_swings(problem, t) and not _is_near(t) for t in rivals):
-        for new in _moved_there(problem, rivals, [t.sizes for t in rivals]):
-            found[new.members] = better(found[new.members], new, told)
+    rivals = _within(list(found.values()), RIVAL_LOG_ODDS)
+    for new in _moved_there(problem, rivals, [t.sizes for t in rivals]):
+        found[new.members] = better(found[new.members], new, told)
     return [found.get(t.members, t) for t in trials]
 
 
@@ -209,12 +208,6 @@ def at_home(trial: Trial) -> Trial:
         return trial
     own = [i._replace(bare_gradient=i.gradient, bare_square=i.square) for i in trial.information]
     return replace(trial, information=own)
-
-
-def _swings(problem: Problem, trial: Trial) -> bool:
-    """Whether a trial's set moves the swing, given how the joints move."""
-    groups = {problem.layout.groups[m] for m in trial.members}
-    return any(View.SWING in p.views for p in library() if p.group in groups)
 
 
 def _scatter(problem: Problem, trial: Trial) -> tuple[Effect, ...]:
@@ -255,9 +248,8 @@ def _with_form(
             )
         throws.append(whiten_throw(p, linear, problem.model, factor, problem.basis[i]))
         factors.append(factor)
-    played = [
-        j for e, j in (problem.layout.groups[m] for m in members) if e == "valve_hysteresis" and j
-    ]
+    groups = problem.layout.groups
+    played = [j for e, j in (groups[m] for m in members) if e == "valve_hysteresis" and j]
     plain = problem.layout.priors
     if played:
         throws, plain = with_own_play(problem, throws, at, factors, played)
@@ -269,7 +261,6 @@ def _with_form(
     priors = formed(plain, data, members, start) if members else plain
     base = screen(data, priors)
     mean = _sizes_in(data, plain, members)
-    bent = tuple(m for m in members if problem.layout.groups[m][0] in BENT_EFFECTS)
     trial = Trial(
         members=members,
         at=start,
@@ -279,8 +270,9 @@ def _with_form(
         priors=priors,
         plain=plain,
         base=base,
-        bent=bent,
-        is_shaken=any(problem.layout.groups[m][0] in SHAKING_EFFECTS for m in members),
+        bent=tuple(m for m in members if groups[m][0] in BENT_EFFECTS),
+        curved=tuple(m for m in members if groups[m][0] in CURVED_EFFECTS),
+        is_shaken=any(groups[m][0] in SHAKING_EFFECTS for m in members),
     )
     if is_rough:
         return trial

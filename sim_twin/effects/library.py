@@ -136,8 +136,8 @@ _ACTUATION = (
         "actuation",
         ACTIVE_JOINTS,
         (P("breakaway_rad_m_per_s", 0.0, 0.15, 0.003, 0.05, 0.02),),
-        "A joint at rest stays until the steady speed of its command exceeds this; then it jumps by "
-        "what the oil behind it was compressed, and goes.",
+        "A joint at rest stays until the steady speed of its command exceeds this; valve "
+        "and oil go on meanwhile, and it comes up with them within some 0.02 s.",
         "static friction of seals: stationary phase and slip jump (valve-stiction literature)",
     ),
     EffectSpec(

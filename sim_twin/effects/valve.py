@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from machine.calibration import actuator_ratio
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
-from machine.kinematics import cylinder_length_m
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
 from sim_twin.twin.arm_load import gravity_load_ratio
@@ -22,13 +20,9 @@ STOP_SHARE_RATIO = 0.1
 """A joint slower than this share of its breakaway speed, with too small a command, has stopped."""
 STANDING_RAD_M_PER_S = 0.005
 """A joint that is measured to be slower over a tenth of a second stands: twice what sensors scatter then."""
-BULK_MODULUS_PA = 0.8e9
-"""Effective: mineral oil with little air (textbook 1.4-1.7 GPa) behind long hoses, which halve it; 0.5-0.9
-GPa were measured on a crane of this size (docs/virtual_machine.md, S)."""
-SLEW_TRAPPED_M3 = 1.5e-3
-"""Oil on each side of the slew motor (assumed)."""
 SLIP_S = 0.02
-"""Time constant with which a drive's push eases while it is alone in its play."""
+"""Time constant with which a drive's push eases while it is alone in its play, and with which a joint that
+breaks loose comes up with its oil (0.01 to 0.045 s do alike)."""
 
 
 class Flows(NamedTuple):
@@ -54,25 +48,6 @@ def drive_flows(spec: MachineSpec) -> Flows:
         np.array([slew, boom_out, dipper_in, tube_out]),
         np.array([slew, boom_in, dipper_out, tube_in]),
     )
-
-
-def slip_jumps(spec: MachineSpec) -> Array:
-    """Way (4,) that a stuck joint jumps when the full supply pressure has compressed the oil behind it.
-
-    Force p A over the stiffness b A^2 (1/V1 + 1/V2) of two chambers of half the stroke each: p s / (4 b).
-    """
-    low, high = spec.position_range_rad_m
-    middle = np.array([[0.0, *(0.5 * (low[1:] + high[1:]))]])
-    h = spec.hydraulics
-    strokes = [
-        abs(float(np.diff(cylinder_length_m(cylinder, np.array([low[joint], high[joint]])))[0]))
-        for joint, cylinder in ((1, h.boom_cylinder), (2, h.dipper_cylinder))
-    ]
-    stroke = np.array([0.0, *strokes, high[3] - low[3]])
-    jump = 0.25 * h.supply_pressure_pa * stroke / BULK_MODULUS_PA
-    slew = h.supply_pressure_pa * SLEW_TRAPPED_M3 / (2.0 * BULK_MODULUS_PA)
-    jump[0] = slew / h.slew_displacement_m3_per_rad
-    return jump / np.abs(actuator_ratio(spec, middle))[0]
 
 
 class ValveEffects:
@@ -104,7 +79,7 @@ class ValveEffects:
         self._anywhere = np.zeros(shape, dtype=np.bool_)
         self._slope_before = np.zeros(shape)
         self._at_rest = np.ones(shape, dtype=np.bool_)
-        self._wound, self._jump = np.zeros(shape), slip_jumps(spec)
+        self._behind, self._joint = np.zeros(shape), np.zeros(shape)
         self._is_fresh = True
         self._seen_before, self._push = np.zeros(shape), np.zeros(shape)
         self._mean_lag_s = np.zeros(shape)
@@ -116,9 +91,10 @@ class ValveEffects:
         self._slope_before[:] = 0.0
         self._is_fresh = True
         self._at_rest[:] = True
-        self._wound[:] = 0.0
+        self._behind[:] = 0.0
         self._push[:] = 0.0
-        self._seen_before = np.zeros_like(self._wound)
+        # What came from a caller, or went to one, is not ours to clear.
+        self._joint, self._seen_before = np.zeros_like(self._push), np.zeros_like(self._push)
 
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
         """Natural frequencies whose mean lag 2 z / w is shorter by an extra lag below 0.
@@ -173,10 +149,6 @@ class ValveEffects:
             rated = np.where(target >= 0.0, *self._rated)
             cap = (1.0 - self._reduction) * np.maximum(rated, speed)
             target = np.sign(target) * np.minimum(speed, cap)
-        if self._breakaway is not None:
-            # A drive that has broken loose sends off what it had stored, as fast as its oil lets it.
-            target = target + np.where(self._at_rest, 0.0, self._wound / CONTROL_PERIOD_S)
-            self._wound = np.where(self._at_rest, self._wound, 0.0)
         return target
 
     def _share(self, actuator_speed: Array, shortage: Array) -> Array:
@@ -196,7 +168,7 @@ class ValveEffects:
         active_position_rad_m: Array,
         seen: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Drive velocity and its slope with joints that stick, or hang in the play of their drives.
+        """Drive velocity and its slope with joints that hang in the play of their drives.
 
         Args:
             target: steady speed asked for.
@@ -204,30 +176,40 @@ class ValveEffects:
             velocity: what the lag makes of both.
             slope: the lag's second state.
             active_position_rad_m: joints.
-            seen: measured velocity, which then says when a joint that sticks comes to rest, and on which side
-                of its play the slew begins.
+            seen: measured velocity, which then says on which side of its play the slew begins.
         """
-        if self._gap is not None:
-            velocity, slope = self._cross(
-                self._gap, target, before, velocity, slope, active_position_rad_m, seen
-            )
-        if self._breakaway is None:
+        if self._gap is None:
             return velocity, slope
+        return self._cross(self._gap, target, before, velocity, slope, active_position_rad_m, seen)
+
+    def on_joint(self, target: Array, velocity: Array, seen: Array | None = None) -> Array:
+        """Joint velocity of joints that stick. Valve and oil go on behind one that stands.
+
+        Breaking loose it comes up with them as oil that was compressed lets it: soon.
+
+        Args:
+            target: steady speed asked for.
+            velocity: what drive and lag make of it.
+            seen: measured velocity, which then says when a joint that sticks comes to rest.
+        """
+        if self._breakaway is None:
+            return velocity
         # What pushes follows the valve as late as the motion does.
         share = np.exp(-CONTROL_PERIOD_S / np.maximum(self._mean_lag_s, 1e-6))
         self._push = target + share * (self._push - target)
         small = (self._breakaway > 0.0) & (np.abs(self._push) <= self._breakaway)
+        self._behind *= math.exp(-CONTROL_PERIOD_S / SLIP_S)
+        joint = velocity + self._behind
         if seen is None:
-            slow = np.abs(velocity) < STOP_SHARE_RATIO * self._breakaway
-            stops = slow | (before * velocity <= 0.0)
+            slow = np.abs(joint) < STOP_SHARE_RATIO * self._breakaway
+            stops = slow | (self._joint * joint <= 0.0)
         else:
             stops = (np.abs(seen) < STANDING_RAD_M_PER_S) | (self._seen_before * seen <= 0.0)
             self._seen_before = seen
         self._at_rest = small & (self._at_rest | stops)
-        # The valve fills a stuck drive until the pressure is full.
-        wound = np.clip(self._wound + target * CONTROL_PERIOD_S, -self._jump, self._jump)
-        self._wound = np.where(self._at_rest, wound, self._wound)
-        return np.where(self._at_rest, 0.0, velocity), np.where(self._at_rest, 0.0, slope)
+        self._behind = np.where(self._at_rest, -velocity, self._behind)
+        self._joint = np.where(self._at_rest, 0.0, joint)
+        return self._joint
 
     def _cross(
         self,

@@ -171,8 +171,9 @@ class VelocityResponse:
         before, error = self._velocity, self._velocity - target
         self._velocity = target + a11 * error + a12 * self._slope
         self._slope = a21 * error + a22 * self._slope
-        if effects is not None:
-            self._velocity, self._slope = effects.on_motion(
-                target, before, self._velocity, self._slope, active_position_rad_m, seen
-            )
-        return self._velocity
+        if effects is None:
+            return self._velocity
+        self._velocity, self._slope = effects.on_motion(
+            target, before, self._velocity, self._slope, active_position_rad_m, seen
+        )
+        return effects.on_joint(target, self._velocity, seen)

@@ -49,6 +49,21 @@ def test_two_effects_at_a_joint_may_leave_less_there() -> None:
     assert "Something unknown in actuation of the boom" in sentence
 
 
+def test_a_joint_that_sticks_may_leave_more_than_a_neighbour() -> None:
+    """It rings as it breaks loose, and the twin's does not."""
+    stuck = Effect(effect="stiction", joint="dipper", parameters={"breakaway_rad_m_per_s": 0.1})
+    gain = Effect(effect="valve_gain", joint="dipper", parameters={"positive_ratio": 0.2})
+    for effects, block, level, is_foreign in (
+        ((stuck,), "actuation.dipper", 6.6, False),
+        ((stuck,), "actuation.dipper", 9.0, True),
+        ((stuck,), "actuation.boom", 6.6, True),
+        ((stuck, gain), "actuation.dipper", 5.5, False),
+        ((gain,), "actuation.dipper", 6.6, True),
+    ):
+        best = cast("Hypothesis", SimpleNamespace(members=(1,), effects=effects))
+        assert (unknown_log_odds(best, 0.0, block, level) > 0.0) is is_foreign
+
+
 def test_a_large_effect_may_leave_more() -> None:
     """A pump 2000 ahead of no effect leaves 6 sd at a joint by its form alone."""
     best = cast("Hypothesis", SimpleNamespace(members=(3,), effects=()))

@@ -146,6 +146,10 @@ def test_what_slopes_cannot_take_back_is_given_to_no_part():
     bent = compared(trial(), trial((0, 1), SIZES, bent=(1,)), one)
     assert bent[0,] == pytest.approx(evidence_in(one.base, one.priors, (0,)))
     assert smooth[0, 1] == pytest.approx(bent[0, 1])
+    curved = compared(trial(), replace(trial((0, 1), SIZES), curved=(1,)), one)
+    assert curved == bent, "lift grows along a curve"
+    kept = compared(trial(), replace(trial((0, 1), SIZES), curved=(0,)), one)
+    assert kept == smooth, "a part that has it"
 
 
 def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
@@ -160,19 +164,18 @@ def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
 
 
 @pytest.mark.parametrize(
-    ("scatter_sd", "at_ratio", "bent", "is_shaken", "is_scatter"),
+    ("scatter_sd", "at_ratio", "also", "is_scatter"),
     [
-        (2.0, 1.0, (), False, True),
-        (2.0, 2.0, (), False, False),
-        (2.0, 1.0, (0,), False, False),
-        (2.0, 1.0, (), True, False),
-        (0.001, 1.0, (), False, False),
+        (2.0, 1.0, {}, True),
+        (2.0, 2.0, {}, False),
+        (2.0, 1.0, {"bent": (0,)}, False),
+        (2.0, 1.0, {"curved": (0,)}, False),
+        (2.0, 1.0, {"is_shaken": True}, False),
+        (0.001, 1.0, {}, False),
     ],
-    ids=["there", "simulated elsewhere", "bent", "shakes others", "no machine is off by as much"],
+    ids=["there", "elsewhere", "bent", "curved", "shakes others", "no machine is off by as much"],
 )
-def test_a_machine_that_is_there_by_itself_is_no_effect(
-    scatter_sd, at_ratio, bent, is_shaken, is_scatter
-):
+def test_a_machine_that_is_there_by_itself_is_no_effect(scatter_sd, at_ratio, also, is_scatter):
     """What is told better because it was simulated is told so for a healthy machine that is there, too."""
     plain = PRIORS._replace(scatter=np.diag([scatter_sd**2, 1e-6, 1e-6]))
     at, there = at_ratio * SIZES[:1], data()
@@ -180,7 +183,7 @@ def test_a_machine_that_is_there_by_itself_is_no_effect(
     twin = there._replace(square=there.bare_square)
     none = Trial((), SIZES[:0], SIZES[:0], {}, [twin], plain, plain, screen(twin, plain))
     priors = formed(plain, there, (0,), at)
-    one = Trial((0,), at, at, {}, [there], priors, plain, screen(there, priors), bent, is_shaken)
+    one = Trial((0,), at, at, {}, [there], priors, plain, screen(there, priors), **also)
     told_by = none.base.log_evidence + 500.0 * is_scatter
     assert compared(none, one)[()] == pytest.approx(told_by)
 
@@ -248,6 +251,8 @@ def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(effect, sha
         ("stiction", "slew", 0.012, None, True),
         ("stiction", "slew", 0.012, "joint_sensor_latency", False),
         ("stiction", "slew", 0.02, "joint_sensor_latency", True),
+        ("backlash", "boom", 0.002, "valve_hysteresis", False),
+        ("backlash", "boom", 0.004, "valve_hysteresis", True),
     ],
 )
 def test_what_bends_within_scatter_or_little_beside_another_effect_is_left_out(

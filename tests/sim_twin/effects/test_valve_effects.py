@@ -8,7 +8,7 @@ from machine.conventions import Array
 from machine.spec import load_spec
 from sim_twin.effects.arrays import effect_arrays
 from sim_twin.effects.effect import Effect
-from sim_twin.effects.valve import drive_flows, slip_jumps
+from sim_twin.effects.valve import SLIP_S, drive_flows
 from sim_twin.twin.arm_load import gravity_load_ratio, tipping_ratio
 from sim_twin.twin.model import twin_model
 from sim_twin.twin.profile import exact_profile, nominal_profile
@@ -225,11 +225,10 @@ def test_a_sticking_joint_waits_for_the_breakaway_speed() -> None:
     assert (stuck[first:] > 0.0).all()
     assert free[first - 20] > 0.03
     assert stuck[-1] == pytest.approx(free[-1], rel=0.02)
-    # What it has not gone it makes up for in a jump, as far as the oil is compressible.
-    jump = float(slip_jumps(SPEC)[TELESCOPE])
-    held = np.where(np.arange(ticks)[:, None] < first, 0.0, ramp)
-    lost = 0.01 * (drive(held, dead_s=0.0)[:, TELESCOPE].sum() - stuck.sum())
-    assert lost == pytest.approx(-jump, rel=0.05)
+    # Loose, it comes up with its oil within a few hundredths of a second.
+    late = first + round(500.0 * SLIP_S)
+    np.testing.assert_allclose(stuck[late:], free[late:], rtol=0.01)
+    assert stuck[first] < 0.5 * free[first]
 
 
 def test_a_moving_joint_with_too_small_a_command_comes_to_rest() -> None:
