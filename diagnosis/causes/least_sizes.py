@@ -24,14 +24,15 @@ LEAST_BESIDE_RATIO = {
     "speed_limit": 1.3,
     "valve_hysteresis": 0.35,
     "backlash": 0.15,
-    "stiction": 0.35,
+    "stiction": 0.85,
 }
 """Of its prior's width, beside another effect: less is that one's own error of form. In 340 sets of two
 challenges nine of eleven second effects that were not there were speed limits, eight of 0.06 to 0.20 and one
 of 0.33, and in 64 development pairs (seed 20261130) one of 0.26; those that were found and were there beside
-another effect were of 0.37 on. A hysteresis of 0.008 was named beside a backlash, stiction of 0.012 rad/s
-beside a late sensor; backlashes of 0.2 and 0.3 of their width (4 and 6 mrad of a boom, seed 20261201) were
-there, 110 and 540 ahead of what they were beside alone."""
+another effect were of 0.37 on. A hysteresis of 0.008 was named beside a backlash. Of 400 sets (seeds
+1741586721, 1344213217) three with a late IMU had stiction of the dipper beside it, 0.038 to 0.041 rad/s; the
+least that was there beside another effect was told as 0.065. Backlashes of 0.2 and 0.3 of their width (4 and
+6 mrad of a boom, seed 20261201) were there, 110 and 540 ahead of what they were beside alone."""
 FASTER_RATIO = {"valve_lag": 0.2, "valve_dead_time": 0.12}
 """Of a joint's mean lag."""
 

@@ -249,8 +249,8 @@ def test_a_joint_that_is_hardly_faster_than_its_response_is_left_out(effect, sha
         ("speed_limit", "slew", 0.15, "valve_dead_time", False),
         ("speed_limit", "slew", 0.35, "valve_dead_time", True),
         ("stiction", "slew", 0.012, None, True),
-        ("stiction", "slew", 0.012, "joint_sensor_latency", False),
-        ("stiction", "slew", 0.02, "joint_sensor_latency", True),
+        ("stiction", "slew", 0.04, "joint_sensor_latency", False),
+        ("stiction", "slew", 0.05, "joint_sensor_latency", True),
         ("backlash", "boom", 0.002, "valve_hysteresis", False),
         ("backlash", "boom", 0.004, "valve_hysteresis", True),
     ],
@@ -322,7 +322,7 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
 
     monkeypatch.setattr(trials, "try_sets", try_sets)
     monkeypatch.setattr(trials, "told", lambda one: -abs(float(one.at[0]) - 0.030))
-    monkeypatch.setattr(weighing, "is_ahead", lambda _: True)
+    monkeypatch.setattr(weighing, "lead", lambda _: 100.0)
     (found,) = trials.nearer(SimpleNamespace(), [at(start)])
     assert float(found.at[0]) == pytest.approx(end)
     assert len(asked) == simulations
@@ -331,7 +331,7 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
 def test_a_bent_effect_has_to_beat_no_effect_where_it_was_simulated(monkeypatch):
     """What slopes about half a limit explain without the limit is no evidence for half of it."""
     half, whole = trial((1,), SIZES[1:], bent=(1,)), trial((1,), SIZES[1:], bent=(1,))
-    monkeypatch.setattr(weighing, "is_ahead", lambda one: one is whole)
+    monkeypatch.setattr(weighing, "lead", lambda one: 100.0 if one is whole else 1.0)
     assert better(half, whole, lambda one: 20.0 * (one is half)) is whole
     assert better(whole, half, lambda one: 20.0 * (one is half)) is whole
     straight, other = trial((1,), SIZES[1:]), trial((1,), SIZES[1:])
