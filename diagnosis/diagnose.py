@@ -88,10 +88,11 @@ def _diagnose(
         if progress is not None:
             progress(share, text)
 
-    health = health._replace(noise=with_own_sensors(health.noise, loaded))
     if reference is not None:
         tell(0.0, "the machine while it was healthy")
         health = of_reference(reference, profile, health)
+    # Of these throws alone: a joint that sticks looks noisy, and did not while the machine was healthy.
+    health = health._replace(noise=with_own_sensors(health.noise, loaded))
     tell(0.02, "measured motion")
     model = health.noise
     prepared = prepare(loaded.throws, profile)

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from diagnosis import diagnose
 from diagnosis.causes.parameters import scatter_names
-from diagnosis.diagnose import diagnose_throws
+from diagnosis.diagnose import CancelledError, diagnose_throws
+from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.healthy.two_levels import Levels, Told, learn, of_machine
 from diagnosis.loading.logs import LoadedSet
@@ -61,13 +64,13 @@ def test_throws_of_the_healthy_machine_become_its_mean() -> None:
     assert own.noise.set_scatter == known.noise.set_scatter
 
 
-def test_a_diagnosis_says_what_it_was_compared_with() -> None:
-    def renamed(loaded: LoadedSet) -> LoadedSet:
-        return replace(
-            loaded,
-            throws=tuple(replace(t, throw_id=f"healthy-{t.throw_id}") for t in loaded.throws),
-        )
+def renamed(loaded: LoadedSet) -> LoadedSet:
+    return replace(
+        loaded, throws=tuple(replace(t, throw_id=f"healthy-{t.throw_id}") for t in loaded.throws)
+    )
 
+
+def test_a_diagnosis_says_what_it_was_compared_with() -> None:
     cut = ((Path("cut.mcap"), "it ends too soon"),)
     reference = replace(renamed(throws((), 3, seed=5)), refused=cut)
     found = diagnose_throws(throws(count=3), profile(), health=health(), reference=reference)
@@ -78,6 +81,26 @@ def test_a_diagnosis_says_what_it_was_compared_with() -> None:
     }
     alone = diagnose_throws(throws(count=3), profile(), health=health())
     assert alone.evidence["reference"] is None
+
+
+def test_reference_throws_are_not_told_in_the_noise_of_those_diagnosed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A dipper that sticks looks noisy, and did not while it was healthy; blind checks told them so, too."""
+    known, told = health(), Mock(side_effect=CancelledError("seen"))
+    monkeypatch.setattr(diagnose, "of_reference", told)
+    loaded, rng = throws(count=3), np.random.default_rng(1)
+    noisy = tuple(
+        replace(t, sensor_velocity_rad_m_per_s=t.sensor_velocity_rad_m_per_s + 0.02 * more)
+        for t in loaded.throws
+        for more in [rng.standard_normal(t.sensor_velocity_rad_m_per_s.shape)]
+    )
+    with pytest.raises(CancelledError):
+        diagnose_throws(
+            replace(loaded, throws=noisy), profile(), health=known, reference=renamed(loaded)
+        )
+    assert told.call_args.args[2].noise == known.noise
+    assert with_own_sensors(known.noise, replace(loaded, throws=noisy)) != known.noise
 
 
 def test_reference_throws_are_refused_with_the_reason() -> None:
