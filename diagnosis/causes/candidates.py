@@ -157,14 +157,14 @@ def _sizes_together(problem: Problem, single: Trial, group: int) -> list[tuple[A
     one of 0.29 beside a gain as 0.4, where slopes said that the gain was none, 100 behind.
     """
     sizes = _sizes_beyond_slopes(problem, group)
-    groups = problem.layout.groups
+    groups, priors = problem.layout.groups, problem.layout.priors
     (effect, joint), second = groups[single.members[0]], groups[group]
-    if effect == "valve_dead_band" and second in {("stiction", joint), ("valve_gain", joint)}:
-        smaller = [single.at * share for share in SMALLER_RATIO]
-        none = np.zeros(problem.layout.priors.groups[group].size)
-        return [(at, other) for at in [single.at, *smaller] for other in sizes] or [
-            (at, none) for at in smaller
-        ]
+    smaller = [single.at * share for share in SMALLER_RATIO] if effect == "valve_dead_band" else []
+    if smaller and second == ("valve_gain", joint):
+        # Slopes tell the gain beside any of these.
+        return [(at, np.zeros(priors.groups[group].size)) for at in smaller]
+    if smaller and second == ("stiction", joint):
+        return [(at, other) for at in [single.at, *smaller] for other in sizes]
     return [(single.at, other) for other in sizes[:PARTNER_SIZE_COUNT]]
 
 

@@ -33,8 +33,8 @@ a joint left 3.2 there at most, less what the form of large ones leaves (below),
 (4.8 and 5.2); foreign ones that no shape shows left 3.6, and 6.1 and more."""
 STICKING_LEVEL_SD = 2.5
 """So many more standard deviations at a joint that sticks: it rings as it breaks loose, and the twin's does
-not. Two dippers that stuck (seed 1240021187), at their size, left 4.2 and 6.6; of 75 unknown effects in three
-challenges none was taken for stiction."""
+not. Two dippers that stuck (seed 1240021187), at their size, left 4.2 and 6.6; of 125 unknown effects in five
+challenges one was taken for stiction first (steps of a command, 7.4, flagged for a shape)."""
 FORM_LEVEL_SD = 1.0
 FORM_LOG_EVIDENCE = 1000.0
 """So many more standard deviations for so much log evidence of the best set over none, twice at most: the

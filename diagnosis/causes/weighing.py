@@ -150,7 +150,7 @@ def better(one: Trial, other: Trial, evidence: Callable[[Trial], float]) -> Tria
     half a slew's speed limit evidence was 20 more than about the whole one, for the slopes there explained
     the rest of it by where the slew stood, with the limit or without.
     """
-    ahead = [t.bent == () or lead(t) > BENT_LEAD_LOG_ODDS for t in (one, other)]
+    ahead = [not t.bent or lead(t) > BENT_LEAD_LOG_ODDS for t in (one, other)]
     if ahead[0] != ahead[1]:
         return one if ahead[0] else other
     return other if evidence(other) > evidence(one) else one

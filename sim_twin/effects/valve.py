@@ -1,7 +1,7 @@
 """Effects between valve command and joint motion, for N machines at once.
 
-Extends sim_twin.twin.response at four places: the command, the steady speed, its limits, and the motion
-behind the lag. Every line leaves a machine without the effect exactly as it was.
+Extends sim_twin.twin.response at five places: the command, the steady speed, its limits, the motion behind
+the lag, and the joint behind that. Every line leaves a machine without the effect exactly as it was.
 """
 
 import math
@@ -22,7 +22,7 @@ STANDING_RAD_M_PER_S = 0.005
 """A joint that is measured to be slower over a tenth of a second stands: twice what sensors scatter then."""
 SLIP_S = 0.02
 """Time constant with which a drive's push eases while it is alone in its play, and with which a joint that
-breaks loose comes up with its oil (0.01 to 0.045 s do alike)."""
+breaks loose comes up with its oil (0.01 to 0.045 s do alike on three sets of seed 20261201)."""
 
 
 class Flows(NamedTuple):

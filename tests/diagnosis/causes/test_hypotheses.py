@@ -48,7 +48,10 @@ def test_a_sensor_that_is_very_late_is_found() -> None:
 
 
 def test_breakaway_speeds_are_looked_at_closely(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A dipper that broke loose at 0.135 rad/s was told better than by none from 0.1 to 0.14 alone."""
+    """A dipper that broke loose at 0.135 rad/s was told better than by none from 0.1 to 0.14 alone.
+
+    Of the twin's own throws those of a telescope that sticks are loud enough to be looked at.
+    """
     stuck = Effect(effect="stiction", joint="telescope", parameters={"breakaway_rad_m_per_s": 0.14})
     problem = posed(throws((stuck,), 4))
     stiction = problem.layout.groups.index(("stiction", "telescope"))

@@ -339,6 +339,62 @@ def test_a_bent_effect_has_to_beat_no_effect_where_it_was_simulated(monkeypatch)
     assert better(straight, other, lambda one: float(one is other)) is other
 
 
+def sizes_beside(effect, joint, second):
+    """Sizes of an effect of 0.2 and 0.4 (0.2 alone), and of a second one, to start from together."""
+    plan = layout(load_noise())
+    one, other = plan.groups.index((effect, joint)), plan.groups.index(second)
+    at = np.array([0.2, 0.4])[: plan.priors.groups[one].size]
+    single = Trial((one,), at, at, {}, [], plan.priors, plan.priors, None)
+    return candidates._sizes_together(SimpleNamespace(layout=plan), single, other)
+
+
+def test_a_dead_band_may_be_smaller_beside_a_gain_or_stiction_of_its_joint():
+    """Alone it also stands for what those do."""
+    smaller = [[0.2, 0.24], [0.12, 0.4], [0.12, 0.24]]
+    beside_gain = sizes_beside("valve_dead_band", "boom", ("valve_gain", "boom"))
+    np.testing.assert_allclose([at for at, _ in beside_gain], smaller)
+    assert not np.any([gain for _, gain in beside_gain]), "slopes tell it"
+    beside_stiction = sizes_beside("valve_dead_band", "boom", ("stiction", "boom"))
+    shares, speeds = {tuple(at) for at, _ in beside_stiction}, {s for _, (s,) in beside_stiction}
+    assert len(shares) == 4
+    assert (0.2, 0.4) in shares
+    assert len(beside_stiction) == len(shares) * len(speeds)
+    assert min(speeds) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "second", "count"),
+    [
+        ("valve_dead_band", ("valve_gain", "dipper"), 0),
+        ("valve_dead_band", ("stiction", "dipper"), 2),
+        ("valve_hysteresis", ("stiction", "boom"), 2),
+        ("valve_hysteresis", ("valve_gain", "boom"), 0),
+    ],
+)
+def test_others_stay_as_they_are_beside_a_second_effect(effect, second, count):
+    found = sizes_beside(effect, "boom", second)
+    assert len(found) == count
+    assert all(at[0] == 0.2 for at, _ in found)
+
+
+def test_the_best_and_its_rivals_are_looked_at_twice_no_effect_too(monkeypatch):
+    """A second look that only effects have is worth something to them: healthy machines had alarms for it."""
+    looks = []
+
+    def moved(_, tried, sizes):
+        looks.append([(t.members, size.tolist()) for t, size in zip(tried, sizes, strict=True)])
+        return list(tried)
+
+    monkeypatch.setattr(trials, "_moved_there", moved)
+    behind = {(): 30.0, (0,): 0.0, (1,): 50.0, (2,): 400.0}
+    monkeypatch.setattr(trials, "fair_on_all", lambda ts: [-behind[t.members] for t in ts])
+    tried = [trial(), *(replace(trial((m,), SIZES[:1]), sizes=np.array([5.0])) for m in range(3))]
+    assert trials.where_they_are(None, tried) == tried
+    first, second = looks
+    assert [m for m, _ in first] == [(), (0,), (1,)]
+    assert second == [((), []), ((0,), [5.0])], "at the sizes estimated meanwhile"
+
+
 def test_large_sizes_are_tried_one_way_at_a_time():
     """A dead band that is large both ways hides one that is large one way."""
     plan = layout(load_noise())
