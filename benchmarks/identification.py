@@ -19,7 +19,8 @@ from diagnosis.identify.quantity import Quantity
 from diagnosis.identify.release import identify_release
 from diagnosis.identify.response import DIRECTIONS, identify_response
 from diagnosis.identify.swing import identify_swing
-from diagnosis.loading.logs import ThrowData, load_throws
+from diagnosis.loading.logs import load_throws
+from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_JOINTS, Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose

@@ -63,7 +63,8 @@ def _run(
     from cli.conditions import rows_of, table
     from machine.conventions import Mode
     from machine.spec import load_spec
-    from training.environment.task import PpoConfig, task_for
+    from training.environment.shipped import task_for
+    from training.environment.task import PpoConfig
     from training.train import RunOptions, train
 
     task = task_for(Mode.PLANAR)

@@ -19,8 +19,8 @@ import tyro
 from machine.conventions import Mode
 from machine.spec import load_spec
 from training.environment.environment import ThrowEnvironment
+from training.environment.shipped import learner_for, task_for
 from training.environment.state import random_table
-from training.environment.task import learner_for, task_for
 from training.ppo import Trainer
 
 TARGET_STEPS_PER_S = 6e6

@@ -25,7 +25,8 @@ from diagnosis.identify.swing import (
     identify_swing,
 )
 from diagnosis.identify.training_ranges import training_ranges
-from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.loading.logs import load_throws
+from diagnosis.loading.throw_data import LoadedSet
 from machine.errors import UsageError
 from machine.spec import load_spec
 from sim_twin.throws.plots import check_plot_path

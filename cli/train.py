@@ -54,7 +54,7 @@ def run(
         os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
     from dataclasses import replace
 
-    from training.environment.task import learner_for, task_for
+    from training.environment.shipped import learner_for, task_for
     from training.identified import read_response, with_identified
     from training.train import RunOptions, train
 

@@ -5,24 +5,18 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.causes.evidence import screen, total, weigh
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
-from diagnosis.causes.selection import screen, total, weigh
 from diagnosis.fitted_causes import causes_of, effect_names
 from diagnosis.healthy.reference import reference_evidence
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.places import named, signature_of, where
 from diagnosis.report.report_words import percent
 from diagnosis.sentence import sentence_of
 from diagnosis.separating import alone_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
-from diagnosis.verdict import (
-    Ambiguity,
-    Diagnosis,
-    Gap,
-    Shrink,
-    VerdictKind,
-)
+from diagnosis.verdict import Ambiguity, Diagnosis, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 
 LEAST_GAIN_RATIO = 0.05

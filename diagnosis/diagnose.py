@@ -15,8 +15,8 @@ from diagnosis.conclude import Findings, conclude
 from diagnosis.healthy.health import Health, load_health
 from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
-from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import prepare
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.report.overlay import overlay
 from diagnosis.second_process import SecondProcess
 from diagnosis.shrink import shrink

@@ -4,18 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnosis.causes.evidence import members_index
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JITTER, PARAMETER
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
-from diagnosis.causes.selection import NORMAL_90, members_index
+from diagnosis.causes.selection import NORMAL_90
 from diagnosis.separating import acting_name
-from diagnosis.verdict import (
-    Cause,
-    FittedEffect,
-    FittedParameter,
-)
+from diagnosis.verdict import Cause, FittedEffect, FittedParameter
 from sim_twin.effects.effect import Effect, parameter_unit
 
 SIZE_ERROR_RATIO = 0.09

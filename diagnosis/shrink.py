@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from diagnosis.causes.elements import ALL
+from diagnosis.causes.evidence import members_index, screen, total, weigh
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.leftovers import DEAF_BLOCKS, leftovers
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import View, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.selection import members_index, screen, total, weigh
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.trials import fitted_effects
 from diagnosis.causes.whitening import whiten_throw

@@ -15,13 +15,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S
 from machine.errors import UsageError
+from training.environment.shipped import RESPONSE_WIDENING_RATIO
 from training.environment.state import DELAY_TICKS
-from training.environment.task import (
-    RESPONSE_WIDENING_RATIO,
-    Range,
-    ResponseConfig,
-    widened,
-)
+from training.environment.task import Range, ResponseConfig, widened
 
 LONGEST_DEAD_TIME_S = round((DELAY_TICKS - 1) * CONTROL_PERIOD_S, 3)
 """What the simulator's delay line holds."""

@@ -10,7 +10,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.stats import f as fisher
 
-from diagnosis.alone.fit import Option, Problem, correlation_length, fit
+from diagnosis.alone.fit import correlation_length, fit
+from diagnosis.alone.problem import Option, Problem
 
 SURPRISE: Final = 1e-3
 """Probability under which equal runs would differ as much."""

@@ -7,9 +7,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from diagnosis.alone.fit import FreeParameter, Option
 from diagnosis.alone.held_out import every_third
 from diagnosis.alone.physics.flight_path import integrate, sampled
+from diagnosis.alone.problem import FreeParameter, Option
 from diagnosis.alone.reading.tracks import (
     SCALE_SLACK_RATIO,
     Flight,

@@ -8,14 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from diagnosis.alone.fit import (
-    Option,
-    Problem,
-    correlation_length,
-    fit,
-    interval_factor,
-    standard_errors,
-)
+from diagnosis.alone.fit import correlation_length, fit, interval_factor, standard_errors
+from diagnosis.alone.problem import Option, Problem
 from diagnosis.alone.reading.envelope import half_swings
 from diagnosis.alone.reading.free_swings import Swing
 

@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.alone.fit import Fit, Problem, fit
+from diagnosis.alone.fit import Fit, fit
+from diagnosis.alone.problem import Problem
 from diagnosis.alone.selection import Selection
 from diagnosis.verdict import Shrink
 from machine.conventions import Array, BoolArray, IntArray

@@ -6,14 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.alone.fit import (
-    Fit,
-    Problem,
-    bounds,
-    interval_factor,
-    parameters_of,
-    standard_errors,
-)
+from diagnosis.alone.fit import Fit, bounds, interval_factor, parameters_of, standard_errors
+from diagnosis.alone.problem import Problem
 from machine.conventions import Array
 
 DEAD_TIME: Final = "valve_dead_time.extra_dead_time_s"

@@ -10,7 +10,6 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from diagnosis.alone.fit import FreeParameter, Option
 from diagnosis.alone.held_out import every_third, spread_blocks
 from diagnosis.alone.physics.response import (
     actuation_options,
@@ -18,6 +17,7 @@ from diagnosis.alone.physics.response import (
     simulate_position,
     simulate_speed,
 )
+from diagnosis.alone.problem import FreeParameter, Option
 from diagnosis.alone.reading.commands import Command
 from diagnosis.alone.reading.end_stops import find_end_stops
 from diagnosis.alone.reading.layout import RefusedTableError

@@ -8,8 +8,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from diagnosis.alone.fit import Fit, Problem, fit
+from diagnosis.alone.fit import Fit, fit
 from diagnosis.alone.intervals import intervals
+from diagnosis.alone.problem import Problem
 from diagnosis.alone.selection import SHAPE_EFFECTS, Selection
 
 

@@ -14,14 +14,13 @@ import numpy as np
 from diagnosis.alone.fit import (
     QUICK_ITERATIONS,
     Fit,
-    Option,
-    Problem,
     correlation_length,
     fit,
     held_out_mean_square,
     interval_factor,
     standard_errors,
 )
+from diagnosis.alone.problem import Option, Problem
 
 BEAM_COUNT: Final = 2
 MAX_EFFECTS_COUNT: Final = 6

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.alone.fit import Option, fit
+from diagnosis.alone.fit import fit
 from diagnosis.alone.frequency_drift import frequency_drift
+from diagnosis.alone.problem import Option
 from diagnosis.alone.reading.consistency import clipped, refuse_changed_clock
 from diagnosis.alone.reading.free_swings import (
     MIN_PERIODS,

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.alone.fit import FreeParameter, Option
 from diagnosis.alone.held_out import every_third, spread_blocks
 from diagnosis.alone.physics.free_motion import Pull, move
+from diagnosis.alone.problem import FreeParameter, Option
 from diagnosis.alone.reading.decay import frictions_of_decay
 from diagnosis.alone.reading.free_swings import Swing, swing_period
 from diagnosis.alone.reading.layout import RefusedTableError

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from diagnosis.alone.fit import Problem
 from diagnosis.alone.held_out import held_out_shrink
 from diagnosis.alone.intervals import intervals
 from diagnosis.alone.limits import Limit, hidden_limits
+from diagnosis.alone.problem import Problem
 from diagnosis.alone.selection import (
     SHAPE_EFFECTS,
     Scored,

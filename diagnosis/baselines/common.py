@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.loading.logs import LoadedSet
 from diagnosis.loading.prepared import PreparedThrow, prepare
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import (
     Cause,
     Diagnosis,

@@ -17,7 +17,7 @@ from diagnosis.baselines.common import (
     run_twin,
     throw_errors,
 )
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import EFFECTS, Effect

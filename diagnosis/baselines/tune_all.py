@@ -23,7 +23,7 @@ from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import Parameter, library
 from diagnosis.causes.residuals import linearise, relinearise
 from diagnosis.healthy.filters import nothing
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect

@@ -1,25 +1,28 @@
 """Candidates: which sets of effects are worth a simulation, and from which sizes it should begin."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from diagnosis.causes.elements import STRAIGHT_EFFECTS
+from diagnosis.causes.evidence import Set, weigh
 from diagnosis.causes.least_sizes import is_some
-from diagnosis.causes.parameters import ROUGH_EFFECTS, Group, View, library
+from diagnosis.causes.parameters import View, library
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import (
-    Set,
-    SetEvidence,
-    search,
-    subsets,
-    weigh,
+from diagnosis.causes.selection import search, subsets
+from diagnosis.causes.settling import settle
+from diagnosis.causes.shaped import with_shapes
+from diagnosis.causes.strides import followed, look, polished
+from diagnosis.causes.suspects import (
+    PLAIN_LOG_ODDS,
+    loud_joints,
+    of_joints,
+    of_library,
+    sizes_beyond_slopes,
+    suspected,
 )
-from diagnosis.causes.shapes import UNHEARD, group_of
-from diagnosis.causes.strides import LATE, followed, look, polished
-from diagnosis.causes.trials import SWAYING, Seed, kept_at, settle, sizes_in
+from diagnosis.causes.trials import Seed, kept_at, sizes_in
 from diagnosis.causes.weighing import (
-    Seen,
     Trial,
     by_member,
     evidence_in,
@@ -27,34 +30,11 @@ from diagnosis.causes.weighing import (
     is_ahead,
     own_evidence,
 )
-from machine.conventions import ACTIVE_JOINTS, Array
-from sim_twin.effects.effect import DRIFT
+from machine.conventions import Array
 
 SINGLE_COUNT = 6
 PART_COUNT = 3
 """Sets whose members alone, or whose parts, are looked at."""
-LOUD_SD = 3.0
-"""A joint's leftover power that calls for a look at everything that could act on it."""
-LOUD_COUNT = 2
-NEARLY_AS_LOUD_RATIO = 0.5
-"""A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""
-PLAIN_LOG_ODDS = 10.0
-"""An effect that slopes at "no effect" show so plainly makes its joint suspect, loud or not."""
-WITH_THRESHOLD = (
-    "valve_dead_band",
-    "valve_hysteresis",
-    "speed_limit",
-    "backlash",
-    "stiction",
-    "pump_flow_sharing",
-)
-FAR_RATIO = 3.0
-"""Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
-0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
-BETWEEN_RATIO = (1.75,)
-STICTION_BETWEEN_RATIO = (1.35, 1.75, 2.15, 2.55)
-"""And from these: a dipper that broke loose at 0.11 rad/s was told by neither 0.05 nor 0.15 rad/s, and one of
-0.135 rad/s between 0.1 and 0.14 rad/s alone."""
 PARTNER_SIZE_COUNT = 2
 """Sizes from which a second effect starts."""
 SMALLER_RATIO = ((1.0, 0.6), (0.6, 1.0), (0.6, 0.6))
@@ -76,13 +56,6 @@ TWINS = (
 """Effects that look so much alike that neither is named before the other was simulated at its joint. A
 stranger's dead time of a boom, 62 ms, was surely a lag (93 %): no dead time had come as far as that. A load
 heavier by 4.5 kg beside a late slew was less drag, and 9 ahead of it once it was simulated."""
-METERING_EFFECTS = ("valve_dead_band", "valve_gain")
-SHAPED_COUNT = 5
-"""Sets with a shape that are weighed."""
-LEAST_OWN_LOG_EVIDENCE = 4.0
-"""That a shape has to tell by what no name explains of it. In seven sets with unknown
-effects the leading shapes told 6 to 38 by that; a stranger's gain of 0.15 beside a late sensor was a valve
-whose speed grows with the command in another way, 11 ahead of the late sensor alone, and told 1.3."""
 
 
 def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
@@ -93,15 +66,15 @@ def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
     """
     base = none.base
     priors = problem.layout.priors
-    library = _of_library(problem)
+    library = of_library(problem)
     alone = sorted((weigh(base, priors, (g,)) for g in library), key=lambda e: -e.log_odds)
     first = [e.members[0] for e in alone[:SINGLE_COUNT]]
     first += [g for e in search(base, priors, library)[:PART_COUNT] for g in e.members]
-    suspects = _suspects(problem, none, alone)
+    suspects = suspected(problem, none, alone)
     seeds: list[Seed] = []
     for group in dict.fromkeys([*first, *suspects]):
         linear = weigh(base, priors, (group,)).mean
-        beyond = _sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
+        beyond = sizes_beyond_slopes(problem, group)[: None if group in suspects else 1]
         shows = not beyond or bool(is_some(problem, (group,), linear).any())
         seeds += [((group,), size) for size in [linear] * shows + beyond]
     looks = look(problem, seeds)
@@ -136,9 +109,9 @@ def partnered(problem: Problem, singles: Sequence[Trial]) -> list[Seed]:
         suspects = [own] if place == 0 else []
         suspects += [m[-1] for _, m in with_shapes(problem, [trial])]
         joints = [problem.layout.groups[g][1] or "" for g in suspects]
-        joints += _loud_joints(problem, trial, 1)
+        joints += loud_joints(problem, trial, 1)
         joints += plain_partner_joints(problem, trial)
-        for group in _of_joints(problem, joints):
+        for group in of_joints(problem, joints):
             members = tuple(sorted((own, group)))
             if group != own:
                 seeds += [
@@ -156,7 +129,7 @@ def _sizes_together(problem: Problem, single: Trial, group: int) -> list[tuple[A
     beside a stiction of 0.113 rad/s came out as 0.2 and 0.49, where stiction settled at 0.06, 700 behind;
     one of 0.29 beside a gain as 0.4, where slopes said that the gain was none, 100 behind.
     """
-    sizes = _sizes_beyond_slopes(problem, group)
+    sizes = sizes_beyond_slopes(problem, group)
     groups, priors = problem.layout.groups, problem.layout.priors
     (effect, joint), second = groups[single.members[0]], groups[group]
     smaller = [single.at * share for share in SMALLER_RATIO] if effect == "valve_dead_band" else []
@@ -174,7 +147,7 @@ def plain_partner_joints(problem: Problem, trial: Trial) -> list[str]:
     What they show need not be what is there: they called a slew's speed limit a gain, 536 ahead of the late
     sensor of the telescope alone; the limit was another 306 ahead.
     """
-    pairs = [(*trial.members, g) for g in _of_library(problem) if g not in trial.members]
+    pairs = [(*trial.members, g) for g in of_library(problem) if g not in trial.members]
     weighed = [weigh(trial.base, trial.priors, tuple(sorted(pair))) for pair in pairs]
     place = int(np.argmax([e.log_odds for e in weighed]))
     ahead = weighed[place].log_odds - weigh(trial.base, trial.priors, trial.members).log_odds
@@ -192,7 +165,7 @@ def grown_sets(
     weighed: dict[Set, tuple[float, Trial]] = {}
     hopeful: set[Set] = set()
     for trial in behind:
-        for group in _of_library(problem):
+        for group in of_library(problem):
             members = tuple(sorted({*trial.members, group}))
             if len(members) == len(trial.members):
                 continue
@@ -222,46 +195,6 @@ def _views(problem: Problem, group: int) -> set[View]:
     """What a constant effect moves; nothing of a drift."""
     named = problem.layout.groups[group]
     return {view for p in library() if p.group == named for view in p.views}
-
-
-def with_shapes(problem: Problem, trials: Sequence[Trial]) -> list[Seen]:
-    """The best sets of a trial's effects and a shape of an unheard-of one.
-
-    Shapes are linear in their sizes: there is nothing to simulate.
-    """
-    groups = problem.layout.groups
-    shapes = [g for g in range(len(groups)) if problem.layout.is_unheard(g)]
-    found: list[tuple[float, Set, int]] = []
-    for place, t in enumerate(trials):
-        own = own_evidence(t)
-        named = [groups[m] for m in t.members]
-        for shape in (g for g in shapes if not _is_form_of(named, groups[g])):
-            members = (*t.members, shape)
-            weighed = weigh(t.base, t.priors, members)
-            log_evidence = t.base.log_evidence + weighed.log_odds
-            if log_evidence > own and _of_its_own(t, weighed) > LEAST_OWN_LOG_EVIDENCE:
-                found.append((log_evidence, members, place))
-    found.sort(key=lambda one: -one[0])
-    return [(place, members) for _, members, place in found[:SHAPED_COUNT]]
-
-
-def _is_form_of(named: Sequence[Group], shape: Group) -> bool:
-    """Whether a shape may be what the form of named effects leaves at its joint.
-
-    Nobody knows that of an effect that makes a joint rough. A valve's own metering, of which a dead band and
-    a gain are the simplest form, makes its speed grow with the command in another way: beside a dead band of
-    0.08 and 0.11 that was 28 ahead of the gain of 0.35 that was there.
-    """
-    own = {effect for effect, joint in named if joint == shape[1]}
-    is_metered = not own.isdisjoint(METERING_EFFECTS) and shape[0] == group_of("command")
-    return is_metered or not own.isdisjoint(ROUGH_EFFECTS)
-
-
-def _of_its_own(trial: Trial, weighed: SetEvidence) -> float:
-    """Log evidence that the shape at a set's end tells by what no name explains of it, at its size there."""
-    index = trial.priors.groups[weighed.members[-1]]
-    size = weighed.mean[-index.size :]
-    return 0.5 * float(size @ trial.base.precision[np.ix_(index, index)] @ size)
 
 
 def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set, Array]:
@@ -298,73 +231,3 @@ def missing_twins(
             if members not in known and len(members) == len(trial.members):
                 seeds.setdefault(members, sizes_in(trial, members))
     return seeds
-
-
-def _of_library(problem: Problem) -> list[int]:
-    """Groups of effects of the library."""
-    return [g for g in range(len(problem.layout.groups)) if not problem.layout.is_unheard(g)]
-
-
-def _suspects(problem: Problem, none: Trial, alone: Sequence[SetEvidence]) -> list[int]:
-    """Groups that could act on joints that are loud, or where slopes show an effect plainly.
-
-    What hides from slopes may drift, too, where a drift shows plainly. The pump, a late IMU and a chassis
-    that sways are always looked at: no joint is loud for them, and of a stranger's machine the noise of the
-    swing is scaled to what they leave.
-    """
-    groups = problem.layout.groups
-    plain = [groups[e.members[0]] for e in alone if e.log_odds > PLAIN_LOG_ODDS]
-    shown = [joint for _, joint in plain if joint is not None]
-    loud = _loud_joints(problem, none, LOUD_COUNT)
-    joints = list(dict.fromkeys([*shown[:LOUD_COUNT], *loud]))
-    drifts = any(effect.startswith(DRIFT) for effect, _ in plain[:LOUD_COUNT])
-    hidden = [
-        g
-        for g, (effect, joint) in enumerate(groups)
-        if (joint is None or joint in joints)
-        and (drifts or not effect.startswith(DRIFT))
-        and _sizes_beyond_slopes(problem, g)
-    ]
-    return list(dict.fromkeys([*_of_joints(problem, joints), *hidden]))
-
-
-def _sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
-    """A typical size and large ones of an effect, or drift, that is unlike a multiple of its slope at 0."""
-    priors = problem.layout.priors
-    effect = problem.layout.groups[group][0].removeprefix(f"{DRIFT}:").partition(".")[0]
-    if effect not in (*WITH_THRESHOLD, *LATE, *SWAYING):
-        return []
-    typical = priors.slab_sd[priors.groups[group]]
-    # Of two directions, one would hide the other.
-    far = [FAR_RATIO * typical * way for way in np.eye(typical.size)]
-    between = STICTION_BETWEEN_RATIO if effect == "stiction" else BETWEEN_RATIO
-    return [typical, *far, *(ratio * typical for ratio in between)]
-
-
-def _loud_joints(problem: Problem, trial: Trial, count: int) -> list[str]:
-    """The driven joints that a trial's set leaves furthest above healthy ones, loudest first."""
-    names = [f"actuation.{joint}" for joint in ACTIVE_JOINTS]
-    above = _above_healthy(problem, trial, names)
-    loud: dict[str, float] = dict(zip(ACTIVE_JOINTS, above, strict=True))
-    least = max(LOUD_SD, NEARLY_AS_LOUD_RATIO * max(loud.values(), default=0.0))
-    return sorted((j for j in loud if loud[j] >= least), key=lambda j: -loud[j])[:count]
-
-
-def _above_healthy(problem: Problem, trial: Trial, blocks: Sequence[str]) -> list[float]:
-    """Power that a trial's set leaves in blocks, in sd of healthy sets; -inf of what is not there."""
-    left, healthy = trial.levels, problem.model.unknown_level
-    return [
-        (left[name] - healthy[name][0]) / healthy[name][1]
-        if name in left and name in healthy
-        else -np.inf
-        for name in blocks
-    ]
-
-
-def _of_joints(problem: Problem, joints: Collection[str]) -> list[int]:
-    """Groups of constant effects at some joints."""
-    return [
-        g
-        for g, (effect, joint) in enumerate(problem.layout.groups)
-        if joint in joints and not effect.startswith((DRIFT, UNHEARD))
-    ]

@@ -16,29 +16,15 @@ from diagnosis.causes.candidates import (
     missing_twins,
     partnered,
     settled_singles,
-    with_shapes,
 )
+from diagnosis.causes.evidence import Information, Set, SetEvidence, total
 from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import (
-    Information,
-    Set,
-    SetEvidence,
-    bootstrap_weights,
-    subsets,
-    total,
-)
+from diagnosis.causes.selection import bootstrap_weights, subsets
+from diagnosis.causes.settling import moved_there, nearer, settle, where_they_are
+from diagnosis.causes.shaped import with_shapes
 from diagnosis.causes.strides import polished
-from diagnosis.causes.trials import (
-    fitted_effects,
-    moved_there,
-    nearer,
-    no_effect,
-    seen_in,
-    settle,
-    try_sets,
-    where_they_are,
-)
+from diagnosis.causes.trials import fitted_effects, no_effect, seen_in, try_sets
 from diagnosis.causes.weighing import Seen, Trial, fair_evidence, fair_on_all
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect

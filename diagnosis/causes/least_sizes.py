@@ -4,14 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnosis.causes.evidence import SLAB_SCALES_RATIO, Set, members_index, weigh
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import (
-    NORMAL_90,
-    SLAB_SCALES_RATIO,
-    Set,
-    members_index,
-    weigh,
-)
+from diagnosis.causes.selection import NORMAL_90
 from diagnosis.causes.trials import SWAYING
 from diagnosis.causes.weighing import Trial, by_member
 from machine.conventions import ACTIVE_JOINTS, Array, BoolArray

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.evidence import Information
 from diagnosis.causes.leftovers import explained
-from diagnosis.causes.selection import Information
 from diagnosis.causes.whitening import Whitened
 from diagnosis.healthy.noise import whiten
 from diagnosis.loading.prepared import PreparedThrow

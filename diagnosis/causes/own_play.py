@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.causes.evidence import Priors, total
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import Priors, total
 from diagnosis.causes.shapes import PLAY_POWERS, group_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import play_columns
 from diagnosis.causes.whitening import (

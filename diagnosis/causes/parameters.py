@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from diagnosis.causes.selection import Priors
+from diagnosis.causes.evidence import Priors
 from diagnosis.causes.shapes import UNHEARD, unheard_groups, unheard_names, unheard_slab_sd
 from diagnosis.healthy.noise import NoiseModel
 from machine.conventions import ACTIVE_JOINTS, Array

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from diagnosis.causes.evidence import Information, screen, total
 from diagnosis.causes.form_error import factors, widened
 from diagnosis.causes.leftovers import in_units, left_of, levels
 from diagnosis.causes.linear import Linear
@@ -10,7 +11,6 @@ from diagnosis.causes.own_noise import AtNone, at_none
 from diagnosis.causes.parameters import Layout
 from diagnosis.causes.parameters import layout as layout_of
 from diagnosis.causes.residuals import linearise
-from diagnosis.causes.selection import Information, screen, total
 from diagnosis.causes.whitening import (
     Basis,
     Whitened,

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
+from diagnosis.causes.evidence import total
 from diagnosis.causes.form_error import rough_blocks
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.jitter import JitterFit
 from diagnosis.causes.leftovers import DEAF_BLOCKS, SHAKEN_BLOCKS
 from diagnosis.causes.parameters import Group
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.selection import bagged_probability, expected_log_odds, total
+from diagnosis.causes.selection import bagged_probability, expected_log_odds
 from diagnosis.causes.shapes import group_of
 from machine.conventions import Array
 

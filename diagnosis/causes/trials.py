@@ -8,44 +8,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.causes.form_error import rough_blocks, shaken
-from diagnosis.causes.leftovers import levels
-from diagnosis.causes.linear import Linear, carried
-from diagnosis.causes.own_noise import in_common_noise
-from diagnosis.causes.own_play import with_own_play
-from diagnosis.causes.parameters import (
-    ROUGH_EFFECTS,
-    Layout,
-    Parameter,
-    View,
-    effects_of,
-    index_of,
-    library,
-)
-from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.selection import (
+from diagnosis.causes.evidence import (
     Information,
     Priors,
     Set,
     SetEvidence,
-    bare,
     mean_with,
     members_index,
     screen,
     total,
     weigh,
 )
-from diagnosis.causes.weighing import (
-    Trial,
-    best_of_each,
-    better,
-    by_member,
-    fair_on_all,
-    formed,
-    lead,
-    told,
-)
+from diagnosis.causes.form_error import rough_blocks, shaken
+from diagnosis.causes.leftovers import levels
+from diagnosis.causes.linear import Linear, carried
+from diagnosis.causes.own_noise import in_common_noise
+from diagnosis.causes.own_play import with_own_play
+from diagnosis.causes.parameters import ROUGH_EFFECTS, Layout, Parameter, View, effects_of, library
+from diagnosis.causes.problem import Problem
+from diagnosis.causes.residuals import relinearise
+from diagnosis.causes.weighing import Trial, by_member, formed, lead
 from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
 from sim_twin.effects.effect import DRIFT, Effect
@@ -63,13 +45,6 @@ SHAKING_EFFECTS = (*ROUGH_EFFECTS, "pump_flow_sharing")
 """One joint's, or the pump's, shows at others, in another form than the library's."""
 BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""
-CLOSE_LOG_ODDS = 300.0
-"""Behind the best set, where the machine's own scatter may still matter: on eleven development sets it
-moved those within 400 of the best by 41 at most."""
-RIVAL_LOG_ODDS = 40.0
-"""Behind the best set, where a second look at its machine's scatter may still matter."""
-MOST_STEPS_COUNT = 3
-"""Simulations of a set that may follow each other in search of its sizes."""
 Seed = tuple[Set, Array]
 """A set, and the sizes at which it is to be simulated."""
 
@@ -112,7 +87,7 @@ def _tried(
     effects = [fitted_effects(layout, members, sizes) for members, sizes in seeds]
     about = [(*own, *off) for own, off in zip(effects, beside, strict=True)]
     only = [
-        [*_constants(layout, members), *(_bending() if off else ())]
+        [*_constants(layout, members), *(bending_parameters() if off else ())]
         for (members, _), off in zip(seeds, beside, strict=True)
     ]
     found = relinearise(
@@ -141,7 +116,8 @@ def _followed(*, is_rough: bool, is_last: bool) -> tuple[View, ...]:
     return (View.ACTUATION, View.SWING) if is_last else (View.ACTUATION,)
 
 
-def _bending() -> list[Parameter]:
+def bending_parameters() -> list[Parameter]:
+    """Of the effects by which the machine's own scatter is simulated, too."""
     return [p for p in library() if p.effect in BENDING_EFFECTS]
 
 
@@ -160,67 +136,6 @@ def _estimated(
         for blocks in ([(), rough] if rough else [()])
     ]
     return trials[0] if len(trials) == 1 else max(trials, key=lead)
-
-
-def where_they_are(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials; those close to the best linearised where their machine's scatter is, if that tells them better.
-
-    Scatter bends as effects do: told by slopes at the twin alone a hose of one machine was 64 behind no
-    effect, and 22 where the machine was. Slopes of all that swings move sizes, too (a hose of 1.4 1/s2 from
-    1.7 to 1.46). So the best set and its rivals, no effect among them, are looked at once more: that was
-    worth 17 to a light load and to the drag that was there, and 9 to a dead band beside a spin.
-    """
-    close = _within(trials, CLOSE_LOG_ODDS)
-    found = {t.members: t for t in moved_there(problem, close)}
-    rivals = _within(list(found.values()), RIVAL_LOG_ODDS)
-    for new in _moved_there(problem, rivals, [t.sizes for t in rivals]):
-        found[new.members] = better(found[new.members], new, told)
-    return [found.get(t.members, t) for t in trials]
-
-
-def _within(trials: Sequence[Trial], log_odds: float) -> list[Trial]:
-    """Trials whose evidence is so near to that of the best one."""
-    fair = fair_on_all(trials)
-    return [t for t, own in zip(trials, fair, strict=True) if own > max(fair) - log_odds]
-
-
-def moved_there(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Trials, linearised where their machine's scatter is, if that tells them better."""
-    there = _moved_there(problem, trials, [t.at for t in trials])
-    return [better(old, new, told) for old, new in zip(trials, there, strict=True)]
-
-
-def _moved_there(problem: Problem, trials: Sequence[Trial], sizes: Sequence[Array]) -> list[Trial]:
-    """Sets at some sizes, linearised where their machine's scatter is as these trials tell it."""
-    seeds = [(t.members, size) for t, size in zip(trials, sizes, strict=True)]
-    return [at_home(t) for t in try_sets(problem, seeds, [_scatter(problem, t) for t in trials])]
-
-
-def at_home(trial: Trial) -> Trial:
-    """A trial in which no effect is not told better by what the twin leaves than by what this machine leaves.
-
-    That residual is another place's than the slopes. A stranger whose drives were off by 0.15 s had no effect
-    60 ahead for it, and with that a load that slows its boom by a quarter was none.
-    """
-    data = total(trial.information)
-    carried = screen(data, trial.plain).log_evidence
-    if screen(bare(data), trial.plain).log_evidence <= carried:
-        return trial
-    own = [i._replace(bare_gradient=i.gradient, bare_square=i.square) for i in trial.information]
-    return replace(trial, information=own)
-
-
-def _scatter(problem: Problem, trial: Trial) -> tuple[Effect, ...]:
-    """What the machine is off by itself, beside a trial's set, by those effects that bend."""
-    data = total(trial.information)
-    base = screen(data, trial.plain)
-    own = weigh(base, trial.plain, trial.members)
-    mean = mean_with(base, data, trial.plain, own).copy()
-    mean[members_index(trial.plain, trial.members)] -= own.mean
-    middle = problem.model.healthy_mean
-    return tuple(
-        p.at(p.clip(middle.get(p.key, 0.0) + float(mean[index_of()[p.key]]))) for p in _bending()
-    )
 
 
 def _with_form(
@@ -343,41 +258,6 @@ def no_effect(problem: Problem) -> Trial:
         plain=priors,
         base=base,
     )
-
-
-def settle(problem: Problem, seeds: Sequence[Seed], rounds: int) -> list[Trial]:
-    """Simulate and estimate again, some rounds; of a set that begins at several sizes the best."""
-    return nearer(problem, best_of_each(try_sets(problem, seeds)), rounds - 1)
-
-
-def refined(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
-    """Simulated once more, at their estimates; the better trial of every set counts."""
-    found = try_sets(problem, {t.members: t.sizes for t in trials})
-    return [better(new, old, told) for old, new in zip(trials, found, strict=True)]
-
-
-def nearer(problem: Problem, trials: Sequence[Trial], steps: int = MOST_STEPS_COUNT) -> list[Trial]:
-    """Trials; once more, where the estimate is further than its uncertainty from what was simulated.
-
-    As long as that tells them better; slopes of bent effects are no guide, so that those are always tried.
-    Behind the best play of a telescope alone a lag beside it came out 3 behind the play alone; with the play
-    at 0.034 m (it was 0.035 m) it is 270 ahead.
-    """
-    found = {t.members: t for t in trials}
-    moved = [t for t in trials if t.bent or not _is_near(t)]
-    for _ in range(steps):
-        tried = refined(problem, moved)
-        improved = [t for t, old in zip(tried, moved, strict=True) if t is not old]
-        moved = [t for t in improved if t.bent or not _is_near(t)]
-        found |= {t.members: t for t in tried}
-        if not moved:
-            break
-    return [found[t.members] for t in trials]
-
-
-def _is_near(trial: Trial) -> bool:
-    variance = np.diag(weigh(trial.base, trial.priors, trial.members).covariance)
-    return bool(np.all(np.square(trial.sizes - trial.at) <= variance))
 
 
 def kept_at(trial: Trial, members: Set, sizes: Array) -> Array:

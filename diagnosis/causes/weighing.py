@@ -10,9 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from diagnosis.causes.form_error import ALIKE_ERROR_RATIO, FORM_ERROR_RATIO, RESPONSE_EFFECTS
-from diagnosis.causes.parameters import SET_NUISANCES, library
-from diagnosis.causes.selection import (
+from diagnosis.causes.evidence import (
     Information,
     Priors,
     Screen,
@@ -23,6 +21,8 @@ from diagnosis.causes.selection import (
     total,
     weigh,
 )
+from diagnosis.causes.form_error import ALIKE_ERROR_RATIO, FORM_ERROR_RATIO, RESPONSE_EFFECTS
+from diagnosis.causes.parameters import SET_NUISANCES, library
 from machine.conventions import Array
 
 PART_LOG_ODDS = 20.0

@@ -12,15 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.evidence import Information, inform_gram
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.nuisances import set_columns, throw_columns, throw_nuisances
-from diagnosis.causes.parameters import (
-    SET_NUISANCES,
-    Layout,
-    library,
-    set_names,
-)
-from diagnosis.causes.selection import Information, inform_gram
+from diagnosis.causes.parameters import SET_NUISANCES, Layout, library, set_names
 from diagnosis.causes.shapes import unheard_names
 from diagnosis.causes.unheard import unheard_columns
 from diagnosis.healthy.noise import NoiseModel, whiten

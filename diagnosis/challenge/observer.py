@@ -13,10 +13,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.evidence import inform_gram
 from diagnosis.causes.parameters import Parameter, layout, library, scatter_names
 from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.selection import inform_gram
 from diagnosis.causes.whitening import slope_count
 from diagnosis.challenge.machines import healthy_machine
 from diagnosis.challenge.make import make_reference

@@ -24,7 +24,8 @@ from diagnosis.evaluation.page_causes import (
 from diagnosis.evaluation.page_cells import cell, height, share, table
 from diagnosis.evaluation.paper import SCATTER, SCATTER_RANGE_M, SIMULATED
 from diagnosis.intervals import share_interval
-from diagnosis.report.report_html import page, section
+from diagnosis.report.evidence_html import section
+from diagnosis.report.report_html import page
 from diagnosis.report.report_words import NONE, fixed
 
 _STYLE = Path(__file__).with_name("evaluation.css")

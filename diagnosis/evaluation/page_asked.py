@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from diagnosis.evaluation.goals import THROW_COUNT, Verdict, shortfalls, verdicts
 from diagnosis.evaluation.measures import ModeEvaluation
 from diagnosis.evaluation.page_cells import share, table
-from diagnosis.report.report_html import section
+from diagnosis.report.evidence_html import section
 from diagnosis.report.report_words import NONE, fixed
 
 

@@ -13,7 +13,7 @@ from diagnosis.evaluation.page_cells import cell, table
 from diagnosis.evaluation.sensitivity import FactorShift
 from diagnosis.evaluation.wide_unit import WideUnit
 from diagnosis.intervals import Interval
-from diagnosis.report.report_html import section
+from diagnosis.report.evidence_html import section
 from diagnosis.report.report_words import NONE, fixed
 
 

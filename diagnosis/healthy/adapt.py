@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnosis.causes.evidence import Priors, screen, total
 from diagnosis.causes.leftovers import leftovers
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.parameters import joint_index
-from diagnosis.causes.selection import Priors, screen, total
 from diagnosis.causes.whitening import Whitened, information
 from diagnosis.healthy.filters import HealthyModel, correction
 from diagnosis.healthy.noise import NoiseModel

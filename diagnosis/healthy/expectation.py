@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from diagnosis.causes.evidence import screen, total
 from diagnosis.causes.form_error import factors
 from diagnosis.causes.leftovers import explained, in_units
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.nuisances import throw_nuisances
 from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
-from diagnosis.causes.selection import screen, total
 from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.causes.whitening import Whitened, apart, beside_named, information, whiten_throw
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter

@@ -11,7 +11,6 @@ import numpy as np
 
 from diagnosis.causes.parameters import joint_index
 from diagnosis.healthy.noise import NoiseModel
-from diagnosis.loading.logs import LoadedSet, ThrowData
 from diagnosis.loading.measured import (
     NOISE_WINDOW_COUNT,
     POSITION_SD_RAD_M,
@@ -20,6 +19,7 @@ from diagnosis.loading.measured import (
     smoothed_noise,
     white_noise_sd,
 )
+from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 
 USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)

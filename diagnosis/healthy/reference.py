@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.causes.evidence import total
 from diagnosis.causes.parameters import layout, scatter_names
 from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.selection import total
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.healthy.two_levels import Levels, of_machine, told
-from diagnosis.loading.logs import LoadedSet, ThrowData, refusals
 from diagnosis.loading.prepared import prepare
+from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
 

@@ -11,8 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.causes.evidence import Information, screen
 from diagnosis.causes.parameters import layout, library
-from diagnosis.causes.selection import Information, screen, search
+from diagnosis.causes.selection import search
 from diagnosis.causes.shapes import unheard_least_sd, unheard_names
 from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.healthy.own_sensors import LATE_KEYS, SWINGS_MORE

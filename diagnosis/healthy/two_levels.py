@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.causes.evidence import Information
 from diagnosis.causes.parameters import Layout
-from diagnosis.causes.selection import Information
 from machine.conventions import Array, BoolArray
 
 ROUND_COUNT = 60

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from machine.calibration import actuator_ratio_magnitude
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, IntArray
 from machine.spec import MachineSpec

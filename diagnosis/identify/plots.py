@@ -13,7 +13,7 @@ from diagnosis.identify.release import PAPER_COUNT, PAPER_MEAN_S, PAPER_SD_S, Re
 from diagnosis.identify.response import JointResponse
 from diagnosis.identify.response_bootstrap import simulate
 from diagnosis.identify.swing import AxisSwing
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 

@@ -19,8 +19,8 @@ from diagnosis.identify.quantity import (
     unknown,
 )
 from diagnosis.intervals import deviation_interval
-from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
 from diagnosis.threads import one_blas_thread
 from machine.ballistics import drag_per_m, step_flight

@@ -14,7 +14,7 @@ from diagnosis.identify.drive_record import DriveRecord, drive_record, moved_blo
 from diagnosis.identify.limits import acceleration_limit, speed_limit
 from diagnosis.identify.quantity import Quantity, unknown
 from diagnosis.identify.response_bootstrap import NAMES, UNITS, Fitted, fit, quantities, simulate
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, BoolArray
 from machine.spec import MachineSpec

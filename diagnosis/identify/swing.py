@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
 from diagnosis.identify.quantity import Quantity, mean_quantity, unknown
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import (
     CONTROL_PERIOD_S,

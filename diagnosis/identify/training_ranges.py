@@ -12,7 +12,7 @@ from diagnosis.identify.drive_record import drive_record, moved_blocks
 from diagnosis.identify.quantity import Quantity
 from diagnosis.identify.response import MIN_BLOCKS
 from diagnosis.identify.response_bootstrap import HIGH, LOW, fit, quantities
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import MachineSpec

@@ -6,7 +6,6 @@ What it cannot use it refuses with numbers, likely cause and remedy (log_checks.
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,122 +28,18 @@ from diagnosis.loading.log_checks import (
 from diagnosis.loading.log_context import calibration_of, impact_of, profile_of, target_of
 from diagnosis.loading.log_grid import ControlGrid, grid_control
 from diagnosis.loading.throw_csv import LOG_SUFFIXES, WITHOUT_IMU, read_logs
-from diagnosis.verdict import Diagnosis, VerdictKind
-from machine.calibration import ValveCalibration
-from machine.conventions import Array, BoolArray
+from diagnosis.loading.throw_data import LoadedSet, ThrowData
+from machine.conventions import Array
 from machine.errors import LogError
 from machine.spec import MachineSpec, load_spec
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
-from sim_twin.twin.profile import TwinProfile
 
-MIN_THROWS_COUNT: Final = 3
-"""Fewer cannot tell the machine's scatter from an effect."""
 MIN_BALL_SAMPLES_COUNT: Final = 5
 IMU_GAP_S: Final = 0.2
 NO_IMU_NOTE: Final = (
     "no IMU: how the gripper swung is taken from the pitch and roll that the machine estimated; effects of "
     "the swing cannot be told apart and are not claimed, nor a late valve from a late sensor"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class ThrowData:
-    """One throw; T ticks of 10 ms, times from the throw's start, places in frame `machine`."""
-
-    throw_id: str
-    machine_id: str
-    mode: str
-    target_m: Array
-    """(3,)"""
-    t_s: Array
-    """(T,) grid of 10 ms; 0 is the first tick of `Motion.THROW`, up to 2 s of history are negative."""
-    valve_ratio: Array
-    """(T, 4) what the safety gate let through."""
-    gripper_open: BoolArray
-    """(T,) the gripper is told to open."""
-    sensor_t_s: Array
-    """(T,) when the joint sensors were sampled."""
-    sensor_position_rad_m: Array
-    """(T, 4)"""
-    sensor_velocity_rad_m_per_s: Array
-    """(T, 4)"""
-    joint_position_rad_m: Array
-    """(T, 6) estimate that the policy saw; pitch and roll come from the IMU."""
-    joint_velocity_rad_m_per_s: Array
-    """(T, 6)"""
-    imu_t_s: Array
-    """(K,) sample times; K is 0 for a CSV without IMU."""
-    gyro_rad_per_s: Array
-    """(K, 3) gripper frame."""
-    accel_m_per_s2: Array
-    """(K, 3) specific force, gripper frame."""
-    open_command_t_s: float
-    switch_open_t_s: float
-    """The load left the gripper's switch; nan if it was never seen."""
-    ball_t_s: Array
-    """(B,)"""
-    ball_m: Array
-    """(B, 3) centre of the load in flight; B may be 0."""
-    impact_m: Array
-    """(3,) nan if it was not surveyed."""
-    impact_sd_m: float
-    impact_t_s: float
-    supply_pressure_pa: Array
-    """(T,)"""
-    calibration: ValveCalibration
-    spec_sha256: str
-    twin_profile: TwinProfile | None
-    """The profile that previewed the throw, if the log carries it."""
-    recorded_at_ns: int
-    """Machine clock at 0 s; throws of one boot are ordered by it."""
-    path: Path
-    notes: tuple[str, ...]
-    """What was repaired."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoadedSet:
-    """What could be used of a set of logs, and why the rest could not."""
-
-    throws: tuple[ThrowData, ...]
-    refused: tuple[tuple[Path, str], ...]
-    rates: Mapping[str, float]
-    """Median rate of each channel over the throws, Hz."""
-    clocks: Mapping[str, Mapping[str, Any]]
-    """By throw: audit of the control, IMU and ball clocks, sensor age, s."""
-
-    def evidence(self) -> dict[str, Any]:
-        """For `Diagnosis.evidence`."""
-        return {
-            "throws_used": [throw.throw_id for throw in self.throws],
-            "rates_hz": dict(self.rates),
-            "clocks": {name: dict(audit) for name, audit in self.clocks.items()},
-            "repairs": {t.throw_id: list(t.notes) for t in self.throws if t.notes},
-            "refused": refusals(self.refused),
-        }
-
-    def shortage(self, what: str) -> str | None:
-        """Why there are not enough of `what`; None when there are."""
-        if len(self.throws) >= MIN_THROWS_COUNT:
-            return None
-        reasons = "; ".join(f"{path.name}: {reason}" for path, reason in self.refused[:3])
-        count = len(self.refused)
-        refused = "1 log was refused" if count == 1 else f"{count} logs were refused"
-        return (
-            f"{len(self.throws)} {what}, at least {MIN_THROWS_COUNT} are needed; {refused}. {reasons}"
-        ).strip()
-
-    def too_few(self) -> Diagnosis | None:
-        """The verdict when there is not enough to diagnose; None when there is."""
-        sentence = self.shortage("usable throws")
-        if sentence is None:
-            return None
-        return Diagnosis(verdict=VerdictKind.BAD_DATA, sentence=sentence, evidence=self.evidence())
-
-
-def refusals(refused: Sequence[tuple[Path, str]]) -> list[dict[str, str]]:
-    """Refused logs for `Diagnosis.evidence`."""
-    return [{"path": str(path), "reason": reason} for path, reason in refused]
 
 
 def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> LoadedSet:

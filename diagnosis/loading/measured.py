@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from diagnosis.loading.logs import ThrowData
+from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, BoolArray
 from runtime.control.imu_estimator import start_angle
 from sim_twin.replay.motion import shifted

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.causes.parameters import View
-from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import (
     MeasuredMotion,
     measured_motion,
     measured_opening_s,
     replay_input,
 )
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
 from machine.conventions import ACTIVE_JOINTS, Array, IntArray
 from sim_twin.replay.replay import ReplayInput

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import new_samples, white_noise_sd
+from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
 
 LARGEST_SD_S = 0.002

@@ -9,17 +9,23 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final, cast
 
+from diagnosis.report.evidence_html import (
+    evidence_section,
+    facts_tree,
+    parts_section,
+    refused_section,
+    ruled_out_section,
+    section,
+)
 from diagnosis.report.report_svg import figure, interval_bar
 from diagnosis.report.report_words import (
     HEALTHY_OUT,
     STAGE_WORDS,
     VERDICT_WORDS,
     cause_words,
-    channel_words,
     compared_words,
     crossrange,
     downrange,
-    effect_words,
     fitted_words,
     metres,
     percent,
@@ -30,19 +36,11 @@ from diagnosis.report.report_words import (
 from diagnosis.verdict import Cause, Diagnosis, Stage, StageGap, VerdictKind
 
 OPEN_FIGURES_COUNT: Final = 6
-MAX_ITEMS_COUNT: Final = 60
-MAX_DEPTH_COUNT: Final = 5
-LONG_COUNT: Final = 1200
-"""Characters of markup from which evidence is folded."""
-LARGE: Final = 1e4
-"""Log evidence is told apart by units: not in powers of ten."""
 _STYLE: Final = Path(__file__).with_name("report.css")
 _POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 )
 _LOOK: Final = {VerdictKind.AMBIGUOUS, VerdictKind.UNKNOWN, VerdictKind.BAD_DATA}
-_TOLD: Final = {"ruled_out", "where", "parts", "unknown", "refused"}
-"""Evidence with a section of its own."""
 
 
 def report_html(found: Diagnosis, title: str = "Gap") -> str:
@@ -61,10 +59,12 @@ def report_html(found: Diagnosis, title: str = "Gap") -> str:
             _unknown(found.evidence.get("unknown")),
             _shrink(found),
             _plots(found.plots),
-            _ruled_out(found.evidence.get("ruled_out")),
-            _parts(found.evidence.get("parts")),
-            _refused(found.evidence.get("refused"), is_open=found.verdict is VerdictKind.BAD_DATA),
-            _evidence(found.evidence),
+            ruled_out_section(found.evidence.get("ruled_out")),
+            parts_section(found.evidence.get("parts")),
+            refused_section(
+                found.evidence.get("refused"), is_open=found.verdict is VerdictKind.BAD_DATA
+            ),
+            evidence_section(found.evidence),
         )
     )
     return page(f"{title}: {VERDICT_WORDS[found.verdict]}", body)
@@ -80,14 +80,6 @@ def page(title: str, body: str, more_style: str = "") -> str:
         f"<title>{escape(title)}</title><style>{style}</style></head>"
         f"<body><main>{body}</main></body></html>\n"
     )
-
-
-# Sections -----------------------------------------------------------------------------------------
-
-
-def section(title: str, content: str) -> str:
-    """A titled section; `content` is markup."""
-    return f"<section><h2>{escape(title)}</h2>{content}</section>"
 
 
 def _verdict(found: Diagnosis, title: str) -> str:
@@ -228,7 +220,7 @@ def _next(found: Diagnosis) -> str:
     return section(
         "Next experiment",
         f"<p>Undecided: {escape(members)}; {escape(found.ambiguity.why)}.</p>"
-        f"<p><strong>{escape(words)}</strong></p>{_tree(rest)}",
+        f"<p><strong>{escape(words)}</strong></p>{facts_tree(rest)}",
     )
 
 
@@ -236,7 +228,7 @@ def _unknown(signature: Any) -> str:
     if not isinstance(signature, Mapping):
         return ""
     return section(
-        "What is left unexplained", _tree(unknown_facts(cast("Mapping[str, Any]", signature)))
+        "What is left unexplained", facts_tree(unknown_facts(cast("Mapping[str, Any]", signature)))
     )
 
 
@@ -281,110 +273,3 @@ def _plots(plots: Mapping[str, Any]) -> str:
         f"<details><summary>{len(rest)} more</summary>{''.join(rest)}</details>" if rest else ""
     )
     return section("Measured against twin", "".join(drawn[:OPEN_FIGURES_COUNT]) + folded)
-
-
-def _ruled_out(entries: Any) -> str:
-    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        return ""
-    rows: list[str] = []
-    for entry in cast("Sequence[Any]", entries):
-        if not isinstance(entry, Mapping):
-            rows.append(f"<tr><td>{escape(str(entry))}</td><td></td></tr>")
-            continue
-        facts = cast("Mapping[str, Any]", entry)
-        name = effect_words(str(facts.get("effect", "")), _text(facts.get("joint")))
-        odds = facts.get("log_odds")
-        why = str(facts.get("why", ""))
-        if isinstance(odds, int | float):
-            why = f"natural log odds {odds:+.1f} against no effect. {why}".strip()
-        rows.append(f"<tr><td>{escape(name)}</td><td>{escape(why)}</td></tr>")
-    return section(
-        "Ruled out",
-        f"<details><summary>{len(rows)} effects that these data speak against</summary>"
-        f"<table><tr><th>effect</th><th>why</th></tr>{''.join(rows)}</table></details>",
-    )
-
-
-def _parts(parts: Any) -> str:
-    """Results of several joints of one recording, each in short."""
-    if not isinstance(parts, Mapping):
-        return ""
-    content: list[str] = []
-    for name, part in cast("Mapping[Any, Any]", parts).items():
-        sentence = part.get("sentence", "") if isinstance(part, Mapping) else ""
-        content.append(
-            f"<h3>{escape(str(name))}</h3><p>{escape(str(sentence))}</p>"
-            f"<details><summary>All of it</summary>{_tree(part)}</details>"
-        )
-    return section("Parts", "".join(content))
-
-
-def _refused(entries: Any, is_open: bool) -> str:
-    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        return ""
-    rows = "".join(
-        f"<tr><td>{escape(str(entry.get('path', '')))}</td>"
-        f"<td>{escape(str(entry.get('reason', '')))}</td></tr>"
-        for entry in cast("Sequence[Any]", entries)
-        if isinstance(entry, Mapping)
-    )
-    return section(
-        "Refused data",
-        f"<details{' open' if is_open else ''}><summary>{len(entries)} logs were not used</summary>"
-        f"<table><tr><th>log</th><th>reason and remedy</th></tr>{rows}</table></details>",
-    )
-
-
-def _evidence(evidence: Mapping[str, Any]) -> str:
-    rest = {key: value for key, value in evidence.items() if key not in _TOLD and value is not None}
-    if isinstance(rest.get("leftover_sd"), Mapping):
-        levels = cast("Mapping[Any, Any]", rest["leftover_sd"])
-        rest["leftover_sd"] = {channel_words(str(name)): level for name, level in levels.items()}
-    if not rest:
-        return ""
-    rows = "".join(
-        f"<tr><th>{escape(str(key).replace('_', ' '))}</th><td>{_folded(_tree(value))}</td></tr>"
-        for key, value in rest.items()
-    )
-    return section("Evidence", f'<div class="scroll"><table>{rows}</table></div>')
-
-
-def _folded(content: str) -> str:
-    """Closed at first when it is long."""
-    if len(content) <= LONG_COUNT:
-        return content
-    return f"<details><summary>show</summary>{content}</details>"
-
-
-# Anything -----------------------------------------------------------------------------------------
-
-
-def _text(value: Any) -> str | None:
-    return None if value is None else str(value)
-
-
-def _tree(value: Any, depth: int = 0) -> str:
-    """Nested facts, escaped; long lists are cut and say so."""
-    if isinstance(value, Mapping) and depth < MAX_DEPTH_COUNT:
-        items = list(cast("Mapping[Any, Any]", value).items())
-        shown = "".join(
-            f"<dt>{escape(str(key).replace('_', ' '))}</dt><dd>{_tree(item, depth + 1)}</dd>"
-            for key, item in items[:MAX_ITEMS_COUNT]
-        )
-        return f'<dl class="tree">{shown}</dl>{_cut(len(items))}'
-    if isinstance(value, Sequence) and not isinstance(value, str) and depth < MAX_DEPTH_COUNT:
-        entries = list(cast("Sequence[Any]", value))
-        if any(isinstance(entry, Mapping) for entry in entries):
-            shown = "".join(f"<li>{_tree(e, depth + 1)}</li>" for e in entries[:MAX_ITEMS_COUNT])
-            return f"<ol>{shown}</ol>{_cut(len(entries))}"
-        listed = ", ".join(_tree(entry, depth + 1) for entry in entries[:MAX_ITEMS_COUNT])
-        return f"{listed}{_cut(len(entries))}"
-    if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: "–"}[value]
-    if not isinstance(value, float):
-        return escape(str(value))
-    return f"{value:.4g}" if abs(value) < LARGE else f"{value:.1f}"
-
-
-def _cut(count: int) -> str:
-    return "" if count <= MAX_ITEMS_COUNT else f" … and {count - MAX_ITEMS_COUNT} more"

@@ -7,8 +7,8 @@ so that each throw is reported ended exactly once, whoever reports it.
 from dataclasses import dataclass
 
 from machine.messages import EventKind, MachineEvent, ThrowEnd
+from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import THROW_MEMORY_COUNT, EventDraft, Outbox, utc_now
-from runtime.records.recorder import StoredLog
 
 INTENDED = "intended"
 """A fire command came in; the control process has not answered yet."""

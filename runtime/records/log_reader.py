@@ -22,7 +22,8 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from machine.channels import LOG_CHANNELS
 from machine.errors import LogError
 from machine.messages import ImpactSurvey
-from runtime.records.recorder import StoredLog, log_path, part_path, write_throw_log
+from runtime.records.log_writer import StoredLog, write_throw_log
+from runtime.records.recorder import log_path, part_path
 from runtime.records.throw_log import (
     CONTEXT_RECORD,
     LOG_SCHEMA_VERSION,

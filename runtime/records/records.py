@@ -16,8 +16,9 @@ from machine.errors import LogError
 from machine.messages import ImpactSurvey, MachineEvent
 from runtime.records.journal import Journal
 from runtime.records.log_reader import read_throw_log, recover_log
+from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import OutboxError
-from runtime.records.recorder import PART_SUFFIX, StoredLog, ThrowRecorder, log_path, part_path
+from runtime.records.recorder import PART_SUFFIX, ThrowRecorder, log_path, part_path
 
 logger = logging.getLogger(__name__)
 

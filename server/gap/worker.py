@@ -24,7 +24,7 @@ from machine.errors import DownrangeError
 from sim_twin.twin.profile import TwinProfile
 
 if TYPE_CHECKING:
-    from diagnosis.loading.logs import LoadedSet
+    from diagnosis.loading.throw_data import LoadedSet
 
 logger = logging.getLogger(__name__)
 

@@ -9,7 +9,8 @@ from machine.conventions import Array, BoolArray
 from machine.spec import MachineSpec
 from sim_twin.faults.fault import EffectSizes
 from sim_twin.faults.unheard import VALVE_SURPRISES, ValveSurprises
-from sim_twin.virtual.hydraulics import TANK_PRESSURE_PA, Hydraulics
+from sim_twin.virtual.hydraulics import Hydraulics
+from sim_twin.virtual.sizing import TANK_PRESSURE_PA
 
 DRIVE_EFFECTS = (
     "valve_dead_time",

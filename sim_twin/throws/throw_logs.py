@@ -18,7 +18,8 @@ from machine.messages import EventKind, ImpactSurvey, MachineEvent, ThrowEnd
 from machine.telemetry import BALL_ROW, IMU_ROW
 from runtime.control.control_loop import ControlOutputs, ControlParams
 from runtime.driver import SensorSample, SimulatedDriver
-from runtime.records.recorder import StoredLog, log_path, write_throw_log
+from runtime.records.log_writer import StoredLog, write_throw_log
+from runtime.records.recorder import log_path
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
 from sim_twin.throws.campaign import Outcome, ThrowResult
 from sim_twin.twin.profile import TwinProfile

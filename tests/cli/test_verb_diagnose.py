@@ -10,7 +10,7 @@ import pytest
 from cli import diagnose as verb
 from cli.main import main
 from diagnosis import diagnose as module
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from tests.diagnosis.twin_throws import health, throws
 
 

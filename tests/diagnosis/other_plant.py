@@ -13,7 +13,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.loading.logs import load_throws
+from diagnosis.loading.throw_data import LoadedSet
 from machine.calibration import actuator_ratio, nominal_calibration
 from machine.conventions import ACTIVE_JOINTS, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
 from machine.spec import MJCF_PATH, load_spec

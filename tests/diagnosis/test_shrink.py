@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from diagnosis.causes.evidence import SetEvidence
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.selection import SetEvidence
 from diagnosis.loading.prepared import prepare
 from diagnosis.shrink import Ends, _closed, impacts, shrink, with_effects
 from sim_twin.effects.effect import Effect

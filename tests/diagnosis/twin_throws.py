@@ -13,8 +13,8 @@ from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.healthy.filters import nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
-from diagnosis.loading.logs import LoadedSet, ThrowData
 from diagnosis.loading.prepared import prepare
+from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.calibration import nominal_calibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import hanging_pitch_rad

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Mode
 from machine.errors import UsageError
 from training.environment.dynamics import Response, ResponseState, respond
-from training.environment.task import RESPONSE_WIDENING_RATIO, ResponseConfig, task_for, widened
+from training.environment.shipped import RESPONSE_WIDENING_RATIO, task_for
+from training.environment.task import ResponseConfig, widened
 from training.identified import (
     DYNAMICS,
     HIGHEST_NATURAL_FREQUENCY_RAD_PER_S,

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.alone.fit import FreeParameter, Option
+from diagnosis.alone.problem import FreeParameter, Option
 from machine.conventions import Array
 
 LEAST_TIME_PERIODS: Final = 0.5

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from diagnosis.alone import selection
-from diagnosis.alone.fit import Fit, FreeParameter, Option
+from diagnosis.alone.fit import Fit
+from diagnosis.alone.problem import FreeParameter, Option
 
 LEAST = 0.1
 FRICTION = Option(

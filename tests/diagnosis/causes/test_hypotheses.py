@@ -7,10 +7,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from diagnosis.causes import candidates
+from diagnosis.causes import candidates, suspects
+from diagnosis.causes.evidence import SetEvidence
 from diagnosis.causes.hypotheses import explore, form_of_parts
 from diagnosis.causes.least_sizes import of_some_size
-from diagnosis.causes.selection import SetEvidence
 from diagnosis.causes.trials import Seed, no_effect, try_sets
 from diagnosis.causes.weighing import Trial, evidence_in, is_ahead
 from sim_twin.effects.effect import Effect
@@ -87,8 +87,7 @@ def test_what_no_joint_is_loud_for_is_looked_at_beside_drifts_too() -> None:
     plain = SetEvidence((drift,), 20.0, np.zeros(1), np.zeros((1, 1)))
     for alone in ([], [plain]):
         named = [
-            problem.layout.groups[g]
-            for g in candidates._suspects(problem, no_effect(problem), alone)
+            problem.layout.groups[g] for g in suspects.suspected(problem, no_effect(problem), alone)
         ]
         assert {("imu_latency", None), ("chassis_compliance", None)} <= set(named)
         assert not [joint for _, joint in named if joint is not None]

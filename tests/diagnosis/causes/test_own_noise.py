@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diagnosis.causes.evidence import log_likelihood, screen, total
 from diagnosis.causes.own_noise import in_common_noise
-from diagnosis.causes.selection import log_likelihood, screen, total
 from diagnosis.causes.whitening import information, whiten_throw
 from tests.diagnosis.twin_throws import posed, throws
 

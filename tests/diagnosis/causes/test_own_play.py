@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from diagnosis.causes.evidence import total
 from diagnosis.causes.linear import Linear
 from diagnosis.causes.own_play import with_own_play
 from diagnosis.causes.parameters import index_of, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.selection import total
 from diagnosis.causes.shapes import group_of, unheard_groups, unheard_names
 from diagnosis.causes.unheard import play_columns
 from diagnosis.causes.whitening import Whitened, information, slope_count, whiten_throw

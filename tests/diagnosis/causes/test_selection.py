@@ -7,27 +7,29 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from diagnosis.causes.selection import (
-    COUNT_TEMPERATURE_RATIO,
-    FORM_TEMPERATURE_RATIO,
+from diagnosis.causes.evidence import (
     MIN_SLAB_OVER_SPIKE_RATIO,
     PARTNER_LOG_PRIOR,
     THIRD_LOG_PRIOR,
     Information,
     Priors,
     SetEvidence,
-    bagged_probability,
     bare,
-    bootstrap_weights,
-    expected_log_odds,
     inform,
     inform_gram,
     mean_with,
     screen,
-    search,
     set_log_prior,
     total,
     weigh,
+)
+from diagnosis.causes.selection import (
+    COUNT_TEMPERATURE_RATIO,
+    FORM_TEMPERATURE_RATIO,
+    bagged_probability,
+    bootstrap_weights,
+    expected_log_odds,
+    search,
 )
 from machine.conventions import Array
 

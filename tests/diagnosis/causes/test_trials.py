@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnosis.causes import candidates, hypotheses, trials, weighing
+from diagnosis.causes import candidates, hypotheses, settling, suspects, trials, weighing
 from diagnosis.causes.candidates import (
     missing_parts,
     missing_twins,
     most_hopeful,
     plain_partner_joints,
 )
+from diagnosis.causes.evidence import Priors, inform, screen
 from diagnosis.causes.least_sizes import of_some_size
 from diagnosis.causes.parameters import layout
-from diagnosis.causes.selection import Priors, inform, screen
 from diagnosis.causes.trials import sizes_in
 from diagnosis.causes.weighing import (
     PART_LOG_ODDS,
@@ -320,10 +320,10 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
         asked.append(seeds)
         return [at(float(size[0])) for size in seeds.values()]
 
-    monkeypatch.setattr(trials, "try_sets", try_sets)
-    monkeypatch.setattr(trials, "told", lambda one: -abs(float(one.at[0]) - 0.030))
+    monkeypatch.setattr(settling, "try_sets", try_sets)
+    monkeypatch.setattr(settling, "told", lambda one: -abs(float(one.at[0]) - 0.030))
     monkeypatch.setattr(weighing, "lead", lambda _: 100.0)
-    (found,) = trials.nearer(SimpleNamespace(), [at(start)])
+    (found,) = settling.nearer(SimpleNamespace(), [at(start)])
     assert float(found.at[0]) == pytest.approx(end)
     assert len(asked) == simulations
 
@@ -385,11 +385,11 @@ def test_the_best_and_its_rivals_are_looked_at_twice_no_effect_too(monkeypatch):
         looks.append([(t.members, size.tolist()) for t, size in zip(tried, sizes, strict=True)])
         return list(tried)
 
-    monkeypatch.setattr(trials, "_moved_there", moved)
+    monkeypatch.setattr(settling, "_moved_there", moved)
     behind = {(): 30.0, (0,): 0.0, (1,): 50.0, (2,): 400.0}
-    monkeypatch.setattr(trials, "fair_on_all", lambda ts: [-behind[t.members] for t in ts])
+    monkeypatch.setattr(settling, "fair_on_all", lambda ts: [-behind[t.members] for t in ts])
     tried = [trial(), *(replace(trial((m,), SIZES[:1]), sizes=np.array([5.0])) for m in range(3))]
-    assert trials.where_they_are(None, tried) == tried
+    assert settling.where_they_are(None, tried) == tried
     first, second = looks
     assert [m for m, _ in first] == [(), (0,), (1,)]
     assert second == [((), []), ((0,), [5.0])], "at the sizes estimated meanwhile"
@@ -399,7 +399,7 @@ def test_large_sizes_are_tried_one_way_at_a_time():
     """A dead band that is large both ways hides one that is large one way."""
     plan = layout(load_noise())
     group = plan.groups.index(("valve_dead_band", "dipper"))
-    typical, positive, negative, between = candidates._sizes_beyond_slopes(
+    typical, positive, negative, between = suspects.sizes_beyond_slopes(
         SimpleNamespace(layout=plan), group
     )
     assert (typical > 0.0).all()
@@ -414,7 +414,7 @@ def test_no_effect_is_told_by_what_is_left_where_slopes_were_taken(ahead):
     """Never better than that: what is left at the twin goes with the slopes there."""
     none = trial()
     away = [i._replace(bare_square=i.square - 2.0 * ahead) for i in none.information]
-    found = trials.at_home(replace(none, information=away))
+    found = settling.at_home(replace(none, information=away))
     with_it, without = weighing.screens(found, found.information[0])
     assert without.log_evidence - with_it.log_evidence == pytest.approx(min(ahead, 0.0), abs=1e-6)
 

@@ -9,20 +9,26 @@ from typing import cast
 import numpy as np
 import pytest
 
-from diagnosis.causes import candidates
-from diagnosis.causes.candidates import with_shapes
+from diagnosis.causes import shaped
+from diagnosis.causes.evidence import total, weigh
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_levels
-from diagnosis.causes.selection import total, weigh
-from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
+from diagnosis.causes.shaped import with_shapes
+from diagnosis.causes.shapes import (
+    SHAPES,
+    UNHEARD,
+    shape_of,
+    unheard_groups,
+    unheard_names,
+)
 from diagnosis.causes.trials import no_effect, try_sets
 from diagnosis.causes.unheard import unheard_columns
 from diagnosis.causes.weighing import Trial
 from diagnosis.diagnose import diagnose_throws
-from diagnosis.loading.logs import LoadedSet, ThrowData
 from diagnosis.loading.prepared import prepare
+from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from diagnosis.verdict import VerdictKind
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import Effect
@@ -248,7 +254,7 @@ def test_a_sensor_s_scale_and_its_bias_are_told_from_each_other_as_they_look(
     assert (scale if is_scale else bias).mean == pytest.approx(size, rel=0.25)
 
 
-def shaped(problem: Problem, *trials: Trial) -> set[tuple[str, str | None]]:
+def shapes_of(problem: Problem, *trials: Trial) -> set[tuple[str, str | None]]:
     """Shapes that are weighed, alone or beside what trials have."""
     return {problem.layout.groups[m[-1]] for _, m in with_shapes(problem, trials)}
 
@@ -262,21 +268,21 @@ def test_what_a_name_explains_is_no_shape(monkeypatch: pytest.MonkeyPatch) -> No
     """A gain looks like a speed that changes on the way, or with the command, and has nothing beside."""
     problem = posed(throws((dipper_effect("valve_gain", 0.15),), THROWS))
     like_a_gain = {(f"{UNHEARD}:way", "dipper"), (f"{UNHEARD}:command", "dipper")}
-    assert not shaped(problem, no_effect(problem)) & like_a_gain
-    monkeypatch.setattr(candidates, "LEAST_OWN_LOG_EVIDENCE", 0.0)
-    assert shaped(problem, no_effect(problem)) >= like_a_gain
+    assert not shapes_of(problem, no_effect(problem)) & like_a_gain
+    monkeypatch.setattr(shaped, "LEAST_OWN_LOG_EVIDENCE", 0.0)
+    assert shapes_of(problem, no_effect(problem)) >= like_a_gain
 
 
 def test_beside_a_dead_band_its_joint_s_metering_is_form(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = posed(throws((dipper_effect("valve_dead_band", 0.1),), 3))
     group = problem.layout.groups.index(("valve_dead_band", "dipper"))
     trial = try_sets(problem, {(group,): np.array([0.1, 0.1])})[0]
-    monkeypatch.setattr(candidates, "LEAST_OWN_LOG_EVIDENCE", -1.0)
-    monkeypatch.setattr(candidates, "own_evidence", lambda _: -np.inf)
-    monkeypatch.setattr(candidates, "SHAPED_COUNT", 100)
+    monkeypatch.setattr(shaped, "LEAST_OWN_LOG_EVIDENCE", -1.0)
+    monkeypatch.setattr(shaped, "own_evidence", lambda _: -np.inf)
+    monkeypatch.setattr(shaped, "SHAPED_COUNT", 100)
     everywhere = {(f"{UNHEARD}:command", joint) for joint in ACTIVE_JOINTS}
-    assert everywhere - shaped(problem, trial) == {(f"{UNHEARD}:command", "dipper")}
-    assert everywhere <= shaped(problem, no_effect(problem))
+    assert everywhere - shapes_of(problem, trial) == {(f"{UNHEARD}:command", "dipper")}
+    assert everywhere <= shapes_of(problem, no_effect(problem))
 
 
 def test_the_same_throws_without_it_have_no_effect() -> None:

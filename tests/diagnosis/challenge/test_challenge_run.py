@@ -16,7 +16,7 @@ from diagnosis.challenge.make import make_challenge
 from diagnosis.challenge.run import answered, run_challenge
 from diagnosis.challenge.truth import Tier
 from diagnosis.healthy.health import Health
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.calibration import nominal_calibration
 from machine.errors import UsageError

@@ -7,7 +7,7 @@ import pytest
 
 from diagnosis.healthy.noise import load_noise
 from diagnosis.healthy.own_sensors import SWINGS_MORE, with_own_sensors
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from tests.diagnosis.twin_throws import throws
 
 LATE = "valve_dead_time.boom.extra_dead_time_s"

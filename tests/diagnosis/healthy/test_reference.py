@@ -13,7 +13,7 @@ from diagnosis.diagnose import CancelledError, diagnose_throws
 from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.healthy.two_levels import Levels, Told, learn, of_machine
-from diagnosis.loading.logs import LoadedSet
+from diagnosis.loading.throw_data import LoadedSet
 from machine.errors import UsageError
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from diagnosis.causes.evidence import Information, screen, weigh
 from diagnosis.causes.parameters import index_of, layout, library
-from diagnosis.causes.selection import Information, screen, weigh
 from diagnosis.healthy.noise import NoiseModel, load_noise
 from diagnosis.healthy.own_sensors import SWINGS_MORE
 from diagnosis.healthy.stranger import NEARNESS_RATIOS, as_near_as_shown, stranger

@@ -4,7 +4,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from diagnosis.loading.logs import ThrowData, load_throws
+from diagnosis.loading.logs import load_throws
+from diagnosis.loading.throw_data import ThrowData
 from machine.calibration import nominal_calibration
 from machine.conventions import Array, Mode
 from machine.spec import load_spec

@@ -8,7 +8,7 @@ import pytest
 
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_csv import throw_csv
-from runtime.records.recorder import write_throw_log
+from runtime.records.log_writer import write_throw_log
 from tests.diagnosis.loading.test_logs import make_log
 
 CELLS = ("", "nan", "inf", "-1e308", "1e30", "abc", "9223372036854775808", '"', "\x00", ",,", "1,5")

@@ -15,7 +15,7 @@ from machine.conventions import Motion
 from machine.messages import ImpactSurvey
 from machine.spec import load_spec
 from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW
-from runtime.records.recorder import write_throw_log
+from runtime.records.log_writer import write_throw_log
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
 
 SPEC = load_spec()

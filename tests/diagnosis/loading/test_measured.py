@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import CALM_S, hung_at_rest, measured_motion
+from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_COUNT
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
 

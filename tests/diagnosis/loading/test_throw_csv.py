@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.loading.logs import LoadedSet, load_throws
+from diagnosis.loading.logs import load_throws
 from diagnosis.loading.measured import measured_motion, rows_of_interest
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_csv import throw_csv
+from diagnosis.loading.throw_data import LoadedSet
 from machine.spec import load_spec
-from runtime.records.recorder import write_throw_log
+from runtime.records.log_writer import write_throw_log
 from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.loading.test_logs import make_log
 

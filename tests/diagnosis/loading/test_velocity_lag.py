@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.loading.logs import ThrowData
 from diagnosis.loading.measured import smooth_joints
+from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
 from machine.conventions import ACTIVE_COUNT, Array
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv

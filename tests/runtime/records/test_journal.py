@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from machine.messages import EventKind
 from runtime.records.journal import Journal
+from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import EventDraft, Outbox
-from runtime.records.recorder import StoredLog
 
 
 def draft(kind: EventKind, throw_id: str | None = None, **data) -> EventDraft:

@@ -17,7 +17,8 @@ import runtime.records.log_reader
 from machine.errors import LogError
 from machine.messages import ImpactSurvey
 from runtime.records.log_reader import RawLog, read_throw_log, recover_log
-from runtime.records.recorder import LogWriter, part_path, write_throw_log
+from runtime.records.log_writer import LogWriter, write_throw_log
+from runtime.records.recorder import part_path
 from runtime.records.throw_log import (
     event_to_json,
     events_from_json,

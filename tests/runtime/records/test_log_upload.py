@@ -11,8 +11,9 @@ import pytest
 from machine.messages import EventKind
 from runtime.records.journal import Journal
 from runtime.records.log_upload import LogUploader, Outcome, UploadTarget, upload_log
+from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import EventDraft, Outbox
-from runtime.records.recorder import StoredLog, log_path
+from runtime.records.recorder import log_path
 
 
 class Server(ThreadingHTTPServer):

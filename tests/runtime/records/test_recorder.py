@@ -11,13 +11,8 @@ from machine.channels import LOG_CHANNELS
 from machine.errors import LogError
 from machine.messages import ImpactSurvey
 from runtime.records.log_reader import read_throw_log
-from runtime.records.recorder import (
-    RESERVED_COUNT,
-    StoredLog,
-    ThrowRecorder,
-    part_path,
-    write_throw_log,
-)
+from runtime.records.log_writer import StoredLog, write_throw_log
+from runtime.records.recorder import RESERVED_COUNT, ThrowRecorder, part_path
 from runtime.records.throw_log import ROW_TYPES
 from tests.runtime.log_samples import event, random_log, random_rows, same_rows
 

@@ -9,8 +9,9 @@ from machine.messages import EventKind
 from runtime.records import records
 from runtime.records.journal import Journal
 from runtime.records.log_reader import read_throw_log
+from runtime.records.log_writer import LogWriter, write_throw_log
 from runtime.records.outbox import EventDraft, Outbox
-from runtime.records.recorder import LogWriter, log_path, part_path, write_throw_log
+from runtime.records.recorder import log_path, part_path
 from runtime.records.records import Records
 from tests.runtime.log_samples import random_log, random_rows
 

@@ -9,7 +9,7 @@ from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from machine.telemetry import BALL_ROW, CONTROL_ROW
-from runtime.records.recorder import write_throw_log
+from runtime.records.log_writer import write_throw_log
 from runtime.records.throw_log import ThrowLog
 from server.accounts.auth import Session
 from server.clock import new_id, utc_now

@@ -6,12 +6,8 @@ from hypothesis import strategies as st
 from machine.calibration import actuator_ratio
 from machine.kinematics import cylinder_arm_m, cylinder_length_m
 from machine.spec import load_spec
-from sim_twin.virtual.hydraulics import (
-    PORT_RELIEF_PA,
-    TANK_PRESSURE_PA,
-    CylinderTriangle,
-    Hydraulics,
-)
+from sim_twin.virtual.hydraulics import PORT_RELIEF_PA, Hydraulics
+from sim_twin.virtual.sizing import TANK_PRESSURE_PA, CylinderTriangle
 from sim_twin.virtual.spools import Spools
 from sim_twin.virtual.units import ThrowConditions, nominal_unit
 

@@ -14,13 +14,9 @@ from runtime.control import observation
 from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
 from training.environment.episode import Failure
+from training.environment.shipped import AIM_MARGIN_M, GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M
 from training.environment.state import DELAY_TICKS, EnvironmentState
-from training.environment.task import (
-    AIM_MARGIN_M,
-    GROUND_SHARE_RATIO,
-    REACH_AT_HEIGHT_M,
-    ResponseConfig,
-)
+from training.environment.task import ResponseConfig
 
 KEY = jax.random.key(11)
 
