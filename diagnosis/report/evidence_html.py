@@ -106,6 +106,8 @@ def _text(value: Any) -> str | None:
 
 def facts_tree(value: Any, depth: int = 0) -> str:
     """Nested facts as markup, escaped; long lists are cut and say so."""
+    if isinstance(value, Mapping | list | tuple) and not value:
+        return "–"
     if isinstance(value, Mapping) and depth < MAX_DEPTH_COUNT:
         items = list(cast("Mapping[Any, Any]", value).items())
         shown = "".join(

@@ -254,6 +254,11 @@ def test_bad_data_opens_what_was_refused() -> None:
     assert "<details open><summary>1 logs were not used" in page
 
 
+def test_evidence_without_entries_says_so() -> None:
+    page = report_html(diagnosis(evidence={"reference": {"refused": [], "notes": {}}}))
+    assert page.count("<dd>–</dd>") == 2
+
+
 def test_one_stage_alone_has_no_metres() -> None:
     stage = StageGap(
         stage=Stage.SWING,
