@@ -19,11 +19,7 @@ from diagnosis.identify.release import (
     identify_release,
 )
 from diagnosis.identify.response import identify_response
-from diagnosis.identify.swing import (
-    PAPER_COULOMB_RAD_PER_S2,
-    PAPER_VISCOUS_PER_S,
-    identify_swing,
-)
+from diagnosis.identify.swing import PAPER_COULOMB_RAD_PER_S2, PAPER_VISCOUS_PER_S, identify_swing
 from diagnosis.identify.training_ranges import training_ranges
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_data import LoadedSet

@@ -15,18 +15,9 @@ from diagnosis.alone.fit import fit
 from diagnosis.alone.frequency_drift import frequency_drift
 from diagnosis.alone.problem import Option
 from diagnosis.alone.reading.consistency import clipped, refuse_changed_clock
-from diagnosis.alone.reading.free_swings import (
-    MIN_PERIODS,
-    Swing,
-    free_part,
-    swing_noise,
-)
+from diagnosis.alone.reading.free_swings import MIN_PERIODS, Swing, free_part, swing_noise
 from diagnosis.alone.reading.layout import RefusedTableError
-from diagnosis.alone.selection import (
-    CLEAN_NOISES,
-    RELEVANT_RATIO,
-    select,
-)
+from diagnosis.alone.selection import CLEAN_NOISES, RELEVANT_RATIO, select
 from diagnosis.alone.swing_problem import SwingProblem, make_problem
 from diagnosis.alone.verdict import StageNames, diagnosis_of
 from diagnosis.verdict import Diagnosis, Stage

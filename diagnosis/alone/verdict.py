@@ -7,12 +7,7 @@ from diagnosis.alone.held_out import held_out_shrink
 from diagnosis.alone.intervals import intervals
 from diagnosis.alone.limits import Limit, hidden_limits
 from diagnosis.alone.problem import Problem
-from diagnosis.alone.selection import (
-    SHAPE_EFFECTS,
-    Scored,
-    Selection,
-    describe,
-)
+from diagnosis.alone.selection import SHAPE_EFFECTS, Scored, Selection, describe
 from diagnosis.verdict import (
     Ambiguity,
     Cause,

@@ -5,12 +5,7 @@ from html import escape
 from pathlib import Path
 
 from diagnosis.evaluation.conditions import ConditionRow
-from diagnosis.evaluation.drawings import (
-    front_plot,
-    landing_plot,
-    range_plot,
-    spread_plot,
-)
+from diagnosis.evaluation.drawings import front_plot, landing_plot, range_plot, spread_plot
 from diagnosis.evaluation.goals import GOALS, Goal, goal_at, shortfalls
 from diagnosis.evaluation.measures import CONFIDENCE_RATIO, ModeEvaluation, TargetRow
 from diagnosis.evaluation.page_asked import asked_section

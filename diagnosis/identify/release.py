@@ -12,12 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from scipy.optimize import least_squares
 
-from diagnosis.identify.quantity import (
-    CONFIDENCE_RATIO,
-    Quantity,
-    mean_quantity,
-    unknown,
-)
+from diagnosis.identify.quantity import CONFIDENCE_RATIO, Quantity, mean_quantity, unknown
 from diagnosis.intervals import deviation_interval
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
 from diagnosis.loading.throw_data import ThrowData

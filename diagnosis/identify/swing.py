@@ -17,12 +17,7 @@ from scipy.signal import butter, filtfilt
 from diagnosis.identify.quantity import Quantity, mean_quantity, unknown
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
-from machine.conventions import (
-    CONTROL_PERIOD_S,
-    GRAVITY_M_PER_S2,
-    PASSIVE_JOINTS,
-    Array,
-)
+from machine.conventions import CONTROL_PERIOD_S, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
 from machine.kinematics import pin_in_plane
 from machine.spec import MachineSpec
 

@@ -4,10 +4,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, Final, cast
 
-from diagnosis.report.report_words import (
-    channel_words,
-    effect_words,
-)
+from diagnosis.report.report_words import channel_words, effect_words
 
 MAX_ITEMS_COUNT: Final = 60
 MAX_DEPTH_COUNT: Final = 5

@@ -19,11 +19,10 @@ import numpy as np
 from machine.errors import LogError
 from machine.messages import ImpactSurvey, MachineEvent
 from runtime.records.log_writer import LogWriter, StoredLog, publish_log, write_rows
-from runtime.records.throw_log import (
-    ThrowLog,
-)
+from runtime.records.throw_log import ThrowLog
 
 logger = logging.getLogger(__name__)
+
 SYNC_PERIOD_S: Final = 0.5
 """How often a growing file is forced to the disk: what a power cut may lose at most."""
 QUEUE_LENGTH: Final = 4000

@@ -16,13 +16,7 @@ from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked, unknown_levels
 from diagnosis.causes.shaped import with_shapes
-from diagnosis.causes.shapes import (
-    SHAPES,
-    UNHEARD,
-    shape_of,
-    unheard_groups,
-    unheard_names,
-)
+from diagnosis.causes.shapes import SHAPES, UNHEARD, shape_of, unheard_groups, unheard_names
 from diagnosis.causes.trials import no_effect, try_sets
 from diagnosis.causes.unheard import unheard_columns
 from diagnosis.causes.weighing import Trial

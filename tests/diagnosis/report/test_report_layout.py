@@ -10,7 +10,7 @@ from tests.chromium import CHROMIUM, FLAGS
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
 
 EVIDENCE = {
-    "throws_used": [f"throw-{number:04d}" for number in range(12)],
+    "throws_used": [f"challenge-5631-healthy-{number:04d}" for number in range(12)],
     "leftover_sd": {"the gripper's turning about its x axis": 0.2},
     "log_evidence": {
         "joint sensor latency of the dipper and valve dead band of the telescope drifting": 65573.1
