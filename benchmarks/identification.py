@@ -25,8 +25,8 @@ from machine.conventions import ACTIVE_JOINTS, Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
-from sim_twin.identify.motions import TestKind, motion_program
-from sim_twin.identify.recording import record_test
+from sim_twin.commissioning.motions import TestKind, motion_program
+from sim_twin.commissioning.recording import record_test
 from sim_twin.throws.plants import VIRTUAL, plant_calibration, plant_maker
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.virtual.body import build_body

@@ -12,10 +12,10 @@ from machine.registration import Registration
 from machine.spec import load_spec
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.identify.excite import RESPONSE_COPY_COUNT, identify_profile
-from sim_twin.identify.register import register_machine, registration_throw_count
-from sim_twin.identify.response_fit import ResponseFit
+from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.commissioning.registration_throws import register_machine, registration_throw_count
+from sim_twin.commissioning.response_fit import ResponseFit
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.throws.plants import PlantMaker, plant_maker
 from sim_twin.twin.profile import save_profile
 

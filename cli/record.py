@@ -12,8 +12,8 @@ from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
-from sim_twin.identify.motions import TestKind, motion_program
-from sim_twin.identify.recording import record_test
+from sim_twin.commissioning.motions import TestKind, motion_program
+from sim_twin.commissioning.recording import record_test
 from sim_twin.throws.accuracy import outcome_counts
 from sim_twin.throws.campaign import ThrowResult, run_throws
 from sim_twin.throws.plants import TWIN, VIRTUAL, plant_profile

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from cli.campaigns import Campaign, CampaignOptions, open_with
 from machine.errors import UsageError
 from machine.policy_card import load_card
-from sim_twin.identify.register import register_machine, registration_throw_count
+from sim_twin.commissioning.registration_throws import register_machine, registration_throw_count
 from sim_twin.throws.plants import TWIN
 
 

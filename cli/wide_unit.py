@@ -8,7 +8,7 @@ from cli.registration import registered
 from cli.side_by_side import side_by_side
 from diagnosis.evaluation.wide_unit import Widest, WideUnit, wide_unit
 from machine.spec import load_spec
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.throws.campaign import ThrowResult
 from sim_twin.virtual.properties import PROPERTIES, as_drawn
 from sim_twin.virtual.units import MachineUnit, make_unit

@@ -16,9 +16,9 @@ import numpy as np
 from machine.calibration import ValveCalibration
 from machine.conventions import Array
 from machine.spec import MachineSpec
-from sim_twin.identify import calibrate as calibrate_module
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.identify.excite import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.commissioning import valve_calibration as calibrate_module
+from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import TwinProfile
 from sim_twin.virtual.units import UNIT_HALF_WIDTH, MachineUnit, make_unit, nominal_unit
 from sim_twin.virtual.virtual_machine import Condition, VirtualMachine

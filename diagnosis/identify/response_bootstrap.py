@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from diagnosis.identify.drive_record import DriveRecord
 from diagnosis.identify.quantity import Quantity, unknown
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, IntArray
-from sim_twin.identify.response_fit import simulate_response
+from sim_twin.commissioning.response_fit import simulate_response
 
 NAMES = ("dead_time_s", "lag_s", "damping_ratio", "gain_ratio", "natural_frequency_rad_per_s")
 UNITS = ("s", "s", "1", "1", "rad/s")

@@ -14,8 +14,8 @@ from machine.calibration import ValveCalibration, load_calibration, nominal_cali
 from machine.errors import UsageError
 from machine.spec import MachineSpec
 from runtime.driver import SimulatedDriver
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.identify.excite import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 from sim_twin.twin.twin import Twin
 

@@ -41,7 +41,7 @@ class LogContext:
     pace_ratio: float = DEFAULT_PACE_RATIO
     """What the campaign throws with."""
     test: str = ""
-    """Kind of identification test (sim_twin.identify.motions); empty for throws."""
+    """Kind of identification test (sim_twin.commissioning.motions); empty for throws."""
 
 
 class CampaignRecorder:

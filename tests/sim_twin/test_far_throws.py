@@ -10,7 +10,7 @@ from machine.spec import load_spec
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.throws.campaign import Outcome, run_throws
 from sim_twin.virtual.virtual_machine import VirtualMachine
 

@@ -10,8 +10,8 @@ from machine.calibration import nominal_calibration
 from machine.conventions import Array, Mode
 from machine.spec import load_spec
 from runtime.control.control_loop import ControlParams
-from sim_twin.identify.motions import MotionProgram, TestKind, motion_program
-from sim_twin.identify.recording import record_test
+from sim_twin.commissioning.motions import MotionProgram, TestKind, motion_program
+from sim_twin.commissioning.recording import record_test
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.virtual.virtual_machine import VirtualMachine
 

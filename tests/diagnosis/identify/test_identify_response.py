@@ -12,7 +12,7 @@ from diagnosis.identify.plots import SHOWN_TICKS, _busiest
 from diagnosis.identify.response import identify_response
 from diagnosis.identify.response_bootstrap import fit, quantities, simulate
 from diagnosis.identify.training_ranges import training_ranges
-from sim_twin.identify.motions import motion_program
+from sim_twin.commissioning.motions import motion_program
 from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.identify.recorded_tests import SPEC, load, some
 

@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.identify.apply import extra_length, next_profile, swing_length, with_swing
 from diagnosis.identify.swing import FreeSwing, identify_swing, simulate_swing
-from sim_twin.identify.motions import motion_program
+from sim_twin.commissioning.motions import motion_program
 from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.identify.recorded_tests import SPEC, load, recorded, some
 

@@ -14,7 +14,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
-from sim_twin.identify.register import (
+from sim_twin.commissioning.registration_throws import (
     FLAT_THROW_COUNT,
     GROUND_THROW_COUNT,
     RAISED_THROW_COUNT,

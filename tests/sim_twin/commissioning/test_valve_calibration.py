@@ -9,7 +9,7 @@ from machine.errors import PlantError
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, _table, calibrate
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, _table, calibrate
 from sim_twin.virtual.virtual_machine import VirtualMachine
 
 SPEC = load_spec()

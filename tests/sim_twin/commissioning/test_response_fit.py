@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_twin.identify.response_fit import fit_response, simulate_response
+from sim_twin.commissioning.response_fit import fit_response, simulate_response
 
 
 def random_steps(rng, runs=6, ticks=400):

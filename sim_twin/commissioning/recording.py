@@ -13,7 +13,7 @@ from machine.telemetry import POLICY_ROW
 from runtime.control import control_loop
 from runtime.control.control_loop import ControlInputs, ControlParams
 from runtime.driver import SimulatedDriver, ValveCommand
-from sim_twin.identify.motions import MotionProgram
+from sim_twin.commissioning.motions import MotionProgram
 from sim_twin.throws.campaign import Outcome, ThrowResult, TickRecorder, throw_errors
 
 AFTER_OPENING_S = 2.5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from machine.registration import MAX_CORRECTION_M, TermKind
-from sim_twin.identify.registration_fit import Surveyed, register
+from sim_twin.commissioning.registration_fit import Surveyed, register
 
 KINDS = tuple(TermKind)
 SCATTER_M = 0.08

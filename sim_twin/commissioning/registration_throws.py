@@ -14,7 +14,7 @@ from machine.spec import MachineSpec
 from machine.starts import safe_pose, sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
-from sim_twin.identify.registration_fit import Surveyed, register
+from sim_twin.commissioning.registration_fit import Surveyed, register
 from sim_twin.throws.campaign import Outcome, run_throws
 from sim_twin.throws.throw_start import scattered_starts
 from sim_twin.twin.profile import nominal_profile

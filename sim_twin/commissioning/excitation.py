@@ -18,7 +18,7 @@ from machine.conventions import (
 from machine.kinematics import hanging_pitch_rad
 from machine.spec import MachineSpec
 from runtime.driver import SimulatedDriver, ValveCommand
-from sim_twin.identify.response_fit import ResponseFit, fit_response
+from sim_twin.commissioning.response_fit import ResponseFit, fit_response
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 
 RESPONSE_COPY_COUNT = 24

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from machine.spec import load_spec
-from sim_twin.identify.calibrate import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.identify.excite import identify_profile, record_valve_response
-from sim_twin.identify.response_fit import simulate_response
+from sim_twin.commissioning.excitation import identify_profile, record_valve_response
+from sim_twin.commissioning.response_fit import simulate_response
+from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.virtual_machine import VirtualMachine
 
