@@ -19,11 +19,11 @@ import numpy as np
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS
 from machine.spec import load_spec
-from runtime.control.control_core import Fixed, MachineControl
-from runtime.process.clock import LATE_TICK_NS, RealTimeClock, Ticker
+from runtime.control.machine_control import MachineControl, MachineSetup
 from runtime.process.driver_loader import load_driver
 from runtime.process.ipc import Kind, PacketSocket, pack_rows, packet_pair
-from runtime.process.real_time import GarbageRest, become_real_time
+from runtime.process.real_time import IdleGarbageCollector, become_real_time
+from runtime.process.ticker import LATE_TICK_NS, RealTimeClock, Ticker
 
 HOG = "while True:\n    sum(range(10000))\n"
 
@@ -35,11 +35,11 @@ def worker(driver_name: str, ticks: int, is_real_time: bool) -> dict[str, float]
     spec = load_spec()
     driver = load_driver(driver_name, {}, 0)
     control = MachineControl(
-        driver, Fixed("m001", "benchmark", spec, nominal_calibration(spec), {}, "benchmark")
+        driver, MachineSetup("m001", "benchmark", spec, nominal_calibration(spec), {}, "benchmark")
     )
     mine, theirs = packet_pair()
     port, other = PacketSocket(mine), PacketSocket(theirs)
-    GarbageRest()
+    IdleGarbageCollector()
     start_ns = driver.now_ns()
     for period in range(1, 101):
         control.tick(start_ns + period * CONTROL_PERIOD_NS, [])

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from machine.errors import UsageError
 from runtime.process.machine_process import run_machine
-from runtime.process.settings import MachineSettings
+from runtime.process.machine_settings import MachineSettings
 
 VIRTUAL_DRIVER = "sim_twin.virtual.virtual_machine:VirtualMachine"
 

@@ -225,7 +225,7 @@ def _sense(
 def _aim(
     params: ControlParams, state: ControlState, inputs: ControlInputs, sensed: _Sensed
 ) -> Array:
-    """What the policies are told to hit (N, 3), settled when a motion begins: it hangs on where that is."""
+    """Aim points of the policies (N, 3), fixed when a motion begins: they depend on the slew angle."""
     if not sensed.any_begins:
         return state.aim_m
     aim_m = params.aim(inputs.target_m, sensed.position[:, 0])

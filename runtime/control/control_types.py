@@ -52,7 +52,7 @@ class ControlParams:
             )
 
     def aim(self, target_m: Array, slew_rad: Array) -> Array:
-        """What the policy is told to hit (N, 3): the target, corrected by the machine's registration.
+        """Aim point of the policy (N, 3): the target, corrected by the machine's registration.
 
         Args:
             target_m: (N, 3) frame `machine`.
@@ -118,7 +118,7 @@ class ControlState:
     motion: IntArray
     motion_tick_count: IntArray
     aim_m: Array
-    """(N, 3) what the policy is told to hit, since the present motion began."""
+    """(N, 3) aim point of the policy, fixed when the present motion began."""
     speed_rad_m_per_s: Array
     """(N, 4) filtered."""
     imu: ImuState

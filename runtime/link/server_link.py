@@ -25,7 +25,7 @@ CLOSE_TIMEOUT_S: Final = 3.0
 
 
 class LinkListener(Protocol):
-    """Who is told what came in; called on Zenoh's threads, must return at once."""
+    """Receives what came in. Called on Zenoh's threads; must return at once."""
 
     def command(self, payload: bytes, slot: "ReplySlot") -> None:
         """A command; answer through the slot, from any thread but this one."""

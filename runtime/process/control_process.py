@@ -19,11 +19,9 @@ from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.errors import DownrangeError, PolicyError
 from machine.messages import Command, OperatorHeartbeat, ThrowState
 from machine.spec import load_spec
-from runtime.control.control_core import Fixed, MachineControl, TickReport
+from runtime.control.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.control.policy import PolicyRunner, find_policy
-from runtime.process.clock import Clock, RealTimeClock, Ticker
 from runtime.process.driver_loader import load_driver
-from runtime.process.guardian import Guardian
 from runtime.process.ipc import (
     TICK_ROW,
     TICK_TAGS,
@@ -33,11 +31,13 @@ from runtime.process.ipc import (
     PeerGoneError,
     pack_rows,
 )
-from runtime.process.real_time import GarbageRest, become_real_time
-from runtime.process.settings import MachineSettings
+from runtime.process.machine_settings import MachineSettings
+from runtime.process.real_time import IdleGarbageCollector, become_real_time
+from runtime.process.supervisor_connection import SupervisorConnection
+from runtime.process.ticker import Clock, RealTimeClock, Ticker
 from runtime.records.outbox import utc_now
 from runtime.software import software_version
-from runtime.throw.model import Event, LinkLost
+from runtime.throw.protocol import LinkLost, ThrowEvent
 from runtime.throw.states import Message
 
 logger = logging.getLogger(__name__)
@@ -59,9 +59,11 @@ _STATE_CODES: Final = {state: code for code, state in enumerate(ThrowState)}
 class ControlProcess:
     """The loop; everything in one thread."""
 
-    def __init__(self, control: MachineControl, guardian: Guardian, clock: Clock) -> None:
+    def __init__(
+        self, control: MachineControl, supervisor: SupervisorConnection, clock: Clock
+    ) -> None:
         self._control = control
-        self._guardian = guardian
+        self._supervisor = supervisor
         self._clock = clock
         self._port: PacketSocket | None = None
         self._has_memory = False
@@ -81,14 +83,14 @@ class ControlProcess:
             self._control.close()
 
     def _loop(self) -> None:
-        rest = GarbageRest()
+        rest = IdleGarbageCollector()
         ticker = Ticker(self._clock, CONTROL_PERIOD_NS)
         start_ns = self._control.driver.now_ns()
         closing_ticks = 0
         while closing_ticks < CLOSING_LIMIT_TICKS:
             tick = ticker.next()
             messages = self._messages()
-            if self._guardian.is_gone:
+            if self._supervisor.is_gone:
                 if closing_ticks == 0:
                     messages.append((0, LinkLost()))
                 elif self._control.is_waiting:
@@ -98,14 +100,14 @@ class ControlProcess:
             report = self._control.tick(due_ns, messages, tick.skipped_count)
             self._send(report, tick.period_count)
             if tick.period_count % STATUS_DECIMATION == 0:
-                self._control.around.late_tick_ratio = ticker.lateness.late_tick_ratio
+                self._control.host.late_tick_ratio = ticker.lateness.late_tick_ratio
                 if self._control.is_waiting:
                     rest.collect()
 
     # In -------------------------------------------------------------------------------------------
 
     def _messages(self) -> list[tuple[int, Message]]:
-        new_port = self._guardian.poll()
+        new_port = self._supervisor.poll()
         messages: list[tuple[int, Message]] = []
         if new_port is not None:
             self._connect(PacketSocket(new_port))
@@ -143,9 +145,9 @@ class ControlProcess:
             logger.error("a packet of the link process cannot be read: %s", error)
 
     def _take_link(self, body: dict[str, Any], messages: list[tuple[int, Message]]) -> None:
-        around = self._control.around
-        around.outbox_count = int(body["outbox_count"])
-        around.recorder_dropped_count = int(body["recorder_dropped_count"])
+        host = self._control.host
+        host.outbox_count = int(body["outbox_count"])
+        host.recorder_dropped_count = int(body["recorder_dropped_count"])
         if self._is_connected and not body["is_connected"]:
             messages.append((0, LinkLost()))
         self._is_connected = bool(body["is_connected"])
@@ -205,7 +207,7 @@ class ControlProcess:
             # Noticed again, with its consequences, when the next tick reads.
             return
 
-    def _keep(self, event: Event) -> None:
+    def _keep(self, event: ThrowEvent) -> None:
         self._event_number += 1
         body = json.dumps(
             {
@@ -272,26 +274,28 @@ def build_control(settings: MachineSettings) -> MachineControl:
         else calibration.load_calibration(settings.calibration_file)
     )
     driver = load_driver(settings.driver, settings.driver_options, settings.unit_seed_count)
-    fixed = Fixed(settings.machine_id, uuid.uuid4().hex, spec, tables, policies, software_version())
+    fixed = MachineSetup(
+        settings.machine_id, uuid.uuid4().hex, spec, tables, policies, software_version()
+    )
     return MachineControl(driver, fixed)
 
 
 def main(argument: str) -> int:
     """Entry of the process; `argument` is the number of the supervisor's socket."""
     logging.basicConfig(level=logging.INFO, format="control: %(levelname)s %(message)s")
-    guardian = Guardian.from_argument(argument)
+    supervisor = SupervisorConnection.from_argument(argument)
     try:
-        settings = MachineSettings.model_validate(guardian.settings())
+        settings = MachineSettings.model_validate(supervisor.settings())
         if settings.is_real_time:
             become_real_time()
         control = build_control(settings)
     except EOFError:
         return 0
     except DownrangeError as error:
-        guardian.tell(error=str(error))
+        supervisor.tell(error=str(error))
         return 1
-    guardian.tell(is_ready=True)
-    ControlProcess(control, guardian, RealTimeClock()).run()
+    supervisor.tell(is_ready=True)
+    ControlProcess(control, supervisor, RealTimeClock()).run()
     return 0
 
 

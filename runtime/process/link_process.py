@@ -24,10 +24,9 @@ from machine.messages import (
     StopRequest,
     ThrowState,
 )
-from runtime.link.command_desk import COMMANDS, CommandDesk
+from runtime.link.command_inbox import COMMANDS, CommandInbox
 from runtime.link.server_link import ReplySlot, ServerLink
 from runtime.link.zenoh_config import client_config
-from runtime.process.guardian import Guardian
 from runtime.process.ipc import (
     TICK_DTYPES,
     TICK_TAGS,
@@ -37,8 +36,9 @@ from runtime.process.ipc import (
     PeerGoneError,
     unpack_rows,
 )
-from runtime.process.settings import MachineSettings
-from runtime.records.event_pump import EventPump
+from runtime.process.machine_settings import MachineSettings
+from runtime.process.supervisor_connection import SupervisorConnection
+from runtime.records.event_sender import EventSender
 from runtime.records.journal import Journal
 from runtime.records.log_upload import LogUploader, UploadTarget
 from runtime.records.outbox import EventDraft, Outbox, OutboxError, utc_now
@@ -59,9 +59,11 @@ _STATES: Final = list(ThrowState)
 class LinkProcess:
     """Main thread: the socket to control. Others: Zenoh's, commands, events, recorder, uploads."""
 
-    def __init__(self, settings: MachineSettings, guardian: Guardian, stack: ExitStack) -> None:
+    def __init__(
+        self, settings: MachineSettings, supervisor: SupervisorConnection, stack: ExitStack
+    ) -> None:
         self._settings = settings
-        self._guardian = guardian
+        self._supervisor = supervisor
         self._outbox = Outbox(settings.database_file, settings.machine_id)
         stack.callback(self._outbox.close)
         self._journal = Journal(self._outbox)
@@ -81,15 +83,15 @@ class LinkProcess:
         if self._uploader is not None:
             stack.callback(self._uploader.close)
             self._uploader.start()
-        self._desk = CommandDesk(settings.machine_id, self._journal, self._send)
-        stack.callback(self._desk.close)
+        self._inbox = CommandInbox(settings.machine_id, self._journal, self._send)
+        stack.callback(self._inbox.close)
         self._link = ServerLink(settings.site, settings.machine_id, self._config, self)
-        self._pump = EventPump(self._outbox, self._link.ask_events)
+        self._sender = EventSender(self._outbox, self._link.ask_events)
         if settings.connect:
             stack.callback(self._link.close)
             self._link.start()
-            stack.callback(self._pump.close)
-            self._pump.start()
+            stack.callback(self._sender.close)
+            self._sender.start()
 
     def _config(self) -> zenoh.Config:
         settings = self._settings
@@ -106,14 +108,14 @@ class LinkProcess:
     def run(self) -> None:
         """Until the supervisor leaves and control has ended."""
         with selectors.DefaultSelector() as selector:
-            selector.register(self._guardian, selectors.EVENT_READ)
-            while not (self._guardian.is_gone and self._port is None):
+            selector.register(self._supervisor, selectors.EVENT_READ)
+            while not (self._supervisor.is_gone and self._port is None):
                 events = selector.select(BEAT_S)
-                if self._guardian.is_gone:
+                if self._supervisor.is_gone:
                     # A socket that has ended is readable for ever.
-                    if any(key.fileobj is self._guardian for key, _ in events):
-                        selector.unregister(self._guardian)
-                elif (new_port := self._guardian.poll()) is not None:
+                    if any(key.fileobj is self._supervisor for key, _ in events):
+                        selector.unregister(self._supervisor)
+                elif (new_port := self._supervisor.poll()) is not None:
                     self._connect(PacketSocket(new_port), selector)
                 self._read(selector)
                 if time.monotonic() - self._beat_s >= BEAT_S:
@@ -135,7 +137,7 @@ class LinkProcess:
             selector.unregister(self._port)
             self._port.close()
         self._port = None
-        self._desk.give_up()
+        self._inbox.give_up()
 
     def _read(self, selector: selectors.BaseSelector) -> None:
         port = self._port
@@ -147,7 +149,7 @@ class LinkProcess:
                 self._take_guarded(packet)
         except PeerGoneError:
             self._disconnect(selector)
-            if not self._guardian.is_gone:
+            if not self._supervisor.is_gone:
                 self._control_died()
 
     def _send(self, kind: Kind, body: dict[str, Any]) -> bool:
@@ -163,7 +165,7 @@ class LinkProcess:
     def _hand_over_last_events(self) -> None:
         end_s = time.monotonic() + LAST_EVENTS_S
         while self._link.is_connected and self._outbox.count() and time.monotonic() < end_s:
-            self._pump.wake()
+            self._sender.wake()
             time.sleep(0.02)
 
     # From control ---------------------------------------------------------------------------------
@@ -188,7 +190,7 @@ class LinkProcess:
         elif packet.kind is Kind.REPLY:
             body = packet.json
             reply = CommandReply.model_validate(body["reply"])
-            self._desk.take_reply(int(body["request"]), reply)
+            self._inbox.take_reply(int(body["request"]), reply)
         elif packet.kind is Kind.LOG_BEGIN:
             context = packet.json
             self._records.begin(context["throw_id"], context)
@@ -212,7 +214,7 @@ class LinkProcess:
         for throw_id in interrupted:
             logger.warning("throw %s was interrupted by a restart", throw_id)
         self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
-        self._pump.wake()
+        self._sender.wake()
 
     def _take_event(self, body: dict[str, Any]) -> None:
         state = self._state
@@ -230,7 +232,7 @@ class LinkProcess:
         self._send(Kind.EVENT_ACK, {"number": body["number"]})
         if event is None:
             return
-        self._pump.wake()
+        self._sender.wake()
         self._records.add_event(event)
         if event.kind is EventKind.IMPACT:
             t_ns = int(event.data["t_mono_ns"])
@@ -268,7 +270,7 @@ class LinkProcess:
             self._outbox.add(state.boot_id, draft)
         except OutboxError as error:
             logger.error("%s", error)
-        self._pump.wake()
+        self._sender.wake()
 
     # To the server --------------------------------------------------------------------------------
 
@@ -304,7 +306,7 @@ class LinkProcess:
 
     def _beat(self) -> None:
         self._beat_s = time.monotonic()
-        self._desk.give_up(age_s=5.0)
+        self._inbox.give_up(age_s=5.0)
         body = {
             "is_connected": self._link.is_connected,
             "outbox_count": self._outbox.count(),
@@ -319,7 +321,7 @@ class LinkProcess:
             self._publish_state(state)
 
     def _log_stored(self) -> None:
-        self._pump.wake()
+        self._sender.wake()
         if self._uploader is not None:
             self._uploader.wake()
 
@@ -327,7 +329,7 @@ class LinkProcess:
 
     def command(self, payload: bytes, slot: ReplySlot) -> None:
         """A command."""
-        self._desk.take(payload, slot)
+        self._inbox.take(payload, slot)
 
     def stop(self, payload: bytes) -> None:
         """A repeated STOP: nobody waits for an answer."""
@@ -352,17 +354,17 @@ class LinkProcess:
 def main(argument: str) -> int:
     """Entry of the process; `argument` is the number of the supervisor's socket."""
     logging.basicConfig(level=logging.INFO, format="link: %(levelname)s %(message)s")
-    guardian = Guardian.from_argument(argument)
+    supervisor = SupervisorConnection.from_argument(argument)
     try:
-        settings = MachineSettings.model_validate(guardian.settings())
+        settings = MachineSettings.model_validate(supervisor.settings())
         with ExitStack() as stack:
-            process = LinkProcess(settings, guardian, stack)
-            guardian.tell(is_ready=True)
+            process = LinkProcess(settings, supervisor, stack)
+            supervisor.tell(is_ready=True)
             process.run()
     except EOFError:
         return 0
     except (DownrangeError, OSError) as error:
-        guardian.tell(error=str(error))
+        supervisor.tell(error=str(error))
         return 1
     return 0
 

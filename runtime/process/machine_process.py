@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from machine.errors import DownrangeError, UsageError
-from runtime.process.guardian import MESSAGE_LIMIT_BYTES, hand_port
 from runtime.process.ipc import packet_pair
-from runtime.process.settings import MachineSettings
+from runtime.process.machine_settings import MachineSettings
+from runtime.process.supervisor_connection import MESSAGE_LIMIT_BYTES, hand_port
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class _Child:
     name: str
     module: str
     process: subprocess.Popen[bytes] | None = None
-    cord: socket.socket | None = None
+    connection: socket.socket | None = None
     started_s: float = 0.0
     delay_s: float = RESTART_MIN_S
     due_s: float = 0.0
@@ -57,9 +57,9 @@ class _Child:
         return self.process is not None and self.process.poll() is None
 
     def cut(self) -> None:
-        if self.cord is not None:
-            self.cord.close()
-            self.cord = None
+        if self.connection is not None:
+            self.connection.close()
+            self.connection = None
 
 
 class MachineProcess:
@@ -110,16 +110,16 @@ class MachineProcess:
             )
         mine.send(self._settings.model_dump_json().encode())
         mine.setblocking(False)
-        child.cord, child.started_s, child.is_ready = mine, time.monotonic(), False
+        child.connection, child.started_s, child.is_ready = mine, time.monotonic(), False
 
     def _join(self) -> None:
         """Give both children a new socket to each other."""
-        if self._control.cord is None or self._link.cord is None:
+        if self._control.connection is None or self._link.connection is None:
             return
         for_control, for_link = packet_pair()
         try:
-            hand_port(self._link.cord, for_link)
-            hand_port(self._control.cord, for_control)
+            hand_port(self._link.connection, for_link)
+            hand_port(self._control.connection, for_control)
         except OSError as error:
             # One of them is dying; the next look finds it dead, starts it and joins them again.
             logger.info("the processes could not be joined: %s", error)
@@ -191,10 +191,10 @@ def _take_lock(settings: MachineSettings) -> int:
 
 
 def _hear(child: _Child) -> dict[str, Any] | None:
-    if child.cord is None:
+    if child.connection is None:
         return None
     try:
-        data = child.cord.recv(MESSAGE_LIMIT_BYTES)
+        data = child.connection.recv(MESSAGE_LIMIT_BYTES)
     except BlockingIOError:
         return None
     except OSError:

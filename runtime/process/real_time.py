@@ -37,7 +37,7 @@ def become_real_time() -> list[str]:
     return refused
 
 
-class GarbageRest:
+class IdleGarbageCollector:
     """No garbage collection by itself; `collect` runs it when the machine rests."""
 
     def __init__(self) -> None:

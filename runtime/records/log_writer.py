@@ -70,7 +70,7 @@ class LogWriter:
         self._add("impact", t_mono_ns, t_mono_ns, impact_to_json(impact, t_mono_ns))
 
     def _add(self, name: str, log_ns: int, publish_ns: int, data: bytes) -> None:
-        # MCAP times are unsigned; a time before the clock's start cannot be told from the start.
+        # MCAP times are unsigned; a time before the clock's start becomes the start.
         self._writer.add_message(
             self._channels[name], max(log_ns, 0), data, max(publish_ns, 0), self.row_count[name]
         )

@@ -9,7 +9,7 @@ from machine.conventions import Motion
 from runtime.control import safety
 from runtime.control.control_loop import IMU_AGE_MAX_S, ControlOutputs, Violation
 from runtime.driver import SensorSample
-from runtime.throw.model import Facts
+from runtime.throw.protocol import Facts
 
 
 def with_control(

@@ -1,4 +1,4 @@
-"""How old a command can be, told by the machine's own clock, which the sender echoes as it last saw it.
+"""Age of a command by the machine's own clock: the sender echoes the machine time that it last saw.
 
 A link that stalls and heals delivers what it held, in order and without loss; neither epoch nor nonce tell
 such a fire from a fresh one. No clocks are compared: the echo is a time of this machine, of this boot.

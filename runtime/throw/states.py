@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from machine.conventions import Motion
 from machine.messages import Command, EventKind, OperatorHeartbeat, ThrowState
-from runtime.throw.commands import handle_command
-from runtime.throw.model import (
+from runtime.throw.command_rules import handle_command
+from runtime.throw.protocol import (
     ALIGN_TIMEOUT_S,
     BEFORE_COMMIT,
     COMMIT_TIMEOUT_S,
@@ -25,13 +25,13 @@ from runtime.throw.model import (
     RUNNING,
     SETTLE_TIMEOUT_S,
     Effects,
-    Event,
     Facts,
     LinkLost,
+    ThrowEvent,
     ThrowMachine,
     Tick,
 )
-from runtime.throw.moves import abort, disarm, end_throw, latch
+from runtime.throw.transitions import abort, disarm, end_throw, latch
 
 Message = Command | OperatorHeartbeat | Tick | LinkLost
 
@@ -64,7 +64,7 @@ def update(
 
 def _heartbeat(
     machine: ThrowMachine, beat: OperatorHeartbeat, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """A heartbeat counts only for the running throw, the current epoch, and once."""
     if (
         machine.state not in BEFORE_COMMIT
@@ -82,7 +82,7 @@ def _heartbeat(
 
 def _let_go(
     machine: ThrowMachine, reason: str, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if machine.state is ThrowState.ARMED:
         return disarm(machine, reason, now_ns)
     if machine.state in BEFORE_COMMIT:
@@ -92,7 +92,7 @@ def _let_go(
 
 def _passing_time(
     machine: ThrowMachine, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if facts.emergency_stop and machine.state is not ThrowState.STOPPED:
         return latch(machine, ThrowState.STOPPED, "the emergency stop is pressed", now_ns)
     if machine.state in RUNNING:
@@ -106,7 +106,7 @@ def _passing_time(
 
 def _armed(
     machine: ThrowMachine, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """An armed machine only waits; whatever speaks against the throw disarms it."""
     if _past(machine.since_ns, NONCE_VALID_S, now_ns):
         machine = replace(machine, expired_nonce=machine.nonce)
@@ -119,7 +119,7 @@ def _armed(
 
 def _running(
     machine: ThrowMachine, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if machine.state is ThrowState.COMMITTED:
         return _committed(machine, facts, now_ns)
     if machine.state is ThrowState.SETTLING:
@@ -128,13 +128,13 @@ def _running(
     if machine.state is ThrowState.THROWING and (
         facts.motion is Motion.THROW and facts.release_commanded
     ):
-        event = Event(EventKind.RELEASE_COMMANDED, machine.throw_id, _plan_id(machine))
+        event = ThrowEvent(EventKind.RELEASE_COMMANDED, machine.throw_id, _plan_id(machine))
         return machine.enter(ThrowState.COMMITTED, now_ns, released_ns=now_ns), (event,)
     reason = _why_abort(machine, facts, now_ns)
     if reason:
         return abort(machine, reason, now_ns)
     if machine.state is ThrowState.ALIGNING and facts.motion is Motion.ALIGN and facts.aligned:
-        event = Event(EventKind.THROW_STARTED, machine.throw_id, _plan_id(machine))
+        event = ThrowEvent(EventKind.THROW_STARTED, machine.throw_id, _plan_id(machine))
         return machine.enter(ThrowState.THROWING, now_ns, started_ns=now_ns), (event,)
     return machine, ()
 
@@ -166,12 +166,12 @@ def _why_abort(machine: ThrowMachine, facts: Facts, now_ns: int) -> str:
 
 def _committed(
     machine: ThrowMachine, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if facts.motion is Motion.THROW and facts.throw_done:
         fault = (
             ""
             if facts.load_gone
-            else "the gripper was told to open, but its switch still sees a load"
+            else "the gripper was commanded to open, but its switch still sees a load"
         )
     elif _past(machine.since_ns, COMMIT_TIMEOUT_S, now_ns):
         fault = f"the control step did not end the throw within {COMMIT_TIMEOUT_S:.0f} s"
@@ -182,7 +182,7 @@ def _committed(
 
 def _settling(
     machine: ThrowMachine, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if machine.end_reason:
         done = _past(machine.since_ns, HOLD_AFTER_ABORT_S, now_ns)
     else:

@@ -14,7 +14,7 @@ from machine.messages import EventKind, ImpactSurvey
 from machine.spec import MachineSpec
 from machine.telemetry import BALL_ROW, IMU_ROW
 from runtime.driver import SensorSample
-from runtime.throw.model import Event
+from runtime.throw.protocol import ThrowEvent
 
 IMPACT_WAIT_NS: Final = 3_000_000_000
 """A load still in the air when the throw has ended lands within this; the log waits for it."""
@@ -50,7 +50,7 @@ class ThrowTracker:
         """The throw whose log is open."""
         return self._throw.throw_id if self._is_logging and self._throw is not None else None
 
-    def enrich(self, event: Event, tick_count: int, now_ns: int) -> Event:
+    def enrich(self, event: ThrowEvent, tick_count: int, now_ns: int) -> ThrowEvent:
         """Note an event of the throw protocol; returns it with what is known about the release."""
         if event.kind is EventKind.THROW_ACCEPTED and event.throw_id is not None:
             self._throw = _Throw(event.throw_id, event.plan_id, tick_count)
@@ -66,7 +66,7 @@ class ThrowTracker:
         self._throw = replace(throw, result=data, ended_ns=now_ns)
         return replace(event, data=data)
 
-    def watch(self, row: np.void, load_gone: bool, sample: SensorSample) -> Event | None:
+    def watch(self, row: np.void, load_gone: bool, sample: SensorSample) -> ThrowEvent | None:
         """One tick; returns an impact, once.
 
         Args:
@@ -89,7 +89,7 @@ class ThrowTracker:
             )
         return self._impact(sample)
 
-    def _impact(self, sample: SensorSample) -> Event | None:
+    def _impact(self, sample: SensorSample) -> ThrowEvent | None:
         t_ns = int(sample.impact_t_mono_ns[0])
         if t_ns == self._impact_ns:
             return None
@@ -103,7 +103,7 @@ class ThrowTracker:
             position_m=(x, y, z), sd_m=float(sample.impact_sd_m[0]), source="survey"
         )
         data = {**survey.model_dump(mode="json"), "t_mono_ns": t_ns}
-        return Event(EventKind.IMPACT, throw.throw_id, throw.plan_id, data)
+        return ThrowEvent(EventKind.IMPACT, throw.throw_id, throw.plan_id, data)
 
     def rows(self, control: NDArray[np.void], sample: SensorSample) -> dict[str, NDArray[np.void]]:
         """Rows of this tick for the log, by channel; `control` gets the throw's own tick numbers."""

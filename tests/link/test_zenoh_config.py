@@ -52,7 +52,7 @@ def key(machine_id: str, name: str) -> str:
 def listen(session: zenoh.Session, name: str, seen: list[str]) -> None:
     """Every machine's channel by its own key, as the server does.
 
-    A wildcard is not told to machines, whose rules cover their own keys only; what they put is kept back
+    A wildcard is not announced to machines, whose rules cover their own keys only; what they put is kept back
     as soon as they know that nobody listens. On a busy computer that is before their first put.
     """
     for machine_id in ("m001", "m002"):

@@ -17,9 +17,9 @@ from machine.messages import (
     ThrowPlan,
 )
 from machine.spec import load_spec
-from runtime.control.control_core import Fixed, MachineControl, TickReport
+from runtime.control.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.control.policy import PolicyRunner, find_policy
-from runtime.throw.model import Event
+from runtime.throw.protocol import ThrowEvent
 from tests.runtime.fake_driver import FakeDriver
 
 SPEC = load_spec()
@@ -33,7 +33,7 @@ class Bench:
     def __init__(self, policies: Path, driver: Any = None) -> None:
         self.driver = FakeDriver() if driver is None else driver
         self.runners = {mode: PolicyRunner(find_policy(policies, mode), SPEC) for mode in Mode}
-        fixed = Fixed("m001", "boot", SPEC, nominal_calibration(SPEC), self.runners, "test")
+        fixed = MachineSetup("m001", "boot", SPEC, nominal_calibration(SPEC), self.runners, "test")
         self.control = MachineControl(self.driver, fixed)
         self.reports: list[TickReport] = []
         self._start_ns = self.driver.now_ns()
@@ -57,7 +57,7 @@ class Bench:
         return reply
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> list[ThrowEvent]:
         return [event for report in self.reports for event in report.events]
 
     @property

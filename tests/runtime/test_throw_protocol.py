@@ -8,8 +8,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from machine.conventions import Motion
 from machine.messages import OperatorHeartbeat, ThrowState
-from runtime.throw.model import LinkLost, ThrowMachine
-from tests.runtime.protocol import FACTS, Bench, plan
+from runtime.throw.protocol import LinkLost, ThrowMachine
+from tests.runtime.protocol_bench import FACTS, Bench, plan
 
 S = ThrowState
 IDS = st.sampled_from(["t1", "t2", "t3"])

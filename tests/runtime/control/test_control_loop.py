@@ -27,7 +27,7 @@ def params(mode=Mode.PLANAR, policy=None):
 
 
 class Scripted:
-    """Steady action; the machine is asked to release when told to."""
+    """Steady action; the last action asks for the release."""
 
     action_scale_rad_m_per_s = np.array([0.5, 0.7, 0.5])
     is_paced = False
@@ -42,7 +42,7 @@ class Scripted:
 
 
 class Loop:
-    """Machines whose sensors say what they are told."""
+    """Machines whose sensors give the chosen values."""
 
     def __init__(self, count=1, policy=None, mode=Mode.PLANAR, target=TARGET):
         self.params = params(mode, policy)

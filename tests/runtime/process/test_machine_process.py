@@ -13,7 +13,7 @@ import cli.machine
 from machine.errors import UsageError
 from runtime.process import machine_process
 from runtime.process.machine_process import MachineProcess
-from runtime.process.settings import MachineSettings
+from runtime.process.machine_settings import MachineSettings
 
 ROOT = Path(__file__).parents[3]
 

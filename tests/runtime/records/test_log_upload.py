@@ -17,7 +17,7 @@ from runtime.records.recorder import log_path
 
 
 class Server(ThreadingHTTPServer):
-    """Answers PUTs with the statuses it is told, 204 by default."""
+    """Answers PUTs with the given statuses, 204 by default."""
 
     daemon_threads = True
 

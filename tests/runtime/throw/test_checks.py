@@ -8,7 +8,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.throw import checks
 from runtime.throw.checks import CheckInputs, run_checks
-from tests.runtime.protocol import card
+from tests.runtime.protocol_bench import card
 
 SPEC = load_spec()
 GOOD = CheckInputs(

@@ -1,4 +1,4 @@
-"""Old commands are told by the machine's own clock."""
+"""Old commands are recognised by the machine's own clock."""
 
 import pytest
 

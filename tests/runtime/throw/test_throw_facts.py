@@ -9,7 +9,7 @@ from machine.spec import load_spec
 from runtime.control import control_loop, safety
 from runtime.control.control_loop import ControlInputs, ControlParams, Violation
 from runtime.throw.facts import abort_reason, fault_reason, with_control
-from tests.runtime.protocol import FACTS
+from tests.runtime.protocol_bench import FACTS
 from tests.runtime.samples import NOW_NS, at_rest
 
 SPEC = load_spec()
@@ -56,7 +56,7 @@ def test_the_facts_are_those_of_the_machine_asked_for():
 def test_what_aborts(bit):
     words = {Violation.SWING: "swung", Violation.IMU: "IMU", Violation.POLICY: "policy"}
     reason = abort_reason(int(bit), 1.35)
-    # The gate has closed the valves itself; what that means is told by its own bits.
+    # The gate has closed the valves itself; its own bits say why.
     assert (words[bit] in reason) if bit in words else reason == ""
 
 

@@ -4,8 +4,8 @@ import pytest
 
 from machine.conventions import Motion
 from machine.messages import CheckResult, ThrowState
-from runtime.throw.model import LinkLost
-from tests.runtime.protocol import Bench
+from runtime.throw.protocol import LinkLost
+from tests.runtime.protocol_bench import Bench
 
 S = ThrowState
 EVERY = list(ThrowState)

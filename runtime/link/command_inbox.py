@@ -47,7 +47,7 @@ class _Pending:
     """This fire wrote its throw down; a repeat of it did not, and may not take it back."""
 
 
-class CommandDesk:
+class CommandInbox:
     """One thread for the disk; STOP passes it by."""
 
     def __init__(self, machine_id: str, journal: Journal, send: Send) -> None:

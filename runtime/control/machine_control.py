@@ -42,12 +42,12 @@ from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
 from runtime.throw.freshness import why_stale
-from runtime.throw.model import (
+from runtime.throw.protocol import (
     RUNNING,
     WAITING,
     Effects,
-    Event,
     Facts,
+    ThrowEvent,
     ThrowMachine,
     Tick,
     find_reply,
@@ -64,7 +64,7 @@ _CLOSED: Final = ValveCommand(np.zeros((1, ACTIVE_COUNT)), np.zeros(1, dtype=np.
 
 
 @dataclass(frozen=True, slots=True)
-class Fixed:
+class MachineSetup:
     """What the machine is; constant from boot to boot."""
 
     machine_id: str
@@ -76,7 +76,7 @@ class Fixed:
 
 
 @dataclass(slots=True)
-class Surroundings:
+class HostStatus:
     """What others say about the machine's computer; shown, and looked at by the arming checks."""
 
     late_tick_ratio: float = 0.0
@@ -90,7 +90,7 @@ class TickReport:
 
     replies: list[tuple[int, CommandReply]] = field(default_factory=list[tuple[int, CommandReply]])
     """(request number, answer)"""
-    events: list[Event] = field(default_factory=list[Event])
+    events: list[ThrowEvent] = field(default_factory=list[ThrowEvent])
     """In order; to be stored before the replies are sent."""
     log_begins: dict[str, Any] | None = None
     """Context of a log that starts with this tick's rows."""
@@ -103,13 +103,13 @@ class TickReport:
 class MachineControl:
     """Runs one machine; every call from one thread."""
 
-    def __init__(self, driver: Driver, fixed: Fixed) -> None:
+    def __init__(self, driver: Driver, setup: MachineSetup) -> None:
         self.driver = driver
-        self.fixed = fixed
-        self.around = Surroundings()
-        self.throw = ThrowMachine(fixed.machine_id)
+        self.setup = setup
+        self.host = HostStatus()
+        self.throw = ThrowMachine(setup.machine_id)
         self._params = {
-            mode: ControlParams(fixed.spec, fixed.calibration, mode, fixed.policies.get(mode))
+            mode: ControlParams(setup.spec, setup.calibration, mode, setup.policies.get(mode))
             for mode in Mode
         }
         self._mode = Mode.PLANAR
@@ -126,7 +126,7 @@ class MachineControl:
         self._abort_reason = ""
         self._fault_reason = ""
         self._nonce = secrets.token_hex(16)
-        self._tracker = ThrowTracker(fixed.spec, self._sample)
+        self._tracker = ThrowTracker(setup.spec, self._sample)
 
     def remember(self, epoch_count: int, throw_ids: tuple[str, ...]) -> None:
         """Take over what earlier boots left: the epoch, and throws that must never run again."""
@@ -134,7 +134,7 @@ class MachineControl:
         for throw_id in throw_ids:
             reply = CommandReply(
                 command_id="",
-                machine_id=self.fixed.machine_id,
+                machine_id=self.setup.machine_id,
                 accepted=True,
                 state=ThrowState.DISARMED,
                 epoch_count=epoch_count,
@@ -223,7 +223,7 @@ class MachineControl:
         reason = RejectReason.NONCE_EXPIRED
         reply = CommandReply(
             command_id=fire.command_id,
-            machine_id=self.fixed.machine_id,
+            machine_id=self.setup.machine_id,
             accepted=False,
             state=self.throw.state,
             epoch_count=self.throw.epoch_count,
@@ -233,7 +233,7 @@ class MachineControl:
         )
         report.replies.append((request, reply))
         data = {"command": fire.kind, "issuer": fire.issuer, "reason": reason, "detail": detail}
-        report.events.append(Event(EventKind.COMMAND_REFUSED, data=data))
+        report.events.append(ThrowEvent(EventKind.COMMAND_REFUSED, data=data))
 
     def _take_plan(self) -> None:
         plan = self.throw.plan
@@ -275,10 +275,10 @@ class MachineControl:
     def _facts(self) -> Facts:
         if self._tick_count % CHECK_PERIOD_TICKS == 0:
             self._checks = self._run_checks()
-        sample, fixed = self._sample, self.fixed
+        sample, setup = self._sample, self.setup
         facts = Facts(
-            model_sha256=fixed.spec.sha256,
-            cards={mode: runner.card for mode, runner in fixed.policies.items()},
+            model_sha256=setup.spec.sha256,
+            cards={mode: runner.card for mode, runner in setup.policies.items()},
             checks=self._checks,
             payload_held=bool(sample.payload_held[0]),
             local_enable=bool(sample.local_enable[0]),
@@ -286,7 +286,7 @@ class MachineControl:
             fresh_nonce=self._nonce,
         )
         if self._outputs is not None:
-            facts = with_control(facts, self._outputs, sample, fixed.spec.limits.swing_rad)
+            facts = with_control(facts, self._outputs, sample, setup.spec.limits.swing_rad)
         return replace(
             facts,
             abort_reason=facts.abort_reason or self._abort_reason,
@@ -294,7 +294,7 @@ class MachineControl:
         )
 
     def _run_checks(self) -> tuple[CheckResult, ...]:
-        fixed, sample, now_ns = self.fixed, self._sample, self._now_ns
+        setup, sample, now_ns = self.setup, self._sample, self._now_ns
         position, velocity = self._estimate()
         imu = ImuEstimate(
             position[None, 1] + position[None, 2] + position[None, 4],
@@ -306,10 +306,10 @@ class MachineControl:
         imu_ns = int(sample.imu_t_mono_ns[0])
         return run_checks(
             CheckInputs(
-                spec=fixed.spec,
-                cards={mode: runner.card for mode, runner in fixed.policies.items()},
-                calibration_machine_id=fixed.calibration.machine_id,
-                machine_id=fixed.machine_id,
+                spec=setup.spec,
+                cards={mode: runner.card for mode, runner in setup.policies.items()},
+                calibration_machine_id=setup.calibration.machine_id,
+                machine_id=setup.machine_id,
                 local_enable=bool(sample.local_enable[0]),
                 emergency_stop=bool(sample.emergency_stop[0]),
                 payload_held=bool(sample.payload_held[0]),
@@ -317,11 +317,11 @@ class MachineControl:
                 imu_age_s=(now_ns - imu_ns) * 1e-9 if imu_ns else float("inf"),
                 joint_position_rad_m=position,
                 joint_speed_rad_m_per_s=self._state.speed_rad_m_per_s[0],
-                swing_amplitude_rad=float(swing_control.swing_amplitude_rad(fixed.spec, imu)[0]),
+                swing_amplitude_rad=float(swing_control.swing_amplitude_rad(setup.spec, imu)[0]),
                 supply_pressure_pa=float(sample.supply_pressure_pa[0]),
-                late_tick_ratio=self.around.late_tick_ratio,
-                outbox_count=self.around.outbox_count,
-                recorder_dropped_count=self.around.recorder_dropped_count,
+                late_tick_ratio=self.host.late_tick_ratio,
+                outbox_count=self.host.outbox_count,
+                recorder_dropped_count=self.host.recorder_dropped_count,
             )
         )
 
@@ -345,15 +345,15 @@ class MachineControl:
 
     def log_context(self) -> dict[str, Any]:
         """What a log needs besides its rows, to be diagnosed alone."""
-        plan, fixed = self.throw.plan, self.fixed
+        plan, setup = self.throw.plan, self.setup
         context: dict[str, Any] = {
             "throw_id": self.throw.throw_id,
-            "machine_id": fixed.machine_id,
-            "boot_id": fixed.boot_id,
-            "software": fixed.software,
-            "model_sha256": fixed.spec.sha256,
-            "calibration": fixed.calibration.model_dump(mode="json"),
-            "spec": fixed.spec.model_dump(mode="json"),
+            "machine_id": setup.machine_id,
+            "boot_id": setup.boot_id,
+            "software": setup.software,
+            "model_sha256": setup.spec.sha256,
+            "calibration": setup.calibration.model_dump(mode="json"),
+            "spec": setup.spec.model_dump(mode="json"),
         }
         if plan is not None:
             agreed = plan.model_dump(mode="json")
@@ -364,12 +364,12 @@ class MachineControl:
 
     def machine_state(self) -> MachineState:
         """The state message, as far as this process knows it."""
-        throw, fixed = self.throw, self.fixed
+        throw, setup = self.throw, self.setup
         position = tuple(float(value) for value in np.nan_to_num(self._estimate()[0]))
         has_beat = throw.heartbeat_ns and throw.state not in WAITING
         return MachineState(
-            machine_id=fixed.machine_id,
-            boot_id=fixed.boot_id,
+            machine_id=setup.machine_id,
+            boot_id=setup.boot_id,
             t_mono_ns=self._now_ns,
             state=throw.state,
             mode=None if throw.plan is None else throw.plan.mode,
@@ -381,11 +381,11 @@ class MachineControl:
             stop_latched=throw.state is ThrowState.STOPPED,
             fault=throw.latched_reason if throw.state is ThrowState.FAULT else "",
             checks=self._checks,
-            model_sha256=fixed.spec.sha256,
+            model_sha256=setup.spec.sha256,
             policy_sha256={
-                mode.value: runner.card.policy_sha256 for mode, runner in fixed.policies.items()
+                mode.value: runner.card.policy_sha256 for mode, runner in setup.policies.items()
             },
             heartbeat_age_s=(self._now_ns - throw.heartbeat_ns) * 1e-9 if has_beat else None,
-            late_tick_ratio=self.around.late_tick_ratio,
-            software=fixed.software,
+            late_tick_ratio=self.host.late_tick_ratio,
+            software=setup.software,
         )

@@ -1,4 +1,4 @@
-"""What the throw protocol remembers, is told and answers: the types of states.py.
+"""State, inputs and outputs of the throw protocol: the types of states.py.
 
 No behaviour beyond lookups lives here. Times are the machine's monotonic clock.
 """
@@ -144,7 +144,7 @@ class ThrowMachine:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class ThrowEvent:
     """A durable event to emit."""
 
     kind: EventKind
@@ -158,12 +158,12 @@ class Effects:
     """What follows from one message: answer it, emit these, take up a load."""
 
     reply: CommandReply | None = None
-    events: tuple[Event, ...] = ()
+    events: tuple[ThrowEvent, ...] = ()
     load: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class CommandRefusal:
     """Why not, with the numbers and the remedy."""
 
     reason: RejectReason

@@ -23,21 +23,21 @@ from machine.messages import (
     ThrowState,
 )
 from machine.reach import check_target
-from runtime.throw.model import (
+from runtime.throw.protocol import (
     BEFORE_COMMIT,
     LATCHED,
     NONCE_VALID_S,
+    CommandRefusal,
     Effects,
-    Event,
     Facts,
-    Refusal,
+    ThrowEvent,
     ThrowMachine,
     find_reply,
     keep_reply,
 )
-from runtime.throw.moves import abort, disarm, latch
+from runtime.throw.transitions import abort, disarm, latch
 
-Answer = tuple[ThrowMachine, Refusal | None, tuple[Event, ...]]
+Answer = tuple[ThrowMachine, CommandRefusal | None, tuple[ThrowEvent, ...]]
 """The machine after a command, why it was refused (None = it was not), and events."""
 
 
@@ -55,7 +55,7 @@ def handle_command(
         data = {"command": command.kind, "issuer": command.issuer, "reason": refusal.reason.value}
         events = (
             *events,
-            Event(EventKind.COMMAND_REFUSED, data={**data, "detail": refusal.detail}),
+            ThrowEvent(EventKind.COMMAND_REFUSED, data={**data, "detail": refusal.detail}),
         )
     if command.machine_id == machine.machine_id:
         machine = replace(machine, replies=keep_reply(machine.replies, command.command_id, reply))
@@ -78,7 +78,7 @@ def _first_answer(machine: ThrowMachine, command: Command) -> CommandReply | Non
     return find_reply(machine.throw_replies, command.throw_id)
 
 
-def _reply(machine: ThrowMachine, command: Command, refusal: Refusal | None) -> CommandReply:
+def _reply(machine: ThrowMachine, command: Command, refusal: CommandRefusal | None) -> CommandReply:
     armed = isinstance(command, ArmRequest) and refusal is None
     return CommandReply(
         command_id=command.command_id,
@@ -97,7 +97,7 @@ def _reply(machine: ThrowMachine, command: Command, refusal: Refusal | None) -> 
 def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int) -> Answer:
     if command.machine_id != machine.machine_id:
         detail = f"This is {machine.machine_id}, the command is for {command.machine_id}."
-        return machine, Refusal(RejectReason.WRONG_MACHINE, detail), ()
+        return machine, CommandRefusal(RejectReason.WRONG_MACHINE, detail), ()
     if isinstance(command, StopRequest):
         return _stop(machine, command, now_ns)
     if command.epoch_count < machine.epoch_count:
@@ -105,7 +105,7 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
     if isinstance(command, LeaseNotice):
         return _lease(machine, command, now_ns)
     if command.epoch_count > machine.epoch_count or command.epoch_count == 0:
-        refusal = Refusal(
+        refusal = CommandRefusal(
             RejectReason.NO_LEASE,
             f"Epoch {command.epoch_count} is unknown here (highest {machine.epoch_count}). "
             "Take the lease first.",
@@ -124,7 +124,7 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
     return _load(machine)
 
 
-def _conflict(machine: ThrowMachine, refusal: Refusal, now_ns: int) -> Answer:
+def _conflict(machine: ThrowMachine, refusal: CommandRefusal, now_ns: int) -> Answer:
     """Two controllers at once: refuse, and bring what is armed or running to hold."""
     reason = f"a second controller sent a command: {refusal.detail}"
     if machine.state is ThrowState.ARMED:
@@ -136,8 +136,8 @@ def _conflict(machine: ThrowMachine, refusal: Refusal, now_ns: int) -> Answer:
     return machine, refusal, ()
 
 
-def _stale(machine: ThrowMachine, epoch_count: int) -> Refusal:
-    return Refusal(
+def _stale(machine: ThrowMachine, epoch_count: int) -> CommandRefusal:
+    return CommandRefusal(
         RejectReason.STALE_EPOCH,
         f"Epoch {epoch_count} has been replaced by {machine.epoch_count}. Take the lease again.",
     )
@@ -154,13 +154,13 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
     if command.epoch_count == machine.epoch_count:
         if machine.lease_issuer in ("", command.issuer):
             return replace(machine, lease_issuer=command.issuer), None, ()
-        refusal = Refusal(
+        refusal = CommandRefusal(
             RejectReason.LEASE_HELD,
             f"Epoch {command.epoch_count} belongs to {machine.lease_issuer}, not to "
             f"{command.issuer}. Take the lease over with a new epoch.",
         )
         return _conflict(machine, refusal, now_ns)
-    events: tuple[Event, ...] = ()
+    events: tuple[ThrowEvent, ...] = ()
     reason = f"the lease went to {command.issuer} (epoch {command.epoch_count})"
     if machine.state is ThrowState.ARMED:
         machine, events = disarm(machine, reason, now_ns)
@@ -170,29 +170,31 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
     return after, None, events
 
 
-def _latched(machine: ThrowMachine) -> Refusal | None:
+def _latched(machine: ThrowMachine) -> CommandRefusal | None:
     if machine.state is ThrowState.STOPPED:
         detail = f"Stopped ({machine.latched_reason}). Clear the stop first."
-        return Refusal(RejectReason.STOP_LATCHED, detail)
+        return CommandRefusal(RejectReason.STOP_LATCHED, detail)
     if machine.state is ThrowState.FAULT:
         detail = f"Fault: {machine.latched_reason}. Remove the cause, then clear it."
-        return Refusal(RejectReason.FAULT, detail)
+        return CommandRefusal(RejectReason.FAULT, detail)
     return None
 
 
-def _not_ready(facts: Facts) -> Refusal | None:
+def _not_ready(facts: Facts) -> CommandRefusal | None:
     """Payload and arming checks, the same for arm and fire."""
     if not facts.payload_held:
-        return Refusal(RejectReason.NO_PAYLOAD, "No load in the gripper. Load the machine first.")
+        return CommandRefusal(
+            RejectReason.NO_PAYLOAD, "No load in the gripper. Load the machine first."
+        )
     for check in facts.checks:
         if check.severity == "error" and not check.passed:
-            return Refusal(RejectReason.CHECK_FAILED, f"{check.text} {check.remedy}".strip())
+            return CommandRefusal(RejectReason.CHECK_FAILED, f"{check.text} {check.remedy}".strip())
     return None
 
 
 def _arm(machine: ThrowMachine, command: ArmRequest, facts: Facts, now_ns: int) -> Answer:
     if machine.state is ThrowState.ARMED and command.issuer != machine.armed_issuer:
-        refusal = Refusal(
+        refusal = CommandRefusal(
             RejectReason.LEASE_HELD,
             f"Armed by {machine.armed_issuer}, not by {command.issuer}. Only one may command.",
         )
@@ -200,7 +202,7 @@ def _arm(machine: ThrowMachine, command: ArmRequest, facts: Facts, now_ns: int) 
     refusal = _latched(machine)
     if refusal is None and machine.state is not ThrowState.DISARMED:
         detail = f"The machine is {machine.state.value}. Disarm it or wait until it is disarmed."
-        refusal = Refusal(RejectReason.NOT_DISARMED, detail)
+        refusal = CommandRefusal(RejectReason.NOT_DISARMED, detail)
     refusal = refusal or _plan_refusal(machine, command, facts) or _not_ready(facts)
     if refusal is not None:
         return machine, refusal, ()
@@ -212,17 +214,19 @@ def _arm(machine: ThrowMachine, command: ArmRequest, facts: Facts, now_ns: int) 
         armed_issuer=command.issuer,
     )
     data = {"issuer": command.issuer, "plan_hash": command.plan.plan_hash}
-    return after, None, (Event(EventKind.ARMED, plan_id=command.plan.plan_id, data=data),)
+    return after, None, (ThrowEvent(EventKind.ARMED, plan_id=command.plan.plan_id, data=data),)
 
 
-def _plan_refusal(machine: ThrowMachine, command: ArmRequest, facts: Facts) -> Refusal | None:
+def _plan_refusal(
+    machine: ThrowMachine, command: ArmRequest, facts: Facts
+) -> CommandRefusal | None:
     """Whether this plan is for this machine, this model and a policy that is on board."""
     plan = command.plan
     if plan.machine_id != machine.machine_id:
         detail = f"The plan is for {plan.machine_id}, this is {machine.machine_id}. Plan again."
-        return Refusal(RejectReason.WRONG_MACHINE, detail)
+        return CommandRefusal(RejectReason.WRONG_MACHINE, detail)
     if plan.model_sha256 != facts.model_sha256:
-        return Refusal(
+        return CommandRefusal(
             RejectReason.MODEL_MISMATCH,
             f"The plan is for model {plan.model_sha256[:12]}, this machine is "
             f"{facts.model_sha256[:12]}. Update server or machine.",
@@ -230,9 +234,9 @@ def _plan_refusal(machine: ThrowMachine, command: ArmRequest, facts: Facts) -> R
     card = facts.cards.get(plan.mode)
     if card is None:
         detail = f"No {plan.mode.value} policy on board. Deploy one."
-        return Refusal(RejectReason.POLICY_UNUSABLE, detail)
+        return CommandRefusal(RejectReason.POLICY_UNUSABLE, detail)
     if plan.policy_sha256 != card.policy_sha256:
-        return Refusal(
+        return CommandRefusal(
             RejectReason.POLICY_MISMATCH,
             f"The plan is for policy {plan.policy_sha256[:12]}, on board is "
             f"{card.policy_sha256[:12]} ({card.policy_id}). Plan again.",
@@ -240,13 +244,13 @@ def _plan_refusal(machine: ThrowMachine, command: ArmRequest, facts: Facts) -> R
     try:
         check_target(card, plan.target)
     except RefusedError as error:
-        return Refusal(error.reason, error.detail)
+        return CommandRefusal(error.reason, error.detail)
     return None
 
 
 def _fire(machine: ThrowMachine, command: FireRequest, facts: Facts, now_ns: int) -> Answer:
     if machine.plan is not None and command.issuer != machine.armed_issuer:
-        refusal = Refusal(
+        refusal = CommandRefusal(
             RejectReason.LEASE_HELD,
             f"Armed by {machine.armed_issuer}, fired by {command.issuer}. Only one may command.",
         )
@@ -265,24 +269,24 @@ def _fire(machine: ThrowMachine, command: FireRequest, facts: Facts, now_ns: int
     )
     plan_id = None if after.plan is None else after.plan.plan_id
     data = {"issuer": command.issuer, "epoch_count": command.epoch_count}
-    return after, None, (Event(EventKind.THROW_ACCEPTED, command.throw_id, plan_id, data),)
+    return after, None, (ThrowEvent(EventKind.THROW_ACCEPTED, command.throw_id, plan_id, data),)
 
 
-def _fire_refusal(machine: ThrowMachine, command: FireRequest) -> Refusal | None:
+def _fire_refusal(machine: ThrowMachine, command: FireRequest) -> CommandRefusal | None:
     latched = _latched(machine)
     if latched is not None:
         return latched
     if machine.expired_nonce and command.nonce == machine.expired_nonce:
         detail = f"The nonce is older than the {NONCE_VALID_S:.0f} s allowed. Arm again."
-        return Refusal(RejectReason.NONCE_EXPIRED, detail)
+        return CommandRefusal(RejectReason.NONCE_EXPIRED, detail)
     if machine.state is not ThrowState.ARMED or machine.plan is None:
         detail = f"The machine is {machine.state.value}. Arm it first."
-        return Refusal(RejectReason.NOT_ARMED, detail)
+        return CommandRefusal(RejectReason.NOT_ARMED, detail)
     if not machine.nonce or command.nonce != machine.nonce:
         detail = "The nonce is not the one this machine gave out. Arm again."
-        return Refusal(RejectReason.NONCE_UNKNOWN, detail)
+        return CommandRefusal(RejectReason.NONCE_UNKNOWN, detail)
     if command.plan_hash != machine.plan.plan_hash:
-        return Refusal(
+        return CommandRefusal(
             RejectReason.PLAN_MISMATCH,
             f"Fired plan {command.plan_hash[:12]}, armed is {machine.plan.plan_hash[:12]}. "
             "Arm the plan that is to be thrown.",
@@ -302,7 +306,7 @@ def _abort(machine: ThrowMachine, command: AbortRequest, now_ns: int) -> Answer:
         detail = (
             "The release has been commanded; the machine completes the throw. STOP still works."
         )
-        return machine, Refusal(RejectReason.BUSY, detail), ()
+        return machine, CommandRefusal(RejectReason.BUSY, detail), ()
     return machine, None, ()
 
 
@@ -313,7 +317,7 @@ def _disarm(machine: ThrowMachine, command: DisarmRequest, now_ns: int) -> Answe
     if machine.state is ThrowState.DISARMED or machine.state in LATCHED:
         return machine, None, ()
     detail = f"The machine is {machine.state.value}. Abort the throw, or wait until it has ended."
-    return machine, Refusal(RejectReason.BUSY, detail), ()
+    return machine, CommandRefusal(RejectReason.BUSY, detail), ()
 
 
 def _clear(machine: ThrowMachine, command: StopClearRequest, facts: Facts, now_ns: int) -> Answer:
@@ -321,18 +325,18 @@ def _clear(machine: ThrowMachine, command: StopClearRequest, facts: Facts, now_n
         return machine, None, ()
     if facts.emergency_stop:
         detail = "The emergency stop at the machine is pressed. Release it, then clear."
-        return machine, Refusal(RejectReason.CHECK_FAILED, detail), ()
+        return machine, CommandRefusal(RejectReason.CHECK_FAILED, detail), ()
     if facts.fault_reason:
         detail = f"The cause is still there: {facts.fault_reason}. Remove it, then clear."
-        return machine, Refusal(RejectReason.FAULT, detail), ()
+        return machine, CommandRefusal(RejectReason.FAULT, detail), ()
     data = {"issuer": command.issuer, "was": machine.state.value}
     after = replace(machine.rest(now_ns), latched_reason="")
-    return after, None, (Event(EventKind.STOP_CLEARED, data=data),)
+    return after, None, (ThrowEvent(EventKind.STOP_CLEARED, data=data),)
 
 
 def _load(machine: ThrowMachine) -> Answer:
     refusal = _latched(machine)
     if refusal is None and machine.state is not ThrowState.DISARMED:
         detail = f"The machine is {machine.state.value}. Loading needs a disarmed machine."
-        refusal = Refusal(RejectReason.NOT_DISARMED, detail)
+        refusal = CommandRefusal(RejectReason.NOT_DISARMED, detail)
     return machine, refusal, ()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.process.clock import LATE_TICK_NS, Lateness, RealTimeClock, Ticker, UnpacedClock
+from runtime.process.ticker import LATE_TICK_NS, Lateness, RealTimeClock, Ticker, UnpacedClock
 
 PERIOD_NS = 10_000_000
 

@@ -19,7 +19,7 @@ from machine.messages import (
     ThrowState,
 )
 from machine.policy_card import PolicyCard
-from runtime.throw.model import Effects, Facts, ThrowMachine, Tick
+from runtime.throw.protocol import Effects, Facts, ThrowMachine, Tick
 from runtime.throw.states import update
 
 MODEL = "a" * 64

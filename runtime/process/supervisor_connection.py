@@ -1,7 +1,7 @@
-"""The cord between the supervisor and its two child processes: settings and sockets down, readiness up.
+"""The socket between the supervisor and each child process: settings and sockets down, readiness up.
 
-A child that finds the cord cut knows that its supervisor is gone or wants it to end; signals are not needed,
-and a killed supervisor leaves no child behind.
+A child whose socket is closed at the other end finishes in order. A killed supervisor therefore leaves no
+child behind, and no signal is needed.
 """
 
 import json
@@ -14,7 +14,7 @@ _PORT: Final = b"P"
 """Message that carries a socket to the other child."""
 
 
-class Guardian:
+class SupervisorConnection:
     """The child's end."""
 
     def __init__(self, end: socket.socket) -> None:
@@ -23,12 +23,12 @@ class Guardian:
         """The supervisor has gone, or wants this process to end."""
 
     @classmethod
-    def from_argument(cls, argument: str) -> "Guardian":
+    def from_argument(cls, argument: str) -> "SupervisorConnection":
         """From the descriptor's number on the command line; interrupts are left to the supervisor."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        guardian = cls(socket.socket(fileno=int(argument)))
-        signal.signal(signal.SIGTERM, lambda *_: guardian.leave())
-        return guardian
+        supervisor = cls(socket.socket(fileno=int(argument)))
+        signal.signal(signal.SIGTERM, lambda *_: supervisor.leave())
+        return supervisor
 
     def leave(self) -> None:
         """Ask this process to end in order."""
@@ -74,13 +74,13 @@ class Guardian:
             self.is_gone = True
 
 
-def hand_port(cord: socket.socket, port: socket.socket) -> None:
+def hand_port(connection: socket.socket, port: socket.socket) -> None:
     """Supervisor: hand a socket to a child, and forget it here.
 
     Raises:
         OSError: the child has ended.
     """
     try:
-        socket.send_fds(cord, [_PORT], [port.fileno()])
+        socket.send_fds(connection, [_PORT], [port.fileno()])
     finally:
         port.close()

@@ -14,7 +14,7 @@ from machine.messages import (
     StopRequest,
     ThrowState,
 )
-from runtime.link.command_desk import CommandDesk
+from runtime.link.command_inbox import CommandInbox
 from runtime.process.ipc import Kind
 from runtime.records.journal import Journal
 from runtime.records.outbox import EventDraft, Outbox, OutboxError
@@ -51,16 +51,16 @@ class Control:
         return self.is_running
 
 
-class Desk:
+class InboxBench:
     def __init__(self, folder: Path) -> None:
         self.outbox = Outbox(folder / "m.db", "m001")
         self.journal = Journal(self.outbox)
         self.control = Control(self.journal)
-        self.desk = CommandDesk("m001", self.journal, self.control.send)
+        self.inbox = CommandInbox("m001", self.journal, self.control.send)
 
     def take(self, command) -> Slot:
         slot = Slot()
-        self.desk.take(command.model_dump_json().encode(), slot)
+        self.inbox.take(command.model_dump_json().encode(), slot)
         return slot
 
     def next_sent(self) -> tuple[int, dict, tuple[str, ...]]:
@@ -74,80 +74,80 @@ class Desk:
             state=ThrowState.DISARMED,
             epoch_count=epoch,
         )
-        self.desk.take_reply(request, reply)
+        self.inbox.take_reply(request, reply)
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    desk = Desk(tmp_path)
-    yield desk
-    desk.desk.close()
-    desk.outbox.close()
+def inbox(tmp_path: Path) -> Iterator[InboxBench]:
+    inbox = InboxBench(tmp_path)
+    yield inbox
+    inbox.inbox.close()
+    inbox.outbox.close()
 
 
 def fire(throw_id: str = "t1"):
     return make(FireRequest, epoch_count=4, throw_id=throw_id, nonce="n", plan_hash="h")
 
 
-def test_fire_is_on_the_disk_before_it_is_passed_on(desk):
-    slot = desk.take(fire())
-    request, command, known = desk.next_sent()
+def test_fire_is_on_the_disk_before_it_is_passed_on(inbox):
+    slot = inbox.take(fire())
+    request, command, known = inbox.next_sent()
     assert known == ("t1",)
-    desk.answer(request, command, accepted=True)
+    inbox.answer(request, command, accepted=True)
     assert slot.reply().accepted
-    assert desk.journal.epoch_count() == 4
+    assert inbox.journal.epoch_count() == 4
 
 
-def test_refused_fire_is_taken_back(desk):
-    slot = desk.take(fire())
-    request, command, _ = desk.next_sent()
-    desk.answer(request, command, accepted=False)
+def test_refused_fire_is_taken_back(inbox):
+    slot = inbox.take(fire())
+    request, command, _ = inbox.next_sent()
+    inbox.answer(request, command, accepted=False)
     assert not slot.reply().accepted
-    assert desk.journal.memory().throw_ids == ()
+    assert inbox.journal.memory().throw_ids == ()
 
 
-def test_repeat_may_not_take_back_what_the_first_wrote(desk):
+def test_repeat_may_not_take_back_what_the_first_wrote(inbox):
     command = fire()
-    first = desk.take(command)
-    desk.next_sent()
+    first = inbox.take(command)
+    inbox.next_sent()
     # Control dies between the two; whether the first was executed, nobody knows.
-    desk.control.is_running = False
-    assert not desk.take(command).reply().accepted
-    assert desk.journal.memory().throw_ids == ("t1",)
-    desk.desk.give_up()
+    inbox.control.is_running = False
+    assert not inbox.take(command).reply().accepted
+    assert inbox.journal.memory().throw_ids == ("t1",)
+    inbox.inbox.give_up()
     assert first.reply() is None
 
 
-def test_command_that_was_not_passed_on_is_refused_and_forgotten(desk):
-    desk.control.is_running = False
-    reply = desk.take(fire()).reply()
+def test_command_that_was_not_passed_on_is_refused_and_forgotten(inbox):
+    inbox.control.is_running = False
+    reply = inbox.take(fire()).reply()
     assert (reply.accepted, reply.reason) == (False, "fault")
     assert "restarted by itself" in reply.detail
-    assert desk.journal.memory().throw_ids == ()
+    assert inbox.journal.memory().throw_ids == ()
 
 
-def test_stop_passes_commands_that_wait_for_the_disk(desk):
-    with desk.outbox.transaction():
-        desk.take(fire())
-        stop = desk.take(make(StopRequest))
-        request, command, _ = desk.next_sent()
+def test_stop_passes_commands_that_wait_for_the_disk(inbox):
+    with inbox.outbox.transaction():
+        inbox.take(fire())
+        stop = inbox.take(make(StopRequest))
+        request, command, _ = inbox.next_sent()
         assert command["kind"] == "stop"
-    desk.answer(request, command, accepted=True)
+    inbox.answer(request, command, accepted=True)
     assert stop.reply().accepted
-    assert desk.next_sent()[1]["kind"] == "fire"
+    assert inbox.next_sent()[1]["kind"] == "fire"
 
 
-def test_throw_that_cannot_be_written_down_does_not_happen(desk, monkeypatch):
+def test_throw_that_cannot_be_written_down_does_not_happen(inbox, monkeypatch):
     def refuse(_: str) -> bool:
         raise OutboxError("the disk is full")
 
-    monkeypatch.setattr(desk.journal, "intend_throw", refuse)
-    reply = desk.take(fire()).reply()
+    monkeypatch.setattr(inbox.journal, "intend_throw", refuse)
+    reply = inbox.take(fire()).reply()
     assert (reply.accepted, reply.detail) == (False, "the disk is full")
-    assert desk.control.sent.empty()
-    # The desk lives on.
-    desk.take(make(LeaseNotice, epoch_count=5))
-    assert desk.next_sent()[1]["kind"] == "lease"
+    assert inbox.control.sent.empty()
+    # The inbox lives on.
+    inbox.take(make(LeaseNotice, epoch_count=5))
+    assert inbox.next_sent()[1]["kind"] == "lease"
 
 
 @pytest.mark.parametrize(
@@ -160,33 +160,33 @@ def test_throw_that_cannot_be_written_down_does_not_happen(desk, monkeypatch):
         (fire().model_dump_json().replace('"nonce"', '"extra": 1, "nonce"').encode(), None),
     ],
 )
-def test_unreadable_commands_are_refused_by_name(desk, payload, command_id):
+def test_unreadable_commands_are_refused_by_name(inbox, payload, command_id):
     slot = Slot()
-    desk.desk.take(payload, slot)
+    inbox.inbox.take(payload, slot)
     reply = slot.reply()
     assert (reply.accepted, reply.reason) == (False, "malformed")
     assert command_id is None or reply.command_id == command_id
-    assert desk.control.sent.empty()
+    assert inbox.control.sent.empty()
 
 
-def test_accepted_epoch_is_durable_before_the_answer(desk):
-    slot = desk.take(make(LeaseNotice, epoch_count=9))
-    request, command, _ = desk.next_sent()
-    desk.answer(request, command, accepted=True, epoch=9)
+def test_accepted_epoch_is_durable_before_the_answer(inbox):
+    slot = inbox.take(make(LeaseNotice, epoch_count=9))
+    request, command, _ = inbox.next_sent()
+    inbox.answer(request, command, accepted=True, epoch=9)
     assert slot.reply().accepted
-    assert desk.journal.memory().epoch_count == 9
+    assert inbox.journal.memory().epoch_count == 9
 
 
-def test_accepted_throw_survives_a_late_refusal_of_its_repeat(desk):
+def test_accepted_throw_survives_a_late_refusal_of_its_repeat(inbox):
     command = fire()
-    slot = desk.take(command)
-    request, body, _ = desk.next_sent()
+    slot = inbox.take(command)
+    request, body, _ = inbox.next_sent()
     draft = EventDraft(EventKind.THROW_ACCEPTED, 1, "t1", "p", {}, "now")
-    desk.journal.record("boot", 1, draft)
-    desk.answer(request, body, accepted=True)
+    inbox.journal.record("boot", 1, draft)
+    inbox.answer(request, body, accepted=True)
     assert slot.reply().accepted
-    repeat = desk.take(command)
-    request, body, _ = desk.next_sent()
-    desk.answer(request, body, accepted=False)
+    repeat = inbox.take(command)
+    request, body, _ = inbox.next_sent()
+    inbox.answer(request, body, accepted=False)
     assert not repeat.reply().accepted
-    assert desk.journal.memory().throw_ids == ("t1",)
+    assert inbox.journal.memory().throw_ids == ("t1",)

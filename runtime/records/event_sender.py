@@ -16,7 +16,7 @@ RETRY_S: Final = 0.5
 """Between attempts while nobody answers; an attempt without a link costs microseconds."""
 
 
-class EventPump:
+class EventSender:
     """A thread with one question: does the server have everything?"""
 
     def __init__(self, outbox: Outbox, ask: Callable[[bytes], bytes | None]) -> None:
@@ -24,7 +24,7 @@ class EventPump:
         self._ask = ask
         self._news = threading.Event()
         self._is_closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="event-pump", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="event-sender", daemon=True)
 
     def start(self) -> None:
         """Begin, with what an earlier start left over."""

@@ -6,7 +6,7 @@ import pytest
 from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.messages import FireRequest, LeaseNotice, StopRequest, ThrowState
-from runtime.throw.model import LinkLost
+from runtime.throw.protocol import LinkLost
 from tests.runtime.fake_driver import IMPACT_M
 from tests.runtime.machine_bench import Bench, make
 
@@ -41,11 +41,11 @@ def test_a_throw_gives_events_rows_and_its_release(bench, mode):
 
 
 def test_what_stands_around_reaches_a_driver_that_simulates_the_landing(bench):
-    told = []
-    bench.driver.set_solids = told.append
+    given = []
+    bench.driver.set_solids = given.append
     bench.arm()
-    assert [solids.names for solids in told] == [("ground that nobody described",)]
-    assert told[0].ground_m == 0.5  # nothing of that height is described: the ground is
+    assert [solids.names for solids in given] == [("ground that nobody described",)]
+    assert given[0].ground_m == 0.5  # nothing of that height is described: the ground is
 
 
 def test_stale_fire_is_refused_reported_and_leaves_the_machine_armed(bench):
@@ -94,7 +94,7 @@ def test_policy_that_cannot_run_closes_the_valves_and_latches_a_fault(bench, mon
     def fail(*_):
         raise PolicyError("the policy cannot run")
 
-    monkeypatch.setattr("runtime.control.control_core.step", fail)
+    monkeypatch.setattr("runtime.control.machine_control.step", fail)
     bench.tick(bench.beat())
     assert not bench.driver.commands[-1].valve_ratio.any()
     bench.tick(bench.beat())

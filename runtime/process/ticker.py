@@ -1,4 +1,4 @@
-"""When control ticks happen: in real time by absolute sleep, or as fast as the driver allows.
+"""The periodic loop's clock: real time by absolute sleep, or as fast as the driver allows.
 
 Periods that were missed are skipped and counted, never made up for in a bunch: a valve loop that runs
 three times in a row is worse than one that misses two beats. Nothing here is a wall clock.
@@ -60,7 +60,7 @@ class UnpacedClock:
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
+class ClockTick:
     """One beat of the loop."""
 
     period_count: int
@@ -91,7 +91,7 @@ class Ticker:
         """Periods missed since the start."""
         return self._skipped_count
 
-    def next(self) -> Tick:
+    def next(self) -> ClockTick:
         """Wait for the next period's start; when it has passed, take the running period instead."""
         due = self._period_count + 1
         self._clock.wait_until(self._start_ns + due * self._period_ns)
@@ -104,7 +104,7 @@ class Ticker:
             self._lateness.add(lateness_ns + missed * self._period_ns)
         self._lateness.add(lateness_ns)
         self._skipped_count += skipped
-        return Tick(self._period_count, lateness_ns, skipped)
+        return ClockTick(self._period_count, lateness_ns, skipped)
 
 
 class Lateness:

@@ -8,7 +8,7 @@ from runtime.link.zenoh_config import NAME_PATTERN
 
 
 class MachineSettings(BaseModel):
-    """Everything that `downrange machine` is told; a password is never part of it, only its file."""
+    """Options of `downrange machine`. A password is never part of them, only the name of its file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     driver: str = Field(pattern=r"^[\w.]+:\w+$")

@@ -1,14 +1,14 @@
 """The moves that several parts of the throw protocol make: disarm, abort, latch, end a throw; pure."""
 
 from machine.messages import EventKind, ThrowEnd, ThrowState
-from runtime.throw.model import RUNNING, Event, ThrowMachine
+from runtime.throw.protocol import RUNNING, ThrowEvent, ThrowMachine
 
 
 def disarm(
     machine: ThrowMachine, reason: str, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """Give the armed plan back."""
-    event = Event(
+    event = ThrowEvent(
         EventKind.DISARMED,
         plan_id=None if machine.plan is None else machine.plan.plan_id,
         data={"reason": reason},
@@ -18,7 +18,7 @@ def disarm(
 
 def abort(
     machine: ThrowMachine, reason: str, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """Bring a throw before its commit point to hold; it ends when the machine stands."""
     event = _event(machine, EventKind.ABORTED, {"reason": reason})
     return machine.enter(ThrowState.SETTLING, now_ns, end_reason=reason), (event,)
@@ -26,7 +26,7 @@ def abort(
 
 def latch(
     machine: ThrowMachine, state: ThrowState, reason: str, now_ns: int
-) -> tuple[ThrowMachine, tuple[Event, ...]]:
+) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """STOPPED or FAULT from any state: valves closed until somebody clears it; a throw ends by it."""
     stopped = state is ThrowState.STOPPED
     kind = EventKind.STOP_LATCHED if stopped else EventKind.FAULT
@@ -40,7 +40,7 @@ def latch(
     return after, tuple(events)
 
 
-def end_throw(machine: ThrowMachine, now_ns: int) -> tuple[ThrowMachine, tuple[Event, ...]]:
+def end_throw(machine: ThrowMachine, now_ns: int) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """The machine has come to rest after a throw or an abort."""
     if machine.end_fault:
         return latch(machine, ThrowState.FAULT, machine.end_fault, now_ns)
@@ -52,9 +52,9 @@ def end_throw(machine: ThrowMachine, now_ns: int) -> tuple[ThrowMachine, tuple[E
     return machine.rest(now_ns), (event,)
 
 
-def _event(machine: ThrowMachine, kind: EventKind, data: dict[str, object]) -> Event:
+def _event(machine: ThrowMachine, kind: EventKind, data: dict[str, object]) -> ThrowEvent:
     plan_id = None if machine.plan is None else machine.plan.plan_id
-    return Event(kind, machine.throw_id, plan_id, data)
+    return ThrowEvent(kind, machine.throw_id, plan_id, data)
 
 
 def _end_data(machine: ThrowMachine, end: ThrowEnd) -> dict[str, object]:

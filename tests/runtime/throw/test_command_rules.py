@@ -6,8 +6,8 @@ import pytest
 
 from machine.conventions import Mode, Motion
 from machine.messages import CheckResult, RejectReason, Target, ThrowState
-from runtime.throw.model import REPLY_MEMORY_COUNT
-from tests.runtime.protocol import Bench, card, plan
+from runtime.throw.protocol import REPLY_MEMORY_COUNT
+from tests.runtime.protocol_bench import Bench, card, plan
 
 S, R = ThrowState, RejectReason
 EVERY = list(ThrowState)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from machine.messages import EventAck, EventBatch, EventKind
-from runtime.records.event_pump import EventPump
+from runtime.records.event_sender import EventSender
 from runtime.records.outbox import BATCH_LIMIT_COUNT, EventDraft, Outbox
 
 
@@ -24,7 +24,7 @@ def add(outbox: Outbox, count: int, boot: str = "a") -> None:
 
 
 class FakeServer:
-    """Commits batches; loses the answers it is told to lose."""
+    """Commits batches; loses as many answers as a test asks for."""
 
     def __init__(self) -> None:
         self.rows: dict[tuple[str, int], int] = {}
@@ -50,8 +50,8 @@ def test_batches_are_bounded_and_boots_stay_apart(outbox):
     add(outbox, BATCH_LIMIT_COUNT + 5)
     add(outbox, 3, boot="b")
     server = FakeServer()
-    pump = EventPump(outbox, server.ask)
-    assert [pump.hand_over() for _ in range(4)] == [True, True, True, None]
+    sender = EventSender(outbox, server.ask)
+    assert [sender.hand_over() for _ in range(4)] == [True, True, True, None]
     assert server.asked == 3
     assert list(server.rows) == [("a", n) for n in range(1, BATCH_LIMIT_COUNT + 6)] + [
         ("b", n) for n in (1, 2, 3)
@@ -62,10 +62,10 @@ def test_lost_acknowledgement_means_once_more_and_nothing_twice(outbox):
     add(outbox, 3)
     server = FakeServer()
     server.lost = {1}
-    pump = EventPump(outbox, server.ask)
-    assert pump.hand_over() is False
+    sender = EventSender(outbox, server.ask)
+    assert sender.hand_over() is False
     assert outbox.count() == 3
-    assert pump.hand_over() is True
+    assert sender.hand_over() is True
     assert outbox.count() == 0
     assert len(server.rows) == 3
 
@@ -73,7 +73,7 @@ def test_lost_acknowledgement_means_once_more_and_nothing_twice(outbox):
 @pytest.mark.parametrize("answer", [None, b"", b"{}", b'{"boot_id": "x", "sequence_count": 9}'])
 def test_unusable_answers_delete_nothing(outbox, answer):
     add(outbox, 2)
-    assert EventPump(outbox, lambda _: answer).hand_over() is False
+    assert EventSender(outbox, lambda _: answer).hand_over() is False
     assert outbox.count() == 2
 
 
@@ -81,10 +81,10 @@ def test_thread_hands_over_what_was_left_and_what_comes(outbox):
     add(outbox, 2)
     server = FakeServer()
     server.wanted = 5
-    pump = EventPump(outbox, server.ask)
-    pump.start()
+    sender = EventSender(outbox, server.ask)
+    sender.start()
     add(outbox, 3)
-    pump.wake()
+    sender.wake()
     assert server.is_done.wait(10.0)
-    pump.close()
+    sender.close()
     assert outbox.count() == 0
