@@ -12,6 +12,7 @@ import zenoh
 from machine.channels import machine_key
 from machine.errors import UsageError
 from runtime.link.zenoh_config import RouterTls, client_config, router_config
+from tests.cases import each
 from tests.ports import free_port
 
 SITE = "yard"
@@ -59,7 +60,7 @@ def listen(session: zenoh.Session, name: str, seen: list[str]) -> None:
         session.declare_subscriber(key(machine_id, name), lambda s: seen.append(str(s.key_expr)))
 
 
-@pytest.mark.parametrize(
+@each(
     ("user", "password"),
     [("m001", "wrong"), ("nobody", "one"), (None, None), ("m001", "two")],
 )
@@ -187,7 +188,7 @@ def test_outside_server_reaches_all_machines(router, endpoint) -> None:
         )
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a:b", "A", "*", "m$1", "x" * 33])
+@each("name", ["", "a/b", "a:b", "A", "*", "m$1", "x" * 33])
 def test_unusable_machine_ids(tmp_path, name) -> None:
     with pytest.raises(UsageError):
         router_config(
@@ -199,7 +200,7 @@ def test_unusable_machine_ids(tmp_path, name) -> None:
         )
 
 
-@pytest.mark.parametrize("users", [{}, {"m001": ""}, {"m001": "a:b"}, {"m001": "a\nserver:x"}])
+@each("users", [{}, {"m001": ""}, {"m001": "a:b"}, {"m001": "a\nserver:x"}])
 def test_unusable_passwords(tmp_path, users) -> None:
     with pytest.raises(UsageError):
         router_config(

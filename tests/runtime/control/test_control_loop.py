@@ -15,6 +15,7 @@ from runtime.control import control_loop, safety
 from runtime.control.control_loop import ControlInputs, ControlParams, Violation, next_motion
 from runtime.control.policy import PolicyRunner
 from sim_twin.twin.twin import Twin
+from tests.cases import each
 from tests.runtime.samples import NOW_NS, at_rest
 
 SPEC = load_spec()
@@ -61,7 +62,7 @@ class Loop:
         return self.out
 
 
-@pytest.mark.parametrize("motion", [Motion.HOLD, Motion.STOP])
+@each("motion", [Motion.HOLD, Motion.STOP])
 def test_a_standing_machine_keeps_its_valves_closed(motion):
     loop = Loop(3)
     rng = np.random.default_rng(0)
@@ -135,7 +136,7 @@ def test_next_motion():
     assert next_motion(motion, out).tolist() == [2, 1, 2, 3, 3, 0]
 
 
-@pytest.mark.parametrize(
+@each(
     "change, violation",
     [
         ({"local_enable": np.array([False])}, Violation.SAFETY),
@@ -162,9 +163,9 @@ def test_an_imu_of_150_ms_will_do_and_an_idle_machine_needs_none():
     assert loop.step(Motion.ALIGN, imu_t_mono_ns=np.array([0])).violation_count[0] == Violation.IMU
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("beyond, violates", [(-0.02, False), (0.02, True)])
+@each("axis", [0, 1])
+@each("sign", [1.0, -1.0])
+@each("beyond, violates", [(-0.02, False), (0.02, True)])
 def test_too_much_swing(axis, sign, beyond, violates):
     loop = Loop(policy=Scripted())
     angle = np.zeros((2, 1))

@@ -1,7 +1,6 @@
 """After the release the arm leads the back swing away from itself, and only then."""
 
 import numpy as np
-import pytest
 
 from machine.kinematics import pin_in_plane
 from machine.spec import load_spec
@@ -13,6 +12,7 @@ from runtime.control.follow_through import (
     PIN_HEIGHT_M,
     follow_through,
 )
+from tests.cases import each
 
 SPEC = load_spec()
 LEVEL_TUBE = np.array([[0.0, 0.55, 0.90, 0.8]])
@@ -45,7 +45,7 @@ def test_a_low_pin_is_lifted_and_a_high_one_is_not():
     assert motion(LEVEL_TUBE, ahead=0.4).request_rad_m_per_s[0, 1] == 0.0
 
 
-@pytest.mark.parametrize(
+@each(
     ("amplitude", "time_s", "runs"),
     [
         (LARGE_SWING_RAD + 0.01, LASTS_S - 0.01, True),

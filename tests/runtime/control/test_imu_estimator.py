@@ -14,6 +14,7 @@ from runtime.control.arm_motion import ArmMotion
 from runtime.control.control_loop import ControlInputs, ControlParams
 from runtime.control.imu_estimator import ImuState
 from sim_twin.twin.twin import Twin
+from tests.cases import each
 from tests.runtime.samples import NOW_NS, at_rest
 
 SPEC = load_spec()
@@ -206,7 +207,7 @@ def test_the_specific_force_corrects_a_wrong_angle_while_swinging():
     assert late[0].swing_rad[0] - late[1] == pytest.approx(0.0, abs=0.012)
 
 
-@pytest.mark.parametrize("what", ["repeat", "nan", "future"])
+@each("what", ["repeat", "nan", "future"])
 def test_samples_that_are_no_news_are_passed_over(what):
     frozen = {}
 

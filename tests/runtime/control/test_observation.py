@@ -1,6 +1,5 @@
 import jax
 import numpy as np
-import pytest
 
 from machine.conventions import Mode
 from machine.kinematics import aligned_slew_rad, grip_centre, to_throw_frame
@@ -8,6 +7,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose, sample_starts
 from runtime.control import observation
 from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from tests.cases import each
 
 SPEC = load_spec()
 RNG = np.random.default_rng(4)
@@ -32,14 +32,14 @@ def observe(mode, q, v, target, *pace):
     return observation.build(mode, frame, positions, velocities, action, q[..., 1] > 0.7, *pace)
 
 
-@pytest.mark.parametrize("mode, width, actions", [(Mode.PLANAR, 56, 4), (Mode.SPATIAL, 65, 5)])
+@each("mode, width, actions", [(Mode.PLANAR, 56, 4), (Mode.SPATIAL, 65, 5)])
 def test_names(mode, width, actions):
     assert len(OBSERVATION_NAMES[mode]) == len(set(OBSERVATION_NAMES[mode])) == width
     assert len(ACTION_NAMES[mode]) == actions
     assert ACTION_NAMES[mode][-1] == "release"
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_the_pace_is_one_more_entry_at_the_end(mode):
     q, v, target = random_machines()
     pace = RNG.uniform(0.0, 1.0, q.shape[0])
@@ -48,7 +48,7 @@ def test_the_pace_is_one_more_entry_at_the_end(mode):
     assert np.array_equal(paced[:, :-1], plain) and np.array_equal(paced[:, -1], pace)
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_every_entry_is_what_its_name_says(mode):
     q, v, target = random_machines()
     seen = observe(mode, q, v, target)
@@ -107,7 +107,7 @@ def test_the_slew_stays_continuous_through_a_throw():
     assert np.allclose(np.diff(seen), 0.05)
 
 
-@pytest.mark.parametrize("turns", [-3, 0, 2])
+@each("turns", [-3, 0, 2])
 def test_whole_turns_of_the_cabin_change_nothing(turns):
     q, v, target = random_machines()
     turned = q.copy()
@@ -156,7 +156,7 @@ def test_history_shifts():
     assert history[0, :, 0].tolist() == [3.0, 2.0, 1.0, 1.0]
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_the_trainer_sees_the_same(mode):
     q, v, target = random_machines()
     given = [x.astype(np.float32) for x in (q, v, target)]

@@ -11,6 +11,7 @@ from machine.errors import PolicyError
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, file_sha256
 from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner, find_policy
+from tests.cases import each
 
 SPEC = load_spec()
 
@@ -58,7 +59,7 @@ def linear(
     return model
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_a_policy_acts(swing_policies, mode):
     runner = PolicyRunner(find_policy(swing_policies, mode), SPEC)
     width, actions = (56, 4) if mode is Mode.PLANAR else (65, 5)
@@ -120,7 +121,7 @@ def test_a_policy_may_end_with_the_pace(folder):
     assert runner.act(np.zeros((2, 57))).shape == (2, 4)
 
 
-@pytest.mark.parametrize("scale", [(0.5, 0.7), (0.5, 0.7, 0.0), (0.5, 0.7, float("nan"))])
+@each("scale", [(0.5, 0.7), (0.5, 0.7, 0.0), (0.5, 0.7, float("nan"))])
 def test_scales_must_be_positive_numbers(folder, scale):
     text = json.loads((folder / CARD_FILE).read_text())
     text["action_scale_rad_m_per_s"] = list(scale)
@@ -129,7 +130,7 @@ def test_scales_must_be_positive_numbers(folder, scale):
         PolicyRunner(folder, SPEC)
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"width": 55},
@@ -146,7 +147,7 @@ def test_other_tensors_are_refused(folder, change):
         PolicyRunner(folder, SPEC)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@each("bad", [np.nan, np.inf])
 def test_an_action_that_is_no_number_is_refused_at_loading(folder, bad):
     put_model(folder, linear(bias=bad))
     with pytest.raises(PolicyError, match=r"boom_velocity = (nan|inf) for row 0 of 1"):

@@ -7,6 +7,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.observation import OBSERVATION_NAMES
 from runtime.control.policy_step import PolicyInputs, initial_throw, run_policies
+from tests.cases import each
 
 SPEC = load_spec()
 
@@ -116,7 +117,7 @@ def test_in_2d_the_cabin_is_left_alone():
     assert run.memory.request_rad_m_per_s[0].tolist() == [0.0, 0.5, -0.7, 0.25]
 
 
-@pytest.mark.parametrize("action, released", [(0.9, False), (0.9 + 1e-9, True), (5.0, True)])
+@each("action, released", [(0.9, False), (0.9 + 1e-9, True), (5.0, True)])
 def test_the_release_latches_above_its_threshold(action, released):
     run = Run(Scripted([0.0, 0.0, 0.0, 0.0, action]))
     run.tick(Motion.THROW, Motion.HOLD)
@@ -199,8 +200,8 @@ def test_only_a_paced_policy_sees_the_pace_of_its_own_machine_and_the_row_leaves
     assert np.array_equal(seen[:, :65], without) and seen[0, 65] == 1.0
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("place", [0, 4])
+@each("bad", [np.nan, np.inf])
+@each("place", [0, 4])
 def test_an_action_that_is_no_number_moves_nothing_and_opens_nothing(bad, place):
     actions = np.array([[0.5, 0.5, 0.5, 0.5, 1.0]] * 2)
     actions[1, place] = bad

@@ -10,6 +10,7 @@ from machine.conventions import Motion
 from machine.spec import load_spec
 from runtime.control import safety
 from runtime.control.safety import Intervention, SafetyMemory
+from tests.cases import each
 from tests.runtime.samples import NOW_NS, at_rest
 
 SPEC = load_spec()
@@ -74,7 +75,7 @@ def test_memory_starts_closed():
     assert memory.gripper_open.tolist() == [False] * 3
 
 
-@pytest.mark.parametrize("age_ms, closed", [(-1, True), (0, False), (50, False), (51, True)])
+@each("age_ms, closed", [(-1, True), (0, False), (50, False), (51, True)])
 def test_sensors_may_be_50_ms_old(age_ms, closed):
     valve, _, bits, memory = gate(now_ns=NOW_NS + age_ms * 1_000_000)
     assert (bits == Intervention.STALE_SENSORS) is closed
@@ -87,9 +88,9 @@ def test_one_nanosecond_too_old_is_too_old():
     assert gate(now_ns=NOW_NS - 1)[2] == Intervention.STALE_SENSORS
 
 
-@pytest.mark.parametrize("field", ["joint_position_rad_m", "joint_velocity_rad_m_per_s"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("joint", range(4))
+@each("field", ["joint_position_rad_m", "joint_velocity_rad_m_per_s"])
+@each("bad", [np.nan, np.inf, -np.inf])
+@each("joint", range(4))
 def test_a_sensor_that_is_no_number_closes_everything(field, bad, joint):
     values = MIDDLE.copy() if field == "joint_position_rad_m" else np.zeros(4)
     values[joint] = bad
@@ -98,8 +99,8 @@ def test_a_sensor_that_is_no_number_closes_everything(field, bad, joint):
     assert valve.tolist() == [0.0] * 4
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@each("joint", range(4))
+@each("bad", [np.nan, np.inf])
 def test_a_request_or_memory_that_is_no_number_closes_everything(joint, bad):
     request = [0.1] * 4
     request[joint] = bad
@@ -126,7 +127,7 @@ def test_switches_close():
     assert gate(emergency_stop=True)[0].tolist() == [0.0] * 4
 
 
-@pytest.mark.parametrize(
+@each(
     "motion, stopped",
     [(-1, True), (0, False), (1, False), (2, False), (3, False), (4, True), (5, True)],
 )
@@ -136,8 +137,8 @@ def test_stop_and_unknown_motions_close(motion, stopped):
     assert (valve == 0.0).all() == stopped
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", range(4))
+@each("sign", [1.0, -1.0])
 def test_over_speed_from_one_and_a_half_times_the_limit(joint, sign):
     limit = 1.5 * (POSITIVE if sign > 0 else NEGATIVE)[joint]
     # Move away from the limit that this speed approaches, so that only the speed counts.
@@ -156,7 +157,7 @@ def test_over_speed_from_one_and_a_half_times_the_limit(joint, sign):
     assert valve.tolist() == [0.0] * 4
 
 
-@pytest.mark.parametrize("joint", range(4))
+@each("joint", range(4))
 def test_range(joint):
     request = np.zeros(4)
     for value, expected in ((1.0, 1.0), (1.0 + 1e-9, 1.0), (-1.0, -1.0), (-1.0 - 1e-9, -1.0)):
@@ -168,8 +169,8 @@ def test_range(joint):
         assert bits == (Intervention.RANGE_CLIPPED if abs(value) > 1.0 else 0)
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", range(4))
+@each("sign", [1.0, -1.0])
 def test_rate(joint, sign):
     last, request = np.zeros(4), np.zeros(4)
     last[joint] = sign * 0.3
@@ -185,10 +186,10 @@ def test_rate(joint, sign):
     assert valve[joint] == pytest.approx(sign * 0.1)
 
 
-@pytest.mark.parametrize("joint", [1, 2, 3])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("speed_share", [0.0, 0.5, 1.0, 1.4])
-@pytest.mark.parametrize("recent", [0.0, 0.3, 1.0])
+@each("joint", [1, 2, 3])
+@each("sign", [1.0, -1.0])
+@each("speed_share", [0.0, 0.5, 1.0, 1.4])
+@each("recent", [0.0, 0.3, 1.0])
 def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share, recent):
     speed = speed_share * (POSITIVE if sign > 0 else NEGATIVE)[joint]
     fastest = 1.5 * (POSITIVE if sign > 0 else NEGATIVE)[joint]
@@ -215,8 +216,8 @@ def test_a_joint_about_to_hit_its_limit(joint, sign, speed_share, recent):
         assert gate(0.0 * request, **known)[2] == 0
 
 
-@pytest.mark.parametrize("joint", [1, 2, 3])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", [1, 2, 3])
+@each("sign", [1.0, -1.0])
 def test_speed_away_from_a_limit_does_not_count(joint, sign):
     position, velocity, request = MIDDLE.copy(), np.zeros(4), np.zeros(4)
     limit = (HIGH if sign > 0 else LOW)[joint]
@@ -225,7 +226,7 @@ def test_speed_away_from_a_limit_does_not_count(joint, sign):
     assert gate(request, joint_position_rad_m=position, joint_velocity_rad_m_per_s=velocity)[2] == 0
 
 
-@pytest.mark.parametrize("value", [0.7, -0.7])
+@each("value", [0.7, -0.7])
 def test_what_was_let_through_is_remembered_for_a_tenth_of_a_second(value):
     _, _, _, memory = gate((value, 0, 0, 0))
     up = max(memory.recent_up_ratio[0, 0], 0.0)
@@ -252,8 +253,8 @@ def test_slew_has_no_position_limit():
     assert (valve[0], bits) == (0.5, 0)
 
 
-@pytest.mark.parametrize("motion", list(Motion))
-@pytest.mark.parametrize("was_open", [False, True])
+@each("motion", list(Motion))
+@each("was_open", [False, True])
 def test_gripper_opens_in_a_throw_and_stays_open_while_settling(motion, was_open):
     _, opened, bits, memory = gate(opens=True, motion=motion, was_open=was_open)
     allowed = motion is Motion.THROW or (motion is Motion.SETTLE and was_open)
@@ -298,7 +299,7 @@ def test_machines_of_a_batch_do_not_see_each_other():
     assert out.intervention_count[0] == 0
 
 
-@pytest.mark.parametrize("bit", list(Intervention))
+@each("bit", list(Intervention))
 def test_which_bits_close_and_which_are_faults(bit):
     assert bool(bit & safety.CLOSING) is (bit <= Intervention.STOPPED)
     assert bool(bit & safety.FAULTS) is (bit in (1, 2, 16))
@@ -354,8 +355,8 @@ def test_whatever_comes_the_output_is_allowed(
     assert (memory.valve_ratio == valve).all()
 
 
-@pytest.mark.parametrize("joint", [1, 2, 3])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", [1, 2, 3])
+@each("sign", [1.0, -1.0])
 def test_a_gated_joint_stops_before_its_limit(joint, sign):
     """Joints that obey their acceleration and a dead time of 80 ms, pushed at a limit by a mad request."""
     count, top = 40, (POSITIVE if sign > 0 else NEGATIVE)[joint]

@@ -7,6 +7,7 @@ from machine.starts import SAFE_ACTIVE_RAD_M, safe_pose
 from runtime.control import swing_control as sc
 from runtime.control.arm_motion import ArmMotion
 from runtime.control.imu_estimator import ImuEstimate, swing_frequency_rad_per_s
+from tests.cases import each
 from tests.runtime.samples import at_rest
 
 SPEC = load_spec()
@@ -18,7 +19,7 @@ def profile(turn, times=TIMES):
     return sc.turn_profile(times, np.full_like(times, turn), PERIOD_S)
 
 
-@pytest.mark.parametrize("turn", [0.005, -0.03, 0.049, 0.051, -0.5, 1.57, np.pi])
+@each("turn", [0.005, -0.03, 0.049, 0.051, -0.5, 1.57, np.pi])
 def test_a_turn_arrives_and_its_rate_is_the_derivative_of_its_angle(turn):
     angle, rate, length = profile(turn)
     lost = 2.0 * sc.BREAKAWAY_S * sc.SMALL_TURN_RAD_PER_S if abs(turn) < sc.SMALL_TURN_RAD else 0.0
@@ -45,7 +46,7 @@ def swing_left(turn):
     return abs(np.sum(acceleration * phase) * CONTROL_PERIOD_S / w) / 0.92
 
 
-@pytest.mark.parametrize("turn", [0.03, 0.3, 1.57, np.pi])
+@each("turn", [0.03, 0.3, 1.57, np.pi])
 def test_a_turn_leaves_next_to_no_swing(turn):
     # At once, a turn would leave about 6 m x rate / (L omega); planned, a hundredth of a radian at most.
     assert 6.0 * swing_left(turn) < 0.02
@@ -79,8 +80,8 @@ def run_align(turn, *, seconds=25.0, response_s=0.25, loss=1.0, homing=False, st
     return position[0], np.inf
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.004, -0.02, 0.2, -1.57, 3.1])
-@pytest.mark.parametrize("loss", [0.9, 1.0, 1.1])
+@each("turn", [0.0, 0.004, -0.02, 0.2, -1.57, 3.1])
+@each("loss", [0.9, 1.0, 1.1])
 def test_align_arrives_on_the_line(turn, loss):
     position, took_s = run_align(turn, loss=loss)
     assert position[0] == pytest.approx(turn, abs=sc.ALIGN_TOLERANCE_RAD + 5e-4)
@@ -168,7 +169,7 @@ def settle_once(position, estimate, speed=None):
     )
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("sign", [1.0, -1.0])
 def test_the_pin_goes_after_the_load(sign):
     _, out = settle_once(machines(1), imu(swing=0.3 * sign))
     assert np.sign(out.request_rad_m_per_s[0, 2]) == sign
@@ -206,7 +207,7 @@ def test_a_calm_machine_goes_home_and_a_swinging_one_waits():
     ).all()
 
 
-@pytest.mark.parametrize(
+@each(
     "change, done",
     [
         ({}, True),

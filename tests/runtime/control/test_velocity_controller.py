@@ -14,6 +14,7 @@ from runtime.control.velocity_controller import (
     flow_demand_m3_per_s,
     shape_reference,
 )
+from tests.cases import each
 
 SPEC = load_spec()
 POSITIVE = np.asarray(SPEC.limits.speed_positive_rad_m_per_s)
@@ -45,8 +46,8 @@ def test_a_slow_request_is_reached_and_kept():
     assert np.allclose(seen[0], np.sign([1, -1, 1, 1]) * ACCELERATION * TICK_S)
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", range(4))
+@each("sign", [1.0, -1.0])
 def test_one_fast_joint_reaches_its_speed_limit_or_the_pump_s(joint, sign):
     request = np.zeros(4)
     request[joint] = sign * 5.0
@@ -110,8 +111,8 @@ def test_a_reference_is_always_one_the_machine_can_follow(request, seed):
         assert (gain <= ACCELERATION * TICK_S + 1e-12).all()
 
 
-@pytest.mark.parametrize("joint", [1, 2, 3])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@each("joint", [1, 2, 3])
+@each("sign", [1.0, -1.0])
 def test_references_stop_before_position_limits(joint, sign):
     """A joint that follows its reference late, by dead time and lag, never reaches the limit."""
     position = POSE.copy()
@@ -208,7 +209,7 @@ def test_with_the_right_table_the_feed_forward_alone_is_right():
     assert np.abs(state.integral).max() < 0.02
 
 
-@pytest.mark.parametrize("factor", [0.85, 1.15])
+@each("factor", [0.85, 1.15])
 def test_feedback_takes_a_wrong_table_s_error_away(factor):
     first, _, _ = closed_loop(factor, lambda t: WISH, 60)
     last, _, _ = closed_loop(factor, lambda t: WISH, 1500)

@@ -21,6 +21,7 @@ from runtime.process.ipc import (
     packet_pair,
     unpack_rows,
 )
+from tests.cases import each
 
 DTYPES = {1: CONTROL_ROW, 3: IMU_ROW}
 
@@ -122,7 +123,7 @@ def test_foreign_bytes_are_refused_or_fit(body):
     assert pack_rows(parts) == body or len(parts) < 3
 
 
-@pytest.mark.parametrize("cut", [1, 2, 50])
+@each("cut", [1, 2, 50])
 def test_cut_packets_are_refused(cut):
     body = pack_rows({1: np.zeros(1, CONTROL_ROW)})
     with pytest.raises(ValueError, match="ends within"):

@@ -18,6 +18,7 @@ from runtime.records.throw_log import (
     row_to_json,
     rows_from_json,
 )
+from tests.cases import each
 from tests.runtime.log_samples import random_rows
 
 
@@ -48,9 +49,7 @@ def test_missing_fields_are_nan_and_unknown_ones_ignored():
     assert np.isnan(rows["gyro_rad_per_s"]).all()
 
 
-@pytest.mark.parametrize(
-    "message", [b"[]", b"{", b'{"gyro_rad_per_s": [1, 2]}', b'{"gyro_rad_per_s": "x"}']
-)
+@each("message", [b"[]", b"{", b'{"gyro_rad_per_s": [1, 2]}', b'{"gyro_rad_per_s": "x"}'])
 def test_messages_that_do_not_fit_are_errors(message):
     with pytest.raises(ValueError):
         rows_from_json("imu", [message])

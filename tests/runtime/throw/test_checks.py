@@ -1,13 +1,13 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from machine.conventions import Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.throw import checks
 from runtime.throw.checks import CheckInputs, run_checks
+from tests.cases import each
 from tests.runtime.protocol_bench import card
 
 SPEC = load_spec()
@@ -65,7 +65,7 @@ def speed(value):
     return np.array([0.0, 0.0, -value, 0.0])
 
 
-@pytest.mark.parametrize(
+@each(
     "check_id, passing, failing, number",
     [
         ("local_enable", {}, {"local_enable": False}, "off"),

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-import pytest
-
 from machine.conventions import Mode, Motion
 from machine.messages import CheckResult, RejectReason, Target, ThrowState
 from runtime.throw.protocol import REPLY_MEMORY_COUNT
+from tests.cases import each
 from tests.runtime.protocol_bench import Bench, card, plan
 
 S, R = ThrowState, RejectReason
@@ -36,9 +35,7 @@ ERROR = CheckResult(
 # Addresses, epochs, leases
 
 
-@pytest.mark.parametrize(
-    "verb", ["lease", "arm", "fire", "abort", "disarm", "stop", "clear", "load"]
-)
+@each("verb", ["lease", "arm", "fire", "abort", "disarm", "stop", "clear", "load"])
 def test_a_command_for_another_machine_does_nothing(verb):
     bench = at(S.ALIGNING)
     before = bench.machine
@@ -48,8 +45,8 @@ def test_a_command_for_another_machine_does_nothing(verb):
     assert bench.reply.machine_id == "m001"
 
 
-@pytest.mark.parametrize("state", EVERY)
-@pytest.mark.parametrize("verb", ["lease", "arm", "fire", "abort", "disarm", "clear", "load"])
+@each("state", EVERY)
+@each("verb", ["lease", "arm", "fire", "abort", "disarm", "clear", "load"])
 def test_a_stale_epoch_never_acts(state, verb):
     bench = at(state)
     before = bench.machine
@@ -59,8 +56,8 @@ def test_a_stale_epoch_never_acts(state, verb):
     assert replace(bench.machine, replies=before.replies) == before
 
 
-@pytest.mark.parametrize("state", EVERY)
-@pytest.mark.parametrize("verb", ["arm", "fire", "abort", "disarm", "clear", "load"])
+@each("state", EVERY)
+@each("verb", ["arm", "fire", "abort", "disarm", "clear", "load"])
 def test_an_epoch_without_a_lease_is_refused_and_holds_what_runs(state, verb):
     bench = at(state)
     getattr(bench, verb)(epoch_count=4)
@@ -76,7 +73,7 @@ def test_an_epoch_without_a_lease_is_refused_and_holds_what_runs(state, verb):
         assert bench.machine.state is state
 
 
-@pytest.mark.parametrize("verb", ["arm", "load", "clear"])
+@each("verb", ["arm", "load", "clear"])
 def test_a_machine_that_never_had_a_lease_accepts_nothing(verb):
     bench = Bench(epoch=0)
     getattr(bench, verb)()
@@ -91,7 +88,7 @@ def test_the_first_lease():
     assert bench.reply.epoch_count == 1
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_a_higher_lease_takes_over(state):
     bench = at(state)
     bench.lease(epoch_count=7, issuer="bert")
@@ -104,7 +101,7 @@ def test_a_higher_lease_takes_over(state):
     )
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_the_same_lease_again_is_harmless(state):
     bench = at(state)
     bench.lease()
@@ -120,7 +117,7 @@ def test_a_restarted_machine_learns_who_holds_its_epoch():
     assert bench.machine.lease_issuer == "bert"
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_two_holders_of_one_epoch_hold_the_machine(state):
     bench = at(state)
     bench.lease(issuer="bert")
@@ -130,7 +127,7 @@ def test_two_holders_of_one_epoch_hold_the_machine(state):
     assert bench.machine.state is expected
 
 
-@pytest.mark.parametrize("verb", ["arm", "fire"])
+@each("verb", ["arm", "fire"])
 def test_a_second_commander_of_an_armed_machine_disarms_it(verb):
     bench = at(S.ARMED)
     getattr(bench, verb)(issuer="bert")
@@ -139,7 +136,7 @@ def test_a_second_commander_of_an_armed_machine_disarms_it(verb):
     assert bench.machine.state is S.DISARMED
 
 
-@pytest.mark.parametrize("state", PRE)
+@each("state", PRE)
 def test_a_second_fire_by_somebody_else_aborts_the_throw(state):
     bench = at(state)
     bench.fire(issuer="bert", throw_id="t2")
@@ -150,7 +147,7 @@ def test_a_second_fire_by_somebody_else_aborts_the_throw(state):
 # Arm
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_arm_in_every_state(state):
     bench = at(state)
     before = bench.machine.state
@@ -165,7 +162,7 @@ def test_arm_in_every_state(state):
     assert bench.reply.nonce is None and bench.reply.nonce_valid_s is None
 
 
-@pytest.mark.parametrize(
+@each(
     "change, reason",
     [
         ({"machine_id": "m002"}, R.WRONG_MACHINE),
@@ -193,7 +190,7 @@ def test_each_mode_has_its_own_policy():
     assert bench.reply.accepted
 
 
-@pytest.mark.parametrize("verb, state", [("arm", S.DISARMED), ("fire", S.ARMED)])
+@each("verb, state", [("arm", S.DISARMED), ("fire", S.ARMED)])
 def test_arm_and_fire_need_a_load(verb, state):
     bench = at(state)
     getattr(bench, verb)(facts={"payload_held": False})
@@ -225,7 +222,7 @@ def test_a_check_that_fails_at_fire_has_disarmed_already():
 # Fire
 
 
-@pytest.mark.parametrize("state", [s for s in EVERY if s is not S.ARMED])
+@each("state", [s for s in EVERY if s is not S.ARMED])
 def test_fire_in_every_other_state(state):
     bench = at(state)
     bench.fire(throw_id="t2")
@@ -233,7 +230,7 @@ def test_fire_in_every_other_state(state):
     assert bench.machine.state is state
 
 
-@pytest.mark.parametrize("nonce", ["", "nonce-2", "nonce-1 "])
+@each("nonce", ["", "nonce-2", "nonce-1 "])
 def test_fire_with_another_nonce(nonce):
     bench = at(S.ARMED)
     bench.fire(nonce=nonce)
@@ -360,7 +357,7 @@ def test_the_memory_of_answers_is_bounded_and_keeps_the_newest():
 # Stop and clear
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_anybody_stops_from_every_state(state):
     bench = at(state)
     bench.stop(issuer="a viewer")
@@ -380,7 +377,7 @@ def test_a_stop_by_itself_does_not_repeat_its_event():
     assert bench.machine.latched_reason == "STOP by eve"
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_clear_in_every_state(state):
     bench = at(state)
     bench.clear()
@@ -415,7 +412,7 @@ def test_after_a_clear_everything_starts_with_arm():
 # Abort, disarm, load
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_abort_in_every_state(state):
     bench = at(state)
     bench.abort()
@@ -430,7 +427,7 @@ def test_abort_in_every_state(state):
         assert bench.machine.end_reason == "aborted by anna"
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_disarm_in_every_state(state):
     bench = at(state)
     bench.disarm()
@@ -443,8 +440,8 @@ def test_disarm_in_every_state(state):
     assert bench.kinds == (["disarmed"] if state is S.ARMED else [])
 
 
-@pytest.mark.parametrize("state", EVERY)
-@pytest.mark.parametrize("held", [True, False])
+@each("state", EVERY)
+@each("held", [True, False])
 def test_load_in_every_state(state, held):
     bench = at(state)
     running = state in (*PRE, S.ARMED)

@@ -1,9 +1,8 @@
 """Old commands are recognised by the machine's own clock."""
 
-import pytest
-
 from machine.messages import FireRequest, OperatorHeartbeat
 from runtime.throw.freshness import FIRE_AGE_MAX_NS, HEARTBEAT_AGE_MAX_NS, why_stale
+from tests.cases import each
 
 NOW_NS = 7_000_000_000
 
@@ -32,9 +31,7 @@ def beat(seen_ns: int | None) -> OperatorHeartbeat:
     )
 
 
-@pytest.mark.parametrize(
-    ("make", "limit_ns"), [(fire, FIRE_AGE_MAX_NS), (beat, HEARTBEAT_AGE_MAX_NS)]
-)
+@each(("make", "limit_ns"), [(fire, FIRE_AGE_MAX_NS), (beat, HEARTBEAT_AGE_MAX_NS)])
 def test_age_limit_is_exact_and_the_future_is_another_boot(make, limit_ns):
     assert why_stale(make(NOW_NS), NOW_NS) == ""
     assert why_stale(make(NOW_NS - limit_ns), NOW_NS) == ""

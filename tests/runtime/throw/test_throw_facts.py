@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from machine.calibration import nominal_calibration
 from machine.conventions import Mode, Motion
@@ -9,6 +8,7 @@ from machine.spec import load_spec
 from runtime.control import control_loop, safety
 from runtime.control.control_loop import ControlInputs, ControlParams, Violation
 from runtime.throw.facts import abort_reason, fault_reason, with_control
+from tests.cases import each
 from tests.runtime.protocol_bench import FACTS
 from tests.runtime.samples import NOW_NS, at_rest
 
@@ -52,7 +52,7 @@ def test_the_facts_are_those_of_the_machine_asked_for():
     assert (second.cards, second.fresh_nonce) == (FACTS.cards, FACTS.fresh_nonce)
 
 
-@pytest.mark.parametrize("bit", list(Violation))
+@each("bit", list(Violation))
 def test_what_aborts(bit):
     words = {Violation.SWING: "swung", Violation.IMU: "IMU", Violation.POLICY: "policy"}
     reason = abort_reason(int(bit), 1.35)
@@ -60,7 +60,7 @@ def test_what_aborts(bit):
     assert (words[bit] in reason) if bit in words else reason == ""
 
 
-@pytest.mark.parametrize("bit", list(safety.Intervention))
+@each("bit", list(safety.Intervention))
 def test_what_is_a_fault(bit):
     assert bool(fault_reason(int(bit))) is bool(bit & safety.FAULTS)
 

@@ -5,6 +5,7 @@ import pytest
 from machine.conventions import Motion
 from machine.messages import CheckResult, ThrowState
 from runtime.throw.protocol import LinkLost
+from tests.cases import each
 from tests.runtime.protocol_bench import Bench
 
 S = ThrowState
@@ -57,7 +58,7 @@ def test_a_throw_from_arm_to_rest():
     assert (bench.machine.plan, bench.machine.nonce, bench.machine.throw_id) == (None, "", None)
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_motion_of_every_state(state):
     expected = {
         S.DISARMED: Motion.HOLD,
@@ -72,7 +73,7 @@ def test_motion_of_every_state(state):
     assert at(state).machine.motion is expected[state]
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_a_quiet_tick_changes_nothing(state):
     bench = at(state)
     before = bench.machine
@@ -98,7 +99,7 @@ def test_the_machine_stands_until_the_first_heartbeat():
     assert "no heartbeat" in bench.machine.end_reason
 
 
-@pytest.mark.parametrize("state", [S.ALIGNING, S.THROWING])
+@each("state", [S.ALIGNING, S.THROWING])
 def test_silence_of_more_than_300_ms_before_commit_holds(state):
     bench = at(state)
     bench.wait(0.300)
@@ -118,7 +119,7 @@ def test_heartbeats_keep_a_throw_alive():
         assert bench.machine.state is S.ALIGNING
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"machine_id": "m002"},
@@ -129,7 +130,7 @@ def test_heartbeats_keep_a_throw_alive():
         {"sequence_count": 0},
     ],
 )
-@pytest.mark.parametrize("holding", [True, False])
+@each("holding", [True, False])
 def test_a_heartbeat_of_something_else_or_a_repeated_one_counts_for_nothing(change, holding):
     bench = at(S.ALIGNING)
     before = bench.machine
@@ -141,7 +142,7 @@ def test_a_heartbeat_of_something_else_or_a_repeated_one_counts_for_nothing(chan
     assert bench.machine.state is S.SETTLING
 
 
-@pytest.mark.parametrize("state", [S.ALIGNING, S.THROWING])
+@each("state", [S.ALIGNING, S.THROWING])
 def test_letting_go_holds_at_once(state):
     bench = at(state)
     bench.beat(is_holding=False)
@@ -157,10 +158,8 @@ def test_letting_go_before_ever_holding_aborts_too():
     assert bench.outcome == (S.SETTLING, Motion.HOLD)
 
 
-@pytest.mark.parametrize(
-    "state", [S.DISARMED, S.ARMED, S.COMMITTED, S.SETTLING, S.STOPPED, S.FAULT]
-)
-@pytest.mark.parametrize("holding", [True, False])
+@each("state", [S.DISARMED, S.ARMED, S.COMMITTED, S.SETTLING, S.STOPPED, S.FAULT])
+@each("holding", [True, False])
 def test_heartbeats_mean_nothing_in_other_states(state, holding):
     bench = at(state)
     before = bench.machine
@@ -204,7 +203,7 @@ def test_events_of_a_throw_carry_its_plan():
 # The server is gone
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_losing_the_server(state):
     bench = at(state)
     before = bench.machine
@@ -223,11 +222,11 @@ def test_losing_the_server(state):
 # Facts
 
 
-@pytest.mark.parametrize(
+@each(
     "facts",
     [{"local_enable": False}, {"abort_reason": "too much swing"}, {"payload_held": False}],
 )
-@pytest.mark.parametrize("state", [S.ALIGNING, S.THROWING])
+@each("state", [S.ALIGNING, S.THROWING])
 def test_facts_that_abort_before_commit(state, facts):
     bench = at(state)
     bench.tick(**facts)
@@ -236,14 +235,14 @@ def test_facts_that_abort_before_commit(state, facts):
     assert bench.kinds == ["aborted"]
 
 
-@pytest.mark.parametrize("facts", [{"local_enable": False}, {"abort_reason": "x"}])
+@each("facts", [{"local_enable": False}, {"abort_reason": "x"}])
 def test_facts_that_do_not_matter_after_commit(facts):
     bench = at(S.COMMITTED)
     bench.tick(**facts)
     assert bench.machine.state is S.COMMITTED
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_a_fault_stops_what_runs(state):
     bench = at(state)
     before = bench.machine
@@ -258,7 +257,7 @@ def test_a_fault_stops_what_runs(state):
         assert bench.machine is before
 
 
-@pytest.mark.parametrize("state", EVERY)
+@each("state", EVERY)
 def test_the_emergency_stop_latches_from_every_state(state):
     bench = at(state)
     bench.tick(emergency_stop=True)
@@ -298,9 +297,7 @@ def test_an_armed_machine_waits_10_s():
     assert bench.machine.armed_issuer == ""
 
 
-@pytest.mark.parametrize(
-    "severity, disarms", [("info", False), ("warning", False), ("error", True)]
-)
+@each("severity, disarms", [("info", False), ("warning", False), ("error", True)])
 def test_a_failing_check_disarms_only_as_an_error(severity, disarms):
     bench = at(S.ARMED)
     bench.tick(checks=(failed(severity),))
@@ -320,7 +317,7 @@ def test_a_passing_error_check_keeps_it_armed():
 # Phases
 
 
-@pytest.mark.parametrize("motion", list(Motion))
+@each("motion", list(Motion))
 def test_facts_count_only_from_the_motion_they_belong_to(motion):
     bench = at(S.ALIGNING)
     bench.tick(motion=motion, aligned=True)
