@@ -11,9 +11,9 @@ from diagnosis.causes.parameters import library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.ranking import Ranked
 from diagnosis.causes.selection import NORMAL_90
-from diagnosis.separating import acting_name
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter
-from sim_twin.effects.effect import Effect, parameter_unit
+from sim_twin.effects.effect import Effect, acting_effect
+from sim_twin.effects.schema import parameter_unit
 
 SIZE_ERROR_RATIO = 0.09
 """Of an effect's size: the real effect is never quite the library's. Of 744 intervals in five blind runs
@@ -31,7 +31,7 @@ def effect_names(effects: Sequence[Effect]) -> str:
     """A set of effects for people; empty for none."""
 
     def one(effect: Effect) -> str:
-        acting = acting_name(effect)
+        acting = acting_effect(effect)
         return words(acting, effect.joint) + (" drifting" if acting != effect.effect else "")
 
     return " and ".join(one(effect) for effect in effects)

@@ -7,7 +7,8 @@ confounded pairs in docs/diagnosis.md.
 from collections.abc import Mapping
 from typing import Any
 
-from sim_twin.effects.effect import DRIFT, Effect, effect_stage
+from sim_twin.effects.effect import Effect, acting_effect, effect_stage
+from sim_twin.effects.schema import DRIFT
 
 _STEPS = {
     "kind": "valve_steps",
@@ -138,13 +139,6 @@ _STAGES: Mapping[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def acting_name(effect: Effect) -> str:
-    """Name of an effect; of what drifts, for a drift."""
-    if effect.effect != DRIFT:
-        return effect.effect
-    return next(iter(effect.parameters)).split(".")[0]
-
-
 def alone_motion(effect: Effect) -> dict[str, Any]:
     """What to record next to tell an effect from nothing; ``words`` for people."""
     motion, words = _STAGES[effect_stage(effect)]
@@ -153,7 +147,7 @@ def alone_motion(effect: Effect) -> dict[str, Any]:
 
 def separating_motion(first: Effect, second: Effect) -> dict[str, Any]:
     """What to record next to tell two causes apart; ``words`` for people."""
-    names = frozenset((acting_name(first), acting_name(second)))
+    names = frozenset((acting_effect(first), acting_effect(second)))
     if DRIFT in (first.effect, second.effect) and len(names) == 1:
         motion, words = (
             {"kind": "throws", "count": 12, "pause_s": 1800.0},

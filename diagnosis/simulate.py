@@ -16,6 +16,7 @@ from diagnosis.loading.prepared import IMU_UNTIL_AFTER_OPENING_S
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect, acting_effect, resolve
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.motion import shifted
 from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, fly, replay
@@ -24,8 +25,6 @@ from sim_twin.twin.profile import TwinProfile
 LATEST_SENSOR_S = 0.2
 """Longer than any sensor's latency: measured motion is needed this far ahead."""
 BEFORE_OPENING_TICKS = 3
-HAS_MEMORY = ("chassis_compliance", "imu_misalignment")
-"""Effects whose state at the opening follows from the whole throw even where all joints are measured."""
 
 Track = tuple[float, Array]
 """When a load's track begins (s after the throw's start) and its points (K, 3) every control tick."""
@@ -120,7 +119,7 @@ def late(track: Array, latency_s: float) -> Array:
 
 
 def _has_memory(effects: Sequence[Effect]) -> bool:
-    return any(acting_effect(e) in HAS_MEMORY for e in effects)
+    return any(EFFECTS[acting_effect(e)].has_memory for e in effects)
 
 
 def _swing(

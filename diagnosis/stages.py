@@ -26,6 +26,7 @@ from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.kinematics import to_throw_frame
 from machine.spec import load_spec
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, fly, replay
 from sim_twin.replay.types import FourFlags
 from sim_twin.twin.profile import TwinProfile
@@ -135,7 +136,7 @@ def _from_ball(
 
 def _in_survey_frame(profile: TwinProfile) -> TwinProfile:
     """The profile's flight alone: a tracked state has left the gripper and knows no base pose."""
-    kept = tuple(e for e in profile.effects if e.effect in ("air_drag", "wind", "release_spin"))
+    kept = tuple(e for e in profile.effects if EFFECTS[e.effect].stage == "flight")
     return profile.model_copy(update={"effects": kept})
 
 

@@ -21,7 +21,8 @@ from diagnosis.verdict import (
 )
 from machine.calibration import ValveCalibration
 from machine.conventions import CONTROL_PERIOD_S, Array, IntArray
-from sim_twin.effects.effect import EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, ReplayOutput, replay
 from sim_twin.twin.profile import TwinProfile
 

@@ -20,7 +20,8 @@ from diagnosis.baselines.common import (
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
-from sim_twin.effects.effect import EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.table import EFFECTS
 from sim_twin.twin.profile import TwinProfile
 
 MAX_LAG_TICKS = 30

@@ -10,6 +10,7 @@ import numpy as np
 from diagnosis.causes.parameters import ROUGH_EFFECTS, Parameter, View, index_of, library
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.effects.effect import Effect, acting_effect
+from sim_twin.effects.table import effects_where
 from sim_twin.replay.replay import ReplayElement, ReplayInput
 from sim_twin.replay.types import FourFlags
 
@@ -23,7 +24,7 @@ STANDING_RAD_M_PER_S = 0.03
 """Slower than this a joint's measured speed is the noise of its sensors, six standard deviations of it: less
 of that is less of what shakes the simulated gripper, and no scale. Healthy machines whose 12 throws were all
 2D, with a slew that stood, had a slew's sensor that reports too much (z 46 in the gyro of one set)."""
-STRAIGHT_EFFECTS = ("joint_sensor_bias",)
+STRAIGHT_EFFECTS = effects_where(lambda effect: effect.keeps_slopes)
 """They keep the slopes of no effect in swing and flight. A machine's own biases are known as a part of all
 that its healthy throws are off: each several standard deviations, that cancel each other along those slopes
 (of 10 % other ones a boom's bias of 0.018 rad lost 12 of log evidence, a dipper's of 0.024 rad 29)."""

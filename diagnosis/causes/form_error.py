@@ -9,6 +9,7 @@ from diagnosis.healthy.noise import NoiseModel, whitener
 from diagnosis.loading.prepared import Block, PreparedThrow
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
+from sim_twin.effects.table import effects_where
 
 FORM_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
 """Discrepancy of a real effect from the library's by stage, as a share of what the twin is off there: what
@@ -20,10 +21,9 @@ ALIKE_ERROR_RATIO = {"actuation": 0.1, "swing": 0.05}
 form error mostly looks like none: with 0.2 as for the noise, 38 of 64 development pairs (seed 20261130) were
 right, and what was missing was mostly a second effect at the same joint. With 0.1, for the two below and for
 shapes as well, 41 were; of 37 singles (seed 20261131) 23 with either."""
-RESPONSE_EFFECTS = ("valve_dead_time", "valve_lag")
-"""These two look like each other by all of `FORM_ERROR_RATIO`. Whether a spool's own lag grows or another
-comes behind it is not known: 0.06 s grown by 0.1 s is 0.15 s behind it, 0.05 s sooner. With 0.1 two lags of
-a slew came out as lags beside dead times."""
+RESPONSE_EFFECTS = effects_where(lambda e: e.stage == "actuation" and e.growth == "delay")
+"""Dead time and lag of the drive. They may look like each other by all of `FORM_ERROR_RATIO`: whether the
+spool's own lag grows or another lag comes behind it is not known."""
 SHAKE_RATIO = 0.2
 """Of what stiction or play changes at a joint, the others move with it: the twin's move alone. On three
 development sets the telescope was off by 0.1, 0.2 and 0.3 of what the dipper was."""

@@ -13,7 +13,8 @@ import numpy as np
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import PreparedThrow
 from machine.conventions import Array
-from sim_twin.effects.effect import EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.table import EFFECTS
 from sim_twin.twin.profile import TwinProfile
 
 JITTER = "release_jitter"

@@ -10,26 +10,12 @@ from diagnosis.causes.selection import NORMAL_90
 from diagnosis.causes.trials import SWAYING
 from diagnosis.causes.weighing import Trial, by_member
 from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
+from sim_twin.effects.table import EFFECTS
 
 LEAST_OVER_SCATTER_RATIO = 1.5
 """A boom's speed limit scatters by 0.16: it came first, of 0.04 to 0.15, in five of 448 sets, and was in none
 of them. An IMU of a healthy stranger that may be off by 11 ms was named for 10 ms: about 15 ms it was 89
 ahead."""
-LEAST_BESIDE_RATIO = {
-    "speed_limit": 1.3,
-    "valve_hysteresis": 0.35,
-    "backlash": 0.15,
-    "stiction": 0.85,
-}
-"""Of its prior's width, beside another effect: less is that one's own error of form. In 340 sets of two
-challenges nine of eleven second effects that were not there were speed limits, eight of 0.06 to 0.20 and one
-of 0.33, and in 64 development pairs (seed 20261130) one of 0.26; those that were found and were there beside
-another effect were of 0.37 on. A hysteresis of 0.008 was named beside a backlash. Of 400 sets (seeds
-1741586721, 1344213217) three with a late IMU had stiction of the dipper beside it, 0.038 to 0.041 rad/s; the
-least that was there beside another effect was told as 0.065. Backlashes of 0.2 and 0.3 of their width (4 and
-6 mrad of a boom, seed 20261201) were there, 110 and 540 ahead of what they were beside alone."""
-FASTER_RATIO = {"valve_lag": 0.2, "valve_dead_time": 0.12}
-"""Of a joint's mean lag."""
 
 
 def of_some_size(problem: Problem, trials: Sequence[Trial]) -> list[Trial]:
@@ -76,7 +62,7 @@ def _is_hardly_faster(problem: Problem, trial: Trial) -> bool:
     sizes = by_member(trial.plain, trial.members, trial.sizes)
     groups = [(*problem.layout.groups[m], float(size[0])) for m, size in sizes.items()]
     return any(
-        -FASTER_RATIO.get(effect, 0.0) * mean_lag_s.get(str(joint), 0.0) < size < 0.0
+        -_shortening_ratio(effect) * mean_lag_s.get(str(joint), 0.0) < size < 0.0
         for effect, joint, size in groups
     )
 
@@ -106,5 +92,15 @@ def _least_sizes(problem: Problem, group: int, member_count: int) -> Array:
         SLAB_SCALES_RATIO[-1] * priors.slab_sd[index], LEAST_OVER_SCATTER_RATIO * scatter_sd
     )
     if member_count > 1:
-        least = np.maximum(least, LEAST_BESIDE_RATIO.get(effect, 0.0) * priors.slab_sd[index])
+        least = np.maximum(least, _beside_ratio(effect) * priors.slab_sd[index])
     return least
+
+
+def _beside_ratio(effect: str) -> float:
+    """`least_beside_ratio` of a group's effect; 0 for drifts and shapes."""
+    return EFFECTS[effect].least_beside_ratio if effect in EFFECTS else 0.0
+
+
+def _shortening_ratio(effect: str) -> float:
+    """`least_shortening_ratio` of a group's effect; 0 for drifts and shapes."""
+    return EFFECTS[effect].least_shortening_ratio if effect in EFFECTS else 0.0

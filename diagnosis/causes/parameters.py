@@ -11,7 +11,9 @@ from diagnosis.causes.evidence import Priors
 from diagnosis.causes.shapes import UNHEARD, unheard_groups, unheard_names, unheard_slab_sd
 from diagnosis.healthy.noise import NoiseModel
 from machine.conventions import ACTIVE_JOINTS, Array
-from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import EFFECTS, effects_where
 
 
 class View(StrEnum):
@@ -24,26 +26,6 @@ class View(StrEnum):
     FLIGHT = "flight"
     """Driven joints, swing and the moment of opening."""
 
-
-_BY_STAGE: Mapping[str, tuple[View, ...]] = {
-    "actuation": (View.ACTUATION,),
-    "swing": (View.SWING,),
-    "release": (View.FLIGHT,),
-    "flight": (View.FLIGHT,),
-    "aim": (View.SWING, View.FLIGHT),
-}
-_BY_EFFECT: Mapping[str, tuple[View, ...]] = {
-    "gripper_length": (View.SWING, View.FLIGHT),
-    "payload_mass": (View.SWING, View.FLIGHT),
-    "payload_offset": (View.SWING, View.FLIGHT),
-    "release_delay": (),
-    "release_jitter": (),
-    "joint_sensor_bias": (View.ACTUATION, View.SWING, View.FLIGHT),
-    "joint_sensor_latency": (View.ACTUATION, View.SWING, View.FLIGHT),
-    "base_yaw_drift": (View.FLIGHT,),
-    "base_height": (View.FLIGHT,),
-}
-"""Where it differs from the stage's. Release times are compared with the switch, without a simulation."""
 
 SET_NUISANCES = (
     "gyro_bias_x_rad_per_s",
@@ -58,9 +40,6 @@ SET_NUISANCES = (
     "grip_vertical_m",
 )
 """Sensor offsets and the like of a set of throws: behind the parameters in the vector, never a cause."""
-
-NOT_LINEAR = ("release_jitter",)
-"""Moves a spread, not a mean; weighed by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +82,7 @@ def library() -> tuple[Parameter, ...]:
     """All constant parameters with a mean effect, in the order of the chain."""
     return tuple(
         Parameter(
-            effect=spec.effect,
+            effect=spec.name,
             joint=joint,
             name=p.name,
             stage=spec.stage,
@@ -112,13 +91,12 @@ def library() -> tuple[Parameter, ...]:
             tolerance=p.tolerance,
             prior_sd=p.prior_sd,
             step=p.step,
-            views=_BY_EFFECT.get(spec.effect, _BY_STAGE[spec.stage]),
+            views=tuple(View(replay) for replay in spec.replays),
         )
         for spec in EFFECTS.values()
-        if spec.effect not in (DRIFT, *NOT_LINEAR)
+        if spec.name != DRIFT and not spec.is_random
         for joint in (spec.joints or (None,))
         for p in spec.parameters
-        if not (spec.effect == "load_dependent_speed" and joint == "slew")
     )
 
 
@@ -157,25 +135,7 @@ class Layout:
         return int(self.priors.slab_sd.size)
 
 
-ROUGH_EFFECTS = ("stiction", "backlash")
-"""Whose joint stands while its valve is open, breaks loose and meets its drive again by forces that the twin
-does not have."""
-DRIFTING = (
-    "valve_dead_time",
-    "valve_lag",
-    "valve_dead_band",
-    "valve_gain",
-    "pump_flow_sharing",
-    "passive_viscous_friction",
-    "passive_coulomb_friction",
-    "release_delay",
-    "sticky_release",
-    "wind",
-    "joint_sensor_bias",
-    "base_tilt",
-    "base_yaw_drift",
-)
-"""What warms up, wears in, blows or creeps within an hour; lengths, masses and clocks do not."""
+ROUGH_EFFECTS = effects_where(lambda effect: effect.stops_joint)
 GROUP_LOG_PRIOR = -6.0
 """About one effect in six data sets, of some seventy that could be."""
 ROUGH_LOG_PRIOR = -8.0
@@ -209,7 +169,7 @@ def layout(model: NoiseModel) -> Layout:
         groups.setdefault(p.group, []).append(i)
     logs = [ROUGH_LOG_PRIOR if e in ROUGH_EFFECTS else GROUP_LOG_PRIOR for e, _ in groups]
     for i, p in enumerate(constants):
-        if p.effect not in DRIFTING:
+        if not EFFECTS[p.effect].can_drift:
             continue
         groups[(f"{DRIFT}:{p.effect}.{p.name}", p.joint)] = [len(constants) + i]
         logs.append(DRIFT_LOG_PRIOR)

@@ -9,8 +9,9 @@ from diagnosis.causes.parameters import ROUGH_EFFECTS, Group
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.shapes import group_of
 from diagnosis.causes.weighing import Seen, Trial, own_evidence
+from sim_twin.effects.table import effects_where
 
-METERING_EFFECTS = ("valve_dead_band", "valve_gain")
+METERING_EFFECTS = effects_where(lambda effect: effect.shapes_speed)
 SHAPED_COUNT = 5
 """Sets with a shape that are weighed."""
 LEAST_OWN_LOG_EVIDENCE = 4.0

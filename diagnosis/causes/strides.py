@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.causes.problem import Problem
-from diagnosis.causes.trials import BENT_EFFECTS, CURVED_EFFECTS, SWAYING, Seed, try_sets
+from diagnosis.causes.trials import BENT_EFFECTS, CURVED_EFFECTS, Seed, try_sets
 from diagnosis.causes.weighing import Trial, best_of_each, by_member
+from sim_twin.effects.table import effects_where
 
-LATE = ("valve_dead_time", "valve_lag", "joint_sensor_latency", "imu_latency")
-"""A large delay is no multiple of a small one's slope."""
-STRIDING = (*BENT_EFFECTS, *CURVED_EFFECTS, *LATE, *SWAYING)
+STRIDING = effects_where(lambda effect: effect.growth not in ("linear", "threshold"))
+"""Effects whose slopes are no guide to other sizes."""
 LONG_STRIDES_RATIO = (1.5, 1.2)
 """Of looks: slopes led a slew's speed limit of 0.4 from 0.6 to 0.71, a boom's hysteresis of 0.12 from 0.2 to
 0.19, 0.18 and on, and a boom's dead time of 0.148 s from 0.08 s to 0.036 s."""

@@ -7,11 +7,10 @@ import numpy as np
 from diagnosis.causes.evidence import SetEvidence
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.shapes import UNHEARD
-from diagnosis.causes.strides import LATE
-from diagnosis.causes.trials import SWAYING
 from diagnosis.causes.weighing import Trial
 from machine.conventions import ACTIVE_JOINTS, Array
-from sim_twin.effects.effect import DRIFT
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import effects_where
 
 LOUD_SD = 3.0
 """A joint's leftover power that calls for a look at everything that could act on it."""
@@ -20,14 +19,8 @@ NEARLY_AS_LOUD_RATIO = 0.5
 """A joint that a neighbour shakes may be louder than the neighbour (0.6 with a late dipper sensor)."""
 PLAIN_LOG_ODDS = 10.0
 """An effect that slopes at "no effect" show so plainly makes its joint suspect, loud or not."""
-WITH_THRESHOLD = (
-    "valve_dead_band",
-    "valve_hysteresis",
-    "speed_limit",
-    "backlash",
-    "stiction",
-    "pump_flow_sharing",
-)
+HIDDEN_FROM_SLOPES = effects_where(lambda effect: effect.growth not in ("linear", "curved"))
+"""Effects that are unlike a multiple of their slope at size 0."""
 FAR_RATIO = 3.0
 """Suspects start from this multiple of it, too: from 0.05 s the estimate of a latency of 0.135 s moves on by
 0.012 s a simulation only, and from 0.068 rad/s that of a breakaway speed of 0.135 rad/s by 0.006 rad/s."""
@@ -69,7 +62,7 @@ def sizes_beyond_slopes(problem: Problem, group: int) -> list[Array]:
     """A typical size and large ones of an effect, or drift, that is unlike a multiple of its slope at 0."""
     priors = problem.layout.priors
     effect = problem.layout.groups[group][0].removeprefix(f"{DRIFT}:").partition(".")[0]
-    if effect not in (*WITH_THRESHOLD, *LATE, *SWAYING):
+    if effect not in HIDDEN_FROM_SLOPES:
         return []
     typical = priors.slab_sd[priors.groups[group]]
     # Of two directions, one would hide the other.

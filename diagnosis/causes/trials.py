@@ -24,26 +24,28 @@ from diagnosis.causes.leftovers import levels
 from diagnosis.causes.linear import Linear, carried
 from diagnosis.causes.own_noise import in_common_noise
 from diagnosis.causes.own_play import with_own_play
-from diagnosis.causes.parameters import ROUGH_EFFECTS, Layout, Parameter, View, effects_of, library
+from diagnosis.causes.parameters import Layout, Parameter, View, effects_of, library
 from diagnosis.causes.problem import Problem
 from diagnosis.causes.residuals import relinearise
 from diagnosis.causes.weighing import Trial, by_member, formed, lead
 from diagnosis.causes.whitening import Whitened, information, whiten_throw
 from machine.conventions import Array
-from sim_twin.effects.effect import DRIFT, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import effects_where
 
-BENT_EFFECTS = (*ROUGH_EFFECTS, "valve_hysteresis", "speed_limit")
+BENT_EFFECTS = effects_where(lambda effect: effect.growth == "jumps")
 """Joints stand, valves hang in their play, speeds are cut, for a time that grows with the size in jumps."""
-CURVED_EFFECTS = ("payload_mass", "release_spin")
+CURVED_EFFECTS = effects_where(lambda effect: effect.growth == "curved")
 """Drag over mass and lift grow with the size along a curve, without jumps: slopes are a guide to sizes
 nearby, and to no others. A load lighter by 0.5 kg, six times the drag, promised what 0.46 would be: 14 ahead
 of the drag of 2.8 times that was there."""
-SWAYING = ("chassis_compliance",)
+SWAYING = effects_where(lambda effect: effect.growth == "frequency")
 """A softer chassis sways slower. Of one by 0.02 rad slopes at none showed nothing, and simulated it was 5400
 ahead of none, where 36 had been the most."""
-SHAKING_EFFECTS = (*ROUGH_EFFECTS, "pump_flow_sharing")
+SHAKING_EFFECTS = effects_where(lambda effect: effect.shakes_other_joints)
 """One joint's, or the pump's, shows at others, in another form than the library's."""
-BENDING_EFFECTS = ("valve_dead_time", "valve_lag", "valve_gain", "load_dependent_speed")
+BENDING_EFFECTS = effects_where(lambda effect: effect.varies_widely)
 """By which healthy machines scatter so much that slopes at the twin are no good guide."""
 Seed = tuple[Set, Array]
 """A set, and the sizes at which it is to be simulated."""

@@ -25,13 +25,14 @@ from diagnosis.healthy.two_levels import Levels, Told, learn, shrunk, told
 from diagnosis.loading.prepared import PreparedThrow
 from machine.calibration import ValveCalibration
 from machine.conventions import Array
+from sim_twin.effects.table import effects_where
 from sim_twin.twin.profile import TwinProfile
 
 KEPT_NUISANCES = ("release_delay_s", "switch_lag_s")
 """Not separable in healthy data: jitter of the opening is in the machine's profile."""
 THROW_SHRINKING_COUNT = 60.0
 """So many throws without any correlation are added to those that were seen (by eye)."""
-NO_SLOPE = ("valve_hysteresis", "speed_limit", "backlash", "stiction")
+NO_SLOPE = effects_where(lambda effect: not effect.is_smooth)
 """Effects with a threshold have no slope at 0, and no size below it: they have scatter, but no mean."""
 FIRST_SCATTER_RATIO = 4.0
 """Of the library's tolerances: where the rounds begin."""

@@ -19,6 +19,7 @@ from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.healthy.own_sensors import LATE_KEYS, SWINGS_MORE
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import load_spec
+from sim_twin.effects.table import effects_where
 
 LAG_RATIO = 0.1
 """Of a drive's lag: by how much that of another machine is off (by eye)."""
@@ -138,9 +139,9 @@ def _least_sd(names: Sequence[str]) -> Array:
 
 
 def _clocks() -> list[str]:
-    """Of all sensors that move with the arm."""
-    joints = [f"joint_sensor_latency.{joint}.extra_latency_s" for joint in ACTIVE_JOINTS]
-    return [*joints, "imu_latency.extra_latency_s"]
+    """Keys of the latencies of all sensors that move with the arm."""
+    late = effects_where(lambda effect: effect.stage == "aim" and effect.growth == "delay")
+    return [p.key for p in library() if p.effect in late]
 
 
 def _together() -> list[dict[str, float]]:

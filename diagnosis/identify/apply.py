@@ -12,12 +12,12 @@ from diagnosis.identify.response import JointResponse
 from diagnosis.identify.swing import AxisSwing
 from machine.spec import MachineSpec
 from sim_twin.effects.effect import Effect
+from sim_twin.effects.table import EFFECTS
 from sim_twin.twin.profile import TwinProfile
 
 LENGTH_EFFECT = "gripper_length"
 LENGTH_PARAMETER = "extra_length_m"
-LONGEST_M = 0.3
-"""Bound of that effect (sim_twin.effects.library)."""
+LONGEST_M = EFFECTS[LENGTH_EFFECT].parameter(LENGTH_PARAMETER).high
 
 
 def with_response(profile: TwinProfile, joints: Sequence[JointResponse]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from diagnosis.shrink import corrected_input
 from diagnosis.simulate import joint_latency_s
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect, acting_effect, effect_stage
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.drives import replay_drives
 from sim_twin.replay.replay import ReplayElement, replay
 from sim_twin.replay.types import ReplayOutput
@@ -65,7 +66,7 @@ def _signal(stage: str, joint: str | None, effect: str) -> str:
     """Which plot shows an effect, or what a stage adds, best."""
     if joint is not None:
         return f"{joint} velocity"
-    if stage == "swing" or effect.startswith("imu_"):
+    if stage == "swing" or (effect in EFFECTS and EFFECTS[effect].part == "imu"):
         return TURN_RATE
     # A shortage of the pump is seen at the joint that needs most.
     return f"{ACTIVE_JOINTS[1]} velocity" if stage == "actuation" else HEIGHT

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter, Stage, VerdictKind
-from sim_twin.effects.effect import DRIFT
+from sim_twin.effects.schema import DRIFT
 
 MINUS = "−"
 NONE = "–"

@@ -8,7 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, Array
-from sim_twin.effects.effect import EFFECTS, Effect, Sizes, StageName, resolve
+from sim_twin.effects.effect import Effect, Sizes, resolve
+from sim_twin.effects.schema import PartName, StageName
+from sim_twin.effects.table import effects_where
 
 
 class EffectArrays:
@@ -43,9 +45,13 @@ class EffectArrays:
         """Whether any machine has any of these effects at another size than 0."""
         return any(array.any() for (name, _), array in self._arrays.items() if name in effects)
 
-    def acts_on(self, stage: StageName) -> bool:
+    def acts_in(self, stage: StageName) -> bool:
         """Whether any machine has any effect of a stage."""
-        return self.has(*(spec.effect for spec in EFFECTS.values() if spec.stage == stage))
+        return self.has(*effects_where(lambda effect: effect.stage == stage))
+
+    def acts_on(self, *parts: PartName) -> bool:
+        """Whether any machine has any effect on these parts."""
+        return self.has(*effects_where(lambda effect: effect.part in parts))
 
 
 def effect_arrays(

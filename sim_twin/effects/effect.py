@@ -1,6 +1,6 @@
-"""One effect at one size, checked against the library; and what a set of them comes to for one throw.
+"""One effect at one size, checked against the table; and the sizes that a set of effects has in one throw.
 
-An effect that the library does not know, a wrong joint, a misspelt parameter or a value out of bounds is
+An effect that the table does not have, a wrong joint, a misspelt parameter or a value out of bounds is
 refused, so that nothing in a profile is silently left out.
 """
 
@@ -8,41 +8,15 @@ from collections.abc import Iterable, Mapping
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from sim_twin.effects.library import DRIFT, EFFECTS, EffectSpec, ParameterSpec, StageName
-
-__all__ = [
-    "DRIFT",
-    "EFFECTS",
-    "Effect",
-    "EffectSpec",
-    "ParameterSpec",
-    "StageName",
-    "acting_effect",
-    "deterministic",
-    "effect_stage",
-    "parameter_unit",
-    "resolve",
-]
+from sim_twin.effects.schema import DRIFT, StageName
+from sim_twin.effects.table import EFFECTS
 
 BOUND_SLACK = 1e-9
 """Share of the range by which a value may lie beyond a bound: rounding of finite differences."""
-_UNITS = (
-    ("_rad_m_per_s", "rad/s"),
-    ("_rad_per_s2", "rad/s2"),
-    ("_rad_per_s", "rad/s"),
-    ("_m_per_s", "m/s"),
-    ("_per_s2", "1/s2"),
-    ("_per_s", "1/s"),
-    ("_rad_m", "rad"),
-    ("_rad", "rad"),
-    ("_kg", "kg"),
-    ("_m", "m"),
-    ("_s", "s"),
-)
 
 
 class Effect(BaseModel):
-    """An effect of the library at a size; parameters left out are 0."""
+    """An effect of the table at a size; parameters left out are 0."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     effect: str
@@ -50,7 +24,7 @@ class Effect(BaseModel):
     parameters: Mapping[str, float]
 
     @model_validator(mode="after")
-    def _fits_the_library(self) -> "Effect":
+    def _fits_the_table(self) -> "Effect":
         spec = EFFECTS.get(self.effect)
         if spec is None:
             raise ValueError(f"no effect '{self.effect}'; the library has {', '.join(EFFECTS)}")
@@ -83,29 +57,20 @@ class Effect(BaseModel):
 
 
 def acting_effect(effect: Effect) -> str:
-    """Name of what acts: the effect's own, or of the effect that drifts."""
+    """Name of the effect that acts: the one that drifts for a drift."""
     if effect.effect != DRIFT:
         return effect.effect
     return next(iter(effect.parameters)).split(".")[0]
 
 
 def deterministic(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """The effects without what is random: `release_jitter`."""
-    return tuple(e for e in effects if acting_effect(e) != "release_jitter")
+    """The effects without those that are random."""
+    return tuple(e for e in effects if not EFFECTS[acting_effect(e)].is_random)
 
 
 def effect_stage(effect: Effect) -> StageName:
-    """Stage at which an effect acts; a drift acts where what it changes acts."""
+    """Stage at which an effect acts; that of the drifting effect for a drift."""
     return EFFECTS[acting_effect(effect)].stage
-
-
-def parameter_unit(name: str, joint: str | None = None) -> str:
-    """Unit of a parameter, from its name; that of the telescope is linear. Ratios have none: ``1``."""
-    for suffix, unit in _UNITS:
-        if name.endswith(suffix):
-            linear = joint == "telescope" and "_rad_m" in suffix
-            return unit.replace("rad", "m") if linear else unit
-    return "1"
 
 
 Sizes = dict[tuple[str, str | None, str], float]
@@ -113,7 +78,7 @@ Sizes = dict[tuple[str, str | None, str], float]
 
 
 def resolve(effects: Iterable[Effect], progress_ratio: float) -> Sizes:
-    """What a set of effects comes to for one throw: sums of equal effects, drifts carried out.
+    """Sizes that a set of effects has in one throw: sums of equal effects, with drifts applied.
 
     Args:
         effects: any number, in any order; two of the same kind add up.

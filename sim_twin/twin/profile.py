@@ -85,7 +85,7 @@ class TwinProfile(BaseModel):
     wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Frame `machine`."""
     effects: tuple[Effect, ...] = ()
-    """What a diagnosis found on top of the values above (sim_twin.effects.library)."""
+    """What a diagnosis found on top of the values above (sim_twin.effects.table)."""
     noise: SensorNoise = SensorNoise()
     spread: Spread = Spread()
     intervals: Mapping[str, Interval] = {}

@@ -83,7 +83,7 @@ class VelocityResponse:
         effects: EffectArrays | None = None,
     ) -> None:
         self._profile, self._count = profile, count
-        acts = effects is not None and effects.acts_on("actuation")
+        acts = effects is not None and effects.acts_in("actuation")
         self._effects = ValveEffects(spec, effects) if effects is not None and acts else None
         self._tables = [
             (np.asarray(t.valve_ratio), np.asarray(t.actuator_speed_rad_m_per_s))

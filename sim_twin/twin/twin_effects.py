@@ -17,9 +17,6 @@ from sim_twin.twin.base_pose import BasePose
 from sim_twin.twin.grip_point import grip_point
 from sim_twin.twin.model import twin_model
 
-_BASE = ("base_tilt", "base_yaw_drift", "base_height", "chassis_compliance")
-_SENSORS = ("joint_sensor_bias", "joint_sensor_latency", "imu_latency", "imu_misalignment")
-
 
 class PrescribedMotion(NamedTuple):
     """Joint states (N, 6) at the end of the next tick, for joints that move as they were measured."""
@@ -45,9 +42,9 @@ class TwinEffects:
     def __init__(self, spec: MachineSpec, arrays: EffectArrays, batch: Any) -> None:
         """Sort the effects by where they act, and change the models of a `mujoco.batch.Batch`."""
         self._spec = spec
-        self.body = BodyEffects(arrays) if arrays.acts_on("swing") else None
-        self._base = BasePose(spec, arrays) if arrays.has(*_BASE) else None
-        self._sensors = SensorEffects(arrays) if arrays.has(*_SENSORS) else None
+        self.body = BodyEffects(arrays) if arrays.acts_in("swing") else None
+        self._base = BasePose(spec, arrays) if arrays.acts_on("base") else None
+        self._sensors = SensorEffects(arrays) if arrays.acts_on("joint_sensor", "imu") else None
         if self.body is not None:
             self.body.change_models(batch)
         if self._base is not None and self._base.sway is not None:

@@ -1,4 +1,4 @@
-"""The effect library as data: names, bounds, units, profiles that hold effects."""
+"""The table of effects as data: names, bounds, units, profiles that hold effects."""
 
 import json
 from pathlib import Path
@@ -10,16 +10,9 @@ from machine.conventions import ACTIVE_JOINTS, UNIT_SUFFIXES
 from machine.errors import UsageError
 from machine.spec import load_spec
 from sim_twin.effects.arrays import effect_arrays
-from sim_twin.effects.effect import (
-    DRIFT,
-    EFFECTS,
-    Effect,
-    acting_effect,
-    deterministic,
-    effect_stage,
-    parameter_unit,
-    resolve,
-)
+from sim_twin.effects.effect import Effect, acting_effect, deterministic, effect_stage, resolve
+from sim_twin.effects.schema import DRIFT, parameter_unit
+from sim_twin.effects.table import EFFECTS, effects_where
 from sim_twin.twin.profile import (
     TwinProfile,
     exact_profile,
@@ -37,32 +30,38 @@ def drift(name: str, size: float, joint: str | None = None) -> Effect:
     return Effect(effect=DRIFT, joint=joint, parameters={name: size})
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_is_fully_described(name: str) -> None:
-    spec = EFFECTS[name]
-    assert spec.effect == name
-    assert set(spec.joints) <= set(ACTIVE_JOINTS)
-    assert spec.physics
-    assert spec.source
-    assert len({p.name for p in spec.parameters}) == len(spec.parameters)
-    for p in spec.parameters:
-        assert p.name.endswith(UNIT_SUFFIXES)
-        assert p.low <= 0.0 < p.high, "0 is no effect"
-        assert p.low <= p.step <= p.high, "the finite difference can be taken"
-        assert 0.0 < p.tolerance < p.prior_sd
-        assert p.tolerance <= p.step <= 4.0 * p.prior_sd
+def test_every_row_is_complete_and_consistent() -> None:
+    for name, spec in EFFECTS.items():
+        assert spec.name == name
+        assert set(spec.joints) <= set(ACTIVE_JOINTS), name
+        assert spec.physics, name
+        assert spec.source, name
+        assert len({p.name for p in spec.parameters}) == len(spec.parameters), name
+        for p in spec.parameters:
+            assert p.name.endswith(UNIT_SUFFIXES), (name, p.name)
+            assert p.low <= 0.0 < p.high, "0 is no effect"
+            assert p.low <= (p.virtual_low or p.low) <= 0.0
+            assert p.low <= p.step <= p.high, "the finite difference can be taken"
+            assert 0.0 < p.tolerance < p.prior_sd
+            assert p.tolerance <= p.step <= 4.0 * p.prior_sd
 
 
-def test_the_library_holds_every_name_of_the_contract() -> None:
-    for stage, count in (
-        ("actuation", 10),
-        ("swing", 7),
-        ("release", 3),
-        ("flight", 3),
-        ("aim", 8),
-    ):
-        names = [n for n, spec in EFFECTS.items() if spec.stage == stage and n != DRIFT]
-        assert len(names) == count, (stage, names)
+def test_columns_agree_with_each_other() -> None:
+    joints = {"joint_sensor"}
+    for name in effects_where(lambda e: bool(e.joints)):
+        assert EFFECTS[name].part in {"drive", *joints}, name
+    # What moves no mean, and what is compared with the switch alone, needs no replay.
+    assert effects_where(lambda e: not e.replays) == ("release_delay", "release_jitter")
+    assert effects_where(lambda e: e.is_random) == ("release_jitter",)
+    assert effects_where(lambda e: e.stage == "actuation") == effects_where(
+        lambda e: e.part == "drive"
+    )
+    assert set(effects_where(lambda e: e.stops_joint)) < set(
+        effects_where(lambda e: not e.is_smooth)
+    )
+    assert set(effects_where(lambda e: e.hides_drift)) < set(effects_where(lambda e: e.can_drift))
+    assert DRIFT not in effects_where(lambda _: True)
+    assert len(effects_where(lambda _: True)) == len(EFFECTS) - 1 == 31
 
 
 @pytest.mark.parametrize(
@@ -80,7 +79,7 @@ def test_the_library_holds_every_name_of_the_contract() -> None:
         (DRIFT, None, {"wind.x_m_per_s": 1.0, "wind.y_m_per_s": 1.0}, "exactly one"),
     ],
 )
-def test_effects_outside_the_library_are_refused(
+def test_effects_outside_the_table_are_refused(
     effect: str, joint: str | None, parameters: dict[str, float], message: str
 ) -> None:
     with pytest.raises(ValidationError, match=message):
@@ -131,8 +130,10 @@ def test_sets_of_effects_become_arrays_and_nothing_becomes_none() -> None:
     assert delay.tolist() == [[0.0, 0.05, 0.0, 0.0], [0.0] * 4]
     assert arrays.filled("wind", "x_m_per_s").tolist() == [2.0, 2.0]
     assert arrays.get("valve_lag", "extra_lag_s") is None
-    assert arrays.acts_on("flight")
-    assert not arrays.acts_on("swing")
+    assert arrays.acts_in("flight")
+    assert not arrays.acts_in("swing")
+    assert arrays.acts_on("air", "base")
+    assert not arrays.acts_on("base")
 
 
 def test_a_profile_with_effects_survives_its_file(tmp_path: Path) -> None:
@@ -179,13 +180,15 @@ def test_a_profile_refuses_what_it_does_not_know(
         load_profile(path)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_the_documents_table_has_the_effect_with_its_bounds(name: str) -> None:
+def test_the_documents_table_has_every_effect_with_its_bounds() -> None:
     text = (Path(__file__).parents[3] / "docs/diagnosis.md").read_text(encoding="utf-8")
-    row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
-    if name == DRIFT:
-        return
-    assert f"| {EFFECTS[name].stage} |" in row
-    for p in EFFECTS[name].parameters:
-        assert f"`{p.name}` (" in row
-        assert f"{p.low:g} to {p.high:g})" in row
+    lines = text.splitlines()
+    for name, spec in EFFECTS.items():
+        row = next((line for line in lines if line.startswith(f"| `{name}` |")), "")
+        assert row, f"{name} has no row"
+        if name == DRIFT:
+            continue
+        assert f"| {spec.stage} |" in row, name
+        for p in spec.parameters:
+            assert f"`{p.name}` (" in row, name
+            assert f"{p.low:g} to {p.high:g})" in row, name

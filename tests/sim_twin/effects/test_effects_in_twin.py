@@ -8,8 +8,10 @@ import pytest
 from machine.conventions import CONTROL_PERIOD_NS, Array
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
-from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.sensor import DelayLine
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, ReplayOutput, replay
 from sim_twin.twin.twin import Twin
 from tests.sim_twin.twin_throw import CALIBRATION, PROFILE, SPEC, Recorded, record

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from machine.errors import UsageError
-from sim_twin.effects.effect import DRIFT, EFFECTS, Effect
+from sim_twin.effects.effect import Effect
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, fly, replay
 from tests.sim_twin.twin_throw import CALIBRATION, OPENS_AT, PROFILE, TICKS, Recorded, record
 
