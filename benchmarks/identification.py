@@ -15,10 +15,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from diagnosis.identify.quantity import Quantity
-from diagnosis.identify.release import identify_release
-from diagnosis.identify.response import DIRECTIONS, identify_response
-from diagnosis.identify.swing import identify_swing
+from diagnosis.identification.free_swing import identify_swing
+from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.release_delay import identify_release
+from diagnosis.identification.response import DIRECTIONS, identify_response
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_JOINTS, Mode

@@ -8,19 +8,28 @@ from typing import Any
 import tyro
 from matplotlib.figure import Figure
 
-from diagnosis.identify.apply import next_profile, with_release, with_response, with_swing
-from diagnosis.identify.plots import release_figure, response_figure, swing_figure
-from diagnosis.identify.quantity import Quantity
-from diagnosis.identify.release import (
+from diagnosis.identification.free_swing import (
+    PAPER_COULOMB_RAD_PER_S2,
+    PAPER_VISCOUS_PER_S,
+    identify_swing,
+)
+from diagnosis.identification.plots import release_figure, response_figure, swing_figure
+from diagnosis.identification.profile_update import (
+    next_profile,
+    with_release,
+    with_response,
+    with_swing,
+)
+from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.release_delay import (
     PAPER_COUNT,
     PAPER_MEAN_S,
     PAPER_SD_S,
     ReleaseDelay,
     identify_release,
 )
-from diagnosis.identify.response import identify_response
-from diagnosis.identify.swing import PAPER_COULOMB_RAD_PER_S2, PAPER_VISCOUS_PER_S, identify_swing
-from diagnosis.identify.training_ranges import training_ranges
+from diagnosis.identification.response import identify_response
+from diagnosis.identification.training_ranges import training_ranges
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_data import LoadedSet
 from machine.errors import UsageError

@@ -1,4 +1,4 @@
-"""From a diagnosis to the next version of a machine's twin profile."""
+"""The next version of a machine's twin profile from a diagnosis."""
 
 from diagnosis.verdict import Diagnosis, VerdictKind
 from sim_twin.effects.effect import Effect
@@ -6,7 +6,7 @@ from sim_twin.twin.profile import TwinProfile
 
 
 def found_effects(found: Diagnosis) -> tuple[Effect, ...]:
-    """What an explained diagnosis would add to the twin; empty for every other verdict."""
+    """The effects that an explained diagnosis would add to the twin; empty for every other verdict."""
     if found.verdict is not VerdictKind.EXPLAINED or not found.causes:
         return ()
     return tuple(
@@ -22,13 +22,13 @@ def found_effects(found: Diagnosis) -> tuple[Effect, ...]:
 def corrected_profile(
     profile: TwinProfile, found: Diagnosis, machine_id: str, note: str
 ) -> TwinProfile:
-    """The next version of a profile: its own effects, those found, and their 90 % intervals.
+    """The next version of a profile: its effects, the effects found, and their 90 % intervals.
 
     Args:
         profile: that the throws were compared with.
         found: an explained diagnosis.
-        machine_id: whose profile it becomes.
-        note: where the effects come from, for people.
+        machine_id: machine of the new profile.
+        note: origin of the effects, for people.
 
     Raises:
         ValueError: there is nothing to add.

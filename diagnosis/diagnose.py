@@ -1,4 +1,4 @@
-"""A set of throws against the twin of its machine: where the gap lies, what causes it, how far it shrinks."""
+"""Diagnosis of a set of throws: where the gap lies, what causes it, how far it shrinks."""
 
 from collections.abc import Callable
 from contextlib import closing, nullcontext
@@ -11,26 +11,26 @@ from diagnosis.causes.jitter import fit_jitter
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import pose
 from diagnosis.causes.ranking import rank
-from diagnosis.conclude import Findings, conclude
+from diagnosis.conclusion import Findings, conclude
+from diagnosis.cross_validation import shrink
 from diagnosis.healthy.health import Health, load_health
-from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
+from diagnosis.healthy.sensor_noise import with_measured_sensor_noise
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.report.overlay import overlay
-from diagnosis.second_process import SecondProcess
-from diagnosis.shrink import shrink
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
+from diagnosis.worker_process import WorkerProcess
 from sim_twin.twin.profile import TwinProfile
 
 Progress = Callable[[float, str], None]
-"""Told the share done, 0 to 1, and what is being done."""
+"""Called with the share done, 0 to 1, and what is being done."""
 
 
 class CancelledError(Exception):
-    """The user asked to stop."""
+    """The caller asked to stop."""
 
 
 def diagnose_throws(
@@ -46,17 +46,17 @@ def diagnose_throws(
     """Diagnose a set of throws.
 
     Args:
-        loaded: the throws and what was refused.
+        loaded: the throws, and the refused logs.
         profile: of the twin that the machine is compared with.
-        progress: told what is being done.
-        cancel: asked between steps whether to stop.
-        health: what a healthy machine of the type looks like; the calibrated one if left out.
-        reference: throws of the same machine while it was healthy, which tell effects from what this machine
-            is off anyway; without them it is compared with healthy machines of the type.
-        is_alone: whether a second core is free for it.
+        progress: called with the share done and what is being done.
+        cancel: called between steps; true stops the diagnosis.
+        health: model of healthy machines; the calibrated model of the type if left out.
+        reference: throws of the same machine while it was healthy. They separate effects from the machine's
+            own deviations. Without them the machine is compared with healthy machines of its type.
+        is_alone: whether a second core is free.
 
     Raises:
-        CancelledError: `cancel` said so.
+        CancelledError: `cancel` returned true.
         UsageError: the reference throws are too few, of another machine, or among those diagnosed.
     """
     refused = loaded.too_few()
@@ -64,9 +64,11 @@ def diagnose_throws(
         return refused
     if reference is not None:
         check_reference(reference, loaded.throws)
-    with one_blas_thread(), closing(SecondProcess()) if is_alone else nullcontext() as second:
+    with one_blas_thread(), closing(WorkerProcess()) if is_alone else nullcontext() as worker:
+        if worker is not None:
+            worker.preload(explore)
         known = load_health() if health is None else health
-        return _diagnose(loaded, reference, profile, known, progress, cancel, second)
+        return _diagnose(loaded, reference, profile, known, progress, cancel, worker)
 
 
 def _diagnose(
@@ -76,12 +78,12 @@ def _diagnose(
     health: Health,
     progress: Progress | None,
     cancel: Callable[[], bool] | None,
-    second: SecondProcess | None,
+    worker: WorkerProcess | None,
 ) -> Diagnosis:
     started = perf_counter()
     seconds: dict[str, float] = {}
 
-    def tell(share: float, text: str) -> None:
+    def report(share: float, text: str) -> None:
         seconds[text] = round(perf_counter() - started, 2)
         if cancel is not None and cancel():
             raise CancelledError("the diagnosis was cancelled")
@@ -89,36 +91,36 @@ def _diagnose(
             progress(share, text)
 
     if reference is not None:
-        tell(0.0, "the machine while it was healthy")
+        report(0.0, "the machine while it was healthy")
         health = of_reference(reference, profile, health)
-    # Of these throws alone: a joint that sticks looks noisy, and did not while the machine was healthy.
-    health = health._replace(noise=with_own_sensors(health.noise, loaded))
-    tell(0.02, "measured motion")
+    # From these throws alone: a sticking joint looks noisy, and did not while the machine was healthy.
+    health = health._replace(noise=with_measured_sensor_noise(health.noise, loaded))
+    report(0.02, "measured motion")
     model = health.noise
     prepared = prepare(loaded.throws, profile)
     calibration = loaded.throws[0].calibration
-    tell(0.05, "where: stages swapped")
+    report(0.05, "where: stages swapped")
     terms = swap_stages(prepared, profile, calibration)
-    tell(0.15, "which: sensitivities")
+    report(0.15, "which: sensitivities")
     jitter = fit_jitter(prepared, profile, model)
     plan = layout(model)
     if jitter.log_odds > 0.0:
         health = health._replace(noise=model.with_jitter(jitter.size_s))
-    problem = pose(prepared, profile, calibration, health, plan).shared_with(second)
-    tell(0.35, "which: sets of effects")
-    hypotheses = explore(problem, lambda s: tell(0.35 + 0.5 * s, "which: sets of effects"))
+    problem = pose(prepared, profile, calibration, health, plan).shared_with(worker)
+    report(0.35, "which: sets of effects")
+    hypotheses = explore(problem, lambda s: report(0.35 + 0.5 * s, "which: sets of effects"))
     ranked = rank(problem, hypotheses, jitter)
-    tell(0.88, "how far: held-out throws")
+    report(0.88, "how far: held-out throws")
     best = ranked.best
     floor = [model.healthy_gap_m.get(p.throw.mode, 0.0) for p in prepared]
     found = (
         shrink(problem, best, float(np.sqrt(np.mean(np.square(floor))))) if best.members else None
     )
-    tell(0.97, "series")
+    report(0.97, "series")
     concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found))
     where = concluded.evidence["where"]
     place = None if where is None else (where["stage"], where["joint"])
     plots = overlay(problem, best.effects, place)
-    tell(1.0, "done")
+    report(1.0, "done")
     evidence = {**concluded.evidence, "seconds": seconds}
     return concluded.model_copy(update={"plots": plots, "evidence": evidence})

@@ -1,4 +1,4 @@
-"""Causes with their sizes and intervals, ranked, and what they are called."""
+"""Ranked causes with fitted parameters and intervals, and their names for people."""
 
 from collections.abc import Sequence
 
@@ -16,19 +16,20 @@ from sim_twin.effects.effect import Effect, acting_effect
 from sim_twin.effects.schema import parameter_unit
 
 SIZE_ERROR_RATIO = 0.09
-"""Of an effect's size: the real effect is never quite the library's. Of 744 intervals in five blind runs
-(none of them blind any more) 84 % hold with 0.05, 90 % with 0.09, 92 % with 0.12, 94 % with 0.15."""
+"""Standard deviation of the model error of a fitted parameter, as a share of its value. It makes 90 %
+intervals hold at their nominal rate."""
 CAUSE_COUNT = 8
+"""Number of causes in a result, beside "none" and "unknown"."""
 
 
 def words(effect: str, joint: str | None) -> str:
-    """An effect for people."""
+    """Name of an effect for people."""
     name = effect.replace("_", " ")
     return name if joint is None else f"{name} of the {joint}"
 
 
 def effect_names(effects: Sequence[Effect]) -> str:
-    """A set of effects for people; empty for none."""
+    """Names of a set of effects for people; empty for none."""
 
     def one(effect: Effect) -> str:
         acting = acting_effect(effect)
@@ -38,7 +39,7 @@ def effect_names(effects: Sequence[Effect]) -> str:
 
 
 def causes_of(problem: Problem, ranked: Ranked) -> tuple[Cause, ...]:
-    """Ranked, with the jitter as part of a cause where it is probable; "none" and "unknown" always."""
+    """Causes, most probable first, with and without jitter; "none" and "unknown" are always among them."""
     both: list[Cause] = []
     for hypothesis, of_hypothesis in zip(ranked.hypotheses, ranked.probability, strict=True):
         effects = _fitted(problem, hypothesis)
@@ -72,9 +73,10 @@ def _jitter(ranked: Ranked) -> FittedEffect:
 
 
 def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
-    """Sizes with 90 % intervals, clipped to the bounds.
+    """Fitted parameters with 90 % intervals, clipped to their bounds.
 
-    The posterior has the machine's own scatter taken off; a share for the effect's form widens the interval.
+    The posterior excludes the machine's own scatter; the model error of the effect (`SIZE_ERROR_RATIO`)
+    widens it.
     """
     priors = problem.layout.priors
     index = members_index(priors, hypothesis.members)

@@ -1,13 +1,13 @@
-"""Where the gap lies: a telescoping swap of simulated for measured stages, in metres of the miss.
+"""Contribution of each stage to the miss: simulated stages are replaced by measured ones, link by link.
 
-The chain is simulated again and again, each time with one more link taken as measured; what the impact
-moves by is that link's term. The terms sum to measured minus twin exactly, whatever they are:
+The chain is simulated repeatedly, each time with one more link taken as measured. The change of the impact
+is that link's term. The terms sum to measured minus twin:
 
     driven joints, one after the other   actuation, per joint
     swing                                swing
     moment of opening                    release
-    speed of the load as it leaves       release (needs the ball tracker)
-    its place and direction              aim (needs the ball tracker)
+    speed of the load at release         release (needs the ball tracker)
+    place and direction at release       aim (needs the ball tracker)
     flight and landing                   flight
 
 Without a ball tracker the last three are one term, under flight. Intervals are bootstraps over throws.
@@ -34,13 +34,14 @@ from sim_twin.twin.profile import TwinProfile
 BOOTSTRAP_COUNT = 400
 MIN_BALL_COUNT = 6
 FREE_ACCELERATION_SD_M_PER_S2 = 2.0
-"""The release state is fitted with a free constant acceleration, so that drag or wind that the twin lacks
-do not lean on it."""
+"""Prior of a free constant acceleration in the fit of the release state, which absorbs drag or wind that
+the twin lacks."""
 TRACKER_SD_M = 0.02
+"""Noise of the ball tracker, one standard deviation."""
 
 
 class Terms(NamedTuple):
-    """The telescoping swap of N throws; NaN where a throw has no impact."""
+    """Terms of N throws; NaN where a throw has no impact."""
 
     names: tuple[tuple[Stage, str | None], ...]
     """(S,)"""
@@ -49,7 +50,7 @@ class Terms(NamedTuple):
     gap_m: Array
     """(N, 2) measured minus twin."""
     simulated_m: Array
-    """(N, 2) impact that the twin alone gives, frame `machine`."""
+    """(N, 2) impact of the twin alone, frame `machine`."""
 
 
 _NAMES: tuple[tuple[Stage, str | None], ...] = (
@@ -64,7 +65,7 @@ _NAMES: tuple[tuple[Stage, str | None], ...] = (
 def swap_stages(
     prepared: Sequence[PreparedThrow], profile: TwinProfile, calibration: ValveCalibration
 ) -> Terms:
-    """Simulate the prefixes and take differences."""
+    """Simulate the chain with one more measured link each time, and take differences."""
     count = len(prepared)
     prefixes: list[FourFlags] = [
         (k >= 1, k >= 2, k >= 3, k >= 4) for k in range(len(ACTIVE_JOINTS) + 1)
@@ -97,7 +98,7 @@ def swap_stages(
 
 
 def _with_ball(before: Array, speed: Array, state: Array) -> tuple[Array, Array]:
-    """Impacts with the load's speed, then its whole state, as tracked; unchanged where it was not."""
+    """Impacts with the tracked release speed, then with the whole tracked state; unchanged without one."""
     tracked = np.isfinite(state + speed).all(axis=1, keepdims=True)
     return np.where(tracked, speed, before), np.where(tracked, state, before)
 
@@ -109,7 +110,7 @@ def _from_ball(
     velocity_m_per_s: Array,
     release_t_s: Array,
 ) -> tuple[Array, Array]:
-    """Impacts (N, 3) of the twin's flight from the tracked speed, and from the tracked state; NaN without."""
+    """Impacts (N, 3) of the twin's flight from the tracked speed and from the tracked state; NaN without."""
     found = np.full((len(prepared), 6), np.nan)
     for i, p in enumerate(prepared):
         if p.throw.ball_t_s.size >= MIN_BALL_COUNT and np.isfinite(release_t_s[i]):
@@ -135,7 +136,7 @@ def _from_ball(
 
 
 def _in_survey_frame(profile: TwinProfile) -> TwinProfile:
-    """The profile's flight alone: a tracked state has left the gripper and knows no base pose."""
+    """The profile's flight effects alone: a tracked state is in the survey's frame and needs no base pose."""
     kept = tuple(e for e in profile.effects if EFFECTS[e.effect].stage == "flight")
     return profile.model_copy(update={"effects": kept})
 
@@ -143,11 +144,11 @@ def _in_survey_frame(profile: TwinProfile) -> TwinProfile:
 def release_state(since_s: Array, ball_m: Array) -> Array:
     """Position and velocity (6,) of a load at its release, from its track.
 
-    Least squares over (p, v, extra acceleration) about the nominal drag's flight; the flight is nearly
-    linear in them, three steps suffice.
+    Gauss-Newton over position, velocity and a free acceleration about the nominal flight. The flight is
+    nearly linear in them; three steps suffice.
 
     Args:
-        since_s: (n,) times of the samples after the release.
+        since_s: (n,) sample times after the release.
         ball_m: (n, 3)
     """
     k = drag_per_m(load_spec().ball)

@@ -1,6 +1,6 @@
-"""What a diagnosis says: the result of `downrange diagnose`, with units in the names.
+"""The result of `downrange diagnose`, with units in the names.
 
-The same shape for whole throws and for one stage alone. All lengths in frame `throw` (downrange, crossrange).
+The same schema serves whole throws and single stages. Lengths are in frame `throw` (downrange, crossrange).
 """
 
 from collections.abc import Mapping
@@ -17,12 +17,12 @@ class VerdictKind(StrEnum):
     """The answer in one word."""
 
     NONE = "none"
-    """The twin explains the data as well as it explains a machine without any further effect."""
+    """The twin explains the data as well as those of a machine without a further effect."""
     EXPLAINED = "explained"
     AMBIGUOUS = "ambiguous"
-    """Two causes that these data cannot tell apart; a motion that would is named."""
+    """Two causes that these data cannot separate; a motion that separates them is given."""
     UNKNOWN = "unknown"
-    """Something is there that no effect of the library explains."""
+    """A deviation that no effect of the library explains."""
     BAD_DATA = "bad_data"
 
 
@@ -72,17 +72,17 @@ class Miss(_Part):
 
 
 class Gap(_Part):
-    """Twin against measured, before anything is added. None where it was not measured."""
+    """Twin against measurement, before anything is added. None where it was not measured."""
 
     impact_rms_m: float | None = None
     downrange_bias_m: float | None = None
     crossrange_bias_m: float | None = None
     trajectory_rms_ratio: float | None = None
-    """Residual of the recorded channels over what noise and a healthy machine's scatter leave; 1 = none."""
+    """Root mean square residual of the recorded channels over that of a healthy machine; 1 = no gap."""
 
 
 class StageGap(_Part):
-    """What one stage contributes to the miss; the terms of all stages sum to measured minus twin."""
+    """Contribution of one stage to the miss; the terms of all stages sum to measured minus twin."""
 
     stage: Stage
     joint: str | None = None
@@ -94,7 +94,7 @@ class StageGap(_Part):
 
 
 class FittedParameter(_Part):
-    """A magnitude with its interval."""
+    """A parameter with its interval."""
 
     value: float
     ci90: Interval
@@ -102,7 +102,7 @@ class FittedParameter(_Part):
 
 
 class FittedEffect(_Part):
-    """An effect of the library at its fitted size."""
+    """An effect of the library with its fitted parameters."""
 
     effect: str
     joint: str | None = None
@@ -119,7 +119,7 @@ class Cause(_Part):
 
 
 class Ambiguity(_Part):
-    """Causes that these data cannot tell apart."""
+    """Causes that these data cannot separate."""
 
     members: tuple[str, ...]
     separating_motion: Mapping[str, Any]
@@ -128,10 +128,10 @@ class Ambiguity(_Part):
 
 
 class Shrink(_Part):
-    """How far the gap shrinks on throws that were not used to find the cause."""
+    """Reduction of the gap on throws that were not used to estimate the cause."""
 
     predicted_ratio: float | None
-    """Share of the removable gap, said before the effect was added."""
+    """Share of the removable gap, predicted before the effect was added."""
     before_m: float
     after_m: float
     ratio: float
@@ -139,7 +139,7 @@ class Shrink(_Part):
     ci90: Interval
     held_out_throws: int
     removable_ratio: float
-    """Share of the gap that is not noise or jitter."""
+    """Share of the gap that is neither noise nor jitter."""
 
 
 class Diagnosis(_Part):
@@ -155,6 +155,7 @@ class Diagnosis(_Part):
     ambiguity: Ambiguity | None = None
     shrink: Shrink | None = None
     evidence: Mapping[str, Any] = {}
-    """Data used, rates, clocks, refused channels, what was ruled out, why; ``unknown``: signature."""
+    """Data used, rates, clocks, refused channels, effects ruled out with reasons; ``unknown``: its
+    signature."""
     plots: Mapping[str, Any] = {}
     """Series for the report: ``{name: {x, y..., unit}}``; numbers only."""

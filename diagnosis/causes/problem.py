@@ -25,7 +25,7 @@ from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.healthy.stranger import as_near_as_shown, stranger
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.second_process import SecondProcess
+from diagnosis.worker_process import WorkerProcess
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import TwinProfile
@@ -80,14 +80,14 @@ class Problem:
     explained, nothing is off by its form."""
     at_none: Sequence[AtNone]
     """What no effect leaves of every throw, beside the throw's nuisances, in the channels' own units."""
-    second: SecondProcess | None = None
-    """Tries half of the sets."""
+    worker: WorkerProcess | None = None
+    """Evaluates half of the sets."""
 
-    def shared_with(self, second: SecondProcess | None) -> "Problem":
-        """The same, of whose sets a second process tries half."""
-        if second is not None:
-            second.keep(self)
-        return replace(self, second=second)
+    def shared_with(self, worker: WorkerProcess | None) -> "Problem":
+        """The same problem, of whose sets a worker process evaluates half."""
+        if worker is not None:
+            worker.hold(self)
+        return replace(self, worker=worker)
 
     def at_a_glance(self) -> "Problem":
         """Every other throw of each mode, for a look at many sets of which few are tried again."""

@@ -71,9 +71,9 @@ def try_sets(
     seeds = list(seeds.items()) if isinstance(seeds, Mapping) else list(seeds)
     off = [()] * len(seeds) if scatter is None else scatter
     items = list(zip(seeds, off, strict=True))
-    if problem.second is None or len(items) < 2:
+    if problem.worker is None or len(items) < 2:
         return _tried(problem, items, is_rough, scatter is not None)
-    return problem.second.halved(_tried, problem, items, is_rough, scatter is not None)
+    return problem.worker.split(_tried, problem, items, is_rough, scatter is not None)
 
 
 def _tried(

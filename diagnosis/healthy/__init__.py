@@ -1,1 +1,1 @@
-"""What a healthy machine of the type looks like: learned filters, noise and scatter."""
+"""Model of a healthy machine of the type: learned filters, channel noise and scatter."""

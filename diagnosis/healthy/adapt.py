@@ -1,9 +1,8 @@
-"""How well what is known of healthy machines suits this one, judged by its own throws.
+"""How well the model of healthy machines fits this machine, judged by its own throws.
 
 Filters, noise and scatter were learned on one type of machine in one simulator. Another machine may be
-further from its twin in everything, or nearer; then they must not be forced on it, and nothing must be called
-an effect that is only the level of its misfit. An effect sits at one joint or in one stage: what all joints,
-or all axes, have in common is misfit.
+further from its twin in everything, or closer; the model is then scaled. An effect acts at one joint or in
+one stage. A deviation that all joints, or all axes, share is a misfit of the model and not an effect.
 """
 
 from collections.abc import Sequence
@@ -24,18 +23,19 @@ COMMON = {
     "actuation": tuple(f"actuation.{joint}" for joint in ACTIVE_JOINTS),
     "swing": tuple(f"swing.gyro.{axis}" for axis in AXES),
 }
-"""Blocks of which more than half must be loud before a stage counts as misfit."""
+"""Blocks of which more than half must deviate before a stage counts as a misfit."""
 LEAST_MISFIT_RATIO = 0.5
-"""No twin is nearer to a machine, however quiet its sensors: strangers with sensors like the type's come down
-to 0.49, those without noise to 0.01, where what steps of 10 ms are off looked like an effect."""
+"""Least factor: no twin is closer to a machine, however quiet its sensors. Simulation steps of 10 ms
+limit it."""
 CLEAR_LOG_POWER = 0.7
-"""Healthy sets of the type stay within it (their levels scatter by 0.1 to 0.2): less is left as it is."""
+"""Excess log power from which a misfit is significant; levels of healthy sets of the type scatter by 0.1
+to 0.2."""
 
 
 def filters_help(
     prepared: Sequence[PreparedThrow], linear: Sequence[Linear], healthy: HealthyModel
 ) -> bool:
-    """Whether the healthy filters bring the twin nearer to this machine, on the mean of its joints.
+    """Whether the healthy filters reduce the residual of this machine, averaged over its joints.
 
     Args:
         prepared: the throws.
@@ -64,9 +64,9 @@ def misfit(
     model: NoiseModel,
     clear_log_power: float = CLEAR_LOG_POWER,
 ) -> dict[str, float]:
-    """Factor between a stage's discrepancy and that of the type's healthy machines; 1 unless it is clear.
+    """Ratio of a stage's discrepancy to that of healthy machines of the type; 1 unless it is significant.
 
-    The lower median over a stage's blocks: an effect at one joint, or two, does not count.
+    The lower median over a stage's blocks: an effect at one joint, or two, does not move it.
     """
     mean = screen(total(information(whitened)), priors).mean
     power: dict[str, tuple[float, int]] = {}
@@ -88,7 +88,7 @@ def misfit(
 
 
 def scaled_to(model: NoiseModel, factors: dict[str, float]) -> NoiseModel:
-    """The model of a machine whose stages are further from the twin, or nearer, by these factors."""
+    """The noise model with the discrepancy of each stage multiplied by these factors."""
     channels = {
         name: channel.model_copy(
             update={

@@ -1,12 +1,11 @@
-"""Makes filters.json and noise.json from throws of healthy machines: what is noise, scatter and known misfit.
+"""Estimation of filters.json and noise.json from throws of healthy machines: noise, scatter and known misfit.
 
     python -m diagnosis.healthy.calibration FOLDER...
 
-Each folder is one set: throw logs (*.mcap) and the machine's own identified profile (profile.json). Use sets
-of several machines of the type, none of which is diagnosed later. The healthy filters are learned on all
-sets; noise is measured on residuals of filters that have not seen the machine. Scatter (the spikes) and
-nuisances are then found by expectation maximisation: the variances under which the healthy sets are most
-probable.
+Each folder is one set: throw logs (*.mcap) and the machine's identified profile (profile.json). Use sets of
+several machines of the type that are not diagnosed later. The healthy filters are learned on all sets.
+Noise is measured on residuals of filters that were learned on other machines. Scatter and nuisances are
+then estimated by expectation maximisation: the variances under which the healthy sets are most probable.
 """
 
 import sys
@@ -21,12 +20,12 @@ from diagnosis.causes.form_error import factors
 from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
 from diagnosis.causes.parameters import library, scatter_names
 from diagnosis.causes.residuals import linearise
+from diagnosis.cross_validation import impacts
 from diagnosis.healthy.expectation import HealthySet, first_scatter_sd, fit, improve
 from diagnosis.healthy.filters import HEALTHY_PATH, HealthyModel, inputs, learn, nothing
 from diagnosis.healthy.noise import NOISE_PATH, ChannelNoise, NoiseModel, Scatter
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.prepared import prepare
-from diagnosis.shrink import impacts
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import load_profile
 
@@ -49,14 +48,14 @@ FIRST_THROW_SD = {
     **{f"slip_{axis}_m_per_s": 0.03 for axis in "xyz"},
 }
 FIRST_MACHINE_SHARE = 0.7
-"""Of the variance: where the rounds begin."""
+"""Initial share of the machines' scatter in the variance between sets."""
 MIN_LEVEL_SD = 0.08
 LEVEL_WIDENING_RATIO = 1.3
-"""Few sets show less than their true spread."""
+"""Factor on the spread between sets, which few sets underestimate."""
 
 
 def load_set(folder: Path) -> HealthySet:
-    """Load and linearise a set, not corrected."""
+    """Load and linearise a set without correction."""
     loaded = load_throws([folder])
     profile = load_profile(folder / "profile.json")
     prepared = prepare(loaded.throws, profile)
@@ -85,7 +84,7 @@ def learn_healthy(sets: Sequence[HealthySet], note: str) -> HealthyModel:
 
 
 def corrected(one: HealthySet, healthy: HealthyModel) -> HealthySet:
-    """The set as it is diagnosed, with these filters in the twin's motion and in its slopes."""
+    """The set linearised with these filters."""
     linear = linearise(one.prepared, one.profile, one.calibration, healthy)
     return replace(one, linear=linear)
 
@@ -108,7 +107,7 @@ def cross_corrected(sets: Sequence[HealthySet]) -> list[HealthySet]:
 
 
 def first_model(note: str, block_names: Sequence[str]) -> NoiseModel:
-    """Where the rounds begin."""
+    """Initial model of the iteration."""
     tolerance = [p.tolerance for p in library()]
     of_set = first_scatter_sd()
     of_throw = np.array([*(FIRST_THROW_SD[name] for name in THROW_NUISANCES), *tolerance])
@@ -146,7 +145,7 @@ def _first_channel(name: str) -> ChannelNoise:
 
 
 def with_levels(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
-    """Power that a healthy set leaves in each block, over sets."""
+    """The model with the residual power of healthy sets in each block, mean and spread over sets."""
     levels: dict[str, list[float]] = {name: [] for name in model.channels}
     for one in sets:
         found = fit(one, model)
@@ -178,7 +177,7 @@ def with_levels(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
 def calibrate_noise(
     sets: Sequence[HealthySet], note: str, say: Any = lambda text: sys.stdout.write(f"{text}\n")
 ) -> tuple[HealthyModel, NoiseModel]:
-    """Learn both files' content."""
+    """Estimate the contents of both files."""
     healthy = learn_healthy(sets, note)
     clean = cross_corrected(sets)
     names = sorted({block.name for one in clean for p in one.prepared for block in p.blocks})

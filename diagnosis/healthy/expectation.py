@@ -1,9 +1,9 @@
 """Expectation maximisation: the scatter under which throws of healthy machines are most probable.
 
-Parameters of a set scatter at two levels (two_levels.py), and those of every throw, eta ~ N(0, T), come on
-top of the noise of the channels. One round fits all sets under the present scatter and noise, learns both
-levels from what the sets tell, and takes the second moment of the throws' fits as the new T, drawn a little
-towards its diagonal because there are hardly more throws than directions.
+Parameters of a set scatter at two levels (two_levels.py). Those of every throw, eta ~ N(0, T), add to the
+noise of the channels. One round fits all sets under the present scatter and noise, estimates both levels
+from the fits, and takes the second moment of the throws' fits as the new T. T is shrunk towards its
+diagonal, since there are hardly more throws than directions.
 """
 
 from collections.abc import Sequence
@@ -29,19 +29,18 @@ from sim_twin.effects.table import effects_where
 from sim_twin.twin.profile import TwinProfile
 
 KEPT_NUISANCES = ("release_delay_s", "switch_lag_s")
-"""Not separable in healthy data: jitter of the opening is in the machine's profile."""
+"""Not separable in healthy data: the jitter of the opening is in the machine's profile."""
 THROW_SHRINKING_COUNT = 60.0
-"""So many throws without any correlation are added to those that were seen (by eye)."""
+"""Number of uncorrelated pseudo-throws that are added to the throws seen."""
 NO_SLOPE = effects_where(lambda effect: not effect.is_smooth)
-"""Effects with a threshold have no slope at 0, and no size below it: they have scatter, but no mean."""
+"""Effects with a threshold have no slope at 0 and no negative size: they have scatter but no mean."""
 FIRST_SCATTER_RATIO = 4.0
-"""Of the library's tolerances: where the rounds begin."""
+"""Initial standard deviations as a multiple of the library's tolerances."""
 BELIEVED_RATIO = 5.0
-"""No healthy parameter is off by much more than this multiple of where the rounds begin. Directions that no
-throw tells (load against drag, base against slew) would wander off together otherwise: by kilograms after 240
-rounds. Held-out machines are told from effects as well as without it (docs/diagnosis.md)."""
+"""Prior width of a healthy parameter as a multiple of its initial standard deviation. Directions that no
+throw determines (load against drag, base against slew) would diverge together without it."""
 LEAST_SD_RATIO = 0.02
-"""Of the library's tolerance: no direction is without scatter."""
+"""Least standard deviation of a parameter as a share of the library's tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,22 +55,22 @@ class HealthySet:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A healthy set under a model."""
+    """Posterior of a healthy set under a model."""
 
     mean: Array
-    """(size,) of the whole vector of the layout."""
+    """(size,) of the whole parameter vector."""
     covariance: Array
     """(size, size)"""
     moment: Array
-    """(q, q) posterior second moment of the throws' independent directions, mean over throws."""
+    """(q, q) posterior second moment of the throws' independent nuisance directions, mean over throws."""
     left: Sequence[Array]
-    """By throw, in the channels' own units, nuisances and parameters taken off."""
+    """Residual of each throw in the channels' units, without nuisances and parameters."""
     told: Told
     """What the set says about its constants and nuisances."""
 
 
 def fit(one: HealthySet, model: NoiseModel) -> Fit:
-    """Posterior of a set's parameters, of its throws' nuisances, and what they leave."""
+    """Posterior of a set's parameters and of its throws' nuisances, and the residual."""
     factor = [factors(p, model) for p in one.prepared]
     plan = layout(model)
     raw = [
@@ -92,7 +91,7 @@ def fit(one: HealthySet, model: NoiseModel) -> Fit:
 
 
 def _without_nuisances(white: Whitened, mean: Array) -> tuple[Array, Array]:
-    """What parameters and the throw's nuisances leave (n,), and the nuisances' second moment (q, q)."""
+    """Residual (n,) after parameters and the throw's nuisances, and the nuisances' second moment (q, q)."""
     rest = white.residual - explained(white, mean)
     nuisance = white.nuisance
     covariance = np.linalg.inv(np.eye(nuisance.shape[1]) + nuisance.T @ nuisance)
@@ -123,7 +122,7 @@ def improve(sets: Sequence[HealthySet], model: NoiseModel) -> NoiseModel:
 def with_scatter_of(
     sets: Sequence[HealthySet], fits: Sequence[Fit], model: NoiseModel
 ) -> NoiseModel:
-    """The model with the scatter of machines and sets that these fits tell."""
+    """The model with the scatter of machines and sets estimated from these fits."""
     names = scatter_names()
     mean = np.array([model.healthy_mean.get(name, 0.0) for name in names])
     belief = 1.0 / np.square(BELIEVED_RATIO * first_scatter_sd())
@@ -167,7 +166,7 @@ def _shapes_apart(covariance: Array) -> Array:
 
 
 def first_scatter_sd() -> Array:
-    """Standard deviations (p,) in the order of `scatter_names` with which the rounds begin."""
+    """Initial standard deviations (p,) in the order of `scatter_names`."""
     offsets = [
         0.03 if "accel" in name else 0.003 if "gyro" in name or name.endswith("_s") else 0.01
         for name in SET_NUISANCES
@@ -196,7 +195,7 @@ def _throw_scatter(sets: Sequence[HealthySet], fits: Sequence[Fit], model: Noise
 def _channel(
     name: str, old: ChannelNoise, sets: Sequence[HealthySet], fits: Sequence[Fit]
 ) -> ChannelNoise:
-    """Discrepancy from the size and the memory of what is left."""
+    """Discrepancy from the magnitude and the correlation time of the residual."""
     if not name.startswith(("actuation", "swing")):
         return old
     size: list[Array] = []

@@ -1,13 +1,11 @@
-"""What the twin is known to miss on a healthy machine: a learned correction of the driven joints' velocities.
+"""Known misfit of the twin on a healthy machine: a learned correction of the driven joints' velocities.
 
-The twin's drives know neither pressures nor the shared pump, and every machine of the type has both. What
-that leaves between twin and machine is the same on all of them, and would look like an effect. It is
-learned as a linear filter (ridge regression) on throws of healthy machines: from the twin's own
-prediction, the other joints' motion and the swing, with delays up to 0.2 s. The joint's own measured motion
-is no input, so that an effect at this joint cannot be taken for health; and no valve command is, so that
-the correction moves with what an effect makes of the command (with commands among the inputs, a dead time
-of 0.069 s was sized at 0.119 s).
-The weights stand in filters.json; diagnosis/healthy/calibration.py made them.
+The twin's drives have neither pressures nor a shared pump. What that leaves between twin and machine is the
+same on all machines of the type and would look like an effect. It is learned as a linear filter (ridge
+regression) on throws of healthy machines. Inputs are the twin's own prediction, the other joints' motion
+and the swing, with delays up to 0.2 s. The joint's own measured motion is not an input, so that an effect
+at this joint is not learned. Valve commands are not inputs, so that the correction follows what an effect
+makes of the command. The weights are in filters.json; diagnosis/healthy/calibration.py estimates them.
 """
 
 from collections.abc import Sequence
@@ -23,15 +21,15 @@ from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, A
 
 HEALTHY_PATH = Path(__file__).with_name("filters.json")
 DELAYS_COUNT = (0, 4, 8, 14, 22)
-"""Of the inputs, control ticks."""
+"""Delays of the inputs, control ticks."""
 BREAKAWAY_RAD_M_PER_S = 0.02
 SLOW_RAD_M_PER_S = 0.05
 RIDGE = 10.0
-"""Prior precision of a weight on an input of unit variance, over squared residual of one sample."""
+"""Prior precision of a weight on an input of unit variance, over the squared residual of one sample."""
 
 
 class JointFilter(BaseModel):
-    """Of one joint: inputs are centred and scaled, then weighted."""
+    """Filter of one joint: inputs are centred, scaled and weighted."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     centre: tuple[float, ...]
@@ -41,7 +39,7 @@ class JointFilter(BaseModel):
 
 
 class HealthyModel(BaseModel):
-    """Of all driven joints."""
+    """Filters of all driven joints."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     note: str
@@ -67,7 +65,7 @@ _ONE, _VELOCITY, _PUSH, _SQUARE, _SPEED, _MOVING, _DIRECTION = range(7)
 
 
 def _functions(predicted: Array) -> Array:
-    """Functions (7, ..., T) of velocities (..., T) that the twin gives a joint."""
+    """Functions (7, ..., T) of the twin's velocities (..., T) of a joint."""
     speed = np.abs(predicted)
     return np.stack(
         [
@@ -108,12 +106,12 @@ def _inputs(motion: MeasuredMotion, joint: int) -> _Inputs:
 
 
 def inputs(motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
-    """Inputs (T, k) of a joint's filter at the ticks, every delay of `DELAYS_COUNT` in turn.
+    """Inputs (T, k) of a joint's filter at the ticks, for every delay of `DELAYS_COUNT`.
 
     Args:
         motion: measured.
         joint: whose velocity is corrected.
-        predicted: (T,) velocity that the twin gives it, rad/s or m/s.
+        predicted: (T,) velocity of the twin, rad/s or m/s.
     """
     function, factor = _inputs(motion, joint)
     now = _functions(predicted)[function] * factor
@@ -121,13 +119,13 @@ def inputs(motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
 
 
 def _delayed(tracks: Array, ticks: int) -> Array:
-    """Tracks (..., T) some ticks later, begun with their first value."""
+    """Tracks (..., T) delayed by some ticks; the first value fills the start."""
     first = np.repeat(tracks[..., :1], ticks, axis=-1)
     return np.concatenate([first, tracks[..., : tracks.shape[-1] - ticks]], axis=-1)
 
 
 def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicted: Array) -> Array:
-    """What a healthy machine's velocity is above the twin's, for predictions (T,) or (m, T)."""
+    """Velocity of a healthy machine minus the twin's, for predictions (T,) or (m, T)."""
     found = model.joints[joint]
     weight = np.asarray(found.weight) / np.asarray(found.scale)
     if not weight.any():
@@ -159,7 +157,7 @@ def learn(values: Sequence[Array], residuals: Sequence[Array]) -> JointFilter:
 
 
 def nothing() -> HealthyModel:
-    """A model that corrects nothing, to begin the learning with."""
+    """A model without correction."""
     width = len(DELAYS_COUNT) * (9 + 5 * (ACTIVE_COUNT - 1) + 4)
     empty = JointFilter(
         centre=(0.0,) * width, scale=(1.0,) * width, weight=(0.0,) * width, offset=0.0

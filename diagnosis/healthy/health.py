@@ -1,4 +1,4 @@
-"""What is known of healthy machines: filters, noise and scatter."""
+"""The model of a healthy machine: filters, noise and scatter."""
 
 from typing import NamedTuple
 
@@ -7,14 +7,14 @@ from diagnosis.healthy.noise import NoiseModel, load_noise
 
 
 class Health(NamedTuple):
-    """A healthy machine, of the type or this very one."""
+    """Model of a healthy machine: of the type, or of this machine."""
 
     filters: HealthyModel
     noise: NoiseModel
     is_own: bool = False
-    """Learned from throws of this very machine as well: there is nothing left to adapt."""
+    """Whether it was also learned from throws of this machine; then it is not adapted further."""
 
 
 def load_health() -> Health:
-    """The type's, as calibrated."""
+    """The calibrated model of the type."""
     return Health(load_healthy(), load_noise())

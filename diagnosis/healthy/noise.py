@@ -1,10 +1,10 @@
-"""Noise and discrepancy of the recorded channels, and the whitening that follows from them.
+"""Noise and discrepancy of the recorded channels, and whitening with them.
 
-The twin is never the machine: behind the sensor noise lies a discrepancy that grows with motion and lasts
-about 0.2 s. For a channel sampled at t with motion levels m1, m2 (speed and acceleration):
-cov = noise^2 I + D exp(-|t - t'| / tau) D, D = diag(floor + rate m1 + push m2).
-The numbers stand in noise.json, measured on throws of virtual machines without any effect, each
-against its own identified profile; diagnosis/healthy/calibration.py made it.
+Behind the sensor noise the twin has a discrepancy that grows with motion and is correlated over about 0.2
+s. For a channel sampled at t with motion levels m1, m2 (speed and acceleration): cov = noise^2 I + D
+exp(-|t - t'| / tau) D, D = diag(floor + rate m1 + push m2). The values are in noise.json.
+diagnosis/healthy/calibration.py estimates them on throws of virtual machines without an effect, each
+against its own identified profile.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,28 +21,29 @@ NOISE_PATH = Path(__file__).with_name("noise.json")
 
 
 class ChannelNoise(BaseModel):
-    """One channel, in its own unit."""
+    """Noise of one channel, in the channel's unit."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     noise_sd: float = Field(gt=0.0)
-    """White, of one sample as compared."""
+    """White noise of one compared sample."""
     floor_sd: float = Field(ge=0.0)
-    """Discrepancy without motion."""
+    """Discrepancy at rest."""
     rate_ratio: float = Field(ge=0.0)
-    """Discrepancy a unit of the first motion level."""
+    """Discrepancy per unit of the first motion level."""
     push_ratio: float = Field(ge=0.0)
-    """Discrepancy a unit of the second motion level."""
+    """Discrepancy per unit of the second motion level."""
     memory_s: float = Field(gt=0.0)
+    """Correlation time of the discrepancy."""
 
 
 class Scatter(BaseModel):
-    """How far healthy machines, or throws of one, are off in many directions together."""
+    """Joint deviations of healthy machines, or of the throws of one: standard deviations and correlations."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     names: tuple[str, ...]
     sd: tuple[float, ...]
     correlation: tuple[tuple[float, ...], ...]
-    """Lower triangle, row by row, without the diagonal of ones and zeros at the end of a row."""
+    """Lower triangle, row by row, without the diagonal of ones and the zeros at the end of a row."""
 
     def covariance(self, names: Sequence[str]) -> Array:
         """Covariance (n, n) of these names, in their order."""
@@ -56,11 +57,11 @@ class Scatter(BaseModel):
         return sd[:, None] * full[np.ix_(order, order)] * sd
 
     def sd_of(self, name: str) -> float:
-        """Standard deviation of one of them."""
+        """Standard deviation of one name."""
         return self.sd[self.names.index(name)]
 
     def with_sd(self, name: str, sd: float) -> "Scatter":
-        """The same with another standard deviation of one of them."""
+        """The same with another standard deviation of one name."""
         changed = tuple(
             sd if n == name else old for n, old in zip(self.names, self.sd, strict=True)
         )
@@ -77,31 +78,31 @@ class Scatter(BaseModel):
 
 
 class NoiseModel(BaseModel):
-    """All that was measured on machines without an effect."""
+    """Everything that was estimated on machines without an effect."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     note: str
     channels: Mapping[str, ChannelNoise]
     """By block name."""
     throw_scatter: Scatter
-    """What differs from throw to throw on a healthy machine."""
+    """Scatter between throws of a healthy machine."""
     machine_scatter: Scatter
-    """What healthy machines are off in the direction of every parameter and nuisance of the set, each by its
-    own and in all its sets."""
+    """Scatter between healthy machines, the same in all sets of one, over all parameters and nuisances
+    of the set."""
     set_scatter: Scatter
-    """What one healthy machine is off from set to set on top of it."""
+    """Additional scatter between sets of one healthy machine."""
     drift_sd: Mapping[str, float]
-    """By parameter key: what healthy machines drift within a set."""
+    """By parameter key: drift of healthy machines within a set, one standard deviation."""
     healthy_mean: Mapping[str, float]
-    """Middle of that scatter, by parameter key and nuisance: what is off on every machine. Effects are
-    deviations from it."""
+    """Mean of the scatter by parameter key and nuisance: the deviation that all machines share. Effects
+    are deviations from it."""
     healthy_gap_m: Mapping[str, float]
     """Impact gap of healthy machines by mode, root mean square, with the healthy filters."""
     unknown_level: Mapping[str, tuple[float, float]]
-    """By block: mean and standard deviation over healthy sets of log(residual power), after the fit."""
+    """By block: mean and standard deviation over healthy sets of the log residual power per row."""
 
     def scatter(self, names: Sequence[str]) -> Array:
-        """Covariance (n, n) of what a set of throws of a healthy machine is off, in the order of names."""
+        """Covariance (n, n) of the deviations of one healthy set, in the order of names."""
         return self.machine_scatter.covariance(names) + self.set_scatter.covariance(names)
 
     def with_jitter(self, extra_sd_s: float) -> "NoiseModel":
@@ -122,7 +123,7 @@ def whitener(
 ) -> Array:
     """Lower Cholesky factor (n, n) of a channel's covariance at times (n,) with motion levels (n,).
 
-    `extra_sd` (n,) is more discrepancy, added in squares.
+    `extra_sd` (n,) is additional discrepancy, added in squares.
     """
     spread = channel.floor_sd + channel.rate_ratio * rate + channel.push_ratio * push
     if extra_sd is not None:

@@ -1,8 +1,8 @@
-"""Throws of a machine while it was healthy, and what they tell about it.
+"""Throws of a machine while it was healthy, and what they show about it.
 
-Healthy machines of a type scatter more than one of them does from week to week. What the reference throws
-show of the machine's own share (two_levels.py) becomes its mean, and what they leave of it is the scatter
-above which an effect has to show.
+Healthy machines of a type scatter more than one of them does over time. The reference throws estimate the
+machine's own share of that scatter (two_levels.py). Its estimate becomes the mean, and its posterior
+covariance the scatter above which an effect has to show.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from sim_twin.twin.profile import TwinProfile
 
 
 def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> None:
-    """Refuse reference throws that say nothing of this machine.
+    """Refuse reference throws that cannot be compared with the diagnosed ones.
 
     Raises:
         UsageError: too few, of another machine, or among those that are diagnosed.
@@ -46,7 +46,7 @@ def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> Non
 
 
 def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
-    """For `Diagnosis.evidence`; None where a machine was compared with healthy ones of its type."""
+    """For `Diagnosis.evidence`; None where the machine was compared with healthy machines of its type."""
     if reference is None:
         return None
     return {
@@ -57,7 +57,7 @@ def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
 
 
 def of_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:
-    """What is known of this machine, from its type and from throws while it was healthy."""
+    """The model of this machine from that of its type and from throws while it was healthy."""
     plan = layout(health.noise)
     prepared, calibration = prepare(reference.throws, profile), reference.throws[0].calibration
     problem = pose(prepared, profile, calibration, health, plan)
@@ -65,7 +65,7 @@ def of_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> 
 
 
 def _narrowed(model: NoiseModel, problem: Problem) -> NoiseModel:
-    """The model with this machine's own share known as well as its throws tell it."""
+    """The model with the posterior of this machine's own share of the scatter."""
     names = scatter_names()
     levels = Levels(
         np.zeros(len(names)),

@@ -1,9 +1,9 @@
-"""What a healthy machine of another type may be off by, and how near its own throws show it to be.
+"""Deviations that a healthy machine of another type may have, and how close its own throws show it to be.
 
-What the type's machines have in common does not hold for a machine of another type. It may be off by what the
-type is off, and by some of the library's tolerance; or it may be much nearer. An effect sits in one place:
-what all the other parameters are off by tells how near a machine is, and how far one of them may be off
-before it is an effect.
+The deviations that machines of the type share do not hold for another type. Such a machine may deviate as
+the type does and by part of the library's tolerance, or it may be much closer to its twin. An effect acts
+in one place. The deviations of all other parameters show how close a machine is, and thereby how far one of
+them may deviate before it is an effect.
 """
 
 from collections.abc import Sequence
@@ -16,48 +16,46 @@ from diagnosis.causes.parameters import layout, library
 from diagnosis.causes.selection import search
 from diagnosis.causes.shapes import unheard_least_sd, unheard_names
 from diagnosis.healthy.noise import NoiseModel, Scatter
-from diagnosis.healthy.own_sensors import LATE_KEYS, SWINGS_MORE
+from diagnosis.healthy.sensor_noise import LATE_KEYS, SWINGS_MORE
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import load_spec
 from sim_twin.effects.table import effects_where
 
 LAG_RATIO = 0.1
-"""Of a drive's lag: by how much that of another machine is off (by eye)."""
+"""Deviation of another machine's drive lag, as a share of the lag."""
 LEAST_SHAPE_S = 0.015
-"""By how much a drive may start later and come up faster, or the other way round (by eye): another valve has
-another order of its response. The mean delay stays."""
+"""Joint deviation of dead time and lag with opposite signs, s: another valve has another order of its
+response. The mean delay stays."""
 CLOCK_SD_S = 0.006
-"""Sensors of another machine have filters and buses of their own (by eye)."""
+"""Deviation of a sensor's latency on another machine, s: it has other filters and buses."""
 COMMON_CLOCK_SD_S = 0.008
-"""All sensors may be late together by it, if all that is commanded is as much earlier: no log tells that
-(docs/diagnosis.md), but noise in measured joints does as if, since a later twin is a smoother one."""
+"""Common latency of all sensors with commands earlier by as much, s. No log shows it, but noise in
+measured joints acts alike, since a later twin is a smoother one."""
 LEAST_VISCOUS_PER_S = 0.015
-"""Healthy strangers whose gripper was integrated in steps of 1 and 2 ms have 0.013 to 0.030 more than their
-twin, and 0 to 0.027 rad/s2 less dry friction (eight sets of three plants)."""
+"""Deviation of the viscous friction of another machine's passive joints, 1/s."""
 LEAST_DEAD_BAND_RATIO = 0.008
-"""Another valve's overlap is not the table's to 0.5 %: two strangers had 0.02 to 0.035 at the slew or the
-telescope, beside nothing or beside another effect. With 0.012 a slew's limit of 0.4 gets a hysteresis beside
-it (tests/diagnosis/test_other_plant.py)."""
+"""Deviation of another valve's overlap, as a share of full command."""
 DRIFT_SD: Final = {
     f"joint_sensor_bias.{joint}.bias_rad_m": 0.015 if joint == "telescope" else 0.006
     for joint in ACTIVE_JOINTS
 }
-"""What noise of joint sensors looks like goes with the motion, and may go with its order (by eye)."""
+"""Drift of the joint sensors' biases, rad or m: noise of joint sensors acts like a bias that follows the
+motion."""
 LEVEL_SD = 0.06
-"""Of the log power that a block leaves: how much joints, or axes, of a stranger are unlike (by eye)."""
+"""Spread of the log residual power between joints or axes of a machine of another type."""
 NEARNESS_RATIOS = (1.0, 0.5, 0.25)
-"""Of how far the type's drives are off: what is tried for a stranger's (by eye)."""
+"""Deviations of another machine's drives relative to the type's that are compared."""
 _DRIVES: Final = {p.key for p in library() if p.stage == "actuation"}
 _SENSORS: Final = {key.format(j) for key in LATE_KEYS for j in ACTIVE_JOINTS} | set(SWINGS_MORE)
-"""Whose scatter from set to set is that of these very throws' sensors."""
+"""Parameters whose scatter between sets is that of these throws' sensors."""
 
 
 def stranger(model: NoiseModel, drives_ratio: Sequence[float]) -> NoiseModel:
-    """The model for a machine of another type: each parameter by itself, but for clocks and responses.
+    """The model for a machine of another type: parameters are independent, except for clocks and responses.
 
     Args:
         model: of the type.
-        drives_ratio: how far each driven joint's drive (4,) is off, over those of the type.
+        drives_ratio: deviation of each driven joint's drive (4,) relative to that of the type.
     """
     names = model.machine_scatter.names
     mean = np.array([model.healthy_mean.get(name, 0.0) for name in names])
@@ -87,15 +85,15 @@ def stranger(model: NoiseModel, drives_ratio: Sequence[float]) -> NoiseModel:
 
 
 def as_near_as_shown(model: NoiseModel, data: Information) -> NoiseModel:
-    """The stranger whose drives are as near to the twin's as makes these throws most probable.
+    """The model of another type whose drives' deviation makes these throws most probable.
 
-    With any effect, or two: an effect shall not make a stranger of the machine that has it. And one joint may
-    be as far off as any of the type while the others tell how near the drives are, because not every effect
-    shows in slopes.
+    The evidence includes any set of up to two effects, so that an effect does not widen the deviations of
+    its own machine. One joint may deviate as far as the type while the others show how close the drives
+    are, because not every effect shows in slopes.
 
     Args:
         model: of the type.
-        data: what all throws say at "no effect".
+        data: information of all throws at "no effect".
     """
     alike = len(ACTIVE_JOINTS)
     shown: dict[float, float] = {}
@@ -108,7 +106,7 @@ def as_near_as_shown(model: NoiseModel, data: Information) -> NoiseModel:
 
 
 def _log_evidence(data: Information, model: NoiseModel) -> float:
-    """Of throws of a machine with any two effects, or less."""
+    """Of throws of a machine with any set of up to two effects."""
     priors = layout(model).priors
     base = screen(data, priors)
     sets = search(base, priors, range(len(priors.groups)), largest=2)
@@ -116,14 +114,14 @@ def _log_evidence(data: Information, model: NoiseModel) -> float:
 
 
 def _drive(name: str) -> str:
-    """The driven joint whose drive a parameter is about; "" for all else."""
+    """The driven joint that a drive parameter belongs to; "" for other parameters."""
     if name not in _DRIVES:
         return ""
     return next((joint for joint in ACTIVE_JOINTS if f".{joint}." in name), "")
 
 
 def _least_sd(names: Sequence[str]) -> Array:
-    """What any other machine may be off by (p,)."""
+    """Least standard deviations (p,) of a machine of another type."""
     least = dict(zip(unheard_names(), unheard_least_sd().tolist(), strict=True))
     least |= {p.key: p.tolerance for p in library()}
     # Of the type's machines, what noise of their sensors looks like is part of the mean.
@@ -139,13 +137,13 @@ def _least_sd(names: Sequence[str]) -> Array:
 
 
 def _clocks() -> list[str]:
-    """Keys of the latencies of all sensors that move with the arm."""
+    """Latencies of all sensors that move with the arm."""
     late = effects_where(lambda effect: effect.stage == "aim" and effect.growth == "delay")
     return [p.key for p in library() if p.effect in late]
 
 
 def _together() -> list[dict[str, float]]:
-    """What parameters are off by together, one standard deviation each."""
+    """Joint deviations of several parameters, one standard deviation each."""
     commands = [f"valve_dead_time.{joint}.extra_dead_time_s" for joint in ACTIVE_JOINTS]
     commands.append("release_delay.extra_delay_s")
     common = dict.fromkeys(_clocks(), COMMON_CLOCK_SD_S)

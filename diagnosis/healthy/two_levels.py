@@ -1,9 +1,10 @@
-"""Scatter at two levels: a healthy machine is off its twin by its own, and every set of throws a bit more.
+"""Hierarchical prior: a healthy machine deviates from its twin, and each set of its throws deviates further.
 
-Parameters of a set, theta = mean + m + d: m ~ N(0, M) is the machine's, the same in all its sets, and
-d ~ N(0, D) the set's. What a set of throws says about theta is quadratic (`Told`), so both levels are closed:
-they are learned from many machines by expectation maximisation (`learn`), and throws of a machine that was
-healthy then narrow its own m (`of_machine`), so that an effect shows above D alone.
+Parameters of a set, theta = mean + m + d: m ~ N(0, M) belongs to the machine and is the same in all its
+sets, d ~ N(0, D) belongs to the set. The log likelihood of theta is quadratic (`Told`), so both levels are
+in closed form. They are learned from many machines by expectation maximisation (`learn`). Throws of a
+machine that was healthy then give the posterior of its m (`of_machine`), so that an effect has to exceed D
+alone.
 """
 
 from collections.abc import Sequence
@@ -16,18 +17,16 @@ from diagnosis.causes.parameters import Layout
 from machine.conventions import Array, BoolArray
 
 ROUND_COUNT = 60
-"""Directions that few throws tell are slow: after 6 rounds their scatter was up to 4 times too large."""
+"""Rounds of expectation maximisation; directions that few throws determine converge slowly."""
 MACHINE_SHRINKING_COUNT = 1.0
 SET_SHRINKING_COUNT = 1.0
-"""So many machines (sets) without any correlation are added to those that were seen. Learned on 68 machines,
-133 sets of the other 67 are likelier the fewer these are: by 130, 300, 377 and 406 in log likelihood with 10,
-3, 1 and 0.1 instead of 30, which broke correlations of what is hardly told apart (gain, speed under load)."""
+"""Numbers of uncorrelated pseudo-machines and pseudo-sets that are added to those seen."""
 LEAST_RATIO = 1e-4
-"""Of the first guess: no direction is without scatter."""
+"""Least standard deviation as a share of the initial one."""
 
 
 class Told(NamedTuple):
-    """What a set says about theta, up to a constant: theta'b - theta'A theta / 2."""
+    """Log likelihood of theta for one set, up to a constant: theta'b - theta'A theta / 2."""
 
     precision: Array
     """A (p, p)"""
@@ -36,7 +35,7 @@ class Told(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """Middle and scatter of theta."""
+    """Mean and covariances of theta."""
 
     mean: Array
     """(p,)"""
@@ -47,7 +46,7 @@ class Levels(NamedTuple):
 
 
 def told(information: Information, plan: Layout) -> Told:
-    """What a set says about constants and nuisances, in the order of `scatter_names`, drifts marginalised."""
+    """Log likelihood of constants and nuisances in the order of `scatter_names`; drifts are marginalised."""
     count = plan.parameter_count
     fixed = np.r_[:count, count + plan.drift_count : plan.size_count]
     drifts = slice(count, count + plan.drift_count)
@@ -62,7 +61,7 @@ def told(information: Information, plan: Layout) -> Told:
 
 
 def of_machine(sets: Sequence[Told], levels: Levels) -> tuple[Array, Array]:
-    """What a machine is off by itself, from sets of its throws: mean (p,) and covariance (p, p) of m."""
+    """Posterior of a machine's own deviation m from sets of its throws: mean (p,), covariance (p, p)."""
     within = _inverse(levels.within)
     own = [_inverse(one.precision + within) for one in sets]
     return _of_machine(sets, own, levels.mean, _inverse(levels.machine))
@@ -71,7 +70,7 @@ def of_machine(sets: Sequence[Told], levels: Levels) -> tuple[Array, Array]:
 def _of_machine(
     sets: Sequence[Told], own: Sequence[Array], mean: Array, precision: Array
 ) -> tuple[Array, Array]:
-    """As `of_machine`, from covariances of every set's d given m, and the precision of m before the data."""
+    """As `of_machine`, from the covariances of every set's d given m and the prior precision of m."""
     gradient = np.zeros(mean.size)
     for one, covariance in zip(sets, own, strict=True):
         beyond = one.gradient - one.precision @ mean
@@ -92,12 +91,12 @@ def learn(
     has_mean: BoolArray,
     rounds: int = ROUND_COUNT,
 ) -> Levels:
-    """The levels under which the sets of these machines are most probable.
+    """The covariances under which the sets of these machines are most probable.
 
     Args:
-        machines: what the sets of each tell.
-        first: where to begin.
-        has_mean: (p,) which of theta have a mean of their own; the others keep that of `first`.
+        machines: sets of each machine.
+        first: initial values.
+        has_mean: (p,) which of theta have a mean; the others keep that of `first`.
         rounds: of expectation maximisation.
     """
     levels = first
@@ -135,7 +134,7 @@ def _improved(machines: Sequence[Sequence[Told]], levels: Levels, has_mean: Bool
 
 
 def shrunk(covariance: Array, count: int, shrinking_count: float) -> Array:
-    """Drawn towards its diagonal as if so many draws more had shown no correlation."""
+    """The covariance shrunk towards its diagonal by this number of uncorrelated pseudo-draws."""
     share = shrinking_count / (count + shrinking_count)
     both = 0.5 * (covariance + covariance.T)
     return (1.0 - share) * both + share * np.diag(np.diag(both))

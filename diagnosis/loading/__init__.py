@@ -1,1 +1,1 @@
-"""From throw logs to motion on one clock, audited."""
+"""Reading and checking of throw logs: motion on one clock, and the residual vector's layout."""

@@ -1,6 +1,6 @@
-"""Looks at a column of times before anything is computed from it: rate, jitter, gaps, duplicates, jumps.
+"""Audit of a column of sample times: rate, jitter, gaps, duplicates, backward steps.
 
-It repairs nothing; who loads decides. Serves throw logs (nanoseconds) and anybody's tables (seconds).
+It repairs nothing. It serves throw logs (nanoseconds) and other tables (seconds).
 """
 
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ import numpy as np
 from machine.conventions import Array
 
 MIN_RATE_HZ: Final = 25.0
-"""Dead times and lags of a hydraulic valve are 50 to 300 ms; below 25 Hz they hide between two samples."""
+"""Lowest usable rate, Hz: dead times and lags of a hydraulic valve are 50 to 300 ms."""
 GAP_PERIODS: Final = 1.5
-"""A step longer than this many periods lacks a sample."""
+"""A step longer than this many periods is a gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockAudit:
-    """What one column of times says."""
+    """Statistics of one column of times."""
 
     samples_count: int
     span_s: float

@@ -1,6 +1,6 @@
-"""Reasons to refuse a throw log: each check gives the numbers, the likely cause and the remedy.
+"""Checks that refuse a throw log, with the numbers, the likely cause and the remedy.
 
-A check never repairs and never guesses: it raises `RefusedLogError`, or returns.
+A check repairs nothing: it raises `RefusedLogError` or returns.
 """
 
 from typing import Any, Final
@@ -13,43 +13,43 @@ from machine.errors import LogError
 from machine.spec import MachineSpec
 
 MAX_REPAIRED_TICKS: Final = 3
-"""Missing ticks in a row that are interpolated: 30 ms, less than any lag of the machine."""
+"""Most missing ticks in a row that are interpolated: 30 ms, shorter than any lag of the machine."""
 MAX_MISSING_RATIO: Final = 0.1
-"""Of all ticks; a log with more holes than this is not measured but invented."""
+"""Largest share of missing ticks in a usable log."""
 CLOCK_JUMP_S: Final = 0.025
-"""A step that disagrees with the tick counter by more than this is a jump of the clock, not jitter."""
+"""A step that differs from the tick counter's by more than this is a jump of the clock, s."""
 STUCK_S: Final = 0.3
 STUCK_TRAVEL_RAD_M: Final = 0.02
-"""A position that stays equal to the last bit while its own velocity sensor travels this far is stuck."""
+"""A position that does not change while its velocity sensor travels this far (rad or m) is stuck."""
 RANGE_SLACK_RAD_M: Final = 0.25
-"""Beyond the joint's range: encoder bias, cylinder cushions and the wrong zero of a real machine."""
+"""Allowed excess over the joint's range, rad or m: encoder bias, cylinder cushions, a wrong zero."""
 SPEED_SLACK_RATIO: Final = 3.0
 MAX_GYRO_RAD_PER_S: Final = 12.0
-"""A gripper thrown at full swing turns at 3 rad/s."""
+"""Largest plausible rate; a gripper at full swing turns at 3 rad/s."""
 SPECIFIC_FORCE_M_PER_S2: Final = (4.0, 40.0)
-"""Median magnitude over a throw; a plumb gripper reads 9.81."""
+"""Plausible median magnitude over a throw; a gripper at rest reads 9.81."""
 MAX_DISTANCE_M: Final = 60.0
-"""Targets lie within 60 m (machine.messages.Target)."""
+"""Largest plausible distance; targets lie within 60 m (machine.messages.Target)."""
 LARGEST_NUMBER: Final = 1e12
-"""No quantity of this machine is as large in SI units; a damaged cell may be, and then counts as missing."""
+"""Larger values of any quantity count as missing."""
 MIN_PRESSURE_PA: Final = 1e5
 DEGREES: Final = 180.0 / np.pi
 
 
 class RefusedLogError(LogError):
-    """A log that cannot be used: the text says why, with numbers, and what to do."""
+    """A log that cannot be used; its text gives the reason with numbers, and the remedy."""
 
 
 def is_number(values: Array) -> BoolArray:
-    """(rows,) whether all axes of (rows, axes) hold numbers that a machine can have."""
+    """(rows,) whether all axes of (rows, axes) hold plausible finite numbers."""
     return np.all(np.abs(values) < LARGEST_NUMBER, axis=1)
 
 
 def check_finite(name: str, missing: NDArray[np.bool_]) -> int:
-    """Check the holes of a channel, (ticks,) true where a number is missing; returns how many there are.
+    """Number of missing values of a channel, from flags (ticks,) that are true where a value is missing.
 
     Raises:
-        RefusedLogError: more in a row, or more altogether, than may be interpolated.
+        RefusedLogError: more in a row, or more in total, than may be interpolated.
     """
     count = int(np.sum(missing))
     if count == 0:
@@ -71,10 +71,10 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
-    """Frozen joint sensors: (T, 4) position and velocity as read, valve commands, on the tick grid.
+    """Check for frozen joint sensors: (T, 4) positions, velocities and valve commands on the tick grid.
 
     Raises:
-        RefusedLogError: a sensor stands still to the last bit while another one says that the joint moves.
+        RefusedLogError: a sensor does not change while another one shows that the joint moves.
     """
     stuck = round(STUCK_S / CONTROL_PERIOD_S)
     for joint, name in enumerate(ACTIVE_JOINTS):
@@ -113,7 +113,7 @@ def check_stuck(position: Array, velocity: Array, valve: Array) -> None:
 
 
 def check_constant(name: str, samples: Array) -> None:
-    """A channel (K, axes) of a sensor that always has noise.
+    """Check a channel (K, axes) of a sensor with noise.
 
     Raises:
         RefusedLogError: an axis never changes.
@@ -130,16 +130,17 @@ def check_constant(name: str, samples: Array) -> None:
 
 
 def check_joint_units(spec: MachineSpec, position: Array, velocity: Array, estimate: Array) -> None:
-    """Units of joint channels against the machine's ranges and against each other.
+    """Check the units of joint channels against the machine's ranges and against each other.
 
     Args:
         spec: the machine's ranges and speeds.
         position: (T, 4) as read, rad and m.
         velocity: (T, 4) as read, rad/s and m/s.
-        estimate: (T, 6) joint positions that the policy saw.
+        estimate: (T, 6) joint positions in the policy's observation.
 
     Raises:
-        RefusedLogError: degrees for radians, millimetres for metres, or numbers no such machine can reach.
+        RefusedLogError: degrees for radians, millimetres for metres, or values that the machine cannot
+            reach.
     """
     low, high = spec.position_range_rad_m
     speed = np.maximum(
@@ -252,7 +253,7 @@ def check_machine(metadata: dict[str, Any], spec: MachineSpec) -> None:
 def _check_agreement(
     name: str, position: Array, velocity: Array, factor: float, wrong: str
 ) -> None:
-    """Position must move as far as velocity says, over windows that average the noise away."""
+    """Compare the position's travel with the integral of the velocity, over windows that average noise."""
     window = 10
     rate = (position[window:] - position[:-window]) / (window * CONTROL_PERIOD_S)
     summed = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))])

@@ -1,6 +1,6 @@
-"""What a throw log says beside its channels: impact, target, calibration, the twin that previewed it.
+"""Metadata of a throw log: impact, target, valve calibration and the twin profile of the preview.
 
-What is missing or cannot be read is refused with the reason.
+Metadata that is missing or cannot be read is refused with the reason.
 """
 
 import math

@@ -1,6 +1,6 @@
-"""Brings the rows of a throw log onto a grid of control ticks and tells what it had to repair.
+"""Resampling of a throw log onto the grid of control ticks, with notes of every repair.
 
-Small holes are interpolated (commands are held), duplicates dropped; whatever is larger is refused.
+Small gaps are interpolated (commands are held) and duplicates dropped; larger defects are refused.
 """
 
 from typing import Final, NamedTuple
@@ -20,9 +20,9 @@ from diagnosis.loading.log_checks import (
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, Motion
 
 HISTORY_S: Final = 2.0
-"""Before the throw's start: valves and swing remember no longer."""
+"""Time before the throw that is kept, s; valves and swing have no longer memory."""
 GRID_TOLERANCE_S: Final = 0.003
-"""A row this close to its tick counts as the tick; loops jitter by less."""
+"""A row this close to its tick counts as the tick, s; the jitter of control loops is smaller."""
 
 _CLOCK_SET: Final = (
     "the control computer's clock was set, or two logs were joined. Record with the monotonic clock"

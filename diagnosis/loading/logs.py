@@ -1,7 +1,4 @@
-"""Loads throw logs for the diagnosis: audits their clocks, repairs small things and says which.
-
-What it cannot use it refuses with numbers, likely cause and remedy (log_checks.py); it guesses nothing.
-"""
+"""Loading of throw logs for the diagnosis: clock audit, small repairs with notes, refusals with reasons."""
 
 import math
 from collections import Counter
@@ -38,7 +35,7 @@ MIN_BALL_SAMPLES_COUNT: Final = 5
 IMU_GAP_S: Final = 0.2
 NO_IMU_NOTE: Final = (
     "no IMU: how the gripper swung is taken from the pitch and roll that the machine estimated; effects of "
-    "the swing cannot be told apart and are not claimed, nor a late valve from a late sensor"
+    "the swing cannot be separated and are not claimed, nor a late valve from a late sensor"
 )
 
 
@@ -180,7 +177,7 @@ def _load(path: Path, log: ThrowLog, spec: MachineSpec) -> tuple[ThrowData, Mapp
 
 
 def _opening_s(grid: ControlGrid) -> float:
-    """When the gripper was told to open, s after the throw's start."""
+    """When the gripper was commanded to open, s after the throw's start."""
     opened = np.flatnonzero(grid.gripper_open & (grid.t_s >= 0.0))
     if opened.size == 0:
         raise RefusedLogError(
@@ -192,7 +189,7 @@ def _opening_s(grid: ControlGrid) -> float:
 
 def _switch_open_s(grid: ControlGrid, open_s: float) -> float:
     """When the load left the gripper's switch, s; nan if it was never seen."""
-    # The latch was seen closed before: a switch that never closed tells nothing.
+    # The latch was seen closed before: a switch that never closed carries no information.
     held = np.maximum.accumulate(grid.payload_held)
     left = np.flatnonzero(held & ~grid.payload_held & (grid.t_s >= open_s))
     return float(grid.t_s[left[0]]) if left.size else math.nan

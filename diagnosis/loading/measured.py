@@ -1,6 +1,6 @@
-"""Measured motion of a throw on the control grid: driven joints smoothed, free joints from the gyro.
+"""Measured motion of a throw on the control grid: driven joints smoothed, passive joints from the gyro.
 
-Nothing here knows the twin; it is what stands in for a simulated stage when that stage is "measured".
+It is independent of the twin and replaces a simulated stage when that stage is taken as measured.
 """
 
 from typing import NamedTuple
@@ -17,33 +17,38 @@ from sim_twin.replay.turned_imu import swing_from_gyro
 
 POSITION_SD_RAD_M = 1.3e-3
 VELOCITY_SD_RAD_M_PER_S = 7e-3
+"""Least noise that the smoother assumes for position (rad or m) and velocity sensors, one standard
+deviation."""
 NOISIER_RATIO = 1.3
-"""Sensors that show more noise than this multiple of what is taken for it are smoothed by what they show."""
+"""Sensors with more noise than this multiple of the least are smoothed by the noise that they show."""
 NOISE_WINDOW_COUNT = 24
+"""Samples of a window in which white noise is estimated."""
 SETTLED_COUNT = 60
-"""So many ticks away a sample does not move what is smoothed."""
+"""Ticks after which a sample no longer affects the smoothed motion."""
 LEAST_STEP_S = 1e-4
-"""Samples nearer than this are one."""
+"""Samples closer together than this are one, s."""
 JERK_SD_RAD_M_PER_S3 = 15.0
-"""White jerk of the smoother. A drive's own is 60 (3 rad/s2 within some 50 ms), which lets so much noise
-through that a low pass over it, a latency, pays. At 15 the swing that follows is nearest to the gyro."""
+"""White jerk of the smoother. A drive's jerk is 60 (3 rad/s2 within 50 ms), which would pass so much
+noise that a low-pass filter, which looks like a latency, would fit better. At 15 the simulated swing is
+closest to the gyro."""
 REST_S = 0.06
-"""Before the valves' dead time is over the gripper hangs still: the gyro then reads its bias."""
+"""Duration of rest at the start of a throw, s, before the valves' dead time has passed: the gyro reads
+its bias."""
 REST_RATE_RAD_PER_S = 0.04
 SAME_START_RAD = 0.015
-"""A machine whose estimate began this near to what the first specific forces say took it from them."""
+"""The machine took its initial estimate from the first specific forces if the two agree within this."""
 SWITCH_LAG_S = 0.0275
-"""Free load to the gripper switch's report: latch and debounce, 15 to 40 ms."""
+"""Delay of the gripper switch's report behind the release, s: latch and debounce, 15 to 40 ms."""
 SETTLED_S = 1.0
-"""Recorded before the throw, after which the gripper hangs where gravity points; a throw that was put into
-its start pose has no such time."""
+"""Recorded time before the throw after which the gripper hangs at rest, s; a throw that is placed into
+its start pose has less."""
 CALM_S = 0.12
 CALM_COUNT = 5
 CALM_RANGE_RAD_PER_S = 0.03
-"""So does a gripper whose turning rate stays within this for that long before the throw: at the end of a
-swing of 0.025 rad it would change by as much."""
+"""A gripper whose rate stays within this range for `CALM_S` before the throw hangs at rest, too. At the
+end of a swing of 0.025 rad the rate changes by as much."""
 SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
-"""A switch that is read once a tick is seen half a tick late on average."""
+"""Mean delay of a switch that is read once a tick, s."""
 
 
 AFTER_OPENING_S = 2.0
@@ -66,12 +71,12 @@ class MeasuredMotion(NamedTuple):
     swing_rate_rad_per_s: Array
     """(T, 2)"""
     gyro_rad_per_s: Array | None = None
-    """(T, 3) its bias off."""
+    """(T, 3) without its bias."""
     start_force_m_per_s2: Array | None = None
-    """(3,) specific force at the start, where the machine took the swing's start from it."""
+    """(3,) specific force at the start, where the machine took the initial swing from it."""
 
     def early(self, latency_s: Array) -> "MeasuredMotion":
-        """The motion as it was when the driven joints' sensors are late by (4,); held at the end."""
+        """The motion corrected for latencies (4,) of the driven joints' sensors; held at the end."""
         if not (latency_s > 0.0).any():
             return self
         ticks = latency_s / CONTROL_PERIOD_S
@@ -83,7 +88,7 @@ class MeasuredMotion(NamedTuple):
 
 
 def new_samples(at_s: Array) -> BoolArray:
-    """Which of these times (n,) are a new sample, bool (n,)."""
+    """(n,) whether each of these times (n,) is a new sample."""
     return np.concatenate([[True], np.diff(at_s) > LEAST_STEP_S])
 
 
@@ -92,8 +97,8 @@ def smooth_joints(
 ) -> tuple[Array, Array, Array]:
     """Position, velocity, acceleration (T, 4) at `t_s` from both sensors of each driven joint.
 
-    Least squares with a penalty on the third difference; the sensors' time stamps are kept, and velocity
-    sensors are taken to lag by (4,) behind the position sensors.
+    Least squares with a penalty on the third difference, at the sensors' time stamps. Velocity sensors lag
+    behind position sensors by (4,).
     """
     at = throw.sensor_t_s
     keep = new_samples(at)
@@ -114,10 +119,10 @@ def smooth_joints(
 
 
 def white_noise_sd(values: Array) -> Array:
-    """Standard deviation (k,) of the noise of samples (n, k), whatever moves slowly below it; 0 of too few.
+    """Standard deviation (k,) of the white noise of samples (n, k); 0 for too few samples.
 
     From third differences, whose variance is 20 times that of white noise, in the calmer windows of a
-    throw: a gear that meets or a valve that opens shakes others.
+    throw. Slow motion cancels; the calmer windows exclude impacts of gears and valves.
     """
     steps = np.square(np.diff(values, 3, axis=0)) / 20.0
     count = steps.shape[0] // NOISE_WINDOW_COUNT
@@ -150,19 +155,19 @@ def _smooth(
 
 
 def smoothed_as_sd(shown_sd: Array) -> Array:
-    """What the smoother takes for the noise (2, 4) that positions and velocities show."""
+    """Noise that the smoother assumes for measured noise (2, 4) of positions and velocities."""
     least = [[POSITION_SD_RAD_M], [VELOCITY_SD_RAD_M_PER_S]]
     return np.maximum(shown_sd / NOISIER_RATIO, least)
 
 
 def smoothed_noise(noise_sd: Array, taken_for_sd: Array) -> tuple[float, float]:
-    """What noise of a joint's position and velocity sensor leaves in its smoothed speed and acceleration.
+    """Noise of the smoothed speed and acceleration of a joint, from that of its sensors.
 
-    A lag of the velocity sensor, which raises it a little for all machines alike, is left out.
+    A lag of the velocity sensor, which raises it slightly for all machines alike, is neglected.
 
     Args:
-        noise_sd: of the two sensors (2,), rad or m and per s.
-        taken_for_sd: (2,) what the smoother takes for it.
+        noise_sd: of position and velocity sensor (2,), rad or m and per s.
+        taken_for_sd: (2,) noise that the smoother assumes.
     """
     count = 2 * SETTLED_COUNT + 1
     parts: list[tuple[float, float]] = []
@@ -186,7 +191,7 @@ def _add(bands: Array, stencil: Array) -> None:
 
 
 def rows_of_interest(throw: ThrowData) -> BoolArray:
-    """(T,) ticks from the throw's start to the landing; later the machine settles, which costs time only."""
+    """(T,) ticks from the throw's start to the landing."""
     last = throw.open_command_t_s + AFTER_OPENING_S
     if np.isfinite(throw.impact_t_s):
         opened = measured_opening_s(throw) if np.isfinite(throw.switch_open_t_s) else 0.0
@@ -195,9 +200,9 @@ def rows_of_interest(throw: ThrowData) -> BoolArray:
 
 
 def measured_motion(throw: ThrowData, velocity_lag_s: Array) -> MeasuredMotion:
-    """Driven joints smoothed; swing and roll by integrating the gyro from the hang at the start.
+    """Driven joints smoothed; pitch and roll by integrating the gyro from the hanging pose at the start.
 
-    Velocity sensors lag by (4,). Without an IMU the machine's own estimate of pitch and roll stands in.
+    Velocity sensors lag by (4,). Without an IMU the machine's own estimate of pitch and roll is used.
     """
     t_s = throw.t_s[rows_of_interest(throw)]
     position, velocity, acceleration = smooth_joints(throw, t_s, velocity_lag_s)
@@ -212,14 +217,21 @@ def measured_motion(throw: ThrowData, velocity_lag_s: Array) -> MeasuredMotion:
     swing, swing_rate = angle[:, 0], rate[:, 0]
     swing[:, 0] -= position[:, 1] + position[:, 2]
     swing_rate[:, 0] -= velocity[:, 1] + velocity[:, 2]
-    told = force is not None and np.abs(start - start_angle(force)).max() < SAME_START_RAD
+    from_force = force is not None and np.abs(start - start_angle(force)).max() < SAME_START_RAD
     return MeasuredMotion(
-        t_s, position, velocity, acceleration, swing, swing_rate, gyro, force if told else None
+        t_s,
+        position,
+        velocity,
+        acceleration,
+        swing,
+        swing_rate,
+        gyro,
+        force if from_force else None,
     )
 
 
 def _imu_at(throw: ThrowData, t_s: Array) -> tuple[Array, Array | None]:
-    """Turning rate (T, 3) at `t_s`, its bias off; specific force (3,) of a gripper at rest, or None."""
+    """Angular rate (T, 3) at `t_s` without its bias; specific force (3,) of a gripper at rest, or None."""
     calm = (throw.imu_t_s <= REST_S) & (
         np.abs(throw.gyro_rad_per_s).max(axis=1) < REST_RATE_RAD_PER_S
     )
@@ -232,7 +244,7 @@ def _imu_at(throw: ThrowData, t_s: Array) -> tuple[Array, Array | None]:
 
 
 def hung_at_rest(throw: ThrowData) -> bool:
-    """Whether the gripper hung where gravity points when the throw began, and not where it was put."""
+    """Whether the gripper hung at rest when the throw began, rather than being placed."""
     before = throw.gyro_rad_per_s[(throw.imu_t_s >= -CALM_S) & (throw.imu_t_s <= 0.0)]
     is_recorded = bool((throw.imu_t_s <= -CALM_S).any()) and before.shape[0] >= CALM_COUNT
     is_calm = is_recorded and bool(np.all(np.ptp(before, axis=0) < CALM_RANGE_RAD_PER_S))
@@ -240,20 +252,20 @@ def hung_at_rest(throw: ThrowData) -> bool:
 
 
 def measured_opening_s(throw: ThrowData) -> float:
-    """When the load left, from the gripper switch; NaN if the switch said nothing."""
+    """Moment of release from the gripper switch, s; NaN without a report."""
     return throw.switch_open_t_s - SWITCH_LAG_S - SWITCH_TICK_S
 
 
 def replay_input(
     throw: ThrowData, motion: MeasuredMotion, progress_ratio: float, default_opening_s: float
 ) -> ReplayInput:
-    """The throw as the twin's replay takes it.
+    """The throw as input of the twin's replay.
 
     Args:
         throw: the log.
         motion: its measured motion.
-        progress_ratio: place of the throw in its set.
-        default_opening_s: used where the switch said nothing.
+        progress_ratio: place of the throw in its set, 0 to 1.
+        default_opening_s: used where the switch reported nothing.
     """
     rows = rows_of_interest(throw)
     opening = measured_opening_s(throw)

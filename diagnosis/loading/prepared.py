@@ -1,14 +1,10 @@
-"""A throw made ready for the comparison: its measured motion, and the layout of its residual vector.
-
-Refuses nothing: what cannot be compared was refused when the log was loaded (diagnosis.loading.logs).
-"""
+"""A throw prepared for the comparison: its measured motion and the layout of its residual vector."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.causes.parameters import View
 from diagnosis.loading.measured import (
     MeasuredMotion,
     measured_motion,
@@ -23,14 +19,14 @@ from sim_twin.twin.profile import TwinProfile
 
 AXES = ("x", "y", "z")
 MEAN_OF_COUNT = 2
-"""Samples averaged before comparison: 50 Hz is enough for what the twin knows."""
+"""Samples averaged before the comparison: 50 Hz cover the bandwidth of the twin."""
 IMU_UNTIL_AFTER_OPENING_S = 0.6
-"""The swing is compared up to here after the opening: later the settling controller is judged."""
+"""The swing is compared up to this time after the opening, s; afterwards the settling controller acts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A channel of one throw: when and where it was sampled, and how much moved there."""
+    """A channel of one throw: sample times, and the motion levels that scale its discrepancy."""
 
     name: str
     rows: slice
@@ -38,9 +34,9 @@ class Block:
     t_s: Array
     """(n,)"""
     rate: Array
-    """(n,) first motion level of the discrepancy."""
+    """(n,) first motion level of the discrepancy: speed."""
     push: Array
-    """(n,) second one."""
+    """(n,) second motion level: acceleration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +54,7 @@ class PreparedThrow:
     imu_pair: Array
     """(k, K) averages the IMU samples that are compared."""
     joint_pair: Array
-    """(j, T)"""
+    """(j, T) averages the joint samples that are compared."""
 
     def block(self, name: str) -> Block | None:
         """A block by name; None where the log has no such channel."""
@@ -100,7 +96,7 @@ def _prepare(
 
 
 def _pairs(rows: IntArray, columns: int) -> Array:
-    """Matrix that averages neighbours of the chosen rows."""
+    """Matrix that averages neighbouring samples among the chosen rows."""
     groups = [rows[i : i + MEAN_OF_COUNT] for i in range(0, rows.size - 1, MEAN_OF_COUNT)]
     matrix = np.zeros((len(groups), columns))
     for i, group in enumerate(groups):
@@ -121,7 +117,7 @@ def _layout(prepared: PreparedThrow) -> tuple[list[Block], Array]:
     joint_t = prepared.joint_pair @ prepared.joint_at_s
     for joint, name in enumerate(ACTIVE_JOINTS):
         add(
-            f"{View.ACTUATION}.{name}",
+            f"actuation.{name}",
             joint_t,
             prepared.joint_pair @ throw.sensor_velocity_rad_m_per_s[:, joint],
             np.interp(joint_t, motion.t_s, _recent(np.abs(motion.velocity_rad_m_per_s[:, joint]))),
@@ -163,7 +159,7 @@ def _layout(prepared: PreparedThrow) -> tuple[list[Block], Array]:
 
 
 def _recent(level: Array) -> Array:
-    """Largest value of a level (T,) within the last 0.15 s and the next 0.05 s."""
+    """Maximum of a level (T,) over the last 0.15 s and the next 0.05 s."""
     out = level.copy()
     for shift in range(-5, 16):
         moved = np.roll(level, shift)

@@ -1,8 +1,8 @@
-"""Whole throws as CSV, written and read: a throw log's channels (docs/throw_log.md) as columns.
+"""Whole throws as CSV: the channels of a throw log (docs/throw_log.md) as columns, written and read.
 
-A file holds one throw, or several with a column of throw ids. Control, IMU and load tracker keep their own
-times, so their columns differ in length and end in empty cells.
-A file without what a diagnosis needs is refused with the columns that are missing.
+A file holds one throw, or several with a column of throw ids. Control, IMU and load tracker have time
+columns of their own, so that their columns differ in length and end in empty cells. A file that lacks
+required columns is refused with their names.
 """
 
 import csv
@@ -29,16 +29,16 @@ from runtime.records.throw_log import (
 
 LOG_SUFFIXES: Final = (".mcap", ".csv")
 THROW_COLUMN: Final = "throw_id"
-"""Tells the throws of a file apart."""
+"""Column of throw ids in a file of several throws."""
 THROWS_KEY: Final = "throws"
-"""Of the line that holds what is each throw's own: target, impact and so on, by throw id."""
+"""Header line with the metadata of each throw (target, impact), by throw id."""
 WITHOUT_IMU: Final = "without_imu"
-"""Metadata of a throw whose file has no columns of an IMU."""
+"""Metadata of a throw whose file has no IMU columns."""
 TRUTH: Final = {"true": 1.0, "false": 0.0}
 MAX_BYTES: Final = 200_000_000
-"""A throw has about 2 MB; beyond this the file is another thing."""
+"""Largest file that is read; a throw has about 2 MB."""
 MAX_NS: Final = 4_000_000_000_000_000_000
-"""126 years: times and their differences fit into 64 bits."""
+"""Largest time stamp: 126 years, so that differences fit into 64 bits."""
 CONTEXT_KEYS: Final = (
     *("throw_id", "machine_id", "mode", "target", "model_sha256", "calibration", "twin_profile"),
     RESULT_RECORD,
@@ -69,7 +69,7 @@ CONTROL_COLUMNS: Final[Mapping[str, list[str]]] = {
     "payload_held": ["payload_held_ratio"],
     "supply_pressure_pa": ["supply_pressure_pa"],
 }
-"""By field of a control row: its columns, called as in the console's time series."""
+"""Columns of each field of a control row, named as in the console's time series."""
 IMU_COLUMNS: Final[Mapping[str, list[str]]] = {
     "gyro_rad_per_s": [f"gyro_{axis}_rad_per_s" for axis in "xyz"],
     "accel_m_per_s2": [f"accel_{axis}_m_per_s2" for axis in "xyz"],
@@ -155,12 +155,12 @@ def read_throw_csv(path: Path) -> list[ThrowLog]:
 
 
 def _named(path: Path, name: str, context: dict[str, Any]) -> dict[str, Any]:
-    """With the throw's id: that of its rows, else that of the lines above them, else the file's name."""
+    """With the throw's id: from its rows, else from the header lines, else the file's name."""
     return {"throw_id": path.stem} | context | ({THROW_COLUMN: name} if name else {})
 
 
 def _throw(path: Path, columns: Mapping[str, Array], context: dict[str, Any]) -> ThrowLog:
-    """One throw from its columns and what the lines above them say."""
+    """One throw from its columns and header lines."""
     start_ns = _whole_ns(context, "start_t_mono_ns", path)
     control = _rows(CONTROL_ROW, columns, "t_s", CONTROL_COLUMNS, start_ns, path)
     ticks = columns["t_s"][: len(control)]
@@ -189,7 +189,7 @@ def _throw(path: Path, columns: Mapping[str, Array], context: dict[str, Any]) ->
 
 
 def _group(context: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
-    """Take the object under a key out of a line above the columns; empty if there is none."""
+    """Take the object under a key out of the header lines; empty if there is none."""
     value: Any = context.pop(key, None)
     if value is None:
         return {}
@@ -199,7 +199,7 @@ def _group(context: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
 
 
 def _whole_ns(context: dict[str, Any], key: str, path: Path) -> int:
-    """Take a time in ns out of the lines above the columns; 0 if there is none."""
+    """Take a time in ns out of the header lines; 0 if there is none."""
     value: Any = context.pop(key, None) or 0
     if not isinstance(value, int | float) or not abs(value) < MAX_NS:
         raise LogError(f"{key!r} of {path.name} is {value!r}; whole nanoseconds are needed")
@@ -302,7 +302,7 @@ def _rows(
 
 
 def _number(text: str) -> float:
-    """A cell; what is no number was not measured."""
+    """A cell as a number; NaN for other text."""
     word = text.strip().lower()
     if word in TRUTH:
         return TRUTH[word]

@@ -1,4 +1,4 @@
-"""Throws as the diagnosis uses them: one throw, and a set of which some may have been refused."""
+"""Throws as the diagnosis uses them: one throw, and a set of throws with its refused logs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from machine.conventions import Array, BoolArray
 from sim_twin.twin.profile import TwinProfile
 
 MIN_THROWS_COUNT: Final = 3
-"""Fewer cannot tell the machine's scatter from an effect."""
+"""Fewest throws that separate the machine's scatter from an effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class ThrowData:
-    """One throw; T ticks of 10 ms, times from the throw's start, places in frame `machine`."""
+    """One throw; T ticks of 10 ms, times from the throw's start, positions in frame `machine`."""
 
     throw_id: str
     machine_id: str
@@ -26,17 +26,17 @@ class ThrowData:
     t_s: Array
     """(T,) grid of 10 ms; 0 is the first tick of `Motion.THROW`, up to 2 s of history are negative."""
     valve_ratio: Array
-    """(T, 4) what the safety gate let through."""
+    """(T, 4) valve commands after the safety gate."""
     gripper_open: BoolArray
-    """(T,) the gripper is told to open."""
+    """(T,) whether the gripper is commanded open."""
     sensor_t_s: Array
-    """(T,) when the joint sensors were sampled."""
+    """(T,) sample times of the joint sensors."""
     sensor_position_rad_m: Array
     """(T, 4)"""
     sensor_velocity_rad_m_per_s: Array
     """(T, 4)"""
     joint_position_rad_m: Array
-    """(T, 6) estimate that the policy saw; pitch and roll come from the IMU."""
+    """(T, 6) estimate in the policy's observation; pitch and roll come from the IMU."""
     joint_velocity_rad_m_per_s: Array
     """(T, 6)"""
     imu_t_s: Array
@@ -47,13 +47,13 @@ class ThrowData:
     """(K, 3) specific force, gripper frame."""
     open_command_t_s: float
     switch_open_t_s: float
-    """The load left the gripper's switch; nan if it was never seen."""
+    """When the gripper's switch reported the release; NaN without a report."""
     ball_t_s: Array
     """(B,)"""
     ball_m: Array
     """(B, 3) centre of the load in flight; B may be 0."""
     impact_m: Array
-    """(3,) nan if it was not surveyed."""
+    """(3,) NaN without a survey."""
     impact_sd_m: float
     impact_t_s: float
     supply_pressure_pa: Array
@@ -63,15 +63,15 @@ class ThrowData:
     twin_profile: TwinProfile | None
     """The profile that previewed the throw, if the log carries it."""
     recorded_at_ns: int
-    """Machine clock at 0 s; throws of one boot are ordered by it."""
+    """Machine clock at 0 s; it orders the throws of one boot."""
     path: Path
     notes: tuple[str, ...]
-    """What was repaired."""
+    """Repairs that were made."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedSet:
-    """What could be used of a set of logs, and why the rest could not."""
+    """The usable throws of a set of logs, and the reasons why others were refused."""
 
     throws: tuple[ThrowData, ...]
     refused: tuple[tuple[Path, str], ...]
@@ -91,7 +91,7 @@ class LoadedSet:
         }
 
     def shortage(self, what: str) -> str | None:
-        """Why there are not enough of `what`; None when there are."""
+        """Why there are too few of `what`; None when there are enough."""
         if len(self.throws) >= MIN_THROWS_COUNT:
             return None
         reasons = "; ".join(f"{path.name}: {reason}" for path, reason in self.refused[:3])
@@ -102,7 +102,7 @@ class LoadedSet:
         ).strip()
 
     def too_few(self) -> Diagnosis | None:
-        """The verdict when there is not enough to diagnose; None when there is."""
+        """The verdict when there are too few throws to diagnose; None when there are enough."""
         sentence = self.shortage("usable throws")
         if sentence is None:
             return None

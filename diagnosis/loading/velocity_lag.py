@@ -1,9 +1,8 @@
-"""How far the driven joints' velocity sensors lag behind their position sensors, from throws alone.
+"""Lag of the driven joints' velocity sensors behind their position sensors, from throws alone.
 
-A velocity sensor has a filter (an encoder's differences need one), its position sensor has none. Where both
-say how a joint moved, the lag shows: a filter of time constant tau reports v - tau dv/dt, so that position
-minus the integral of the reported velocity is a constant plus tau times the reported velocity. What delays
-both sensors alike does not show here, and is an effect (joint_sensor_latency).
+A velocity sensor has a filter, its position sensor has none. A filter of time constant tau reports v - tau
+dv/dt, so that position minus the integral of the reported velocity is a constant plus tau times the
+reported velocity. A delay of both sensors alike does not show here; it is an effect (joint_sensor_latency).
 """
 
 from collections.abc import Sequence
@@ -15,14 +14,13 @@ from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
 
 LARGEST_SD_S = 0.002
-"""Joints that moved too little to tell their lag better count as prompt; 12 throws tell it to 0.5 ms."""
+"""A lag with a larger standard deviation counts as 0, s; 12 throws determine it to 0.5 ms."""
 
 
 def velocity_lag_s(throws: Sequence[ThrowData]) -> Array:
     """Lag (4,) of the driven joints' velocity sensors behind their position sensors.
 
-    Least squares in every throw, weighed by what each tells. A scale error of either sensor is fitted beside
-    it, so that it is not taken for a lag.
+    Least squares per throw, weighted by precision. A scale error of either sensor is fitted beside the lag.
     """
     weight = np.zeros(ACTIVE_COUNT)
     weighed = np.zeros(ACTIVE_COUNT)
@@ -30,15 +28,15 @@ def velocity_lag_s(throws: Sequence[ThrowData]) -> Array:
         lag_s, precision = _of_throw(throw)
         weight += precision
         weighed += precision * lag_s
-    is_told = weight * LARGEST_SD_S**2 >= 1.0
-    return np.where(is_told, weighed / np.where(is_told, weight, 1.0), 0.0)
+    is_known = weight * LARGEST_SD_S**2 >= 1.0
+    return np.where(is_known, weighed / np.where(is_known, weight, 1.0), 0.0)
 
 
 def _of_throw(throw: ThrowData) -> tuple[Array, Array]:
-    """Lags (4,), s, and their precisions (4,), 1/s2, of one throw; precision 0 where it does not tell.
+    """Lags (4,), s, and their precisions (4,), 1/s2, of one throw; precision 0 where it is not determined.
 
-    A velocity sensor's noise adds up to a walk on the way. To weigh by that would look at the fastest motion
-    alone, where noise hides the lag: all samples count alike, and the walk in how well the lag is known.
+    The noise of a velocity sensor integrates to a random walk. Weighting by it would use the fastest motion
+    alone, where noise hides the lag; all samples have equal weight, and the walk enters the precision.
     """
     keep = new_samples(throw.sensor_t_s)
     velocity = throw.sensor_velocity_rad_m_per_s[keep]

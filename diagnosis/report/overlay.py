@@ -13,8 +13,8 @@ import numpy as np
 
 from diagnosis.causes.elements import ALL
 from diagnosis.causes.problem import Problem
+from diagnosis.cross_validation import corrected_input
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.shrink import corrected_input
 from diagnosis.simulate import joint_latency_s
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect, acting_effect, effect_stage

@@ -11,7 +11,7 @@ from diagnosis.causes.parameters import layout, library, scatter_names
 from diagnosis.healthy.filters import HealthyModel, correction, inputs, learn, nothing
 from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, whiten, whitener
 from diagnosis.loading.prepared import prepare
-from diagnosis.separating import separating_motion
+from diagnosis.separating_motions import separating_motion
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
 

@@ -10,8 +10,8 @@ import pytest
 from diagnosis import diagnose
 from diagnosis.causes.parameters import scatter_names
 from diagnosis.diagnose import CancelledError, diagnose_throws
-from diagnosis.healthy.own_sensors import with_own_sensors
 from diagnosis.healthy.reference import check_reference, of_reference
+from diagnosis.healthy.sensor_noise import with_measured_sensor_noise
 from diagnosis.healthy.two_levels import Levels, Told, learn, of_machine
 from diagnosis.loading.throw_data import LoadedSet
 from machine.errors import UsageError
@@ -100,7 +100,7 @@ def test_reference_throws_are_not_told_in_the_noise_of_those_diagnosed(
             replace(loaded, throws=noisy), profile(), health=known, reference=renamed(loaded)
         )
     assert told.call_args.args[2].noise == known.noise
-    assert with_own_sensors(known.noise, replace(loaded, throws=noisy)) != known.noise
+    assert with_measured_sensor_noise(known.noise, replace(loaded, throws=noisy)) != known.noise
 
 
 def test_reference_throws_are_refused_with_the_reason() -> None:

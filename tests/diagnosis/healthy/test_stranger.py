@@ -6,7 +6,7 @@ import pytest
 from diagnosis.causes.evidence import Information, screen, weigh
 from diagnosis.causes.parameters import index_of, layout, library
 from diagnosis.healthy.noise import NoiseModel, load_noise
-from diagnosis.healthy.own_sensors import SWINGS_MORE
+from diagnosis.healthy.sensor_noise import SWINGS_MORE
 from diagnosis.healthy.stranger import NEARNESS_RATIOS, as_near_as_shown, stranger
 from machine.conventions import ACTIVE_JOINTS, Array
 

@@ -5,9 +5,8 @@ from typing import cast
 
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.conclude import ambiguity_of, verdict_of
-from diagnosis.places import signature_of, where
-from diagnosis.sentence import sentence_of
+from diagnosis.conclusion import ambiguity_of, sentence_of, verdict_of
+from diagnosis.location import signature_of, where
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 

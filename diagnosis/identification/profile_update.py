@@ -1,4 +1,4 @@
-"""From identified quantities to the next version of a machine's twin profile."""
+"""The next version of a machine's twin profile from identified quantities."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from diagnosis.identify.quantity import Quantity
-from diagnosis.identify.release import ReleaseDelay
-from diagnosis.identify.response import JointResponse
-from diagnosis.identify.swing import AxisSwing
+from diagnosis.identification.free_swing import AxisSwing
+from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.release_delay import ReleaseDelay
+from diagnosis.identification.response import JointResponse
 from machine.spec import MachineSpec
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.table import EFFECTS
@@ -18,10 +18,11 @@ from sim_twin.twin.profile import TwinProfile
 LENGTH_EFFECT = "gripper_length"
 LENGTH_PARAMETER = "extra_length_m"
 LONGEST_M = EFFECTS[LENGTH_EFFECT].parameter(LENGTH_PARAMETER).high
+"""Bound of that effect, m (sim_twin.effects)."""
 
 
 def with_response(profile: TwinProfile, joints: Sequence[JointResponse]) -> dict[str, Any]:
-    """Response of the joints that were identified; the others keep theirs."""
+    """Response of the joints that were identified; the other joints keep theirs."""
     fields = ("dead_time_s", "natural_frequency_rad_per_s", "damping_ratio", "gain_ratio")
     values = {name: list(getattr(profile, name)) for name in fields}
     intervals: dict[str, tuple[float, float]] = {}
@@ -38,14 +39,14 @@ def with_response(profile: TwinProfile, joints: Sequence[JointResponse]) -> dict
 
 
 def with_release(found: ReleaseDelay) -> dict[str, Any]:
-    """Delay and its scatter."""
+    """Release delay and its standard deviation."""
     return _fields({"release_delay_s": found.mean, "release_delay_sd_s": found.sd})
 
 
 def with_swing(
     profile: TwinProfile, axes: Sequence[AxisSwing], spec: MachineSpec
 ) -> dict[str, Any]:
-    """Friction of both free joints, and the gripper's length as an effect if it differs from the drawing."""
+    """Friction of both passive joints; the gripper's length as an effect where it differs from drawn."""
     changes: dict[str, Any] = {}
     intervals: dict[str, tuple[float, float]] = {}
     for field in ("viscous_friction_per_s", "coulomb_friction_rad_per_s2"):
@@ -66,7 +67,7 @@ def with_swing(
 
 
 def extra_length(axes: Sequence[AxisSwing], spec: MachineSpec) -> tuple[float, float, float] | None:
-    """Length that the gripper hangs lower than drawn, m, with an interval that covers both axes' answers."""
+    """How much lower than drawn the gripper hangs, m, with an interval that covers both axes."""
     answers: list[tuple[float, float, float]] = []
     for number, axis in enumerate(axes):
         known = axis.length_m
@@ -84,7 +85,7 @@ def extra_length(axes: Sequence[AxisSwing], spec: MachineSpec) -> tuple[float, f
 
 
 def _lower_by(length_m: float, axis: int, spec: MachineSpec) -> float:
-    """What the centre of mass must be lowered by for this length of the equal pendulum."""
+    """How much lower the centre of mass must be for this length of the equivalent pendulum, m."""
     low, high = swing_length(spec, axis, -LONGEST_M), swing_length(spec, axis, LONGEST_M)
     if length_m <= low or length_m >= high:
         return -LONGEST_M if length_m <= low else LONGEST_M
@@ -95,7 +96,7 @@ def _lower_by(length_m: float, axis: int, spec: MachineSpec) -> float:
 
 
 def swing_length(spec: MachineSpec, axis: int, extra_m: float = 0.0) -> float:
-    """Length of the pendulum with the gripper's period: inertia over mass moment, about pitch 0 or roll 1."""
+    """Length of the equivalent pendulum, m: inertia over mass moment about joint 0 (pitch) or 1 (roll)."""
     p = spec.passive
     arm = p.gripper_com_m + extra_m + (spec.geometry.pitch_to_roll_m if axis == 0 else 0.0)
     inertia = p.gripper_inertia_kg_m2[1 - axis] + p.gripper_mass_kg * arm**2

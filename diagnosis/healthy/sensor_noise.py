@@ -1,7 +1,7 @@
-"""How noisy and how slow the sensors of these very logs are.
+"""Adaptation of the noise model to the noise and the sampling rate of these logs.
 
-Noise and clocks of the type were learned from its own sensors at 100 Hz. Other sensors are noisier, and a log
-with fewer rows does not tell when within a row a valve was moved. Neither may be taken for an effect.
+Noise and clock errors of the type were learned from its own sensors at 100 Hz. Other sensors are noisier. A
+log with fewer rows does not show when within a row a valve moved. Neither may be taken for an effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,11 +23,9 @@ from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 
 USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
-"""White noise that joint speeds of the type show: medians of eight sets (seeds 20261125, 20261126 and
-20261128)."""
+"""White noise of the joint velocity sensors of the type, one standard deviation."""
 NOISIER_RATIO = 1.1
-"""Joint sensors and trackers of the type stay below this multiple of their usual noise (trackers: 0.97 to
-1.07 in 25 sets of seed 1413302223)."""
+"""Joint sensors and trackers of the type stay below this multiple of their usual noise."""
 SWINGS_MORE: Final[Mapping[str, float]] = {
     "joint_sensor_bias.telescope.bias_rad_m": 0.06,
     **{f"unheard.scale.{joint}.scale_ratio": 0.01 for joint in ACTIVE_JOINTS},
@@ -36,20 +34,19 @@ SWINGS_MORE: Final[Mapping[str, float]] = {
     "joint_sensor_latency.telescope.extra_latency_s": 0.02,
     "imu_latency.extra_latency_s": 0.004,
 }
-"""What looks like a gripper that noise of joint sensors shakes in the twin, about 1 % of its swing: a
-telescope that is shorter than its sensor says, sensors that report too much, or late ones. By this with
-sensors like the type's, and with the square of what they leave; that of the type's own motion is learned."""
+"""Standard deviations of parameters whose effect resembles a simulated gripper that joint-sensor noise
+excites. They are scaled by the square of the excess of that noise over the type's."""
 LEAST_TRACK_COUNT = NOISE_WINDOW_COUNT + 3
-"""Samples of a track that hold a window of third differences."""
+"""Fewest samples of a track that hold a window of third differences."""
 LATE_KEYS = ("valve_dead_time.{}.extra_dead_time_s", "joint_sensor_latency.{}.extra_latency_s")
 
 
-def with_own_sensors(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
-    """The model, with the noise that these throws show where it is more, and their clocks' resolution.
+def with_measured_sensor_noise(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
+    """The model with the noise of these throws where it is higher, and with their clocks' resolution.
 
     Args:
         model: of the type.
-        loaded: the throws, and the rates at which they were recorded.
+        loaded: the throws, and their sampling rates.
     """
     shaking = _shaking(loaded.throws)
     channels = {
@@ -74,13 +71,13 @@ def with_own_sensors(model: NoiseModel, loaded: LoadedSet) -> NoiseModel:
 
 
 def _shown_ratio(throws: Sequence[ThrowData]) -> Array:
-    """White noise of the joint speeds (4,) over that of the type."""
+    """White noise of the joint velocities (4,) over that of the type."""
     shown = [white_noise_sd(t.sensor_velocity_rad_m_per_s) for t in throws]
     return np.median(shown, axis=0) / np.array(USUAL_SPEED_SD_RAD_M_PER_S)
 
 
 def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:
-    """By how much more noise than the type's a block shows, at least 1."""
+    """Ratio of a block's noise to that of the type, at least 1."""
     stage, _, channel = block.partition(".")
     if stage == "actuation":
         ratio = float(_shown_ratio(throws)[joint_index(channel)])
@@ -95,7 +92,7 @@ def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:
 
 
 def _track_noise_sd_m(throws: Sequence[ThrowData]) -> float:
-    """White noise of the load tracker, over all axes and throws; 0 of throws without one."""
+    """White noise of the load tracker over all axes and throws; 0 without a tracker."""
     tracks = [t.ball_m for t in throws if t.ball_m.shape[0] >= LEAST_TRACK_COUNT]
     if not tracks:
         return 0.0
@@ -103,11 +100,10 @@ def _track_noise_sd_m(throws: Sequence[ThrowData]) -> float:
 
 
 def _shaking(throws: Sequence[ThrowData]) -> Mapping[str, float]:
-    """By how much more than the type's joint sensors these shake the simulated gripper, at least 1.
+    """How much more than the type's the joint sensors' noise moves the simulated gripper, by IMU sensor.
 
-    By the blocks of a sensor of the IMU. A pin 6 m out that is told to move by what is left of noise shakes
-    a gripper that hangs below it: most of what gyro and accelerometer of a healthy machine of the type are
-    off at rest.
+    At least 1. A pin 6 m out that follows the residual noise of the joint sensors excites the gripper below
+    it. That is most of the deviation of gyro and accelerometer of a healthy machine at rest.
     """
     sensors = [(t.sensor_position_rad_m, t.sensor_velocity_rad_m_per_s) for t in throws]
     shown: Array = np.median([[white_noise_sd(v) for v in pair] for pair in sensors], axis=0)

@@ -1,7 +1,6 @@
-"""Which motion tells two causes apart that the throws at hand cannot: physics of each pair, in words.
+"""Motions that separate two causes which the present throws cannot: each pair, its physics and the motion.
 
-Each entry names what differs between the two and a motion in which it shows. Sources: the table of
-confounded pairs in docs/diagnosis.md.
+Source: the table of confounded pairs in docs/diagnosis.md.
 """
 
 from collections.abc import Mapping
@@ -139,14 +138,14 @@ _STAGES: Mapping[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def alone_motion(effect: Effect) -> dict[str, Any]:
-    """What to record next to tell an effect from nothing; ``words`` for people."""
+def detecting_motion(effect: Effect) -> dict[str, Any]:
+    """What to record next to distinguish an effect from none; ``words`` for people."""
     motion, words = _STAGES[effect_stage(effect)]
     return {**motion, **({} if effect.joint is None else {"joint": effect.joint}), "words": words}
 
 
 def separating_motion(first: Effect, second: Effect) -> dict[str, Any]:
-    """What to record next to tell two causes apart; ``words`` for people."""
+    """What to record next to distinguish two causes; ``words`` for people."""
     names = frozenset((acting_effect(first), acting_effect(second)))
     if DRIFT in (first.effect, second.effect) and len(names) == 1:
         motion, words = (

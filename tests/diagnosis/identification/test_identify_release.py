@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.identify.apply import next_profile, with_release
-from diagnosis.identify.plots import release_figure
-from diagnosis.identify.release import identify_release
+from diagnosis.identification.plots import release_figure
+from diagnosis.identification.profile_update import next_profile, with_release
+from diagnosis.identification.release_delay import identify_release
 from sim_twin.commissioning.motions import RELEASE_COUNT
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.units import make_unit
-from tests.diagnosis.identify.recorded_tests import SPEC, recorded
+from tests.diagnosis.identification.recorded_tests import SPEC, recorded
 
 UNIT = 7
 

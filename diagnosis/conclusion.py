@@ -1,5 +1,6 @@
-"""From findings to the verdict: gap, causes with intervals, ambiguity, what was ruled out, one sentence."""
+"""The result of a diagnosis: gap, causes with intervals, ambiguity, effects ruled out, and one sentence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,46 +12,43 @@ from diagnosis.causes.ranking import Ranked
 from diagnosis.fitted_causes import causes_of, effect_names
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.throw_data import LoadedSet
-from diagnosis.places import named, signature_of, where
-from diagnosis.report.report_words import percent
-from diagnosis.sentence import sentence_of
-from diagnosis.separating import alone_motion, separating_motion
+from diagnosis.location import named, signature_of, where
+from diagnosis.report.report_words import channel_words, percent, probability, size_words
+from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
-from diagnosis.verdict import Ambiguity, Diagnosis, Gap, Shrink, VerdictKind
+from diagnosis.verdict import Ambiguity, Cause, Diagnosis, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 
 LEAST_GAIN_RATIO = 0.05
-"""An effect that closes less than this of the removable gap, whatever the throws, is no explanation (by
-eye)."""
+"""Least share of the removable gap that an explanation closes."""
 PLAIN_PROBABILITY = 0.01
-"""Where "none" is less probable than this, a gain must be possible, and need not be certain (by eye)."""
+"""Probability of "none" below which a gain must be possible, and need not be significant."""
 SOME_PROBABILITY = 0.05
+"""Probability of "none" from which the interval of the gain decides (`MOST_LOSS_RATIO`)."""
 MOST_LOSS_RATIO = 0.1
-"""Where "none" is as probable as this, an effect is not claimed that closes less than `LEAST_GAIN_RATIO` of
-the gap even at the upper end of its interval, or may widen it by that much at the lower. Nor, where "none" is
-as probable as `PLAIN_PROBABILITY`, one that closes less than that on average. Two answers about a healthy
-stranger named a joint's sensor ("none" 0.07 and 0.31; no gain); of two healthy machines (seed 713672797) one
-had a slew's limit (0.13; -26 to 100 %), one another inertia (0.02; 5 %). Of 303 sets with known effects
-(that seed and 20261126) one right answer is lost, a load of 1.5 limits."""
+"""Where "none" has at least `SOME_PROBABILITY`, an effect is not claimed if the interval of its gain
+ends below `LEAST_GAIN_RATIO` or begins below minus this share. Where "none" has at least
+`PLAIN_PROBABILITY`, an effect is not claimed if its mean gain is below `LEAST_GAIN_RATIO`."""
 RULED_OUT_COUNT = 12
+"""Number of single effects listed as ruled out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """All that the verdict is made of."""
+    """Everything that the verdict depends on."""
 
     loaded: LoadedSet
     reference: LoadedSet | None
-    """Healthy throws of the machine that it was compared with."""
+    """Throws of this machine while it was healthy, if it was compared with them."""
     problem: Problem
     ranked: Ranked
     terms: Terms
     shrink: tuple[Shrink, str] | None
-    """And what it was measured on: ``impact`` or ``channels``."""
+    """Reduction of the gap, and its measure: ``impact`` or ``channels``."""
 
 
 def conclude(found: Findings) -> Diagnosis:
-    """The result."""
+    """The result of a diagnosis."""
     ranked = found.ranked
     stages = stage_gaps(found.terms)
     gap = _gap(found)
@@ -92,7 +90,7 @@ def conclude(found: Findings) -> Diagnosis:
 
 
 def verdict_of(ranked: Ranked, gain: Shrink | None) -> VerdictKind:
-    """What is claimed.
+    """The verdict.
 
     Args:
         ranked: the hypotheses.
@@ -110,12 +108,12 @@ def verdict_of(ranked: Ranked, gain: Shrink | None) -> VerdictKind:
 
 
 def _is_doubtful(ranked: Ranked, gain: Shrink | None) -> bool:
-    """Whether "none" is too probable for a claim, jitter apart."""
+    """Whether "none" is too probable for a claim; jitter is judged separately."""
     return ranked.is_doubtful or (gain is not None and _is_idle(gain, ranked.none_probability))
 
 
 def _is_idle(gain: Shrink, none: float) -> bool:
-    """Whether a cause that gains so little is no claim while "none" is so probable."""
+    """Whether the gain is too small for a claim at this probability of "none"."""
     if none >= SOME_PROBABILITY:
         low, high = gain.ci90
         if high <= LEAST_GAIN_RATIO or low < -MOST_LOSS_RATIO:
@@ -124,7 +122,7 @@ def _is_idle(gain: Shrink, none: float) -> bool:
 
 
 def _demoted(ranked: Ranked, gain: Shrink | None) -> str | None:
-    """Why the best cause may not be called the explanation: it gains nothing on held-out throws."""
+    """Why the best cause may not be called the explanation; None if it may."""
     if not ranked.best.members:
         return None
     if gain is None:
@@ -155,7 +153,7 @@ def _gap(found: Findings) -> Gap:
 
 
 def ambiguity_of(ranked: Ranked, gain: Shrink | None) -> Ambiguity:
-    """What the throws leave open: which cause, or, where that is in doubt, whether it is one at all."""
+    """What the throws leave open: which of two causes, or whether there is a cause at all."""
     # Jitter that is there either way is part of either cause.
     more = (ranked.jitter.effect(),) if ranked.has_jitter else ()
     if ranked.is_doubtful:
@@ -197,16 +195,16 @@ def _ambiguity(ranked: Ranked, more: tuple[Effect, ...]) -> Ambiguity:
 
 
 def _or_nothing(ranked: Ranked, more: tuple[Effect, ...], why: str) -> Ambiguity:
-    """A cause that the throws favour, and that gains nothing that can be shown."""
+    """The choice between a cause that the throws favour, and no cause."""
     return Ambiguity(
         members=(effect_names((*ranked.best.effects, *more)), effect_names(more) or "none"),
-        separating_motion=alone_motion(ranked.best.effects[0]),
+        separating_motion=detecting_motion(ranked.best.effects[0]),
         why=why,
     )
 
 
 def _ruled_out(found: Findings) -> list[dict[str, Any]]:
-    """Single effects that the throws speak against most surely, with how far below "no effect"."""
+    """Single effects with the lowest log odds against "no effect"."""
     problem = found.problem
     base = screen(total(problem.information), problem.layout.priors)
     entries: list[dict[str, Any]] = []
@@ -219,3 +217,55 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
         )
     entries.sort(key=lambda entry: entry["log_odds"])
     return entries[:RULED_OUT_COUNT]
+
+
+def sentence_of(
+    verdict: VerdictKind,
+    causes: Sequence[Cause],
+    gap: Gap,
+    found: tuple[Shrink, str] | None,
+    ranked: Ranked,
+    ambiguity: Ambiguity | None,
+) -> str:
+    """The verdict for people: the miss, its cause, and how much of it the cause closes.
+
+    Args:
+        verdict: the verdict.
+        causes: with their probabilities, best first.
+        gap: between twin and machine.
+        found: reduction of the gap, and its measure; None if nothing was tested.
+        ranked: the hypotheses behind the causes.
+        ambiguity: what these throws leave open.
+    """
+    size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+    top, sure = causes[0], probability(causes[0].probability)
+    if verdict is VerdictKind.NONE:
+        if ranked.best.members:
+            return f"{size}No effect that can be claimed; {top.name} ({sure}) comes nearest."
+        return f"{size}No effect: a healthy machine scatters as much ({sure} sure)."
+    if verdict is VerdictKind.UNKNOWN:
+        signature = signature_of(ranked)
+        joint = "" if signature["joint"] is None else f" of the {signature['joint']}"
+        if signature["looks_like"] is not None:
+            return f"{size}Something unknown in {signature['stage']}{joint}: {signature['looks_like']}."
+        leaves = "the best known cause leaves" if ranked.best.members else "no known cause explains"
+        return (
+            f"{size}Something unknown in {signature['stage']}{joint}: {leaves} "
+            f"{channel_words(signature['channel'])} {signature['leftover_sd']:.0f} standard deviations "
+            "above a healthy machine."
+        )
+    closes = ""
+    if found is not None:
+        shrink, measure = found
+        metres = (
+            f" ({shrink.before_m:.2f} m to {shrink.after_m:.2f} m)" if measure == "impact" else ""
+        )
+        what = "miss" if measure == "impact" else "gap in its channels"
+        share = percent(shrink.ratio)
+        closes = f" Adding it closes {share} of the removable {what} on held-out throws{metres}."
+    if ambiguity is not None:
+        return f"{size}Either {ambiguity.members[0]} or {ambiguity.members[1]}.{closes}"
+    sizes = ", ".join(
+        f"{name} {value}" for effect in top.effects for name, value, _ in size_words(effect)
+    )
+    return f"{size}Cause: {top.name} ({sure} sure): {sizes}.{closes}"

@@ -1,4 +1,4 @@
-"""Plots of an identification: responses, histogram of openings, swing against prediction."""
+"""Plots of an identification: drive responses, histogram of release delays, measured and predicted swing."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,19 +7,24 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diagnosis.identify.drive_record import drive_record
-from diagnosis.identify.quantity import Quantity
-from diagnosis.identify.release import PAPER_COUNT, PAPER_MEAN_S, PAPER_SD_S, ReleaseDelay
-from diagnosis.identify.response import JointResponse
-from diagnosis.identify.response_bootstrap import simulate
-from diagnosis.identify.swing import AxisSwing
+from diagnosis.identification.drive_record import drive_record
+from diagnosis.identification.free_swing import AxisSwing
+from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.release_delay import (
+    PAPER_COUNT,
+    PAPER_MEAN_S,
+    PAPER_SD_S,
+    ReleaseDelay,
+)
+from diagnosis.identification.response import JointResponse
+from diagnosis.identification.response_estimation import simulate
 from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 
 SHOWN_TICKS = 1500
 BUSY_TICKS = 200
-"""Length of the motion that a drawn stretch is put about."""
+"""Length of the motion that a plotted stretch is centred on, ticks."""
 
 
 def _figure(rows: int, columns: int, title: str, size: tuple[float, float]) -> tuple[Figure, Any]:

@@ -1,8 +1,8 @@
-"""How far the gap shrinks: said first, then shown on throws that did not choose the size.
+"""Reduction of the gap on held-out throws: predicted first, then measured.
 
-The throws are dealt into three parts. For each part the sizes of the effects are estimated on the other
-two; the shrink is predicted there; then the twin profile with those effects is written to disk, read back,
-and the part that was left out is simulated from its valve commands to its impact.
+The throws are divided into three parts. For each part the effects are estimated on the other two and the
+reduction is predicted there. The twin profile with those effects is written to disk and read back, and the
+held-out part is simulated from its valve commands to its impact.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -35,12 +35,15 @@ from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
 from sim_twin.twin.profile import TwinProfile, load_profile, save_profile
 
 PART_COUNT = 3
+"""Folds of the cross-validation."""
 BOOTSTRAP_COUNT = 400
+"""Bootstrap draws of the interval."""
 LEAST_GAP_RATIO = 0.02
+"""The removable gap is at least this share of the gap."""
 AFTER_COMMAND_S = 1.0
-"""By then the load has left, whatever delays its release; joints need not be simulated longer."""
+"""Simulated time after the opening command, s; the load has left by then, whatever delays its release."""
 CLEAR_RATIO = 1.6
-"""An impact gap this many times a healthy machine's says something about an effect."""
+"""An impact gap of more than this multiple of a healthy machine's is a measure of an effect."""
 
 
 class Gaps(NamedTuple):
@@ -49,13 +52,13 @@ class Gaps(NamedTuple):
     impact_m: Array
     """(N, 2) measured minus twin."""
     power: Array
-    """(N,) of the whitened residual in the channels that the effects move, per row; NaN if they move none."""
+    """(N,) residual power per row, whitened, of the channels that the effects move; NaN if they move none."""
     floor: Array
-    """(N,) what healthy machines leave of that power."""
+    """(N,) the same power of healthy machines."""
 
 
 class Held(NamedTuple):
-    """Before, after with sizes from the other parts, and pairs of both on the throws that gave the sizes."""
+    """Gaps before and after adding the effects: held-out throws, and the throws that gave the estimates."""
 
     before: Gaps
     after: Gaps
@@ -64,7 +67,7 @@ class Held(NamedTuple):
 
 
 def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile:
-    """The next version of a profile, with these effects added to its own."""
+    """The next version of a profile, with these effects added."""
     return profile.model_copy(
         update={
             "effects": (*profile.effects, *effects),
@@ -79,10 +82,10 @@ def impacts(
     profile: TwinProfile,
     calibration: ValveCalibration,
 ) -> Array:
-    """Impacts (N, 2) from the valve commands alone, what every healthy machine is off taken into account.
+    """Impacts (N, 2) from the valve commands alone, with the deviations that all healthy machines share.
 
-    The driven joints are simulated from their commands, corrected by the healthy filters, and then move the
-    swing, the release and the flight.
+    The driven joints are simulated from their commands and corrected by the healthy filters. They then
+    drive swing, release and flight.
     """
     inputs = [p.input for p in prepared]
     alone = replay_drives(
@@ -103,7 +106,7 @@ def impacts(
 def corrected_input(
     p: PreparedThrow, healthy: HealthyModel, velocity: Array, latency_s: Array
 ) -> ReplayInput:
-    """The throw with simulated and corrected joint motion, as reported, in place of the measured one."""
+    """The throw with simulated and corrected joint motion, as its sensors report it, for the measured one."""
     rows = p.motion.t_s.size
     corrected, motion = velocity[:rows].copy(), p.motion.early(latency_s)
     for joint in range(ACTIVE_COUNT):
@@ -117,7 +120,7 @@ def corrected_input(
 
 
 def moved_blocks(problem: Problem, hypothesis: Hypothesis) -> list[set[str]]:
-    """Of every throw the channels that the effects move at their sizes: slopes of a limit at 0 move none."""
+    """Channels of every throw that the effects move at their fitted sizes."""
     under = _under(problem, hypothesis, problem.profile, hypothesis.effects)
     return [
         {
@@ -133,7 +136,7 @@ def moved_blocks(problem: Problem, hypothesis: Hypothesis) -> list[set[str]]:
 def _under(
     problem: Problem, hypothesis: Hypothesis, profile: TwinProfile, effects: tuple[Effect, ...]
 ) -> Sequence[Linear]:
-    """The throws under a profile and more effects, in the views that a hypothesis moves; without slopes."""
+    """The throws under a profile and further effects, in the views that a hypothesis moves; no slopes."""
     columns = members_index(problem.layout.priors, hypothesis.members)
     columns = columns % problem.layout.parameter_count
     views = {view for i in columns for view in library()[int(i)].views}
@@ -175,7 +178,7 @@ def _power(
     moved: Collection[str],
     healthy: Mapping[str, tuple[float, float]],
 ) -> tuple[float, float]:
-    """Power a row of some blocks, and what is left of it on a healthy machine; NaN without blocks."""
+    """Residual power per row of some blocks, and that of a healthy machine; NaN without blocks."""
     count = sum(left[name][1] for name in moved)
     if count == 0:
         return float("nan"), float("nan")
@@ -185,7 +188,7 @@ def _power(
 
 
 def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
-    """Leave every third of the throws out once."""
+    """Hold out every third of the throws once."""
     count = len(problem.prepared)
     everyone = np.arange(count)
     moved = moved_blocks(problem, hypothesis)
@@ -231,7 +234,7 @@ def _rms(gap: Array) -> float:
 
 
 class Ends(NamedTuple):
-    """Root mean squares of a gap before and after, and of what cannot be removed; one unit."""
+    """Root mean squares of a gap: before, after, and the part that cannot be removed; one unit."""
 
     before: float
     after: float
@@ -239,7 +242,7 @@ class Ends(NamedTuple):
 
 
 def _ends(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> Ends | None:
-    """Of the impact, or of the channels; None where the effects move no channel."""
+    """For the impact or for the channels; None where the effects move no channel."""
     if by_impact:
         return Ends(_rms(before.impact_m), _rms(after.impact_m), floor_m)
     known = np.isfinite(before.power) & np.isfinite(after.power)
@@ -250,10 +253,10 @@ def _ends(before: Gaps, after: Gaps, floor_m: float, *, by_impact: bool) -> Ends
 
 
 def _closed(ends: Ends | None, least_seen: float) -> float:
-    """Share of the removable gap that is gone.
+    """Share of the removable gap that is closed.
 
-    Not removable is what healthy machines of the type show, or what is left on the throws that gave the
-    sizes (`least_seen`) where that is less: a set can be quieter than its type.
+    What healthy machines of the type show cannot be removed. Where less is left on the throws that gave the
+    estimates (`least_seen`), that is the limit: a set can be quieter than its type.
     """
     if ends is None:
         return 0.0
@@ -265,14 +268,14 @@ def _closed(ends: Ends | None, least_seen: float) -> float:
 
 
 def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:
-    """The realised shrink with a paired bootstrap over throws, and its measure; None without impacts.
+    """The measured reduction with a paired bootstrap over throws, and its measure; None without impacts.
 
-    The impact is the measure where the gap, and what the effects move it by, stand clear of what healthy
-    machines scatter; otherwise the channels that the effects move are (sensors move no impact in a replay).
+    The measure is the impact where the gap and its change exceed the scatter of healthy machines. Otherwise
+    it is the channels that the effects move: sensor effects move no impact in a replay.
 
     Args:
         problem: the set.
-        hypothesis: what was found.
+        hypothesis: the effects.
         floor_m: gap of a healthy machine, root mean square.
     """
     with TemporaryDirectory(prefix="downrange-shrink-") as name:

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from diagnosis.identify.apply import extra_length, next_profile, swing_length, with_swing
-from diagnosis.identify.swing import FreeSwing, identify_swing, simulate_swing
+from diagnosis.identification.free_swing import FreeSwing, identify_swing, simulate_swing
+from diagnosis.identification.profile_update import (
+    extra_length,
+    next_profile,
+    swing_length,
+    with_swing,
+)
 from sim_twin.commissioning.motions import motion_program
 from sim_twin.twin.profile import nominal_profile
-from tests.diagnosis.identify.recorded_tests import SPEC, load, recorded, some
+from tests.diagnosis.identification.recorded_tests import SPEC, load, recorded, some
 
 NOMINAL_PITCH_M, NOMINAL_ROLL_M = 0.9185, 0.8041
 """Inertia over mass moment of the compiled model with its load (mj_fullM, qfrc_bias)."""

@@ -1,6 +1,6 @@
-"""Ranges for training: the closed loop from the runtime's velocity reference to the joint, from throws.
+"""Parameter ranges for training from throws: the closed loop from velocity reference to joint velocity.
 
-The numbers are those of `training.environment.task.ResponseConfig`, with a second-order lag only; 90 % of
+The parameters are those of `training.environment.task.ResponseConfig` with a second-order lag. 90 % of
 single throws lie within a range.
 """
 
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.identify.drive_record import drive_record, moved_blocks
-from diagnosis.identify.quantity import Quantity
-from diagnosis.identify.response import MIN_BLOCKS
-from diagnosis.identify.response_bootstrap import HIGH, LOW, fit, quantities
+from diagnosis.identification.drive_record import drive_record, moved_blocks
+from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.response import MIN_BLOCKS
+from diagnosis.identification.response_estimation import HIGH, LOW, fit, quantities
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, Array
@@ -19,14 +19,14 @@ from machine.spec import MachineSpec
 from runtime.records.log_reader import read_throw_log
 
 ONE_SIDED_NORMAL = 1.645
-"""90 % of a normal distribution lie within this many standard deviations."""
+"""Standard deviations to either side that hold 90 % of a normal distribution."""
 Ranges = dict[str, tuple[float, float] | str]
 
 
 def training_ranges(
     throws: Sequence[ThrowData], spec: MachineSpec, seed: int = 0
 ) -> dict[str, Ranges]:
-    """By joint: low and high of each number, or why it cannot be known."""
+    """By joint: low and high of each parameter, or the reason why the throws do not determine it."""
     rng = np.random.default_rng(seed)
     references = [_reference(throw) for throw in throws]
     with one_blas_thread():
@@ -37,7 +37,7 @@ def training_ranges(
 
 
 def _reference(throw: ThrowData) -> Array:
-    """What the velocity controller was told, (T, 4) on the log's grid, held."""
+    """Velocity references of the controller (T, 4) on the log's grid, held between samples."""
     rows = read_throw_log(throw.path).control
     t_s = (rows["t_mono_ns"] - throw.recorded_at_ns).astype(np.float64) * 1e-9
     before = np.clip(np.searchsorted(t_s, throw.t_s + 0.003) - 1, 0, None)
@@ -64,11 +64,11 @@ def _joint(
     found: Ranges = {name: _range(known[name], name) for name in names}
     free = fit(record, moved[0] | moved[1], False, rng, shared)
     for k, direction in enumerate(("positive", "negative")):
-        own = int(moved[k].sum())
+        used_count = int(moved[k].sum())
         found[f"gain_{direction}_ratio"] = (
-            _range(quantities(free, k, own)["gain_ratio"], "gain_ratio")
-            if own >= MIN_BLOCKS
-            else f"cannot be known from these logs: {own} throws use it, {MIN_BLOCKS} are needed"
+            _range(quantities(free, k, used_count)["gain_ratio"], "gain_ratio")
+            if used_count >= MIN_BLOCKS
+            else f"cannot be known from these logs: {used_count} throws use it, {MIN_BLOCKS} are needed"
         )
     return found
 

@@ -1,6 +1,6 @@
-"""What the logs hold of one driven joint: commanded steady speed and measured speed, one long record.
+"""Input and output of one driven joint over all logs: commanded steady speed and measured speed.
 
-Logs are put one after the other with rests between, so that one filter runs over all of them.
+The logs are joined into one record with rests between them, so that one filter runs over all of them.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, IntArray
 from machine.spec import MachineSpec
 
 GAP_TICKS = 150
-"""Between two logs: longer than the rest of a response that logs end with."""
+"""Rest between two logs, ticks; longer than the response that a log ends with."""
 MOVED_RATIO = 0.08
 MOVED_TICKS = 8
-"""A direction was used in a log when its command was above this share of the joint's limit for 80 ms."""
+"""A log uses a direction when its command exceeds `MOVED_RATIO` of the joint's limit for this many ticks."""
 LONGEST_BLOCK_S = 4.0
-"""Logs of more than twice this are cut into pieces of about this length."""
+"""Logs longer than twice this are cut into blocks of about this length, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +27,18 @@ class DriveRecord:
     """One joint over all logs; T ticks of 10 ms, rad and m."""
 
     steady: Array
-    """(T,) joint speed that the valve tables give for the command at the joint's pose, or the reference."""
+    """(T,) joint speed that the valve tables give for the command at the joint's pose, or the velocity
+    reference."""
     measured: Array
     """(T,) joint speed, moved onto the tick at which it was sampled."""
     valve_ratio: Array
     """(T,)"""
     actuator_ratio: Array
-    """(T,) actuator speed a joint speed."""
+    """(T,) actuator speed over joint speed."""
     used: BoolArray
-    """(T,) inside a log, not in the rests between."""
+    """(T,) true inside a log, false in the rests."""
     block: IntArray
-    """(T,) piece that a tick belongs to, -1 in rests; pieces are what is drawn again in a bootstrap."""
+    """(T,) block of a tick, -1 in rests; blocks are the units that the bootstrap resamples."""
     block_count: int
 
 
@@ -47,13 +48,14 @@ def drive_record(
     joint: int,
     references: Sequence[Array] | None = None,
 ) -> DriveRecord:
-    """Everything about one driven joint, log after log; logs in which it was not used are left out.
+    """The record of one driven joint; logs that do not move it are left out.
 
     Args:
         throws: the logs.
         spec: machine type.
-        joint: which one.
-        references: (T, 4) a log, what the controller was told, instead of what the valves were told.
+        joint: index of the driven joint.
+        references: (T, 4) per log, velocity references of the controller, used in place of the valve
+            commands.
     """
     limit = spec.limits.speed_positive_rad_m_per_s[joint]
     columns: list[list[Array]] = [[], [], [], []]
@@ -67,18 +69,18 @@ def drive_record(
         speed = np.interp(valve, table.valve_ratio, table.actuator_speed_rad_m_per_s)
         # Tables hold two points just off zero, so that they can be inverted.
         speed = np.where(np.abs(valve) < 1e-6, 0.0, speed)
-        told = speed / ratio if references is None else references[number][:, joint]
-        if np.count_nonzero(np.abs(told) > MOVED_RATIO * limit) < MOVED_TICKS:
+        command = speed / ratio if references is None else references[number][:, joint]
+        if np.count_nonzero(np.abs(command) > MOVED_RATIO * limit) < MOVED_TICKS:
             continue
         seen = np.interp(throw.t_s, throw.sensor_t_s, throw.sensor_velocity_rad_m_per_s[:, joint])
         rest = np.zeros(GAP_TICKS)
-        for column, values in zip(columns, (told, seen, valve, ratio), strict=True):
+        for column, values in zip(columns, (command, seen, valve, ratio), strict=True):
             column += [values, rest]
         ticks = throw.t_s.size
         seconds = ticks * CONTROL_PERIOD_S
         pieces = max(1, int(seconds // LONGEST_BLOCK_S)) if seconds > 2.0 * LONGEST_BLOCK_S else 1
-        own = count + np.minimum(np.arange(ticks) * pieces // ticks, pieces - 1)
-        block += [own.astype(np.int64), np.full(GAP_TICKS, -1)]
+        piece = count + np.minimum(np.arange(ticks) * pieces // ticks, pieces - 1)
+        block += [piece.astype(np.int64), np.full(GAP_TICKS, -1)]
         used += [np.ones(ticks, np.bool_), np.zeros(GAP_TICKS, np.bool_)]
         count += pieces
     if not used:
@@ -94,6 +96,6 @@ def drive_record(
 
 
 def moved_blocks(record: DriveRecord, sign: float, limit_rad_m_per_s: float) -> BoolArray:
-    """(blocks,) whether a direction was used."""
+    """(blocks,) whether a block uses this direction."""
     high = (sign * record.steady > MOVED_RATIO * limit_rad_m_per_s) & record.used
     return np.bincount(record.block[high], minlength=record.block_count) >= MOVED_TICKS

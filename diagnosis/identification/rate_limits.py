@@ -1,32 +1,35 @@
-"""Speed and acceleration limits of a joint, if the logs came near them; otherwise they say so."""
+"""Speed and acceleration limits of a joint, or the reason why the logs do not reach them."""
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from diagnosis.identify.drive_record import DriveRecord
-from diagnosis.identify.quantity import Quantity, mean_quantity, unknown
+from diagnosis.identification.drive_record import DriveRecord
+from diagnosis.identification.quantity import Quantity, mean_quantity, unknown
 from machine.calibration import actuator_ratio_magnitude
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray
 from machine.spec import MachineSpec
 
 FULL_VALVE_RATIO = 0.97
 HELD_S = 0.35
-"""Full valve is held this long before the speed counts: dead time and lag of an arm joint."""
+"""Full valve is held for this long before the speed counts, s: dead time and lag of an arm joint."""
 SLEW_HELD_S = 1.2
+"""The same for the slew, s."""
 MEASURE_S = 0.1
 REFERENCE_RAD_M = np.array([[0.0, 0.5, 0.0, 0.5]])
-"""Pose to which the speed of a cylinder is converted, that of `machine.calibration.nominal_calibration`."""
+"""Pose at which a cylinder's speed is given, as in `machine.calibration.nominal_calibration`."""
 MIN_COUNT = 3
 ONSET_RATIO = 0.05
-"""Of the joint's largest commanded speed: below it a joint rests."""
+"""A joint is at rest below this share of its largest commanded speed."""
 SLOPE_S, SLEW_SLOPE_S = 0.07, 0.15
-"""Window of the slope that gives an acceleration: its noise, 0.1 and 0.04 rad/s2, lifts a peak."""
+"""Windows of the local slope that gives an acceleration, s, for arm joints and the slew."""
 ONSET_S = 0.6
 STEP_TICKS = 3
 STEP_RATIO = 0.8
-"""Only a command that is up to this share within 30 ms is a step: a controller's ramp limits by itself."""
+"""A command that reaches this share of its size within `STEP_TICKS` is a step; a slower ramp limits by
+itself."""
 SATURATED_RATIO = 0.7
-"""Peak acceleration a step size of the largest steps over that of the smallest: below it something limits."""
+"""A limit is seen when peak acceleration over step size of the largest steps falls below this share of
+that of the smallest steps."""
 
 
 def speed_limit(
@@ -55,7 +58,7 @@ def speed_limit(
 
 
 def acceleration_limit(record: DriveRecord, joint: int, sign: float, unit: str) -> Quantity:
-    """What peak acceleration does not exceed however large the step; rad/s2 or m/s2."""
+    """Peak acceleration that larger steps do not exceed, rad/s2 or m/s2."""
     window = round((SLEW_SLOPE_S if joint == 0 else SLOPE_S) / CONTROL_PERIOD_S) | 1
     slope = savgol_filter(record.measured, window, 1, deriv=1, delta=CONTROL_PERIOD_S)
     size, peak = _steps(record, sign * np.asarray(slope), sign)

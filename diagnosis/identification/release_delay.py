@@ -1,7 +1,8 @@
-"""The delay from the command to open to the load in free flight, from openings at rest or throws.
+"""Delay from the opening command to the load in free flight, from openings at rest or from throws.
 
-Two witnesses: the gripper's switch reports late by its latch (15 to 40 ms, diagnosis.loading.measured), and a
-tracked load tells by its flight when it was let go. With a tracker the latch is measured, not assumed.
+There are two measurements. The gripper's switch reports late by its latch (15 to 40 ms,
+diagnosis.loading.measured). The flight of a tracked load gives the moment of release. With a tracker the
+latch is measured rather than assumed.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from scipy.optimize import least_squares
 
-from diagnosis.identify.quantity import CONFIDENCE_RATIO, Quantity, mean_quantity, unknown
+from diagnosis.identification.quantity import CONFIDENCE_RATIO, Quantity, mean_quantity, unknown
 from diagnosis.intervals import deviation_interval
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
 from diagnosis.loading.throw_data import ThrowData
@@ -26,35 +27,36 @@ from machine.spec import MachineSpec
 PAPER_MEAN_S, PAPER_SD_S, PAPER_COUNT = 0.258, 0.015, 39
 """Paper, section III-F."""
 LATCH_WIDTH_S = 0.025
-"""Latch and debounce, 15 to 40 ms (docs/virtual_machine.md, docs/diagnosis.md), taken as uniform."""
+"""Width of the uniform distribution of latch and debounce, s: 15 to 40 ms (docs/virtual_machine.md)."""
 GRASP_SD_M = 0.06
-"""Where the load is let go against where the drawing says: grasp, arm lengths, levelling; each axis."""
+"""Standard deviation of the load's place in the gripper at release, m, per axis: grasp, arm lengths,
+levelling."""
 TRACKER_SD_M = 0.02
 MIN_TRACKED = 8
 LATEST_S = 0.7
-"""After the command: no gripper takes that long."""
+"""Longest delay after the command that is searched, s."""
 MIN_COUNT = 3
 
 
 class ReleaseDelay(BaseModel):
-    """What the openings say."""
+    """Release delay over all openings."""
 
     model_config = ConfigDict(frozen=True)
     mean: Quantity
     sd: Quantity
     latch: Quantity
-    """From the load's freedom to the switch's report."""
+    """Delay of the switch's report behind the release."""
     method: str
     """``tracker`` or ``switch``."""
     delays_s: tuple[float, ...]
-    """Of each opening, by that method."""
+    """Delay of each opening by that method."""
     single_sd_s: float
-    """What one opening's measurement is wrong by, one standard deviation."""
+    """Measurement error of one opening, one standard deviation."""
     without_switch_count: int
 
 
 class _Opening(NamedTuple):
-    """One opening, s after the command; NaN where a witness said nothing."""
+    """One opening, s after the command; NaN where a measurement is missing."""
 
     switch_s: float
     tracked_s: float
@@ -101,7 +103,7 @@ def _mean(delays: Array, has_tracker: bool) -> Quantity:
     mean = mean_quantity(delays, "s")
     if has_tracker or mean.ci90 is None:
         return mean
-    # The latch's own mean is not known: with no tracker it stays inside its range whatever the count.
+    # Without a tracker the latch's mean is unknown; more openings do not narrow it.
     half = 0.45 * LATCH_WIDTH_S
     low, high = mean.ci90
     return mean.model_copy(
@@ -113,20 +115,25 @@ def _mean(delays: Array, has_tracker: bool) -> Quantity:
 
 
 def _deviation(delays: Array, single_s: float) -> Quantity:
-    """Standard deviation of the opening itself: the measurement's own is taken off the squares."""
+    """Standard deviation of the delay itself: the measurement's variance is subtracted."""
     n = int(delays.size)
     if n < MIN_COUNT:
         return unknown("s", f"{n} openings were seen, {MIN_COUNT} are needed", count=n)
     total = float(np.std(delays, ddof=1))
     low, high = deviation_interval(total, n, CONFIDENCE_RATIO)
 
-    def own(sd: float) -> float:
+    def without_error(sd: float) -> float:
         return math.sqrt(max(sd**2 - single_s**2, 0.0))
 
-    if own(total) == 0.0:
+    if without_error(total) == 0.0:
         why = f"the scatter, {1e3 * total:.0f} ms, is no more than the measurement's own"
         return unknown("s", why, count=n)
-    return Quantity(unit="s", value=own(total), ci90=(own(low), own(high)), count=n)
+    return Quantity(
+        unit="s",
+        value=without_error(total),
+        ci90=(without_error(low), without_error(high)),
+        count=n,
+    )
 
 
 def _opening(throw: ThrowData, spec: MachineSpec) -> _Opening:
@@ -138,10 +145,10 @@ def _opening(throw: ThrowData, spec: MachineSpec) -> _Opening:
 
 
 def _let_go(throw: ThrowData, spec: MachineSpec) -> tuple[float, float]:
-    """When the flight of the tracked load began, s after the command, and its standard error.
+    """Start of the tracked load's flight, s after the command, and its standard error.
 
-    Before it, the load moves with the grip centre; afterwards it falls. The grip's motion is measured, the
-    load's offset in the claws is fitted with its prior.
+    Before release the load moves with the grip centre; afterwards it flies ballistically. The motion of the
+    grip is measured; the load's offset in the claws is fitted with its prior.
     """
     motion = measured_motion(throw, velocity_lag_s([throw]))
     position = np.concatenate([motion.position_rad_m, motion.swing_rad], axis=1)

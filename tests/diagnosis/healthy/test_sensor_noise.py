@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.healthy.noise import load_noise
-from diagnosis.healthy.own_sensors import SWINGS_MORE, with_own_sensors
+from diagnosis.healthy.sensor_noise import SWINGS_MORE, with_measured_sensor_noise
 from diagnosis.loading.throw_data import LoadedSet
 from tests.diagnosis.twin_throws import throws
 
@@ -33,17 +33,19 @@ def noisier(loaded: LoadedSet, ratio: float) -> LoadedSet:
 
 
 def test_logs_like_the_type_s_change_nothing() -> None:
-    assert with_own_sensors(load_noise(), throws()) == load_noise()
+    assert with_measured_sensor_noise(load_noise(), throws()) == load_noise()
 
 
 def test_a_command_is_not_known_within_a_row() -> None:
     model = load_noise()
-    found = with_own_sensors(model, replace(throws(), rates={"control": 50.0})).set_scatter
+    found = with_measured_sensor_noise(
+        model, replace(throws(), rates={"control": 50.0})
+    ).set_scatter
     assert found.sd_of(LATE) == pytest.approx(np.hypot(model.set_scatter.sd_of(LATE), 0.005))
 
 
 def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
-    model, found = load_noise(), with_own_sensors(load_noise(), noisier(throws(), 4.0))
+    model, found = load_noise(), with_measured_sensor_noise(load_noise(), noisier(throws(), 4.0))
     for name in ("actuation.boom", "actuation.slew"):
         assert 2.0 < found.channels[name].noise_sd / model.channels[name].noise_sd < 4.0
     gyro = found.channels["swing.gyro.x"].floor_sd / model.channels["swing.gyro.x"].floor_sd
@@ -62,7 +64,7 @@ def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
         replace(t, ball_m=t.ball_m + sd_m * rng.standard_normal(t.ball_m.shape))
         for t in loaded.throws
     )
-    found = with_own_sensors(load_noise(), replace(loaded, throws=noisy))
+    found = with_measured_sensor_noise(load_noise(), replace(loaded, throws=noisy))
     most = np.hypot(sd_m, load_noise().channels["flight.ball"].noise_sd)
     assert 0.95 * sd_m < found.channels["flight.ball"].noise_sd < 1.1 * most
 
@@ -70,5 +72,5 @@ def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
 def test_a_survey_says_how_well_it_saw() -> None:
     loaded = throws()
     rough = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
-    found = with_own_sensors(load_noise(), rough)
+    found = with_measured_sensor_noise(load_noise(), rough)
     assert found.channels["flight.impact"].noise_sd == pytest.approx(0.1)

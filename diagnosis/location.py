@@ -1,4 +1,4 @@
-"""Where to look: stage and joint of a cause, or of what no effect explains."""
+"""Stage and joint of a cause, or of what no effect explains."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -16,18 +16,17 @@ from diagnosis.verdict import (
 from sim_twin.effects.effect import Effect, effect_stage
 
 SIDEWAYS: Final = {"swing.gyro.x": "slew", "swing.gyro.y": None}
-"""Rates about the axes of the two free joints, and the one driven joint that alone moves the pin that way."""
+"""Rates about the axes of the two passive joints, and the driven joint that alone moves the pin that way."""
 QUIET_SD = 3.0
-"""Healthy sets leave 3.2 standard deviations at most. Of two sets with an undercarriage that winds up under
-the slew (seed 20261126) one axis had 22 and 24, the other 1.3."""
+"""Residual power of an axis without an effect, in standard deviations of healthy sets."""
 
 
 def where(
     verdict: VerdictKind, ranked: Ranked, stages: Sequence[StageGap]
 ) -> dict[str, str | None] | None:
-    """The stage and joint to look at: those of the leftover, or of the effect of the cause that is surest.
+    """The stage and joint to look at: of the unexplained residual, or of the cause's most probable effect.
 
-    Where nothing is claimed, those of the effect that would be most probable if there were one.
+    Where nothing is claimed, those of the most probable effect of any hypothesis.
     """
     if verdict is VerdictKind.UNKNOWN:
         signature = signature_of(ranked)
@@ -49,13 +48,13 @@ def _place(effect: Effect) -> dict[str, str | None]:
 
 
 def _inclusion(ranked: Ranked, member: int) -> float:
-    """Probability of all sets that have an effect."""
+    """Total probability of the hypotheses that contain an effect."""
     shares = zip(ranked.hypotheses, ranked.probability, strict=True)
     return sum(float(p) for h, p in shares if member in h.members)
 
 
 def named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
-    """Stage and joint of every effect of the cause that is named."""
+    """Stage and joint of every effect of the claimed cause."""
     if verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
         return []
     named = ranked.best.effects or (ranked.jitter.effect(),)
@@ -63,16 +62,17 @@ def named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 
 
 def _is_of_one_axis(name: str, levels: Mapping[str, float]) -> bool:
-    """Whether the gripper swings otherwise about one of its axes alone.
+    """Whether the swing deviates about one of the gripper's axes alone.
 
-    Friction, length and inertia act about both. So its pin moves otherwise than the joints' sensors say.
+    Friction, length and inertia act about both axes. Motion of the pin that the joint sensors do not show
+    acts on one.
     """
     others = [other for other in SIDEWAYS if other != name]
     return name in SIDEWAYS and all(levels.get(other, np.inf) < QUIET_SD for other in others)
 
 
 def signature_of(ranked: Ranked) -> dict[str, Any]:
-    """Where an unknown effect shows, and what it looks like."""
+    """Where an unknown effect shows, and what it resembles."""
     best, ahead = ranked.best, ranked.ahead
     name = max(ranked.levels, key=lambda b: unknown_log_odds(best, ahead, b, ranked.levels[b]))
     stage, _, channel = name.partition(".")

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.identify.apply import next_profile, with_response
-from diagnosis.identify.drive_record import DriveRecord, drive_record
-from diagnosis.identify.limits import acceleration_limit
-from diagnosis.identify.plots import SHOWN_TICKS, _busiest
-from diagnosis.identify.response import identify_response
-from diagnosis.identify.response_bootstrap import fit, quantities, simulate
-from diagnosis.identify.training_ranges import training_ranges
+from diagnosis.identification.drive_record import DriveRecord, drive_record
+from diagnosis.identification.plots import SHOWN_TICKS, _busiest
+from diagnosis.identification.profile_update import next_profile, with_response
+from diagnosis.identification.rate_limits import acceleration_limit
+from diagnosis.identification.response import identify_response
+from diagnosis.identification.response_estimation import fit, quantities, simulate
+from diagnosis.identification.training_ranges import training_ranges
 from sim_twin.commissioning.motions import motion_program
 from sim_twin.twin.profile import nominal_profile
-from tests.diagnosis.identify.recorded_tests import SPEC, load, some
+from tests.diagnosis.identification.recorded_tests import SPEC, load, some
 
 UP = np.array([0.09, 0.12, 0.8, 0.95])
 DOWN = np.array([0.14, 0.06, 0.6, 1.10])

@@ -1,4 +1,4 @@
-"""An identified number with its interval, or the reason why these logs cannot give it."""
+"""An identified number with its interval, or the reason why the logs do not determine it."""
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -10,23 +10,23 @@ CONFIDENCE_RATIO = 0.90
 
 
 class Quantity(BaseModel):
-    """One identified quantity. `value` is None where it cannot be known from the logs; `why` says why."""
+    """One identified quantity; where the logs do not determine it, `value` is None and `why` the reason."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
     unit: str
     value: float | None = None
     ci90: tuple[float, float] | None = None
     spread: float | None = None
-    """Standard deviation from throw to throw (or segment to segment), where it was estimated."""
+    """Standard deviation between throws or segments, where it was estimated."""
     at_least: float | None = None
-    """What was reached without the quantity showing."""
+    """Largest magnitude that was reached without the quantity showing."""
     count: int = 0
-    """Throws or segments behind it."""
+    """Number of throws or segments behind it."""
     why: str = ""
 
 
 def unknown(unit: str, why: str, at_least: float | None = None, count: int = 0) -> Quantity:
-    """A quantity that cannot be known from these logs."""
+    """A quantity that the logs do not determine."""
     words = f"cannot be known from these logs: {why}"
     return Quantity(unit=unit, why=words, at_least=at_least, count=count)
 

@@ -1,8 +1,8 @@
-"""Response of each driven joint and direction from logs: dead time, lag, gain, limits, with intervals.
+"""Response of each driven joint and direction from logs: dead time, lag, gain and limits, with intervals.
 
-Model: y = sum over directions of g H(w, z) u(t - d), with the steady speed u that the valve tables give for
-the command, cut at zero for each direction, and H the second order of the twin profile with lag 2 z / w.
-Intervals come from a bootstrap over throws or pieces of them.
+Model: y = sum over directions of g H(w, z) u(t - d). The steady speed u is what the valve tables give for
+the command, set to zero outside the direction. H is the second-order response of the twin profile with lag
+2 z / w. The intervals come from a bootstrap over blocks of the logs.
 """
 
 from collections.abc import Sequence
@@ -10,10 +10,17 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from diagnosis.identify.drive_record import DriveRecord, drive_record, moved_blocks
-from diagnosis.identify.limits import acceleration_limit, speed_limit
-from diagnosis.identify.quantity import Quantity, unknown
-from diagnosis.identify.response_bootstrap import NAMES, UNITS, Fitted, fit, quantities, simulate
+from diagnosis.identification.drive_record import DriveRecord, drive_record, moved_blocks
+from diagnosis.identification.quantity import Quantity, unknown
+from diagnosis.identification.rate_limits import acceleration_limit, speed_limit
+from diagnosis.identification.response_estimation import (
+    NAMES,
+    UNITS,
+    Fitted,
+    fit,
+    quantities,
+    simulate,
+)
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, BoolArray
@@ -21,16 +28,16 @@ from machine.spec import MachineSpec
 
 DIRECTIONS = ("positive", "negative")
 MIN_BLOCKS = 4
-"""Pieces in which a direction moved: fewer give no interval worth the name."""
+"""Fewest blocks in which a direction moves for which an interval is given."""
 
 
 class JointResponse(BaseModel):
-    """One joint: its response for the twin, that of each direction, and what these explain."""
+    """Response of one joint: shared by both directions, per direction, and the quality of the fit."""
 
     model_config = ConfigDict(frozen=True)
     joint: str
     best: dict[str, float] | None
-    """Shared by both directions, as the twin takes it; also where an interval cannot be given."""
+    """Estimate shared by both directions, in the twin's parameters; also where no interval can be given."""
     shared: dict[str, Quantity]
     directions: dict[str, dict[str, Quantity]]
     r2_ratio: float | None = None
@@ -46,7 +53,7 @@ def identify_response(
     Args:
         throws: of one machine.
         spec: its type.
-        seed: of the bootstrap's draws.
+        seed: of the bootstrap.
     """
     rng = np.random.default_rng(seed)
     with one_blas_thread():
@@ -72,10 +79,12 @@ def _joint(
     directions: dict[str, dict[str, Quantity]] = {}
     for k, direction in enumerate(DIRECTIONS):
         if counts[k] >= MIN_BLOCKS:
-            own = quantities(free, k, counts[k])
+            found = quantities(free, k, counts[k])
         else:
-            own = _nothing(f"it moved {direction}ly in {counts[k]} pieces, {MIN_BLOCKS} are needed")
-        directions[direction] = {**own, **limits[direction]}
+            found = _nothing(
+                f"it moved {direction}ly in {counts[k]} pieces, {MIN_BLOCKS} are needed"
+            )
+        directions[direction] = {**found, **limits[direction]}
     error, share = _left(record, both, free)
     return JointResponse(
         joint=name,
@@ -104,7 +113,7 @@ def _limits(record: DriveRecord, spec: MachineSpec, joint: int) -> dict[str, dic
 
 
 def _left(record: DriveRecord, moved: BoolArray, fitted: Fitted) -> tuple[float, float]:
-    """Root mean square of what the model leaves, and the share of the motion that it explains."""
+    """Root mean square of the residual, and the share of the variance that the model explains."""
     keep = record.used & moved[np.maximum(record.block, 0)]
     seen = record.measured[keep]
     error = (simulate(record, fitted.x) - record.measured)[keep]

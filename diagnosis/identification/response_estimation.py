@@ -1,7 +1,7 @@
-"""Least-squares fit of one joint's response to a long record, and its bootstrap over pieces.
+"""Least-squares fit of one joint's response to its record, and a bootstrap over blocks.
 
-Each draw of pieces is refitted by one Gauss-Newton step from the fit to all of them: exact for a linear
-model, and a draw costs a matrix of 8 x 8.
+Each bootstrap draw is one Gauss-Newton step from the fit to all blocks. It is exact for a linear model and
+costs the solution of an 8 x 8 system.
 """
 
 import math
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from diagnosis.identify.drive_record import DriveRecord
-from diagnosis.identify.quantity import Quantity, unknown
+from diagnosis.identification.drive_record import DriveRecord
+from diagnosis.identification.quantity import Quantity, unknown
 from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray, IntArray
 from sim_twin.commissioning.response_fit import simulate_response
 
@@ -20,27 +20,28 @@ NAMES = ("dead_time_s", "lag_s", "damping_ratio", "gain_ratio", "natural_frequen
 UNITS = ("s", "s", "1", "1", "rad/s")
 LOW = np.array([0.0, 0.005, 0.1, 0.3])
 HIGH = np.array([0.6, 2.0, 3.0, 2.0])
-"""Of dead time, lag, damping and gain; above a damping of 3 the response is of first order."""
+"""Bounds of dead time (s), lag (s), damping ratio and gain; above a damping of 3 the response is of
+first order."""
 SCALE = np.array([0.02, 0.05, 0.3, 0.1])
 DRAW_COUNT = 400
 WIDEST_DEAD_TIME_S = 0.1
 WIDEST_RATIO = 1.0
-"""An interval wider than this, or than this share of its value, says nothing."""
+"""An interval wider than `WIDEST_DEAD_TIME_S`, or than this share of its value, determines nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """Parameters of both directions, dead time, lag, damping and gain of each."""
+    """Dead time, lag, damping ratio and gain of both directions."""
 
     x: Array
     """(2, 4)"""
     draws: Array
     """(draws, 2, 4)"""
     pinned: BoolArray
-    """(2, 4) ended at a bound of the search: the data do not say."""
+    """(2, 4) estimates at a bound of the search, which the data do not determine."""
 
     def as_profile(self) -> dict[str, float]:
-        """The first direction's as a twin profile names them."""
+        """The first direction in the parameters of a twin profile."""
         dead_time, lag, damping, gain = (float(v) for v in self.x[0])
         return {
             "dead_time_s": dead_time,
@@ -51,7 +52,7 @@ class Fitted:
 
 
 def simulate(record: DriveRecord, x: Array) -> Array:
-    """Speed (T,) of the model with parameters (2, 4) by direction."""
+    """Speed (T,) of the model with parameters (2, 4), one row per direction."""
     up, down = np.maximum(record.steady, 0.0), np.minimum(record.steady, 0.0)
     sides = [
         simulate_response(u[None], float(d), 2.0 * float(z) / float(lag), float(z), float(g))[0]
@@ -67,14 +68,14 @@ def fit(
     rng: np.random.Generator,
     start: Fitted | None = None,
 ) -> Fitted:
-    """Fit the pieces in which the joint moved.
+    """Fit the blocks in which the joint moves.
 
     Args:
-        record: one joint's.
-        moved: (blocks,) pieces that count.
-        tied: both directions share one response.
-        rng: draws the pieces of the bootstrap.
-        start: a simpler fit.
+        record: of one joint.
+        moved: (blocks,) blocks to fit.
+        tied: whether both directions share one response.
+        rng: of the bootstrap.
+        start: a simpler fit to start from.
     """
     keep = record.used & moved[np.maximum(record.block, 0)]
     both = 1 if tied else 2
@@ -133,7 +134,7 @@ def _moves(
 
 
 def quantities(fitted: Fitted, direction: int, count: int) -> dict[str, Quantity]:
-    """What is known of one direction, by name, with 90 % intervals."""
+    """The quantities of one direction by name, with 90 % intervals."""
     x, draws, pinned = fitted.x[direction], fitted.draws[:, direction], fitted.pinned[direction]
     values = np.append(x, 2.0 * x[2] / x[1])
     all_draws = np.column_stack([draws, 2.0 * draws[:, 2] / draws[:, 1]])

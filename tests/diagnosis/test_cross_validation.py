@@ -7,8 +7,8 @@ from diagnosis.causes.evidence import SetEvidence
 from diagnosis.causes.hypotheses import Hypothesis
 from diagnosis.causes.parameters import layout
 from diagnosis.causes.problem import Problem, pose
+from diagnosis.cross_validation import Ends, _closed, impacts, shrink, with_effects
 from diagnosis.loading.prepared import prepare
-from diagnosis.shrink import Ends, _closed, impacts, shrink, with_effects
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import load_profile, save_profile
 from tests.diagnosis.twin_throws import health, profile, throws

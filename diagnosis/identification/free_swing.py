@@ -1,8 +1,8 @@
-"""Free swing of the two passive joints from the gyro: viscous and dry friction, effective length.
+"""Viscous and Coulomb friction and effective length of the passive joints, from free swings in the gyro.
 
-Model of one axis (paper, equation 3): x'' = -((g + u) / L) sin x - v x' - c sign x' - p / L cos x, with the
-pin's accelerations, p level and u upward, that the swing itself causes in an arm on closed valves. Fitted to
-the rate, gyro bias free.
+Model of one axis (paper, equation 3): x'' = -((g + u) / L) sin x - v x' - c sign x' - p / L cos x. p and u
+are the horizontal and upward acceleration of the pin, which the swing itself causes in an arm on closed
+valves. The model is fitted to the angular rate with a free gyro bias.
 """
 
 import math
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
-from diagnosis.identify.quantity import Quantity, mean_quantity, unknown
+from diagnosis.identification.quantity import Quantity, mean_quantity, unknown
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.threads import one_blas_thread
 from machine.conventions import CONTROL_PERIOD_S, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
@@ -25,19 +25,20 @@ PAPER_VISCOUS_PER_S, PAPER_COULOMB_RAD_PER_S2 = 0.03, 0.1
 """Paper, section III-F."""
 QUIET_VALVE_RATIO = 0.01
 AFTER_VALVE_S = 1.2
-"""Arm and oil ring on after a valve closes."""
+"""Time after a valve closes in which arm and oil still oscillate, s."""
 MIN_FREE_S = 4.0
-"""Two periods."""
+"""Shortest usable swing, s: two periods."""
 MIN_RATE_RAD_PER_S = 0.25
-"""Smaller swings show dry friction only."""
+"""Smallest usable peak rate; below it only Coulomb friction shows."""
 OTHER_AXIS_RATIO = 0.3
-"""A swing in both axes at once is left out: its axes push each other."""
+"""A swing whose other axis exceeds this share of its rate is left out: the axes are coupled."""
 END_RATE_RAD_PER_S = 0.03
 PIN_BAND_HZ = 4.0
-"""Well above twice the swing's frequency: a swing pulls its pin down twice a period."""
+"""Cut-off of the pin's acceleration: above twice the swing's frequency, at which a swing pulls its pin
+down."""
 STEP_S = CONTROL_PERIOD_S
 SMOOTH_RAD_PER_S = 0.005
-"""Width of the sign function: the friction of a bearing that has begun to move."""
+"""Width of the smoothed sign function of Coulomb friction."""
 MIN_SWINGS = 2
 NAMES = ("viscous_friction_per_s", "coulomb_friction_rad_per_s2", "length_m")
 UNITS = ("1/s", "rad/s2", "m")
@@ -46,7 +47,7 @@ HIGH = np.array([0.5, 1.0, 2.5])
 
 
 class FreeSwing(NamedTuple):
-    """A stretch without valves; (n,) samples of 10 ms."""
+    """A stretch of free swing with closed valves; (n,) samples of 10 ms."""
 
     throw_id: str
     t_s: Array
@@ -78,7 +79,7 @@ def identify_swing(throws: Sequence[ThrowData], spec: MachineSpec) -> tuple[Axis
 
 
 def free_swings(throw: ThrowData, spec: MachineSpec, axis: int) -> list[FreeSwing]:
-    """Stretches of one axis' free swing in a log; `axis` 0 is pitch, 1 roll."""
+    """Stretches of free swing of one axis in a log; `axis` 0 is pitch, 1 roll."""
     t = throw.t_s
     busy = np.any(np.abs(throw.valve_ratio) > QUIET_VALVE_RATIO, axis=1)
     last = np.where(busy, t, -np.inf)
@@ -92,12 +93,12 @@ def free_swings(throw: ThrowData, spec: MachineSpec, axis: int) -> list[FreeSwin
     found: list[FreeSwing] = []
     edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
-        own = rates[first:end, axis] - np.median(rates[first:end, axis])
+        swing_rate = rates[first:end, axis] - np.median(rates[first:end, axis])
         other = rates[first:end, 1 - axis] - np.median(rates[first:end, 1 - axis])
-        big = np.flatnonzero(np.abs(own) > END_RATE_RAD_PER_S)
-        if big.size == 0 or np.max(np.abs(own)) < MIN_RATE_RAD_PER_S:
+        big = np.flatnonzero(np.abs(swing_rate) > END_RATE_RAD_PER_S)
+        if big.size == 0 or np.max(np.abs(swing_rate)) < MIN_RATE_RAD_PER_S:
             continue
-        if np.max(np.abs(other)) > OTHER_AXIS_RATIO * np.max(np.abs(own)):
+        if np.max(np.abs(other)) > OTHER_AXIS_RATIO * np.max(np.abs(swing_rate)):
             continue
         stop = int(min(big[-1] + round(1.0 / STEP_S), end - first))
         if stop * STEP_S < MIN_FREE_S:
@@ -112,7 +113,7 @@ def free_swings(throw: ThrowData, spec: MachineSpec, axis: int) -> list[FreeSwin
 
 
 def simulate_swing(swing: FreeSwing, x: Array) -> tuple[Array, Array]:
-    """Angle and rate (n,) for viscous, dry friction, length, first angle, first rate."""
+    """Angle and rate (n,) for viscous friction, Coulomb friction, length, initial angle and initial rate."""
     viscous, coulomb, length, angle, rate = (float(v) for v in x[:5])
     angles, rates = np.empty(swing.t_s.size), np.empty(swing.t_s.size)
     push = (swing.pin_m_per_s2 / length).tolist()
@@ -134,7 +135,7 @@ def simulate_swing(swing: FreeSwing, x: Array) -> tuple[Array, Array]:
 def _pin_acceleration(throw: ThrowData, spec: MachineSpec) -> Array:
     """Acceleration (T, 3) of the pin from the joints: outward for pitch, leftward for roll, upward.
 
-    Low-pass filtered forth and back: only the swing's own frequency and its double matter.
+    Low-pass filtered forward and backward: only the swing's frequency and its double matter.
     """
     position = np.stack(
         [
@@ -196,7 +197,7 @@ def _axis(throws: Sequence[ThrowData], spec: MachineSpec, axis: int) -> AxisSwin
 
 
 def _fit(swing: FreeSwing) -> tuple[Array, float]:
-    """Viscous, dry friction, length, first angle, first rate, gyro bias; and what is left, rad/s."""
+    """Viscous and Coulomb friction, length, initial angle and rate, gyro bias; and the residual, rad/s."""
     rate = swing.rate_rad_per_s - np.median(swing.rate_rad_per_s)
     angle = np.cumsum(rate) * STEP_S
     first = -float(np.mean(angle))

@@ -1,0 +1,1 @@
+"""Identification of a machine from recorded motion: drive response, release delay, free swing."""
