@@ -1,7 +1,8 @@
 """The table of effects: everything that anyone needs to know of each, in one place.
 
 An effect is a deviation of one machine from its twin profile; its value 0 is no effect.
-To add an effect, add a row here and its physics in valve.py, body.py, load.py or sensor.py beside this file.
+To add an effect, add a row here and its physics in valve_effects.py, body_effects.py, load_effects.py or
+sensor_effects.py beside this file, or in sim_twin/twin/base_pose.py.
 The virtual machine reads the same rows and has physics of its own in sim_twin/faults.
 
 This module only describes: it imports no physics.

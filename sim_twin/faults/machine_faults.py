@@ -7,11 +7,11 @@ import numpy as np
 
 from machine.conventions import Array
 from machine.spec import MachineSpec
-from sim_twin.faults.body import BODY_EFFECTS, BodyEffects, altered_unit, drive_limits
-from sim_twin.faults.drive import DRIVE_EFFECTS, DriveEffects
+from sim_twin.faults.body_faults import FaultyBody, altered_unit, drive_limits
+from sim_twin.faults.drive_faults import FaultyDrive
 from sim_twin.faults.fault import EffectSizes, PlantEffect
-from sim_twin.faults.load import THROW_EFFECTS, LoadEffects
-from sim_twin.faults.sensing import SENSING_EFFECTS, SensingEffects
+from sim_twin.faults.load_faults import FaultyLoad
+from sim_twin.faults.sensing_faults import FaultySensing
 from sim_twin.virtual.units import MachineUnit
 
 
@@ -20,10 +20,10 @@ class PlantFaults(NamedTuple):
 
     unit: MachineUnit
     """The unit with another tool, load or base."""
-    drive: DriveEffects | None = None
-    sensing: SensingEffects | None = None
-    load: LoadEffects | None = None
-    body: BodyEffects | None = None
+    drive: FaultyDrive | None = None
+    sensing: FaultySensing | None = None
+    load: FaultyLoad | None = None
+    body: FaultyBody | None = None
 
 
 def make_faults(
@@ -46,13 +46,11 @@ def make_faults(
         PlantError: an effect that the virtual machine does not have.
     """
     sizes = EffectSizes(effects, np.asarray(place_ratio, dtype=np.float64))
-    unit = altered_unit(sizes, unit)
+    unit, acts = altered_unit(sizes, unit), sizes.acts_on
     return PlantFaults(
         unit=unit,
-        drive=DriveEffects(sizes, spec, drive_limits(), step_s)
-        if sizes.has(*DRIVE_EFFECTS)
-        else None,
-        sensing=SensingEffects(sizes, step_s) if sizes.has(*SENSING_EFFECTS) else None,
-        load=LoadEffects(sizes, spec, unit) if sizes.has(*THROW_EFFECTS) else None,
-        body=BodyEffects(sizes, spec) if sizes.has(*BODY_EFFECTS) else None,
+        drive=FaultyDrive(sizes, spec, drive_limits(), step_s) if acts("drive") else None,
+        sensing=FaultySensing(sizes, step_s) if acts("joint_sensor", "imu") else None,
+        load=FaultyLoad(sizes, spec, unit) if acts("grasp", "air") else None,
+        body=FaultyBody(sizes, spec) if acts("free_joint", "base") else None,
     )

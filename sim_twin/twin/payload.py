@@ -12,7 +12,7 @@ from machine.site.solids import Solids
 from machine.site.touchdown import Touchdown, touchdown
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.effects.load import LoadEffects
+from sim_twin.effects.load_effects import LoadEffects
 from sim_twin.twin.profile import TwinProfile
 
 NEVER_NS = np.iinfo(np.int64).max

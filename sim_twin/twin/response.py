@@ -1,8 +1,8 @@
 """From valve command to joint velocity, for N machines at once: dead time, steady curve, second-order lag.
 
 The response is linear behind the valve's steady curve, but for the effects that a diagnosis adds
-(sim_twin.effects.valve). It knows no pressures: those belong to the virtual machine, so that a result in
-one simulator says something about the other.
+(sim_twin.effects.valve_effects). It knows no pressures: those belong to the virtual machine, so that a
+result in one simulator says something about the other.
 """
 
 import math
@@ -13,7 +13,7 @@ from machine.calibration import ValveCalibration, actuator_ratio
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.effects.valve import ValveEffects
+from sim_twin.effects.valve_effects import ValveEffects
 from sim_twin.twin.profile import TwinProfile
 
 RATIO_POINT_COUNT = 1000

@@ -11,8 +11,8 @@ from machine.conventions import ACTIVE_COUNT, Array, BoolArray, IntArray
 from machine.kinematics import ToolState
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.effects.body import BodyEffects
-from sim_twin.effects.sensor import SensorEffects
+from sim_twin.effects.body_effects import BodyEffects
+from sim_twin.effects.sensor_effects import SensorEffects
 from sim_twin.twin.base_pose import BasePose
 from sim_twin.twin.grip_point import grip_point
 from sim_twin.twin.model import twin_model

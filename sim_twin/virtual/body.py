@@ -26,7 +26,7 @@ class PlantBody(NamedTuple):
 
 
 class BodyFaults(Protocol):
-    """What can be wrong with the body (sim_twin.faults.body)."""
+    """What can be wrong with the body (sim_twin.faults.body_faults)."""
 
     def build(self, tree: mujoco.MjSpec) -> None:
         """Change the tree of one unit before it is compiled."""

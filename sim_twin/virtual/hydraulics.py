@@ -44,7 +44,7 @@ START_PRESSURE_PA = 1.5e6
 
 
 class DriveFaults(Protocol):
-    """What can be wrong between command and force (sim_twin.faults.drive)."""
+    """What can be wrong between command and force (sim_twin.faults.drive_faults)."""
 
     def drive_velocity(self, velocity_rad_m_per_s: Array, position_rad_m: Array) -> Array:
         """Joint velocities (N, 4) as the actuators have them."""

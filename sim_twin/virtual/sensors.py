@@ -37,7 +37,7 @@ SURVEY_DELAY_S = 0.5
 
 
 class SensingFaults(Protocol):
-    """What can be wrong with joint sensors and IMU (sim_twin.faults.sensing)."""
+    """What can be wrong with joint sensors and IMU (sim_twin.faults.sensing_faults)."""
 
     bias_rad_m: Array
 

@@ -31,7 +31,7 @@ class GripMotion:
 
 
 class LoadFaults(Protocol):
-    """What can be wrong as a load leaves and flies (sim_twin.faults.load)."""
+    """What can be wrong as a load leaves and flies (sim_twin.faults.load_faults)."""
 
     def let_go(self, which: IntArray, velocity_m_per_s: Array, rotation: Array) -> Array:
         """Velocities (M, 3) of the loads of machines (M,) that leave grippers turned by (M, 3, 3)."""

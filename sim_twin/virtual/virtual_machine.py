@@ -17,10 +17,10 @@ from machine.site.solids import Solids
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SensorSample, ValveCommand
-from sim_twin.faults.body import BodyEffects
+from sim_twin.faults.body_faults import FaultyBody
 from sim_twin.faults.fault import PlantEffect
 from sim_twin.faults.machine_faults import make_faults
-from sim_twin.faults.sensing import SensingEffects
+from sim_twin.faults.sensing_faults import FaultySensing
 from sim_twin.virtual.body import (
     ACCEL,
     GRIP_POSITION,
@@ -302,7 +302,7 @@ class VirtualMachine:
         load = self._faults.load
         return drawn if load is None else load.conditions(drawn, seed)
 
-    def _show(self, sensing: SensingEffects) -> None:
+    def _show(self, sensing: FaultySensing) -> None:
         """Let faulty sensors see the present."""
         true, active = self._true_sensors, slice(0, ACTIVE_COUNT)
         filtered = self._joint_sensors.filtered_rad_m_per_s
@@ -364,7 +364,7 @@ class VirtualMachine:
         if self._physics_ns % SENSOR_PERIOD_NS == 0 and self._load.flying.any():
             self._fly()
 
-    def _press(self, body: BodyEffects) -> None:
+    def _press(self, body: FaultyBody) -> None:
         """Add the body's further torques."""
         swing = slice(ACTIVE_COUNT, JOINT_COUNT)
         position, velocity = self._position[:, swing], self._velocity[:, swing]

@@ -10,7 +10,7 @@ from machine.starts import safe_pose
 from runtime.driver import ValveCommand
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.schema import DRIFT
-from sim_twin.effects.sensor import DelayLine
+from sim_twin.effects.sensor_effects import DelayLine
 from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, ReplayOutput, replay
 from sim_twin.twin.twin import Twin

@@ -1,4 +1,4 @@
-"""Effects on the virtual machine's rigid body: tool, pose of the base, a chassis that gives way.
+"""Faults of the virtual machine's rigid body: tool, pose of the base, a chassis that gives way.
 
 A chassis that gives way has joints of its own in front of the slew; everything else is another unit.
 """
@@ -12,18 +12,10 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, GRAVITY_M_PER_S2, JOINT_COUNT, Array
 from machine.kinematics import hanging_pitch_rad
 from machine.spec import MJCF_PATH, MachineSpec
-from sim_twin.faults.drive import DriveLimits
+from sim_twin.faults.drive_faults import DriveLimits
 from sim_twin.faults.fault import EffectSizes
 from sim_twin.virtual.units import MachineUnit
 
-BODY_EFFECTS = (
-    "passive_viscous_friction",
-    "passive_coulomb_friction",
-    "hose_stiffness",
-    "base_yaw_drift",
-    "chassis_compliance",
-    "turntable_torsion",
-)
 CHASSIS_MASS_KG = 5600.0
 CHASSIS_INERTIA_KG_M2 = (3500.0, 8000.0, 9500.0)
 """About its centre: what is left of 12 t, as a box of 4.6 x 2.6 x 1.1 m (assumed)."""
@@ -58,7 +50,7 @@ def altered_unit(sizes: EffectSizes, unit: MachineUnit) -> MachineUnit:
     )
 
 
-class BodyEffects:
+class FaultyBody:
     """What else the body of N machines has: yaw of the base, chassis joints, hose, joint friction."""
 
     def __init__(self, sizes: EffectSizes, spec: MachineSpec) -> None:

@@ -1,24 +1,13 @@
-"""Effects of valves and commands that no library of the twin has: what a diagnosis must call unknown.
-
-Each class acts on N machines and is made only when one of its effects is there.
-"""
+"""Faults of valves and commands that the table of effects does not have (off_table.py)."""
 
 import numpy as np
 
 from machine.conventions import Array, BoolArray
 from sim_twin.faults.fault import EffectSizes
-
-VALVE_SURPRISES = (
-    "gain_oscillation",
-    "command_dropouts",
-    "fading_hysteresis",
-    "valve_crosstalk",
-    "position_dependent_gain",
-    "command_steps",
-)
+from sim_twin.faults.off_table import OFF_TABLE_FAULTS
 
 
-class ValveSurprises:
+class OffTableValve:
     """Command drop-outs and steps, hysteresis that fades, hunting gain, crosstalk, sticky zones."""
 
     def __init__(self, sizes: EffectSizes, step_s: float) -> None:
@@ -41,9 +30,9 @@ class ValveSurprises:
         self._rng = np.random.default_rng()
 
     @staticmethod
-    def among(sizes: EffectSizes) -> bool:
-        """Whether one of these effects is there."""
-        return sizes.has(*VALVE_SURPRISES)
+    def is_in(sizes: EffectSizes) -> bool:
+        """Whether one of these faults is there."""
+        return sizes.has(*(f.name for f in OFF_TABLE_FAULTS.values() if f.part == "drive"))
 
     def reset(self, position_rad_m: Array, seed: int) -> None:
         """A throw starts at active positions (N, 4)."""

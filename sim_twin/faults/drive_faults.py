@@ -1,4 +1,4 @@
-"""Effects of valves and actuators of the virtual machine, between command and joint torque.
+"""Faults of valves and actuators of the virtual machine, between command and joint torque.
 
 They act where the fault would sit: on the command, on the metering edges, on the flow, on the force.
 """
@@ -8,23 +8,10 @@ import numpy as np
 from machine.conventions import Array, BoolArray
 from machine.spec import MachineSpec
 from sim_twin.faults.fault import EffectSizes
-from sim_twin.faults.unheard import VALVE_SURPRISES, ValveSurprises
+from sim_twin.faults.off_table_valve import OffTableValve
 from sim_twin.virtual.hydraulics import Hydraulics
 from sim_twin.virtual.sizing import TANK_PRESSURE_PA
 
-DRIVE_EFFECTS = (
-    "valve_dead_time",
-    "valve_lag",
-    "valve_dead_band",
-    "valve_gain",
-    "valve_hysteresis",
-    "speed_limit",
-    "load_dependent_speed",
-    "backlash",
-    "stiction",
-    "pump_flow_sharing",
-    *VALVE_SURPRISES,
-)
 STANDING_RAD_M_PER_S = 0.004
 """Slower than this a joint counts as standing."""
 HOLD_DAMPING_RATIO = 0.5
@@ -42,8 +29,8 @@ class DriveLimits:
         """(4,) kg m2, kg"""
 
 
-class DriveEffects:
-    """Valve and actuator effects of N machines; all calls once a physics step, arrays changed in place."""
+class FaultyDrive:
+    """Valves and actuators of N machines; all calls once a physics step, arrays changed in place."""
 
     def __init__(
         self, sizes: EffectSizes, spec: MachineSpec, limits: DriveLimits, step_s: float
@@ -67,7 +54,7 @@ class DriveEffects:
         self._breakaway = sizes.joints("stiction", "breakaway_rad_m_per_s")
         self._load_torque = np.zeros((sizes.count, 4))
         self._holds = bool((self._gap > 0.0).any() or (self._breakaway > 0.0).any())
-        self._surprises = ValveSurprises(sizes, step_s) if ValveSurprises.among(sizes) else None
+        self._off_table = OffTableValve(sizes, step_s) if OffTableValve.is_in(sizes) else None
         one = (sizes.count, 4)
         self._steady = np.zeros(one)
         self._slack, self._anchor = np.zeros(one), np.zeros(one)
@@ -95,14 +82,14 @@ class DriveEffects:
         self._free[:] = False
         self._slack[:] = np.where(self._load_torque >= 0.0, 0.5, -0.5) * self._gap
         self._anchor[:] = position_rad_m
-        if self._surprises is not None:
-            self._surprises.reset(position_rad_m, seed)
+        if self._off_table is not None:
+            self._off_table.reset(position_rad_m, seed)
 
     def command(self, command_ratio: Array, position_rad_m: Array) -> Array:
         """What reaches the valves (N, 4) of what was commanded."""
-        if self._surprises is None:
+        if self._off_table is None:
             return command_ratio
-        return self._surprises.command(command_ratio, position_rad_m)
+        return self._off_table.command(command_ratio, position_rad_m)
 
     def meter(self, opening_ratio: Array, position_rad_m: Array) -> None:
         """Change openings (2, N, 4) in place by load, and note the speed that they stand for."""
@@ -110,8 +97,8 @@ class DriveEffects:
         load = self._loss * load_ratio
         opening_ratio[0] *= np.maximum(1.0 - load, 0.0)
         opening_ratio[1] *= np.maximum(1.0 + load, 0.0)
-        if self._surprises is not None:
-            self._surprises.meter(opening_ratio, position_rad_m, load_ratio)
+        if self._off_table is not None:
+            self._off_table.meter(opening_ratio, position_rad_m, load_ratio)
         rated = self._rated
         np.subtract(opening_ratio[0] * rated[0], opening_ratio[1] * rated[1], out=self._steady)
 

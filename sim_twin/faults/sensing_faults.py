@@ -1,4 +1,4 @@
-"""Effects of the virtual machine's sensors: new zero errors, values older than they claim.
+"""Faults of the virtual machine's sensors: new zero errors, values older than they claim.
 
 A late sensor stamps the time at which it reports, not the time it saw: that is what makes it a fault.
 """
@@ -8,16 +8,8 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.faults.fault import EffectSizes
 
-SENSING_EFFECTS = (
-    "joint_sensor_bias",
-    "joint_sensor_latency",
-    "imu_latency",
-    "imu_misalignment",
-    "encoder_scale",
-)
 
-
-class DelayLine:
+class SensorDelay:
     """Columns of N machines, each seen with its own delay, interpolated between physics steps."""
 
     def __init__(self, delay_s: Array, step_s: float) -> None:
@@ -47,16 +39,16 @@ class DelayLine:
         return newer + self._share * (older - newer)
 
 
-class SensingEffects:
-    """Sensor effects of N machines."""
+class FaultySensing:
+    """Joint sensors and IMUs of N machines."""
 
     def __init__(self, sizes: EffectSizes, step_s: float) -> None:
         self.bias_rad_m = sizes.joints("joint_sensor_bias", "bias_rad_m")
         self._scale = 1.0 + sizes.joints("encoder_scale", "error_ratio")
         late = sizes.joints("joint_sensor_latency", "extra_latency_s")
-        self._joints = DelayLine(np.concatenate([late, late], axis=1), step_s)
+        self._joints = SensorDelay(np.concatenate([late, late], axis=1), step_s)
         late_imu = sizes.machine("imu_latency", "extra_latency_s")
-        self._imu = DelayLine(np.tile(late_imu[:, None], (1, 6)), step_s)
+        self._imu = SensorDelay(np.tile(late_imu[:, None], (1, 6)), step_s)
         angles = [sizes.machine("imu_misalignment", f"{n}_rad") for n in ("roll", "pitch", "yaw")]
         self._turn = rotation(*angles)
 

@@ -1,4 +1,4 @@
-"""Effects on the load of the virtual machine: how it is held, let go, and flies.
+"""Faults of the load of the virtual machine: how it is held, let go, and flies.
 
 The flight has its own integrator (classical Runge-Kutta of drag, gusts and Magnus lift), because the
 twin's has no gusts, and so that the two can be held against each other.
@@ -13,8 +13,6 @@ from machine.spec import MachineSpec
 from sim_twin.faults.fault import EffectSizes
 from sim_twin.virtual.units import MachineUnit, ThrowConditions
 
-LOAD_EFFECTS = ("sticky_release", "air_drag", "wind", "release_spin", "gust", "uneven_claw")
-THROW_EFFECTS = ("payload_offset", "release_delay", "release_jitter", *LOAD_EFFECTS)
 SHORTEST_DELAY_S = 0.02
 GUST_START_S = (0.1, 0.6)
 """After the first moment of the flight."""
@@ -30,8 +28,8 @@ class Air(NamedTuple):
     radius_m: float
 
 
-class LoadEffects:
-    """Load effects of N machines."""
+class FaultyLoad:
+    """Loads of N machines, held, let go and flying."""
 
     def __init__(self, sizes: EffectSizes, spec: MachineSpec, unit: MachineUnit) -> None:
         self._delay_s = sizes.machine("release_delay", "extra_delay_s")
