@@ -5,14 +5,13 @@ from typing import Literal
 
 import tyro
 
+from challenge.make import make_challenge
+from challenge.run import answered, run_challenge
+from challenge.score import Scored, match, read_sealed
+from challenge.score import mistakes as missed
+from challenge.score_table import as_json, measures, table
+from challenge.sealed_truth import Tier
 from cli.campaigns import progress_line
-from diagnosis.challenge.make import make_challenge
-from diagnosis.challenge.measures import measures
-from diagnosis.challenge.run import answered, run_challenge
-from diagnosis.challenge.score import Scored, match, read_sealed
-from diagnosis.challenge.score import mistakes as missed
-from diagnosis.challenge.score_table import as_json, table
-from diagnosis.challenge.truth import Tier
 from machine.errors import UsageError
 
 

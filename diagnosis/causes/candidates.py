@@ -31,6 +31,7 @@ from diagnosis.causes.weighing import (
     own_evidence,
 )
 from machine.conventions import Array
+from sim_twin.effects.pairs import CONFUSABLE_PAIRS
 
 SINGLE_COUNT = 6
 PART_COUNT = 3
@@ -48,14 +49,6 @@ STALE_MARGIN_LOG_ODDS = 10.0
 viscous friction of 0.25 those of dry friction promised 4 less than nothing, and simulated the pair was 224
 ahead. For all sets 10 is too much: three single effects (seed 1413302223) were answered again with it, and a
 late dipper's sensor got a bias beside it, a sticking dipper a late boom's sensor."""
-TWINS = (
-    ("valve_dead_time", "valve_lag"),
-    ("valve_gain", "load_dependent_speed"),
-    ("payload_mass", "air_drag"),
-)
-"""Effects that look so much alike that neither is named before the other was simulated at its joint. A
-stranger's dead time of a boom, 62 ms, was surely a lag (93 %): no dead time had come as far as that. A load
-heavier by 4.5 kg beside a late slew was less drag, and 9 ahead of it once it was simulated."""
 
 
 def settled_singles(problem: Problem, none: Trial) -> list[Trial]:
@@ -215,9 +208,10 @@ def missing_parts(found: Sequence[Trial], leading: Sequence[Trial]) -> dict[Set,
 def missing_twins(
     problem: Problem, found: Sequence[Trial], leading: Sequence[Trial]
 ) -> dict[Set, Array]:
-    """The leading sets with one effect's twin in its place (`TWINS`), if they were not simulated."""
+    """The leading sets with one effect's twin in its place (`is_exchanged`), if they were not simulated."""
     groups = problem.layout.groups
-    other = dict(TWINS) | {b: a for a, b in TWINS}
+    other = {pair.first: pair.second for pair in CONFUSABLE_PAIRS if pair.is_exchanged}
+    other |= {second: first for first, second in other.items()}
     known = {t.members for t in found}
     seeds: dict[Set, Array] = {}
     for trial in leading:

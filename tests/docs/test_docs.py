@@ -11,7 +11,7 @@ import pytest
 from cli.main import VERBS
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server", "cli")
+PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "challenge", "server", "cli")
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SYMBOL = re.compile(r"`([\w./-]+\.(?:py|tsx?)) :: ([\w.]+)`")
 LINK = re.compile(r"\]\((?!https?:|#|mailto:)([^)#]+)[^)]*\)")

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from diagnosis.challenge.machines import HealthyMachine, healthy_machine
-from diagnosis.challenge.make import make_reference, make_set
-from diagnosis.challenge.truth import SetTruth, Tier, TrueEffect
+from challenge.healthy_machines import HealthyMachine, healthy_machine
+from challenge.make import make_reference, make_set
+from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from machine.spec import load_spec
 from server.services import assemble, prepare_database
 from server.settings import load_settings

@@ -25,7 +25,7 @@ SEEDS = {"seed", "unit_seed"}
 """Names of random streams: numbers that measure nothing."""
 KEYED = {"best", "plot", "training"}
 """Numbers by name, where the name in the key carries the unit."""
-PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "server")
+PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "challenge", "server")
 
 
 def models() -> list[type[BaseModel]]:

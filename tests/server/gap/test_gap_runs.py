@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.challenge import make as challenge_make
-from diagnosis.challenge.machines import HealthyMachine
-from diagnosis.challenge.make import make_challenge
-from diagnosis.challenge.truth import Tier
+from challenge import make as challenge_make
+from challenge.healthy_machines import HealthyMachine
+from challenge.make import make_challenge
+from challenge.sealed_truth import Tier
 from machine.calibration import nominal_calibration
 from machine.conventions import Mode
 from machine.spec import load_spec

@@ -1,12 +1,12 @@
 """Detection limits: the size of an effect that shows in the data, and in an estimate of it.
 
-Run ``python -m diagnosis.challenge.detection_limits``. An effect must move the impact by 3 cm or a channel by
+Run ``python -m challenge.limit_measurement``. An effect must move the impact by 3 cm or a channel by
 3 sd: healthy throws are recorded in closed loop, their commands are replayed open loop on machines with and
 without each effect, and the size is found by interpolation. A standard deviation is that of sensor noise and
 of healthy machines among themselves; joint channels alone count for actuation, whose effect on the impact
 the joint sensors show. No limit lies within the nuisance.
 
-And no limit lies below what a set of throws can show at best (diagnosis/challenge/observer.py), everything
+And no limit lies below what a set of throws can show at best (challenge/observer.py), everything
 else being off by what healthy machines are off, with 12 healthy throws of the machine known.
 """
 
@@ -18,28 +18,24 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from diagnosis.challenge.effects import (
-    DRIFT_LIMIT_RATIO,
-    DRIFTS,
-    LIBRARY,
-    LIMITS_PATH,
-    STRENGTH,
-    UNKNOWN,
-    limit_key,
-)
-from diagnosis.challenge.machines import (
+from challenge.detection_limits import LIMITS_PATH, limit_key
+from challenge.healthy_machines import (
     HealthyMachine,
     healthy_machine,
     nuisance_unit,
     nuisance_width,
 )
-from diagnosis.challenge.make import open_policy, plan_throws
-from diagnosis.challenge.observer import limit_sizes, observe
+from challenge.make import open_policy, plan_throws
+from challenge.observer import limit_sizes, observe
+from challenge.sealed_truth import hidden_drifts
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_NS, Array, BoolArray
 from machine.spec import load_spec
 from runtime.control.control_loop import ControlOutputs, ControlParams
 from runtime.driver import SensorSample, SimulatedDriver, ValveCommand
-from sim_twin.faults.fault import DRIFT, PlantEffect
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import EFFECTS
+from sim_twin.faults.fault import PlantEffect
+from sim_twin.faults.off_table import FAULTS, TABLE_FAULTS
 from sim_twin.throws.campaign import ThrowResult, run_throws
 from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
 
@@ -58,6 +54,8 @@ FIXED: Final = {
     # Three times the noise: an open-loop replay moves nothing but the sensor itself.
     **{f"joint_sensor_bias.{joint}.bias_rad_m": 0.004 for joint in ACTIVE_JOINTS},
 }
+DRIFT_LIMIT_RATIO: Final = 2.0
+"""A ramp from 0 to d has a root mean square of d / sqrt(3), and starts below what is visible."""
 ROUNDS: Final = 4
 BISECTIONS: Final = 5
 CLOSE_RATIO: Final = 1.3
@@ -67,22 +65,6 @@ SENSOR_SD: Final = np.repeat([1.2e-3, 8.0e-3, 6.2e-4], [4, 4, 3])
 JOINT_CHANNELS: Final = 8
 NUISANCE_SD_COUNT: Final = 3.0 / np.sqrt(3.0)
 """Three standard deviations of a uniform draw, in half widths."""
-COUNTERPARTS: Final = {
-    "valve_dead_time": "dead_time_s",
-    "valve_lag": "spool_lag_s",
-    "valve_gain": "valve_gain_positive_ratio",
-    "pump_flow_sharing": "pump_flow_m3_per_s",
-    "gripper_length": "roll_to_grip_centre_m",
-    "gripper_inertia": "gripper_inertia_ratio",
-    "payload_mass": "ball_mass_kg",
-    "release_delay": "release_delay_s",
-    "air_drag": "drag_coefficient_ratio",
-    "joint_sensor_bias": "joint_bias_rad_m",
-    "imu_misalignment": "imu_misalignment_rad",
-    "base_tilt": "base_tilt_rad",
-    "base_height": "base_height_error_m",
-}
-"""Fields of the unit that the same effect changes; the nuisance changes them, too."""
 RELATIVE: Final = ("pump_flow_m3_per_s",)
 """Fields whose effect counts as a share of them."""
 
@@ -203,7 +185,7 @@ class Meter:
         seen = replay(self._commands, self._machine, (effect,))
         shift = np.abs(seen.channels - self._healthy.channels)[self._window]
         channel = np.nanpercentile(shift, SHIFT_PERCENTILE, axis=0) / self.channel_sd / CHANNEL_SD
-        if _stage(effect.effect) == "actuation":
+        if FAULTS[effect.effect].stage == "actuation":
             return float(channel[:JOINT_CHANNELS].max())
         miss = np.linalg.norm((seen.impact_m - self._healthy.impact_m)[:, :2], axis=1)
         known = np.isfinite(miss)
@@ -212,11 +194,11 @@ class Meter:
 
     def limit(self, effect: str, joint: str | None, parameter: str) -> float:
         """Size at the limit, in the parameter's unit; at most the bound."""
-        hidden = {**LIBRARY, **UNKNOWN}[effect]
+        hidden = FAULTS[effect]
         others = {
             name: 0.5 * (low + high)
             for name, (low, high) in hidden.bounds.items()
-            if effect in STRENGTH and name != parameter
+            if hidden.strength is not None and name != parameter
         }
         bound = max(hidden.bounds[parameter])
 
@@ -235,7 +217,7 @@ class Meter:
 
     def _nuisance(self, effect: str, joint: str | None) -> float:
         """Three standard deviations of what a healthy machine's parameters are off."""
-        field = COUNTERPARTS.get(effect)
+        field = EFFECTS[effect].unit_field if effect in EFFECTS else None
         if field is None:
             return 0.0
         width = np.atleast_1d(nuisance_width(self._machine.unit, field))
@@ -255,10 +237,6 @@ def _bisected(score: Callable[[float], float], low: float, high: float) -> float
     return high
 
 
-def _stage(effect: str) -> str:
-    return {**LIBRARY, **UNKNOWN}[effect].stage
-
-
 def measure_limits(policies: Path) -> dict[str, float]:
     """Limits of all effects, joints and parameters that a challenge may hide, and of their drifts."""
     meter = Meter(policies)
@@ -266,8 +244,8 @@ def measure_limits(policies: Path) -> dict[str, float]:
     limits = {
         name: max(size, shown.get(name, (0.0,))[0]) for name, size in _seen_limits(meter).items()
     }
-    for effect, parameter in DRIFTS:
-        for joint in LIBRARY[effect].joints or (None,):
+    for effect, parameter in hidden_drifts():
+        for joint in TABLE_FAULTS[effect].joints or (None,):
             key = limit_key(effect, joint, parameter)
             drift = limit_key(DRIFT, joint, f"{effect}.{parameter}")
             limits[drift] = max(DRIFT_LIMIT_RATIO * limits[key], shown[key][1])
@@ -277,10 +255,10 @@ def measure_limits(policies: Path) -> dict[str, float]:
 def _seen_limits(meter: Meter) -> dict[str, float]:
     """Sizes that move the impact or a channel."""
     limits: dict[str, float] = {}
-    for effect, hidden in {**LIBRARY, **UNKNOWN}.items():
+    for effect, hidden in FAULTS.items():
         for joint in hidden.joints or (None,):
             for parameter in hidden.bounds:
-                if effect in STRENGTH and parameter != STRENGTH[effect]:
+                if hidden.strength not in (None, parameter):
                     continue
                 key = limit_key(effect, joint, parameter)
                 limits[key] = FIXED.get(key) or meter.limit(effect, joint, parameter)
@@ -292,7 +270,7 @@ def main() -> None:
     """Measure and write the file beside this module."""
     limits = measure_limits(Path("policies"))
     document = {
-        "made_by": "python -m diagnosis.challenge.detection_limits",
+        "made_by": "python -m challenge.limit_measurement",
         "meaning": f"impact {IMPACT_M} m or a channel {CHANNEL_SD} sd in 5 % of the ticks, unit 0; at least "
         f"what the best linear observer of {THROWS} throws can show",
         "limits": {name: float(f"{size:.4g}") for name, size in limits.items()},

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from diagnosis.baselines.common import Candidate, Case, conclude
-from diagnosis.baselines.lag import lag_ticks
-from diagnosis.baselines.tune_all import cma_es
+from challenge.baselines.baseline_case import Candidate, Case, conclude
+from challenge.baselines.lag import lag_ticks
+from challenge.baselines.tune_all import cma_es
 from diagnosis.verdict import VerdictKind
 from machine.calibration import nominal_calibration
 from machine.conventions import Array

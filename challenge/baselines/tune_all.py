@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from diagnosis.baselines.common import (
+from challenge.baselines.baseline_case import (
     GYRO_SD_RAD_PER_S,
     IMPACT_SD_M,
     POSITION_SD_RAD_M,

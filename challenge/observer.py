@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from challenge.healthy_machines import healthy_machine
+from challenge.make import make_reference
 from diagnosis.causes.evidence import inform_gram
 from diagnosis.causes.parameters import Parameter, layout, library, scatter_names
 from diagnosis.causes.problem import Problem, pose
 from diagnosis.causes.residuals import relinearise
 from diagnosis.causes.whitening import slope_count
-from diagnosis.challenge.machines import healthy_machine
-from diagnosis.challenge.make import make_reference
 from diagnosis.healthy.health import load_health
 from diagnosis.healthy.noise import whiten
 from diagnosis.healthy.reference import of_reference

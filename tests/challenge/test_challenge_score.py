@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.challenge.measures import Measure, calibration_error, measures, wilson
-from diagnosis.challenge.score import Scored, match, mistakes, read_sealed
-from diagnosis.challenge.score_table import table
-from diagnosis.challenge.truth import SetTruth, Tier, TrueEffect
+from challenge.score import Scored, match, mistakes, read_sealed
+from challenge.score_table import Measure, calibration_error, measures, share_interval, table
+from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from diagnosis.verdict import (
     Ambiguity,
     Cause,
@@ -74,10 +73,10 @@ def value(scored: list[Scored], name: str) -> Measure:
 
 
 def test_wilson_agrees_with_the_book() -> None:
-    assert wilson(196, 200) == pytest.approx((0.9497, 0.9922), abs=1e-3)
-    assert wilson(0, 300)[1] == pytest.approx(0.0126, abs=1e-3)
-    assert wilson(0, 10)[0] == 0.0
-    assert np.isnan(wilson(0, 0)).all()
+    assert share_interval(196, 200) == pytest.approx((0.9497, 0.9922), abs=1e-3)
+    assert share_interval(0, 300)[1] == pytest.approx(0.0126, abs=1e-3)
+    assert share_interval(0, 10)[0] == 0.0
+    assert np.isnan(share_interval(0, 0)).all()
 
 
 def test_a_right_cause_counts_with_size_and_interval() -> None:

@@ -19,9 +19,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.challenge.effects import load_limits
-from diagnosis.challenge.machines import HealthyMachine, healthy_machine, nuisance_unit
-from diagnosis.challenge.truth import SetTruth, Tier, draw_truths, weaker
+from challenge.detection_limits import load_limits
+from challenge.healthy_machines import HealthyMachine, healthy_machine, nuisance_unit
+from challenge.sealed_truth import SetTruth, Tier, draw_truths, weaker
 from machine.conventions import Array, Mode
 from machine.errors import UsageError
 from machine.spec import MachineSpec, load_spec

@@ -40,7 +40,7 @@ geometry and sensors were surveyed, so that the twin's are right but for the nui
 NUISANCE_RATIO: Final = 0.02
 ZERO_NUISANCE_RATIO: Final = 0.2
 """Of a unit's half width, for what is zero on the drawing: tilt, biases, mounting."""
-PLANT_SOURCES: Final = ("virtual", "identify")
+PLANT_SOURCES: Final = ("virtual", "commissioning")
 """Folders of `sim_twin` whose code decides what the identification of a machine finds."""
 
 

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.challenge import make as challenge_make
-from diagnosis.challenge import run as challenge
-from diagnosis.challenge.effects import DRIFT_LIMIT_RATIO, LIBRARY, UNKNOWN, limit_key, load_limits
-from diagnosis.challenge.machines import HealthyMachine, challenge_unit, nuisance_unit
-from diagnosis.challenge.make import make_challenge
-from diagnosis.challenge.run import answered, run_challenge
-from diagnosis.challenge.truth import Tier
+from challenge import make as challenge_make
+from challenge import run as challenge
+from challenge.detection_limits import limit_key, load_limits
+from challenge.healthy_machines import HealthyMachine, challenge_unit, nuisance_unit
+from challenge.limit_measurement import DRIFT_LIMIT_RATIO
+from challenge.make import make_challenge
+from challenge.run import answered, run_challenge
+from challenge.sealed_truth import Tier
 from diagnosis.healthy.health import Health
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis, VerdictKind
@@ -22,11 +23,12 @@ from machine.calibration import nominal_calibration
 from machine.errors import UsageError
 from machine.spec import MachineSpec, load_spec
 from runtime.records.log_reader import read_throw_log
-from sim_twin.faults.fault import DRIFT
+from sim_twin.effects.schema import DRIFT
+from sim_twin.faults.off_table import FAULTS
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 from sim_twin.virtual.units import nominal_unit
 
-POLICIES = Path(__file__).parents[3] / "policies"
+POLICIES = Path(__file__).parents[2] / "policies"
 
 
 @pytest.fixture(scope="module")
@@ -74,20 +76,20 @@ def test_a_set_is_logs_profile_and_calibration(made: tuple[Path, Path]) -> None:
         assert modes == ["2d", "3d", "2d", "3d"]
 
 
-def test_the_data_do_not_tell_the_truth(made: tuple[Path, Path]) -> None:
+def test_the_data_do_not_hold_the_truth(made: tuple[Path, Path]) -> None:
     data, sealed = made
-    words = [*LIBRARY, *UNKNOWN, "null", "single", "multiple_ratio"]
+    words = [*FAULTS, "null", "single", "multiple_ratio"]
     hidden = json.loads(sealed.read_text())["sets"]
     assert sum(bool(s["effects"]) for s in hidden) == 1
     for path in data.rglob("*"):
         if path.suffix == ".mcap":
-            told = json.dumps(read_throw_log(path).metadata)
+            written = json.dumps(read_throw_log(path).metadata)
         elif path.is_file():
-            told = path.read_text()
+            written = path.read_text()
         else:
             continue
-        told = told.replace("release_delay_s", "").replace("release_delay_sd_s", "")
-        found = [word for word in words if f'"{word}"' in told]
+        written = written.replace("release_delay_s", "").replace("release_delay_sd_s", "")
+        found = [word for word in words if f'"{word}"' in written]
         assert found == []
 
 
@@ -123,7 +125,7 @@ def test_running_is_blind_resumable_and_outlives_errors(
     tmp_path: Path, made: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, sealed = made
-    monkeypatch.setattr(challenge, "_method", lambda name: _fake)
+    monkeypatch.setitem(challenge.METHODS, "diagnose", _fake)
     opened: list[str] = []
     plain = Path.read_text
 
@@ -187,8 +189,8 @@ def test_limits_cover_every_effect_and_lie_within_its_bounds() -> None:
                 * limits[limit_key(parts[-2], _joint(parts), parts[-1])]
             )
             continue
-        bounds = {**LIBRARY, **UNKNOWN}[parts[0]].bounds[parts[-1]]
+        bounds = FAULTS[parts[0]].bounds[parts[-1]]
         assert 0.0 < size <= bounds[1]
-    assert {name.split(".")[0] for name in limits} == {*LIBRARY, *UNKNOWN, DRIFT}
+    assert {name.split(".")[0] for name in limits} == {*FAULTS, DRIFT}
     with pytest.raises(UsageError, match="cannot be read"):
         load_limits(Path("/nowhere.json"))

@@ -6,13 +6,15 @@ It reads the data folder and nothing else: the sealed file is no argument of any
 import json
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 from time import perf_counter
 from typing import Any, Final
 
-from diagnosis.challenge.make import MANIFEST, PROFILE_NAME, REFERENCE, spread
+from challenge.baselines.lag import lag_rmse
+from challenge.baselines.tune_all import evolution, largest_z
+from challenge.make import MANIFEST, PROFILE_NAME, REFERENCE, spread
+from diagnosis.diagnose import diagnose_throws
 from diagnosis.healthy.health import Health, load_health
 from diagnosis.healthy.reference import of_reference
 from diagnosis.loading.logs import load_throws
@@ -24,11 +26,11 @@ from sim_twin.twin.profile import load_profile
 Method = Callable[..., Diagnosis]
 """Of a loaded set and the machine's profile; the diagnosis also takes what its healthy throws tell."""
 DIAGNOSE: Final = "diagnose"
-METHODS: Final = {
-    DIAGNOSE: "diagnosis.diagnose:diagnose_throws",
-    "largest_z": "diagnosis.baselines.tune_all:largest_z",
-    "evolution": "diagnosis.baselines.tune_all:evolution",
-    "lag_rmse": "diagnosis.baselines.lag:lag_rmse",
+METHODS: Final[dict[str, Method]] = {
+    DIAGNOSE: diagnose_throws,
+    "largest_z": largest_z,
+    "evolution": evolution,
+    "lag_rmse": lag_rmse,
 }
 """What can be run: the diagnosis and the baselines."""
 Progress = Callable[[int, int], None]
@@ -106,9 +108,9 @@ def answer(
         healthy = folder.parent / REFERENCE / profile.machine_id
         more = {"is_alone": is_alone} if method == DIAGNOSE else {}
         if method == DIAGNOSE and healthy.is_dir():
-            found = _method(method)(loaded, profile, health=_own_health(healthy), **more)
+            found = METHODS[method](loaded, profile, health=_own_health(healthy), **more)
         else:
-            found = _method(method)(loaded, profile, **more)
+            found = METHODS[method](loaded, profile, **more)
         said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
         said["evidence"] = _small(said["evidence"])
     except Exception as error:  # the harness must outlive whatever it tests
@@ -128,12 +130,6 @@ def _own_health(reference: Path) -> Health:
     profile = load_profile(reference / PROFILE_NAME)
     with one_blas_thread():
         return of_reference(load_throws([reference]), profile, load_health())
-
-
-def _method(name: str) -> Method:
-    module, _, attribute = METHODS[name].partition(":")
-    found: Method = getattr(import_module(module), attribute)
-    return found
 
 
 def _small(evidence: dict[str, Any]) -> dict[str, Any]:

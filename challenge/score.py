@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from diagnosis.challenge.truth import SetTruth, Tier
+from challenge.sealed_truth import SetTruth, Tier
 from diagnosis.verdict import Cause, Diagnosis, VerdictKind
 from machine.errors import UsageError
 from sim_twin.faults.fault import DRIFT

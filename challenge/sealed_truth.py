@@ -7,17 +7,13 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from diagnosis.challenge.effects import (
-    CONFOUNDED,
-    DRIFTS,
-    LIBRARY,
-    STRENGTH,
-    UNKNOWN,
-    HiddenEffect,
-    limit_key,
-)
+from challenge.detection_limits import limit_key
 from machine.errors import UsageError
-from sim_twin.faults.fault import DRIFT, PlantEffect
+from sim_twin.effects.pairs import CONFUSABLE_PAIRS
+from sim_twin.effects.schema import DRIFT
+from sim_twin.effects.table import EFFECTS, effects_where
+from sim_twin.faults.fault import PlantEffect
+from sim_twin.faults.off_table import FAULTS, OFF_TABLE_FAULTS, TABLE_FAULTS, FaultSpec
 
 
 class Tier(StrEnum):
@@ -93,8 +89,8 @@ def draw_truths(
     rng = np.random.default_rng([seed, 0xC4A1])
     units = [0, *(int(u) for u in rng.integers(1, 10_000, UNIT_SEEDS - 1))]
     kinds = _shares(count, tiers)
-    singles = _Deck([*_slots(LIBRARY, limits), *[(DRIFT, None)] * DRIFT_SLOTS], rng)
-    unknowns = _Deck(_slots(UNKNOWN, limits), rng)
+    singles = _Deck([*_slots(TABLE_FAULTS, limits), *[(DRIFT, None)] * DRIFT_SLOTS], rng)
+    unknowns = _Deck(_slots(OFF_TABLE_FAULTS, limits), rng)
     drawn: list[tuple[Tier, tuple[TrueEffect, ...]]] = []
     for index, tier in enumerate(kinds):
         strong = index % 2 == 1
@@ -120,11 +116,17 @@ def draw_truths(
     ]
 
 
+def hidden_drifts() -> list[tuple[str, str]]:
+    """Effects and parameters that may drift within a set; ``warm_up_drift`` names one of them."""
+    drifting = effects_where(lambda effect: effect.hides_drift)
+    return [(effect, parameter) for effect in drifting for parameter in TABLE_FAULTS[effect].bounds]
+
+
 def weaker(truth: SetTruth, ratio: float) -> SetTruth:
     """The same set with every effect at this share of its size."""
 
     def shrunk(effect: TrueEffect) -> TrueEffect:
-        strength = STRENGTH.get(effect.effect)
+        strength = FAULTS[effect.effect].strength if effect.effect != DRIFT else None
         sizes = {
             name: value * ratio if strength in (None, name) else value
             for name, value in effect.parameters.items()
@@ -149,27 +151,24 @@ class _Deck:
 
 
 def _slots(
-    effects: Mapping[str, HiddenEffect], limits: Mapping[str, float]
+    effects: Mapping[str, FaultSpec], limits: Mapping[str, float]
 ) -> list[tuple[str, str | None]]:
     """Effects and joints whose detection limit lies within their bounds: throws can show them."""
     return [
         (name, joint)
         for name, hidden in effects.items()
         for joint in (hidden.joints or (None,))
-        if _visible(name, hidden, joint, limits)
+        if _visible(hidden, joint, limits)
     ]
 
 
-def _visible(
-    effect: str, hidden: HiddenEffect, joint: str | None, limits: Mapping[str, float]
-) -> tuple[str, ...]:
+def _visible(hidden: FaultSpec, joint: str | None, limits: Mapping[str, float]) -> tuple[str, ...]:
     """Parameters that grow with the effect and whose limit lies within their bounds."""
-    strength = STRENGTH.get(effect)
     return tuple(
         name
         for name, bounds in hidden.bounds.items()
-        if strength in (None, name)
-        and limits[limit_key(effect, joint, name)] <= VISIBLE_SHARE * max(bounds)
+        if hidden.strength in (None, name)
+        and limits[limit_key(hidden.name, joint, name)] <= VISIBLE_SHARE * max(bounds)
     )
 
 
@@ -200,8 +199,8 @@ def _single(
 ) -> TrueEffect:
     if effect == DRIFT:
         return _drift(limits, rng, strong=strong)
-    hidden = LIBRARY[effect]
-    names = _chosen(effect, _visible(effect, hidden, joint, limits), rng)
+    hidden = TABLE_FAULTS[effect]
+    names = _chosen(effect, _visible(hidden, joint, limits), rng)
     multiple = _multiple(rng, strong=strong)
     weights = _weights(effect, names, rng)
     sizes: dict[str, float] = {}
@@ -223,14 +222,14 @@ def _single(
 
 def _chosen(effect: str, names: tuple[str, ...], rng: np.random.Generator) -> tuple[str, ...]:
     """Both directions of a valve or one of them; all components of a vector."""
-    if effect not in ("valve_gain", "valve_dead_band") or len(names) < 2:
+    if not EFFECTS[effect].shapes_speed or len(names) < 2:
         return names
     return (names, names, names[:1], names[1:])[int(rng.integers(4))]
 
 
 def _weights(effect: str, names: tuple[str, ...], rng: np.random.Generator) -> list[float]:
     """Share of each parameter's limit: the components of a vector have a random direction."""
-    if len(names) == 1 or effect in ("valve_gain", "valve_dead_band"):
+    if len(names) == 1 or (effect in EFFECTS and EFFECTS[effect].shapes_speed):
         return [1.0] * len(names)
     direction = np.abs(rng.standard_normal(len(names)))
     return [float(v) for v in direction / np.linalg.norm(direction)]
@@ -247,14 +246,14 @@ def _sign(size: float, low: float, high: float, rng: np.random.Generator) -> flo
 def _drift(limits: Mapping[str, float], rng: np.random.Generator, *, strong: bool) -> TrueEffect:
     shown = [
         (effect, parameter, joint)
-        for effect, parameter in DRIFTS
-        for joint in (LIBRARY[effect].joints or (None,))
-        if parameter in _visible(effect, LIBRARY[effect], joint, limits)
+        for effect, parameter in hidden_drifts()
+        for joint in (TABLE_FAULTS[effect].joints or (None,))
+        if parameter in _visible(TABLE_FAULTS[effect], joint, limits)
         and limits[limit_key(DRIFT, joint, f"{effect}.{parameter}")]
-        <= VISIBLE_SHARE * max(LIBRARY[effect].bounds[parameter])
+        <= VISIBLE_SHARE * max(TABLE_FAULTS[effect].bounds[parameter])
     ]
     effect, parameter, joint = shown[int(rng.integers(len(shown)))]
-    hidden = LIBRARY[effect]
+    hidden = TABLE_FAULTS[effect]
     unit = limits[limit_key(DRIFT, joint, f"{effect}.{parameter}")]
     low, high = hidden.bounds[parameter]
     sign = _sign(unit * _multiple(rng, strong=strong), low, high, rng)
@@ -276,7 +275,7 @@ def _pair(
         choices = _confounded_slots(limits)
         slots = choices[int(rng.integers(len(choices)))]
     else:
-        deck = _slots(LIBRARY, limits)
+        deck = _slots(TABLE_FAULTS, limits)
         slots = [deck[i] for i in rng.choice(len(deck), 2, replace=False)]
         while slots[0][0] == slots[1][0]:
             slots = [deck[i] for i in rng.choice(len(deck), 2, replace=False)]
@@ -285,13 +284,14 @@ def _pair(
 
 def _confounded_slots(limits: Mapping[str, float]) -> list[list[tuple[str, str | None]]]:
     """Every confounded pair once a joint on which both effects can be seen."""
-    slots = _slots(LIBRARY, limits)
+    slots = _slots(TABLE_FAULTS, limits)
     return [
         [one, other]
-        for first, second in CONFOUNDED
+        for pair in CONFUSABLE_PAIRS
+        if pair.is_hidden
         for one in slots
         for other in slots
-        if (one[0], other[0]) == (first, second)
+        if (one[0], other[0]) == (pair.first, pair.second)
         and (one[1] == other[1] or None in (one[1], other[1]))
     ]
 
@@ -299,9 +299,8 @@ def _confounded_slots(limits: Mapping[str, float]) -> list[list[tuple[str, str |
 def _unknown(
     effect: str, joint: str | None, limits: Mapping[str, float], rng: np.random.Generator
 ) -> TrueEffect:
-    hidden = UNKNOWN[effect]
-    strength = STRENGTH.get(effect)
-    grows = tuple(hidden.bounds) if strength is None else (strength,)
+    hidden = OFF_TABLE_FAULTS[effect]
+    grows = tuple(hidden.bounds) if hidden.strength is None else (hidden.strength,)
     multiple = _multiple(rng, strong=True)
     weights = dict(zip(grows, _weights(effect, grows, rng), strict=True))
     sizes: dict[str, float] = {}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.baselines.common import (
+from challenge.baselines.baseline_case import (
     Candidate,
     Case,
     Errors,

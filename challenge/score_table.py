@@ -1,11 +1,13 @@
-"""What a challenge asks for: every number with how many sets it stands on and its interval."""
+"""The table of scores: every measure with the count of sets behind it and its interval, as text and JSON."""
 
+import json
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
-from diagnosis.challenge.score import (
+from challenge.score import (
     NONE_LABEL,
     UNKNOWN_LABEL,
     Label,
@@ -13,14 +15,13 @@ from diagnosis.challenge.score import (
     cause_label,
     effect_key,
 )
-from diagnosis.challenge.truth import Tier
+from challenge.sealed_truth import Tier
 
 STRONG_RATIO: Final = 2.0
 CLEAR_RATIO: Final = 0.97
 """Sizes were cut at bounds: a hair below twice the limit is twice the limit."""
 TOP_COUNT: Final = 3
 ECE_BINS: Final = 10
-NORMAL_95: Final = 1.96
 LEAST_PROBABILITY: Final = 1e-3
 """An answer that gives the truth no chance scores no worse than this in the log score."""
 
@@ -39,14 +40,12 @@ class Measure(NamedTuple):
     is_share: bool = True
 
 
-def wilson(hits: int, count: int, normal: float = NORMAL_95) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
+def share_interval(hits: int, count: int) -> tuple[float, float]:
+    """95 % Wilson interval of a share; NaN of nothing."""
     if count == 0:
         return float("nan"), float("nan")
-    share, z2 = hits / count, normal**2
-    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
-    half = normal / (1 + z2 / count) * np.sqrt(share * (1 - share) / count + z2 / (4 * count**2))
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+    found = binomtest(hits, count).proportion_ci(confidence_level=0.95, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def measures(scored: Sequence[Scored], beside: Sequence[Scored] = ()) -> list[Measure]:
@@ -112,7 +111,7 @@ def _share(
 ) -> Measure:
     hits = sum(bool(hit(s)) for s in sets)
     value = hits / len(sets) if sets else float("nan")
-    return Measure(name, len(sets), value, *wilson(hits, len(sets)), bar)
+    return Measure(name, len(sets), value, *share_interval(hits, len(sets)), bar)
 
 
 def _number(
@@ -203,7 +202,11 @@ def _sizes(scored: Sequence[Scored], beside: Sequence[Scored]) -> list[Measure]:
             np.median,
         ),
         Measure(
-            "90 % intervals that hold", len(covered), share, *wilson(hits, len(covered)), "85-95 %"
+            "90 % intervals that hold",
+            len(covered),
+            share,
+            *share_interval(hits, len(covered)),
+            "85-95 %",
         ),
     ]
 
@@ -247,3 +250,51 @@ def _shrinks(hidden: Sequence[Scored]) -> list[Measure]:
         _number("removable gap closed, median", [f.ratio for f in found], np.median, ">= 0.80"),
         _number("predicted against realised shrink, median", off, np.median, "<= 0.10"),
     ]
+
+
+def table(columns: Sequence[tuple[str, Sequence[Measure]]]) -> str:
+    """The table, one column a method; shares with 95 % Wilson intervals."""
+    names = list(dict.fromkeys(m.name for _, lines in columns for m in lines))
+    by_name = [{m.name: m for m in lines} for _, lines in columns]
+    width = max(len(name) for name in names)
+    head = f"{'':<{width}}  {'asked':>8}" + "".join(f"  {title:>26}" for title, _ in columns)
+    rows = [head]
+    for name in names:
+        found = [lines.get(name) for lines in by_name]
+        bar = next(m.bar for m in found if m is not None)
+        rows.append(f"{name:<{width}}  {bar:>8}" + "".join(f"  {_cell(m):>26}" for m in found))
+    return "\n".join(rows)
+
+
+def _cell(m: Measure | None) -> str:
+    if m is None:
+        return ""
+    if not m.is_share:
+        return f"{m.value:.3g} (n {m.number})"
+    return f"{100 * m.value:.1f} % [{100 * m.low:.0f}, {100 * m.high:.0f}] (n {m.number})"
+
+
+def as_json(columns: Sequence[tuple[str, Sequence[Measure]]]) -> str:
+    """The same numbers by method and name; null where there is no interval or no number."""
+    return (
+        json.dumps(
+            {
+                method: {
+                    m.name: {
+                        "value": _finite(m.value),
+                        "ci95": [_finite(m.low), _finite(m.high)],
+                        "count": m.number,
+                        "asked": m.bar,
+                    }
+                    for m in lines
+                }
+                for method, lines in columns
+            },
+            indent=1,
+        )
+        + "\n"
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
