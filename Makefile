@@ -10,7 +10,7 @@ export UV_PYTHON_DOWNLOADS = never
 export NPM_CONFIG_UPDATE_NOTIFIER = false
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: help setup runtime web demo test e2e check lint types spec bench clean
+.PHONY: help setup runtime web demo test e2e check lint types tables spec bench clean
 help:  ## Show this list
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
@@ -57,6 +57,7 @@ lint: $(STAMP)/python
 	@$(BIN)/pyright
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/downrange spec --check
+	@$(BIN)/python -m scripts.result_tables --check
 
 check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent check
@@ -78,6 +79,9 @@ e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, 
 types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
 	@$(BIN)/downrange openapi --out web/openapi.json
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- src/api/schema.ts
+
+tables: $(STAMP)/python  ## Regenerate the documents' tables from benchmarks/results and the effects
+	@$(BIN)/python -m scripts.result_tables
 
 spec: $(STAMP)/python  ## Regenerate machine/spec.json from machine/m545.xml
 	@$(BIN)/downrange spec

@@ -1,4 +1,4 @@
-"""Whole throws as CSV: the channels of a throw log (docs/throw_log.md) as columns, written and read.
+"""Whole throws as CSV: the channels of a throw log (docs/throw_csv.md) as columns, written and read.
 
 A file holds one throw, or several with a column of throw ids. Control, IMU and load tracker have time
 columns of their own, so that their columns differ in length and end in empty cells. A file that lacks
@@ -253,7 +253,7 @@ def _columns(path: Path, body: Sequence[str]) -> dict[str, dict[str, Array]]:
         shown = ", ".join(missing[:6]) + (f" and {len(missing) - 6} more" if missing[6:] else "")
         raise LogError(
             f"{path.name} is no whole throw: {len(missing)} of {len(needed)} columns are missing ({shown}). "
-            "docs/throw_log.md lists them; one stage alone needs less (`downrange diagnose actuation`)"
+            "docs/throw_csv.md lists them; one stage alone needs less (`downrange diagnose actuation`)"
         )
     padded = [(row + [""] * len(names))[: len(names)] for row in rows]
     place = names.index(THROW_COLUMN) if THROW_COLUMN in names else None

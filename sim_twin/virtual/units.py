@@ -129,49 +129,52 @@ def nominal_unit(spec: MachineSpec) -> MachineUnit:
 
 
 UNIT_HALF_WIDTH: dict[str, float | Four] = {
-    "dead_time_s": (0.075, 0.025, 0.025, 0.025),
-    "spool_lag_s": (0.040, 0.0375, 0.0375, 0.0375),
-    "dead_band_positive_ratio": 0.025,
-    "dead_band_negative_ratio": 0.025,
-    "hysteresis_ratio": 0.004,
-    "valve_gain_positive_ratio": (0.06, 0.10, 0.125, 0.125),
-    "valve_gain_negative_ratio": (0.06, 0.10, 0.125, 0.125),
-    "metering_curve_ratio": 0.10,
-    "friction_pressure_pa": (4.0e5, 2.5e5, 4.0e5, 2.0e5),
-    "viscous_friction_ratio": 0.30,
-    "bulk_modulus_pa": 0.1e9,
-    "pump_flow_m3_per_s": 20.0 / 60e3,
-    "supply_pressure_pa": 2.25e6,
-    "slew_relief_pressure_pa": 1.8e6,
-    "release_delay_s": 0.010,
-    "release_delay_sd_s": 0.003,
-    "boom_pivot_x_m": 0.010,
-    "boom_pivot_z_m": 0.010,
-    "boom_length_m": 0.010,
-    "dipper_to_telescope_m": 0.010,
-    "telescope_to_pin_m": 0.075,
-    "pitch_to_roll_m": 0.0375,
-    "roll_to_grip_centre_m": 0.075,
-    "gripper_com_m": 0.075,
-    "base_height_error_m": 0.020,
-    "base_tilt_rad": 0.005,
-    "upper_mass_ratio": 0.10,
-    "boom_mass_ratio": 0.075,
-    "dipper_mass_ratio": 0.075,
-    "telescope_mass_ratio": 0.075,
-    "gripper_mass_kg": 50.0,
-    "gripper_inertia_ratio": 0.15,
-    "swing_viscous_ratio": 0.5,
-    "swing_coulomb_ratio": 0.5,
-    "ball_mass_kg": 0.021,
-    "ball_radius_m": 0.00125,
-    "drag_coefficient_ratio": 0.0175,
-    "joint_bias_rad_m": 0.003,
-    "gyro_bias_rad_per_s": 0.010,
-    "accel_bias_m_per_s2": 0.075,
-    "imu_misalignment_rad": 0.009,
+    "dead_time_s": (0.075, 0.025, 0.025, 0.025),  # A 0.05-0.15 (slew 0.1-0.4)
+    "spool_lag_s": (0.040, 0.0375, 0.0375, 0.0375),  # A 0.05-0.2 for the whole lag
+    "dead_band_positive_ratio": 0.025,  # A 0-0.10
+    "dead_band_negative_ratio": 0.025,  # A 0-0.10
+    "hysteresis_ratio": 0.004,  # A
+    "valve_gain_positive_ratio": (0.06, 0.10, 0.125, 0.125),  # T, M: machine_ranges.md
+    "valve_gain_negative_ratio": (0.06, 0.10, 0.125, 0.125),  # as valve_gain_positive_ratio
+    "metering_curve_ratio": 0.10,  # A
+    "friction_pressure_pa": (4.0e5, 2.5e5, 4.0e5, 2.0e5),  # A +-100 %, halved
+    "viscous_friction_ratio": 0.30,  # A
+    "bulk_modulus_pa": 0.1e9,  # S 0.5-0.9 GPa of a similar crane, A
+    "pump_flow_m3_per_s": 20.0 / 60e3,  # A 180-260 l/min
+    "supply_pressure_pa": 2.25e6,  # A 330-420 bar
+    "slew_relief_pressure_pa": 1.8e6,  # S torque +-15 %
+    "release_delay_s": 0.010,  # T gives one machine; A
+    "release_delay_sd_s": 0.003,  # T; A
+    "boom_pivot_x_m": 0.010,  # U +-0.02
+    "boom_pivot_z_m": 0.010,  # U +-0.02
+    "boom_length_m": 0.010,  # U +-0.02
+    "dipper_to_telescope_m": 0.010,  # U; A
+    "telescope_to_pin_m": 0.075,  # A 0.2-0.5 hanger
+    "pitch_to_roll_m": 0.0375,  # A 0.1-0.25
+    "roll_to_grip_centre_m": 0.075,  # A +-0.15
+    "gripper_com_m": 0.075,  # A +-0.15
+    "base_height_error_m": 0.020,  # A: legs move 0.7-1.1 m, but the operator levels to the drawing
+    "base_tilt_rad": 0.005,  # A 0.3 deg
+    "upper_mass_ratio": 0.10,  # A +-20 %
+    "boom_mass_ratio": 0.075,  # A +-15 %
+    "dipper_mass_ratio": 0.075,  # A +-15 %
+    "telescope_mass_ratio": 0.075,  # A +-15 %
+    "gripper_mass_kg": 50.0,  # A 300-500 kg
+    "gripper_inertia_ratio": 0.15,  # A +-30 %
+    "swing_viscous_ratio": 0.5,  # T; training +-50 %
+    "swing_coulomb_ratio": 0.5,  # T; training +-50 %
+    "ball_mass_kg": 0.021,  # S 0.567-0.650 kg
+    "ball_radius_m": 0.00125,  # S 0.1192-0.1241 m
+    "drag_coefficient_ratio": 0.0175,  # S 0.47-0.54
+    "joint_bias_rad_m": 0.003,  # A
+    "gyro_bias_rad_per_s": 0.010,  # A up to 1 deg/s
+    "accel_bias_m_per_s2": 0.075,  # A up to 15 mg
+    "imu_misalignment_rad": 0.009,  # A 0.5 deg
 }
-"""Half width of the uniform draw of every field: at least half of the ranges in docs/virtual_machine.md."""
+"""Half width of the uniform draw of every field: at least a quarter of the range given beside it.
+
+U, S, M, T and A name sources (docs/machine.md). Ratios: docs/machine_ranges.md.
+"""
 
 
 def make_unit(spec: MachineSpec, unit_seed: int) -> MachineUnit:

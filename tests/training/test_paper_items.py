@@ -1,4 +1,4 @@
-"""Numbers and configurations that the paper states, one by one (docs/training.md lists where)."""
+"""Numbers and configurations that the paper states, one by one (docs/paper_items.md lists where)."""
 
 import json
 from collections import Counter

@@ -178,17 +178,3 @@ def test_a_profile_refuses_what_it_does_not_know(
     path.write_text(json.dumps({**NOMINAL.model_dump(mode="json"), **change}))
     with pytest.raises(UsageError, match=message):
         load_profile(path)
-
-
-def test_the_documents_table_has_every_effect_with_its_bounds() -> None:
-    text = (Path(__file__).parents[3] / "docs/diagnosis.md").read_text(encoding="utf-8")
-    lines = text.splitlines()
-    for name, spec in EFFECTS.items():
-        row = next((line for line in lines if line.startswith(f"| `{name}` |")), "")
-        assert row, f"{name} has no row"
-        if name == DRIFT:
-            continue
-        assert f"| {spec.stage} |" in row, name
-        for p in spec.parameters:
-            assert f"`{p.name}` (" in row, name
-            assert f"{p.low:g} to {p.high:g})" in row, name
