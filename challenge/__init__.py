@@ -1,1 +1,1 @@
-"""Challenges: data sets with hidden effects, blind runs, scores."""
+"""Blind challenges: data sets with hidden effects, answers without the truth, scores against it."""

@@ -1,7 +1,7 @@
-"""Machines of a challenge: identified when healthy, and changed by a little since.
+"""Machines of a challenge: identified when healthy, and slightly changed since.
 
-A healthy machine is never quite the one that was measured: every parameter is 2 % off. That is nuisance, not
-an effect, and a diagnosis must not name it.
+A healthy machine differs from the one that was measured by up to 2 % in every parameter. That is nuisance,
+not an effect, and a diagnosis must not name it.
 """
 
 import hashlib
@@ -35,13 +35,13 @@ IDENTIFIED_FIELDS: Final = (
     "friction_pressure_pa",
     "viscous_friction_ratio",
 )
-"""What differs between the machines of a challenge: exactly what `downrange calibrate` can see. Their
-geometry and sensors were surveyed, so that the twin's are right but for the nuisance."""
+"""Fields that differ between the machines of a challenge: those that `downrange calibrate` identifies.
+Geometry and sensors count as surveyed; the twin has them but for the nuisance."""
 NUISANCE_RATIO: Final = 0.02
 ZERO_NUISANCE_RATIO: Final = 0.2
 """Of a unit's half width, for what is zero on the drawing: tilt, biases, mounting."""
 PLANT_SOURCES: Final = ("virtual", "commissioning")
-"""Folders of `sim_twin` whose code decides what the identification of a machine finds."""
+"""Folders of `sim_twin` whose code determines the identified profile; their digest is in the cache's name."""
 
 
 class HealthyMachine(NamedTuple):
@@ -60,7 +60,7 @@ def challenge_unit(spec: MachineSpec, unit_seed: int) -> MachineUnit:
 
 
 def nuisance_unit(unit: MachineUnit, rng: np.random.Generator) -> MachineUnit:
-    """The machine some weeks later: parameters up to 2 % off, lengths by no more than a survey errs."""
+    """The machine some weeks later: parameters up to 2 % off, lengths within survey errors."""
     changed: dict[str, Any] = {}
     for field in fields(MachineUnit)[1:]:
         value: Array = np.asarray(getattr(unit, field.name), dtype=np.float64)
@@ -79,7 +79,7 @@ def nuisance_width(unit: MachineUnit, field: str) -> Array:
 
 
 def healthy_machine(spec: MachineSpec, unit_seed: int, cache: Path | None = None) -> HealthyMachine:
-    """Measure a machine as `downrange calibrate` does, or read what was measured before by the same code."""
+    """Identify a machine as `downrange calibrate` does, or read the cached result of the same code."""
     unit = challenge_unit(spec, unit_seed)
     machine_id = f"challenge-{unit_seed}"
     path = (cache or _cache_folder()) / f"{machine_id}-{_digest(spec, unit)}.json"
@@ -91,7 +91,7 @@ def healthy_machine(spec: MachineSpec, unit_seed: int, cache: Path | None = None
             TwinProfile.model_validate(kept["profile"]),
         )
     except (OSError, ValueError, KeyError, TypeError):
-        pass  # not measured yet, or half-written by an interrupted run
+        pass  # not cached yet, or an interrupted write
     condition = Condition(unit=unit)
     calibration = calibrate(
         VirtualMachine(count=CALIBRATION_STEP_COUNT, unit_seed=unit_seed, condition=condition),

@@ -1,13 +1,12 @@
-"""Detection limits: the size of an effect that shows in the data, and in an estimate of it.
+"""Measures detection limits: the size from which an effect is visible in the data.
 
-Run ``python -m challenge.limit_measurement``. An effect must move the impact by 3 cm or a channel by
-3 sd: healthy throws are recorded in closed loop, their commands are replayed open loop on machines with and
-without each effect, and the size is found by interpolation. A standard deviation is that of sensor noise and
-of healthy machines among themselves; joint channels alone count for actuation, whose effect on the impact
-the joint sensors show. No limit lies within the nuisance.
+Run ``python -m challenge.limit_measurement``. An effect must move the impact by 3 cm or a channel by 3
+standard deviations. Healthy throws are recorded in closed loop. Their commands are replayed open loop on
+machines with and without each effect, and the size is found by interpolation. The standard deviation is
+that of sensor noise and of healthy machines among themselves. For actuation only joint channels count,
+because the joint sensors show its effect on the impact. No limit lies within the nuisance.
 
-And no limit lies below what a set of throws can show at best (challenge/observer.py), everything
-else being off by what healthy machines are off, with 12 healthy throws of the machine known.
+No limit lies below what the best linear observer detects (challenge/observer.py) either.
 """
 
 import json
@@ -46,10 +45,10 @@ SHIFT_PERCENTILE: Final = 95.0
 THROWS: Final = 12
 SCATTER_COUNT: Final = 12
 WINDOW_S: Final = 0.1
-"""After the opening is commanded: what the arm does later does not matter to the throw."""
+"""After the opening command; later motion of the arm does not affect the throw."""
 SEED: Final = 41
 FIXED: Final = {
-    # Twice the variance that is there anyway shows in twelve throws; the mean impact does not move.
+    # Doubles the nominal variance, which twelve throws show; the mean impact does not move.
     "release_jitter.extra_sd_s": 0.020,
     # Three times the noise: an open-loop replay moves nothing but the sensor itself.
     **{f"joint_sensor_bias.{joint}.bias_rad_m": 0.004 for joint in ACTIVE_JOINTS},
@@ -181,7 +180,7 @@ class Meter:
         self.channel_sd = np.maximum(np.sqrt(np.nanmean(moved**2, axis=(0, 1))), SENSOR_SD)
 
     def score(self, effect: PlantEffect) -> float:
-        """How many times over the limit this effect is; 1 = at it."""
+        """Size of an effect relative to the limit, by its largest visible change; 1 is at the limit."""
         seen = replay(self._commands, self._machine, (effect,))
         shift = np.abs(seen.channels - self._healthy.channels)[self._window]
         channel = np.nanpercentile(shift, SHIFT_PERCENTILE, axis=0) / self.channel_sd / CHANNEL_SD
@@ -216,7 +215,7 @@ class Meter:
         return min(max(size, self._nuisance(effect, joint)), bound)
 
     def _nuisance(self, effect: str, joint: str | None) -> float:
-        """Three standard deviations of what a healthy machine's parameters are off."""
+        """Three standard deviations of the nuisance of a healthy machine."""
         field = EFFECTS[effect].unit_field if effect in EFFECTS else None
         if field is None:
             return 0.0
@@ -228,7 +227,7 @@ class Meter:
 
 
 def _bisected(score: Callable[[float], float], low: float, high: float) -> float:
-    """Size of score 1 of an effect that sets in at a threshold; `high` if it never gets there."""
+    """Size of score 1 of an effect with a threshold, by bisection; `high` if its score stays below 1."""
     if score(high) < 1.0:
         return high
     for _ in range(BISECTIONS):
@@ -238,7 +237,7 @@ def _bisected(score: Callable[[float], float], low: float, high: float) -> float
 
 
 def measure_limits(policies: Path) -> dict[str, float]:
-    """Limits of all effects, joints and parameters that a challenge may hide, and of their drifts."""
+    """Measure the limits of all effects, joints and parameters that a challenge may hide, and of drifts."""
     meter = Meter(policies)
     shown = limit_sizes(observe(policies))
     limits = {

@@ -38,7 +38,7 @@ RANGE_M: Final = (7.0, 10.0)
 LOST_ROW_RATIO: Final = 0.01
 FINER_RATIO: Final = 4
 LEAST_LANDED_RATIO: Final = 2 / 3
-"""Of the throws of a set must land; otherwise its effects are weakened."""
+"""Share of a set's throws that must land; otherwise its effects are weakened."""
 WEAKER_RATIO: Final = 0.7
 MAX_ATTEMPTS: Final = 6
 MANIFEST: Final = "manifest.json"
@@ -222,7 +222,7 @@ def make_challenge(
         reference_throws: throws of each machine while it was healthy; 0 for none.
         tiers: kinds of sets.
         jobs: processes side by side.
-        progress: told the sets done and the sets in all.
+        progress: called with the sets done and the sets in all.
 
     Raises:
         UsageError: the sealed file would lie among the data, the folder holds something else, or nothing
@@ -283,5 +283,5 @@ def _check_places(out: Path, sealed: Path) -> None:
     if out.is_dir() and any(
         p.name not in (MANIFEST, REFERENCE) and not p.name.startswith("set-") for p in out.iterdir()
     ):
-        raise UsageError(f"--out {out} holds other files; give a folder of the challenge's own")
+        raise UsageError(f"--out {out} holds other files; give an empty folder")
     out.mkdir(parents=True, exist_ok=True)

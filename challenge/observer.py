@@ -1,9 +1,10 @@
-"""From which size on a set of throws can show an effect to the best linear observer.
+"""Smallest effects that the best linear observer detects in a set of throws.
 
-An effect shows as a change of what the twin predicts. Against sensor noise, what differs from throw to throw,
-and what a healthy machine is off in every parameter (12 of its healthy throws are known), that change has a
-discriminability d': the distance of the two means in standard deviations of the best linear statistic. The
-limit of detection with 5 % false alarms and 5 % misses is d' = 3.29 (Currie 1968, ISO 11843-1).
+An effect changes what the twin predicts. The change is compared with sensor noise, with what differs from
+throw to throw, and with the scatter of a healthy machine in every parameter, of which 12 healthy throws
+are known. Its discriminability d' is the distance of the two means in standard deviations of the best
+linear statistic. The detection limit with 5 % false alarms and 5 % misses is d' = 3.29 (Currie 1968, ISO
+11843-1).
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ LIMIT_D_PRIME: Final = 3.29
 THROWS: Final = 12
 UNIT_SEED: Final = 0
 SEEDS: Final = (41, 42)
-"""Of the healthy throws that are known, and of those an effect is added to."""
+"""Seeds of the healthy throws that are known, and of those to which an effect is added."""
 ROUNDS: Final = 5
 STEP_RATIO: Final = 4.0
 """A size moves by at most this factor a round."""
@@ -48,7 +49,7 @@ class Shown(NamedTuple):
 
 
 def observe(policies: Path) -> Problem:
-    """Healthy throws of the nominal machine against its twin, and what is known of it."""
+    """The problem of healthy throws of the nominal machine, with what 12 other throws say of it."""
     machine = healthy_machine(load_spec(), UNIT_SEED)
     with TemporaryDirectory() as folder:
         known, seen = (
@@ -57,13 +58,13 @@ def observe(policies: Path) -> Problem:
             )
             for seed in SEEDS
         )
-    own = of_reference(known, machine.profile, load_health())
+    health = of_reference(known, machine.profile, load_health())
     prepared = prepare(seen.throws, machine.profile)
-    return pose(prepared, machine.profile, machine.calibration, own, layout(own.noise))
+    return pose(prepared, machine.profile, machine.calibration, health, layout(health.noise))
 
 
 def limit_sizes(problem: Problem) -> dict[str, tuple[float, float]]:
-    """By key of a parameter: sizes at the limit as a constant and as a drift; the bound if it never shows."""
+    """Detection limits by parameter key, as a constant and as a drift; the bound if it is never detected."""
     parameters = library()
     bound = np.array([max(p.high, -p.low) for p in parameters])
     found: list[Array] = []
@@ -99,18 +100,19 @@ def discriminability(problem: Problem, parameters: Sequence[Parameter], size: Ar
     precision = np.zeros((width, width))
     for i in range(len(problem.prepared)):
         change = np.column_stack([problem.linear[i].residual - at[i].residual for at in moved])
-        precision += _told(problem, i, np.nan_to_num(change))
+        precision += _precision_of(problem, i, np.nan_to_num(change))
     names = scatter_names()
     scatter = problem.model.scatter(names)
-    own, rest = slice(0, 2 * count), slice(2 * count, None)
+    asked, rest = slice(0, 2 * count), slice(2 * count, None)
     inner = precision[rest, rest] + np.linalg.inv(scatter)
-    left = precision[own, own] - precision[own, rest] @ np.linalg.solve(inner, precision[rest, own])
+    shared = np.linalg.solve(inner, precision[rest, asked])
+    left = precision[asked, asked] - precision[asked, rest] @ shared
     d_prime = np.sqrt(np.maximum(np.diag(left), 0.0))
     return Shown(d_prime[:count], d_prime[count:])
 
 
-def _told(problem: Problem, throw: int, change: Array) -> Array:
-    """Precision (2 K + p, 2 K + p) about the changes (n, K), as constants and drifts, and the parameters."""
+def _precision_of(problem: Problem, throw: int, change: Array) -> Array:
+    """Precision (2 K + p, 2 K + p) of the changes (n, K), as constants and drifts, and of the parameters."""
     prepared, base = problem.prepared[throw], problem.whitened[throw]
     white = np.empty_like(change)
     for block, lower in zip(prepared.blocks, problem.factor[throw], strict=True):

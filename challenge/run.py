@@ -1,6 +1,6 @@
-"""Runs a diagnosis, or a baseline, on every data set of a challenge; resumable, and blind.
+"""Runs the diagnosis or a baseline on every data set of a challenge: resumable and blind.
 
-It reads the data folder and nothing else: the sealed file is no argument of anything here.
+It reads the data folder only: no function here takes the sealed file.
 """
 
 import json
@@ -24,7 +24,7 @@ from machine.errors import UsageError
 from sim_twin.twin.profile import load_profile
 
 Method = Callable[..., Diagnosis]
-"""Of a loaded set and the machine's profile; the diagnosis also takes what its healthy throws tell."""
+"""Takes a loaded set and the machine's profile; the diagnosis also takes the machine's health."""
 DIAGNOSE: Final = "diagnose"
 METHODS: Final[dict[str, Method]] = {
     DIAGNOSE: diagnose_throws,
@@ -70,7 +70,7 @@ def run_challenge(
         method: one of `METHODS`.
         jobs: sets diagnosed side by side.
         limit: only the first so many sets.
-        progress: told the sets answered and the sets in all.
+        progress: called with the sets answered and the sets in all.
 
     Raises:
         UsageError: not a challenge, no such method, or answers to something else.
@@ -100,7 +100,7 @@ def answer(
     method: str,
     is_alone: bool = False,
 ) -> tuple[str, dict[str, Any]]:
-    """Diagnose one set, named by its folder; an error of the program is an answer, and a wrong one."""
+    """Diagnose one set, named by its folder; an error of the program is recorded as a wrong answer."""
     started = perf_counter()
     try:
         loaded = load_throws([folder])
@@ -108,12 +108,12 @@ def answer(
         healthy = folder.parent / REFERENCE / profile.machine_id
         more = {"is_alone": is_alone} if method == DIAGNOSE else {}
         if method == DIAGNOSE and healthy.is_dir():
-            found = METHODS[method](loaded, profile, health=_own_health(healthy), **more)
+            found = METHODS[method](loaded, profile, health=_reference_health(healthy), **more)
         else:
             found = METHODS[method](loaded, profile, **more)
         said: dict[str, Any] = found.model_dump(mode="json", exclude={"plots"})
         said["evidence"] = _small(said["evidence"])
-    except Exception as error:  # the harness must outlive whatever it tests
+    except Exception as error:  # one failing set must not end the run
         said = {"error": f"{type(error).__name__}: {error}"}
     # Of the whole process so far, in KiB on Linux.
     memory_mib = getrusage(RUSAGE_SELF).ru_maxrss / 1024.0
@@ -125,15 +125,15 @@ def answer(
 
 
 @cache
-def _own_health(reference: Path) -> Health:
-    """What a machine's healthy throws tell of it; many sets of a challenge are of the same machine."""
+def _reference_health(reference: Path) -> Health:
+    """Noise model of a machine from its healthy throws; cached, because many sets are of one machine."""
     profile = load_profile(reference / PROFILE_NAME)
     with one_blas_thread():
         return of_reference(load_throws([reference]), profile, load_health())
 
 
 def _small(evidence: dict[str, Any]) -> dict[str, Any]:
-    """Evidence without the audits of every clock, which would be most of the file."""
+    """Evidence without the clock audits, which would be most of the file."""
     return {name: value for name, value in evidence.items() if name not in ("clocks", "rates_hz")}
 
 

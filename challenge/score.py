@@ -1,7 +1,7 @@
-"""Answers beside the sealed truth, set by set.
+"""Compares answers with the sealed truth, set by set.
 
-A set counts as right when the most probable answer is exactly what was hidden. An ambiguous verdict is
-right when the truth is one of at most two members and a motion that separates them is named.
+An answer is right when the most probable cause is exactly what was hidden. An ambiguous verdict is right when
+the truth is one of at most two members and a motion that separates them is named.
 """
 
 import hashlib
@@ -22,18 +22,18 @@ NONE_LABEL: Final[Label] = frozenset()
 
 
 class Scored(NamedTuple):
-    """One set and what was said about it."""
+    """One set and its answer."""
 
     truth: SetTruth
-    said: Diagnosis | None
+    diagnosis: Diagnosis | None
     """None: the program failed."""
     seconds: float
     memory_mib: float = float("nan")
-    """Most that the process had used by then."""
+    """Peak memory of the process when the set was done."""
 
     @property
     def label(self) -> Label:
-        """What would be right."""
+        """The right answer."""
         if self.truth.tier is Tier.UNKNOWN:
             return UNKNOWN_LABEL
         return frozenset(
@@ -49,19 +49,19 @@ class Scored(NamedTuple):
     @property
     def ranked(self) -> list[tuple[Label, float]]:
         """Answers, the most probable first."""
-        if self.said is None:
+        if self.diagnosis is None:
             return []
-        ranked = [(cause_label(cause), cause.probability) for cause in self.said.causes]
+        ranked = [(cause_label(cause), cause.probability) for cause in self.diagnosis.causes]
         return sorted(ranked, key=lambda pair: -pair[1])
 
     @property
     def top(self) -> Label | None:
-        """The most probable answer, in keeping with the verdict."""
-        if self.said is None or self.said.verdict is VerdictKind.BAD_DATA:
+        """The most probable answer that is consistent with the verdict."""
+        if self.diagnosis is None or self.diagnosis.verdict is VerdictKind.BAD_DATA:
             return None
-        if self.said.verdict is VerdictKind.NONE:
+        if self.diagnosis.verdict is VerdictKind.NONE:
             return NONE_LABEL
-        if self.said.verdict is VerdictKind.UNKNOWN:
+        if self.diagnosis.verdict is VerdictKind.UNKNOWN:
             return UNKNOWN_LABEL
         named = [label for label, _ in self.ranked if label not in (NONE_LABEL, UNKNOWN_LABEL)]
         return named[0] if named else None
@@ -73,13 +73,13 @@ class Scored(NamedTuple):
 
     @property
     def is_right_or_ambiguous(self) -> bool:
-        """Whether it is, or the truth is one of two members of an ambiguity with a separating motion."""
-        if self.said is None or self.said.verdict is not VerdictKind.AMBIGUOUS:
+        """Whether it is right, or the truth is in an ambiguity of two with a separating motion."""
+        if self.diagnosis is None or self.diagnosis.verdict is not VerdictKind.AMBIGUOUS:
             return self.is_right
-        group = self.said.ambiguity
+        group = self.diagnosis.ambiguity
         if group is None or len(group.members) > 2 or not group.separating_motion:
             return False
-        labels = [cause_label(c) for c in self.said.causes if c.name in group.members]
+        labels = [cause_label(c) for c in self.diagnosis.causes if c.name in group.members]
         return self.label in labels
 
     @property
@@ -90,26 +90,26 @@ class Scored(NamedTuple):
     @property
     def where(self) -> str | None:
         """The stage that was named."""
-        if self.said is None:
+        if self.diagnosis is None:
             return None
-        named = self.said.evidence.get("where")
+        named = self.diagnosis.evidence.get("where")
         if isinstance(named, Mapping) and "stage" in named:
             return str(named["stage"])
-        largest = max(self.said.stages, key=lambda s: s.share_ratio, default=None)
+        largest = max(self.diagnosis.stages, key=lambda s: s.share_ratio, default=None)
         return None if largest is None else str(largest.stage)
 
 
 def effect_key(
     effect: str, joint: str | None, parameters: Mapping[str, Any]
 ) -> tuple[str, str | None]:
-    """What an effect is told by: drifts by what drifts."""
+    """Effect and joint; a drift is named by the drifting effect."""
     if effect == DRIFT:
         return f"{DRIFT}:{next(iter(parameters)).partition('.')[0]}", joint
     return effect, joint
 
 
 def cause_label(cause: Cause) -> Label:
-    """What a cause says."""
+    """Effects and joints of a cause."""
     if cause.name == "unknown":
         return UNKNOWN_LABEL
     return frozenset(effect_key(e.effect, e.joint, e.parameters) for e in cause.effects)
@@ -136,7 +136,7 @@ def read_sealed(path: Path, sha256: str) -> list[SetTruth]:
 
 
 def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[Scored]:
-    """Sets that were answered."""
+    """Pair each answered set with its truth."""
     scored: list[Scored] = []
     for truth in truths:
         given = answers["sets"].get(truth.set_id)
@@ -150,7 +150,7 @@ def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[Scored
 
 
 def mistakes(scored: Sequence[Scored]) -> list[str]:
-    """One line for each set that was answered wrongly: what was hidden, what was said."""
+    """One line for each wrong answer: what was hidden and what was answered."""
     lines: list[str] = []
     for s in scored:
         if s.is_right_or_ambiguous:
@@ -159,7 +159,7 @@ def mistakes(scored: Sequence[Scored]) -> list[str]:
             f"{e.effect}{'.' + e.joint if e.joint else ''} x{e.multiple_ratio:.1f}"
             for e in s.truth.effects
         )
-        answer = "failed" if s.said is None else f"{s.said.verdict.value}: {_say(s.top)}"
+        answer = "failed" if s.diagnosis is None else f"{s.diagnosis.verdict.value}: {_say(s.top)}"
         share = f"p(truth) {s.truth_probability:.2f}"
         lines.append(
             f"{s.truth.set_id} {s.truth.tier.value:<8} {hidden or '-':<60} {answer} {share}"

@@ -19,11 +19,11 @@ from challenge.sealed_truth import Tier
 
 STRONG_RATIO: Final = 2.0
 CLEAR_RATIO: Final = 0.97
-"""Sizes were cut at bounds: a hair below twice the limit is twice the limit."""
+"""Sizes are clipped at bounds: slightly less than twice the limit counts as twice the limit."""
 TOP_COUNT: Final = 3
 ECE_BINS: Final = 10
 LEAST_PROBABILITY: Final = 1e-3
-"""An answer that gives the truth no chance scores no worse than this in the log score."""
+"""Floor of the probability in the log score."""
 
 
 class Measure(NamedTuple):
@@ -36,7 +36,7 @@ class Measure(NamedTuple):
     low: float
     high: float
     bar: str = ""
-    """What was asked for."""
+    """The target."""
     is_share: bool = True
 
 
@@ -98,7 +98,7 @@ def measures(scored: Sequence[Scored], beside: Sequence[Scored] = ()) -> list[Me
         _number("seconds a set, median", [s.seconds for s in scored], np.median, "<= 60"),
         _number("seconds a set, worst", [s.seconds for s in scored], np.max),
         _number("memory, MiB, worst", [s.memory_mib for s in scored], np.max, "<= 1536"),
-        _share("failed", scored, lambda s: s.said is None),
+        _share("failed", scored, lambda s: s.diagnosis is None),
     ]
     return [line for line in lines if line.number]
 
@@ -127,7 +127,7 @@ def _noticed(s: Scored) -> bool:
 
 
 def _named_or_one_of_two(s: Scored) -> bool:
-    """Whether the exact set was named, or is one of two that the throws are said not to tell apart."""
+    """Whether the exact set was named, or is one of the two members of an ambiguity."""
     return s.is_right or s.is_right_or_ambiguous
 
 
@@ -165,20 +165,20 @@ def calibration_error(scored: Sequence[Scored]) -> float:
 
 
 def _effect_auroc(scored: Sequence[Scored]) -> float:
-    """Chance that a set with an effect got a lower probability of "none" than a healthy one.
+    """Probability that a set with an effect has a lower probability of "none" than a healthy one.
 
-    What an alarm is worth whatever its threshold: who never alarms has no false ones.
+    It measures alarms at all thresholds: a baseline that never alarms has no false alarms, and scores 0.5.
     """
     return _auroc(scored, NONE_LABEL, lambda s: s.truth.tier is Tier.NULL)
 
 
 def _unknown_auroc(scored: Sequence[Scored]) -> float:
-    """Chance that an unknown set got a higher probability of "unknown" than another one."""
+    """Probability that an unknown set has a higher probability of "unknown" than another set."""
     return _auroc(scored, UNKNOWN_LABEL, lambda s: s.truth.tier is Tier.UNKNOWN)
 
 
 def _auroc(scored: Sequence[Scored], label: Label, has_it: Callable[[Scored], bool]) -> float:
-    """Chance that a set that has it got a higher probability of it than another one; ties count half."""
+    """Probability that a set with the label ranks it above a set without it; ties count half."""
     chance = [(sum(p for said, p in s.ranked if said == label), has_it(s)) for s in scored]
     yes = np.array([p for p, has in chance if has])
     no = np.array([p for p, has in chance if not has])
@@ -188,7 +188,7 @@ def _auroc(scored: Sequence[Scored], label: Label, has_it: Callable[[Scored], bo
 
 
 def _sizes(scored: Sequence[Scored], beside: Sequence[Scored]) -> list[Measure]:
-    """Errors and intervals of the magnitudes of causes that were named rightly."""
+    """Errors and intervals of the sizes of correctly named causes."""
     named = {key: fit for s in scored for key, fit in _fits(s).items()}
     covered = [hit for fit in named.values() for hit in fit.covered]
     hits = sum(covered)
@@ -220,9 +220,9 @@ class _Fit(NamedTuple):
 
 def _fits(s: Scored) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
     """By set and effect, if the cause is right."""
-    if not s.is_right or s.said is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
+    if not s.is_right or s.diagnosis is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
         return {}
-    cause = next(c for c in s.said.causes if cause_label(c) == s.label)
+    cause = next(c for c in s.diagnosis.causes if cause_label(c) == s.label)
     by_key = {effect_key(e.effect, e.joint, e.parameters): e for e in cause.effects}
     fits: dict[tuple[str, tuple[str, str | None]], _Fit] = {}
     for effect in s.truth.effects:
@@ -244,7 +244,11 @@ def _fits(s: Scored) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
 
 
 def _shrinks(hidden: Sequence[Scored]) -> list[Measure]:
-    found = [s.said.shrink for s in hidden if s.said is not None and s.said.shrink is not None]
+    found = [
+        s.diagnosis.shrink
+        for s in hidden
+        if s.diagnosis is not None and s.diagnosis.shrink is not None
+    ]
     off = [abs(f.predicted_ratio - f.ratio) for f in found if f.predicted_ratio is not None]
     return [
         _number("removable gap closed, median", [f.ratio for f in found], np.median, ">= 0.80"),

@@ -1,4 +1,4 @@
-"""Draws what the data sets of a challenge hide: tier, effects, sizes, machine; everything from one seed."""
+"""Draws the truth of a challenge from one seed: tier, effects, sizes and machine of every set."""
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -36,13 +36,13 @@ TIER_SHARES: Final = {
 }
 LARGEST_MULTIPLE: Final = 10.0
 VISIBLE_SHARE: Final = 0.45
-"""Limits beyond this share of the bound cannot be shown at twice their size: not asked."""
+"""Effects whose limit exceeds this share of the bound are left out: twice the limit would not fit."""
 BOUND_SHARE: Final = 0.9
 """Sizes stay this far inside their bounds."""
 DRIFT_SLOTS: Final = 4
 """Drifting effects for each round of all the others."""
 UNIT_SEEDS: Final = 4
-"""Machines of a challenge: the nominal one and three whose drives are their own."""
+"""Machines of a challenge: the nominal one and three with other drives."""
 
 
 class _Part(BaseModel):
@@ -79,7 +79,7 @@ class SetTruth(_Part):
 def draw_truths(
     seed: int, count: int, limits: Mapping[str, float], tiers: Sequence[Tier] = tuple(Tier)
 ) -> list[SetTruth]:
-    """The sets of a challenge, in an order that says nothing.
+    """Draw the sets of a challenge, in random order.
 
     Raises:
         UsageError: no sets or no tiers.
@@ -138,7 +138,7 @@ def weaker(truth: SetTruth, ratio: float) -> SetTruth:
 
 
 class _Deck:
-    """Goes round all effects and joints in random order, so that a challenge leaves none out."""
+    """Deals all effects and joints in random order, so that a challenge leaves none out."""
 
     def __init__(self, slots: list[tuple[str, str | None]], rng: np.random.Generator) -> None:
         self._slots, self._rng = slots, rng
@@ -153,7 +153,7 @@ class _Deck:
 def _slots(
     effects: Mapping[str, FaultSpec], limits: Mapping[str, float]
 ) -> list[tuple[str, str | None]]:
-    """Effects and joints whose detection limit lies within their bounds: throws can show them."""
+    """Effects and joints whose detection limit lies well within their bounds."""
     return [
         (name, joint)
         for name, hidden in effects.items()

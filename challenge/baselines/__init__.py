@@ -1,1 +1,1 @@
-"""What a challenge compares with: tuning everything, lag and RMSE."""
+"""Baselines: what other tools do, run on the same data sets as the diagnosis."""

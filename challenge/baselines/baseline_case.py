@@ -1,6 +1,6 @@
-"""What the baselines share: a split of the throws, open-loop runs of the twin, and the shape of an answer.
+"""What the baselines share: a split of the throws, open-loop runs of the twin, and the form of an answer.
 
-They stand for what other tools do: no measured stages, no calibrated noise, no word for the unknown.
+A baseline takes no stage as measured, has no calibrated noise, and never answers "unknown".
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ BOOTSTRAP_COUNT = 200
 GYRO_SD_RAD_PER_S = 0.02
 POSITION_SD_RAD_M = 0.005
 IMPACT_SD_M = 0.03
-"""Scales of an error that matters, one for each kind of channel; no baseline knows more of the noise."""
+"""Scale of a relevant error of each kind of channel; a baseline has no other noise model."""
 
 
 class Case(NamedTuple):
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 
 
 def open_case(loaded: LoadedSet, profile: TwinProfile) -> Case:
-    """Every third throw is kept for the shrink."""
+    """Prepare the throws; every third one is held out to measure how much of the gap is removed."""
     prepared = prepare(loaded.throws, profile)
     rows = np.arange(len(prepared))
     return Case(
@@ -61,7 +61,7 @@ def open_case(loaded: LoadedSet, profile: TwinProfile) -> Case:
 
 
 def run_twin(case: Case, rows: IntArray, effects: Sequence[tuple[Effect, ...]]) -> ReplayOutput:
-    """Open-loop throws from valve commands; each set of effects runs all `rows`, set after set."""
+    """Simulate throws `rows` open loop from their valve commands, once for each set of effects."""
     inputs = [case.prepared[int(i)].input for i in rows]
     elements = [ReplayElement(i, each) for each in effects for i in range(len(inputs))]
     return replay(inputs, elements, case.profile, case.calibration)
@@ -106,7 +106,7 @@ def throw_errors(case: Case, row: int, output: ReplayOutput, element: int) -> Er
 
 
 def shrink_of(case: Case, effects: tuple[Effect, ...]) -> Shrink | None:
-    """Impact gap of the throws that were kept, before and after; predicted by the throws that were used."""
+    """Impact gap of the held-out throws before and after; the prediction is that of the training throws."""
     before = case.impact_m - run_twin(case, np.arange(len(case.prepared)), [()]).impact_m[:, :2]
     after = case.impact_m - run_twin(case, np.arange(len(case.prepared)), [effects]).impact_m[:, :2]
 
@@ -147,7 +147,7 @@ class Candidate(NamedTuple):
 
 
 def conclude(case: Case, ranked: Sequence[Candidate], all_effects: tuple[Effect, ...]) -> Diagnosis:
-    """The best candidate above its threshold, or none; probabilities as the scores squared."""
+    """Name the best candidate above its threshold, or none; probabilities follow the squared scores."""
     ordered = sorted(ranked, key=lambda c: -c.score)
     weights = np.array([1.0, *(c.score**2 for c in ordered)])
     shares = np.minimum(weights / weights.sum(), 1.0)

@@ -1,7 +1,7 @@
 """Baseline: cross-correlation lag and root mean square error of every channel, the largest one named.
 
-What SAGE and the alignment page of a vendor's tool do: the twin throws from the valve commands alone, each
-channel is compared, and a person reads the table. Here the table is read by fixed rules.
+It does what SAGE and vendors' alignment tools do: the twin throws from the valve commands alone, and each
+channel is compared. There a person reads the table; here fixed rules do.
 """
 
 from collections.abc import Sequence
@@ -32,12 +32,11 @@ HEALTHY_GYRO_RAD_PER_S = 0.36
 HEALTHY_RELEASE_S = 0.013
 HEALTHY_ALONG_M = 0.53
 HEALTHY_ACROSS_M = 0.37
-"""The most that a healthy machine shows, per joint: 13 null sets of `downrange challenge make --seed 1
---sets 40 --tiers null single`. The tools that this stands for have no such levels, and alarm always."""
+"""Largest values of healthy machines, per driven joint where there are four; larger ones are named."""
 
 
 def lag_rmse(loaded: LoadedSet, profile: TwinProfile) -> Diagnosis:
-    """Rank channels by lag, gain error and RMSE against what healthy machines show."""
+    """Rank channels by lag, gain error and RMSE relative to healthy machines."""
     refused = loaded.too_few()
     if refused is not None:
         return refused
@@ -90,7 +89,7 @@ def _joints(errors: Sequence[Errors]) -> list[Candidate]:
 
 
 def _others(case: Case, errors: Sequence[Errors]) -> list[Candidate]:
-    """Gyro, release and impact, each blamed on the effect that one thinks of first."""
+    """Gyro, release and impact, each attributed to its most common cause."""
     gyro = float(np.sqrt(np.mean([np.mean(e.gyro**2) for e in errors])))
     late, late_sd = _mean([e.release_s for e in errors])
     target = np.stack([case.prepared[int(i)].throw.target_m[:2] for i in case.train])

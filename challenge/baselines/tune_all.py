@@ -1,7 +1,7 @@
 """Baselines that tune everything: Gauss-Newton with the largest z-score, and CMA-ES over all parameters.
 
-The first is what mujoco.sysid and its like give a user who asks what is wrong; the second is PACE's way.
-Both know the same effects as the diagnosis; neither knows how far a healthy machine is from its twin.
+The first is the method of mujoco.sysid and similar tools, the second that of PACE. Both use the same effects
+as the diagnosis. Neither has a model of how far healthy machines are from their twins.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,17 +31,14 @@ from sim_twin.twin.profile import TwinProfile
 
 GAUSS_NEWTON_ROUNDS = 2
 PRIOR_RATIO = 2.0
-"""Ridge of the fit, in multiples of the library's own width: without one, twins of effects run away."""
+"""Ridge of the fit, in multiples of `prior_sd`: without it effects that look alike diverge."""
 Z_LIMIT = 72.0
-"""Largest z-score of a healthy machine: pooled, independent residuals make z-scores far too large."""
+"""Largest z-score of a healthy machine; the independence assumption makes z-scores far too large."""
 EVOLUTION_THROWS = 3
 EVOLUTION_GENERATIONS = 30
 EVOLUTION_POPULATION = 16
 EVOLUTION_LIMIT = 29.7
-"""What one of ten healthy sets exceeds, in the library's tolerances: they reached 23.8 to 28.3, one 31.2.
-
-Null sets of `downrange challenge make --seed 41 --sets 10 --tiers null`, half way between the largest two.
-"""
+"""Size, in the table's tolerances, that one of ten healthy machines exceeds."""
 RELEASE_SD_S = 0.01
 
 
@@ -170,8 +167,8 @@ def cma_es(
         path_sigma = (1.0 - c_sigma) * path_sigma
         path_sigma += np.sqrt(c_sigma * (2.0 - c_sigma) * mu_eff) * whitened
         length = float(np.linalg.norm(path_sigma))
-        settled = np.sqrt(1.0 - (1.0 - c_sigma) ** (2 * (generation + 1)))
-        grows = length / settled < (1.4 + 2.0 / (n + 1.0)) * expected
+        warm_up = np.sqrt(1.0 - (1.0 - c_sigma) ** (2 * (generation + 1)))
+        grows = length / warm_up < (1.4 + 2.0 / (n + 1.0)) * expected
         path = (1.0 - c_path) * path
         path += grows * np.sqrt(c_path * (2.0 - c_path) * mu_eff) * step
         covariance = (1.0 - c_one - c_mu) * covariance + c_one * np.outer(path, path)

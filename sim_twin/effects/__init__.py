@@ -1,1 +1,1 @@
-"""Effects that the twin can be given: the library, and the physics of each."""
+"""Effects that the twin can be given: the table of all of them, and the physics of each."""

@@ -1,6 +1,6 @@
-"""Sizes of the effects of N machines side by side, one array a parameter.
+"""Sizes of the effects of N machines, one array for each parameter.
 
-A parameter that no machine has is None, so that code without that effect need not run at all.
+A parameter that no machine has is None, so that the code of that effect is skipped.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from sim_twin.effects.table import effects_where
 
 
 class EffectArrays:
-    """Effects of N machines: what a profile says of all of them, and one set for each on top of it."""
+    """Effects of N machines: those of the profile, and a set for each machine on top."""
 
     def __init__(self, sizes: Sequence[Sizes]) -> None:
         """Take one resolved set (sim_twin.effects.effect.resolve) per machine."""
@@ -74,9 +74,9 @@ def effect_arrays(
     progress = np.broadcast_to(np.asarray(progress_ratio, dtype=np.float64), (count,))
     known: dict[tuple[tuple[Effect, ...], float], Sizes] = {}
     sizes: list[Sizes] = []
-    for own, place in zip(sets, progress.tolist(), strict=True):
-        key = (tuple(own), place)
+    for of_one, place in zip(sets, progress.tolist(), strict=True):
+        key = (tuple(of_one), place)
         if key not in known:
-            known[key] = resolve((*of_all, *own), place)
+            known[key] = resolve((*of_all, *of_one), place)
         sizes.append(known[key])
     return EffectArrays(sizes)

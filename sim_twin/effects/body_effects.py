@@ -1,7 +1,7 @@
 """Effects on the free joints and what hangs from them: friction, masses, lengths, hoses.
 
-Masses and lengths go into the fields of each machine's own MuJoCo model; the forces are handed to the
-twin tick by tick.
+Masses and lengths go into the fields of each machine's MuJoCo model. Forces are returned to the twin, which
+applies them every tick.
 """
 
 from typing import Any
@@ -25,10 +25,9 @@ class BodyEffects:
         self._length = get("gripper_length", "extra_length_m")
         self._inertia = get("gripper_inertia", "extra_inertia_ratio")
         self._mass = get("payload_mass", "extra_mass_kg")
-        self._beside = arrays.has("payload_offset")
         self.offset_m: Array | None = None
         """(N, 3) of the load from the nominal grip centre, gripper frame."""
-        if self._beside or self._length is not None:
+        if arrays.has("payload_offset") or self._length is not None:
             x, y = (arrays.filled("payload_offset", f"offset_{axis}_m") for axis in "xy")
             self.offset_m = np.stack([x, y, -arrays.filled("gripper_length", "extra_length_m")], -1)
 

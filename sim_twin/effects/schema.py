@@ -37,7 +37,7 @@ class ParameterSpec(NamedTuple):
     step: float
     """Finite difference for sensitivities. Effects with a threshold have a large one: a secant."""
     virtual_low: float | None = None
-    """Lower bound on the virtual machine where its own dead time or lag ends the range before `low`."""
+    """Lower bound on the virtual machine, where its nominal dead time or lag ends the range before `low`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

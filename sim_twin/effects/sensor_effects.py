@@ -15,10 +15,10 @@ _ANGLES = ("yaw", "pitch", "roll")
 
 
 class DelayLine:
-    """The last values of N machines, read back late by a time of their own.
+    """The last values of N machines, read back with a latency for each machine and channel.
 
-    Between ticks a parabola through three rows: a straight line would smooth away part of the noise that a
-    replay of measured motion has, and a sensor would look late where the motion is rough.
+    Between ticks it interpolates by a parabola through three rows. Linear interpolation would smooth away
+    part of the noise that a replay of measured motion has, and rough motion would look like latency.
     """
 
     def __init__(self, latency_s: Array) -> None:

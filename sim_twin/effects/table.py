@@ -3,7 +3,7 @@
 An effect is a deviation of one machine from its twin profile; its value 0 is no effect.
 To add an effect, add a row here and its physics in valve_effects.py, body_effects.py, load_effects.py or
 sensor_effects.py beside this file, or in sim_twin/twin/base_pose.py.
-The virtual machine reads the same rows and has physics of its own in sim_twin/faults.
+The virtual machine reads the same rows and has separate physics in sim_twin/faults.
 
 This module only describes: it imports no physics.
 """
@@ -110,7 +110,7 @@ _ACTUATION = (
         replays=("actuation",),
         growth="jumps",
         least_beside_ratio=1.3,
-        physics="Speed capped at (1 - r) of the rated joint speed (a twin beyond the rating: of its own).",
+        physics="Speed capped at (1 - r) of the rated joint speed, or of the twin's where that is higher.",
         source="rated joint speeds of spec.json",
     ),
     EffectSpec(

@@ -21,8 +21,8 @@ STOP_SHARE_RATIO = 0.1
 STANDING_RAD_M_PER_S = 0.005
 """A joint that is measured to be slower over a tenth of a second stands: twice what sensors scatter then."""
 SLIP_S = 0.02
-"""Time constant with which a drive's push eases while it is alone in its play, and with which a joint that
-breaks loose comes up with its oil (0.01 to 0.045 s do alike on three sets of seed 20261201)."""
+"""Time constant of two relaxations: of a drive's push while it crosses its play, and of a joint's speed
+towards its drive's after the joint breaks loose."""
 
 
 class Flows(NamedTuple):
@@ -99,7 +99,7 @@ class ValveEffects:
     def frequency(self, natural_frequency_rad_per_s: Array, damping_ratio: Array) -> Array:
         """Natural frequencies whose mean lag 2 z / w is shorter by an extra lag below 0.
 
-        Longer lags are a first-order lag of the spool's own (`on_command`).
+        Longer lags are a first-order lag of the spool (`on_command`).
         """
         self._mean_lag_s = 2.0 * damping_ratio / natural_frequency_rad_per_s
         if self._lag_s is None:

@@ -1,1 +1,1 @@
-"""Hidden effects of the virtual machine, written independently of the twin's own."""
+"""Faults of the virtual machine; their physics is independent of the twin's effects."""

@@ -1,6 +1,6 @@
 """Faults of the virtual machine's rigid body: tool, pose of the base, a chassis that gives way.
 
-A chassis that gives way has joints of its own in front of the slew; everything else is another unit.
+A compliant chassis has extra joints below the slew. All other faults are changed properties of the unit.
 """
 
 from dataclasses import replace
@@ -51,7 +51,7 @@ def altered_unit(sizes: EffectSizes, unit: MachineUnit) -> MachineUnit:
 
 
 class FaultyBody:
-    """What else the body of N machines has: yaw of the base, chassis joints, hose, joint friction."""
+    """Bodies of N machines: yaw of the base, chassis joints, hoses, joint friction."""
 
     def __init__(self, sizes: EffectSizes, spec: MachineSpec) -> None:
         self._yaw_rad = sizes.built_in("base_yaw_drift", "yaw_rad")

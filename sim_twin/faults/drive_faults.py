@@ -1,6 +1,6 @@
 """Faults of valves and actuators of the virtual machine, between command and joint torque.
 
-They act where the fault would sit: on the command, on the metering edges, on the flow, on the force.
+They act where the real fault acts: on the command, the metering edges, the flow or the force.
 """
 
 import numpy as np

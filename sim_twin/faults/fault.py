@@ -24,7 +24,7 @@ class PlantEffect(NamedTuple):
 
 
 class EffectSizes:
-    """Sizes of all parameters on each of N machines: constant, plus drift times the place in the set."""
+    """Sizes of all parameters on each of N machines: constant, plus drift times place in the set."""
 
     def __init__(self, effects: Sequence[PlantEffect], place_ratio: Array) -> None:
         """Add up the effects.

@@ -1,7 +1,7 @@
 """Faults of the load of the virtual machine: how it is held, let go, and flies.
 
-The flight has its own integrator (classical Runge-Kutta of drag, gusts and Magnus lift), because the
-twin's has no gusts, and so that the two can be held against each other.
+The flight has a separate integrator (classical Runge-Kutta with drag, gusts and Magnus lift), because the
+twin's has no gusts and because the two can then check each other.
 """
 
 from typing import NamedTuple

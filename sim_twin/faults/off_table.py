@@ -1,6 +1,6 @@
-"""Faults of the virtual machine that the table of effects does not have: a diagnosis must call them unknown.
+"""All faults of the virtual machine: the effects of the table, and faults that the table does not have.
 
-The table's own effects have the same columns here (`TABLE_FAULTS`), with the bounds of the virtual machine.
+A diagnosis names the first (`TABLE_FAULTS`) and must call the second (`OFF_TABLE_FAULTS`) unknown.
 """
 
 from collections.abc import Mapping
@@ -83,6 +83,6 @@ TABLE_FAULTS: Mapping[str, FaultSpec] = {
 }
 """The effects of the table, in its order."""
 OFF_TABLE_FAULTS: Mapping[str, FaultSpec] = {spec.name: spec for spec in _OFF_TABLE}
-"""The faults that the table does not have; what each does stands in the code of its part."""
+"""The faults that the table does not have; the code of their part says what each does."""
 FAULTS: Mapping[str, FaultSpec] = {**TABLE_FAULTS, **OFF_TABLE_FAULTS}
 """All that the virtual machine can have."""

@@ -1,6 +1,6 @@
 """Faults of the virtual machine's sensors: new zero errors, values older than they claim.
 
-A late sensor stamps the time at which it reports, not the time it saw: that is what makes it a fault.
+A late sensor stamps its values with the time of the report, not of the measurement.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from sim_twin.faults.fault import EffectSizes
 
 
 class SensorDelay:
-    """Columns of N machines, each seen with its own delay, interpolated between physics steps."""
+    """Delay line of N machines, one delay for each column, linear between physics steps."""
 
     def __init__(self, delay_s: Array, step_s: float) -> None:
         """Delays (N, width)."""
@@ -63,12 +63,12 @@ class FaultySensing:
         self._imu.push(np.concatenate([gyro, accel], axis=1))
 
     def joints(self) -> tuple[Array, Array]:
-        """Positions and velocities (N, 4) that the sensors see now, before their own errors."""
+        """Positions and velocities (N, 4) that the sensors see now, before their nominal errors."""
         seen = self._joints.delayed()
         return self._scale * seen[:, :ACTIVE_COUNT], self._scale * seen[:, ACTIVE_COUNT:]
 
     def imu(self) -> tuple[Array, Array]:
-        """Rates and specific forces (N, 3) that the IMU sees now, in its own axes."""
+        """Rates and specific forces (N, 3) that the IMU sees now, in the IMU's axes."""
         seen = self._imu.delayed()
         gyro = np.einsum("nji,nj->ni", self._turn, seen[:, :3])
         return gyro, np.einsum("nji,nj->ni", self._turn, seen[:, 3:])

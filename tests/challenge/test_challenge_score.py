@@ -227,7 +227,7 @@ def test_only_the_sealed_file_is_taken(tmp_path: Path) -> None:
     truths = read_sealed(path, sha256)
     assert truths == [truth(Tier.SINGLE, DELAY)]
     answers = {"sets": {"set-0001": {"seconds": 1.0, "said": {"error": "x"}}}}
-    assert match(answers, truths)[0].said is None
+    assert match(answers, truths)[0].diagnosis is None
     assert match({"sets": {}}, truths) == []
     path.write_text(path.read_text() + " ")
     with pytest.raises(UsageError, match="was changed"):
