@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 from mujoco import batch
 
-from cli.campaigns import MAX_BATCH_COUNT, open_policy
+from evaluation.campaigns import MAX_BATCH_COUNT, open_policy
 from machine.conventions import CONTROL_PERIOD_S, Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose, sample_starts

@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from mujoco import batch
 
-from cli.campaigns import open_policy
+from evaluation.campaigns import open_policy
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_S, Mode
 from machine.kinematics import aligned_slew_rad

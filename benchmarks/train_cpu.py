@@ -59,8 +59,8 @@ def _run(
     out: Path, minutes: float, seed: int, iterations: int, throws: int, json: Path | None
 ) -> None:
     # Only now: importing JAX fixes its platform and threads.
-    from cli.campaigns import open_campaign
-    from cli.conditions import rows_of, table
+    from evaluation.campaigns import open_campaign
+    from evaluation.conditions import condition_rows, condition_table
     from machine.conventions import Mode
     from machine.spec import load_spec
     from training.environment.shipped import task_for
@@ -91,8 +91,8 @@ def _run(
         mode=Mode.PLANAR, plant="virtual", targets=RANGES, throws=throws, seed=seed, unit_seed=0,
         policies=out, policy=out / card.policy_id, calibration=None, profile=None,
     )  # fmt: skip
-    rows = rows_of(campaign, throws, seed)
-    print(table(rows))
+    rows = condition_rows(campaign, throws, seed)
+    print(condition_table(rows))
     spread = rows[-1].sd_downrange_m
     met = spread is not None and spread <= TARGET_SD_M
     print(

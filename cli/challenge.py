@@ -11,7 +11,7 @@ from challenge.score import Scored, match, read_sealed
 from challenge.score import mistakes as missed
 from challenge.score_table import as_json, measures, table
 from challenge.sealed_truth import Tier
-from cli.campaigns import progress_line
+from evaluation.campaigns import progress_line
 from machine.errors import UsageError
 
 

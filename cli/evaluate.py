@@ -2,38 +2,23 @@
 
 import json as json_text
 import secrets
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Literal, NamedTuple
 
-from cli.campaigns import (
-    Campaign,
-    CampaignOptions,
-    batch_count,
-    by_target,
-    open_with,
-    throw_batches,
+from evaluation.accuracy_campaign import (
+    DEFAULT_TARGETS,
+    plot_campaign,
+    throw_accuracy,
+    write_card,
 )
-from cli.evaluation_report import More, write_report
-from cli.registration import is_registered, open_aimed
-from cli.report_parts import FIRST_UNIT
-from cli.side_by_side import side_by_side
+from evaluation.accuracy_report.report_campaign import ReportOptions, write_report
+from evaluation.campaign_registration import open_registered
+from evaluation.campaigns import CampaignOptions
+from evaluation.unit_accuracy import FIRST_UNIT
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
-from machine.policy_card import add_evaluation
-from sim_twin.throws.accuracy import (
-    AccuracyReport,
-    accuracy_table,
-    bad_throws_text,
-    landing_errors,
-    target_accuracy,
-)
-from sim_twin.throws.campaign import ThrowResult
-from sim_twin.throws.plots import TargetScatter, check_plot_path, plot_accuracy
-
-DEFAULT_TARGETS = "7.5:10:0.5"
+from sim_twin.throws.accuracy import accuracy_table, bad_throws_text
+from sim_twin.throws.plots import check_plot_path
 
 
 def run(
@@ -63,7 +48,7 @@ def run(
 
     Every throw starts from a random pose that the machine could be in: in 2d the arm is aligned with the
     target, in 3d the cabin stands anywhere. A machine without --calibration is measured and registered first,
-    as at its first start; the nominal twin is not. Errors are in the frame of the throw: downrange positive
+    as at commissioning; the nominal twin is not. Errors are in the frame of the throw: downrange positive
     beyond the target, crossrange positive to its left. Throws run side by side, faster than real time.
 
     Example: downrange evaluate --mode 2d --plant virtual --targets 7.5:10:0.5 --json accuracy.json
@@ -90,126 +75,74 @@ def run(
             the plant if left out.
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
-            and what a miss hangs on into this folder.
-        units: for a report, this many machines too that no training has seen, each registered by itself.
+            and sensitivities into this folder.
+        units: for a report, number of further machines outside training, each registered by itself.
         first_unit: number of the first of them.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
         jobs: processes at work side by side; the result is the same.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
-    is_drawn = report is not None and seed is None
-    fixed_seed = secrets.randbelow(100_000) if is_drawn else seed or 0
-    options = CampaignOptions(
-        plant, targets, throws, fixed_seed, unit_seed, policies, policy, calibration, profile, pace,
-        heights,
-    )  # fmt: skip
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: at least 1")
+    is_drawn = report is not None and seed is None
+    options = CampaignOptions(
+        plant, targets, throws, secrets.randbelow(100_000) if is_drawn else seed or 0, unit_seed,
+        policies, policy, calibration, profile, pace, heights,
+    )  # fmt: skip
     if report is not None:
-        _check_report(Outputs(json, plot, card))
-        modes = [mode] if mode != "both" else ["2d", "3d"]
-        return write_report(
-            report, modes, options, More(units, first_unit, trainings, jobs, is_drawn)
-        )
+        if json is not None or plot is not None or card:
+            raise UsageError(
+                "--report writes its own JSON and plots: leave --json, --plot, --card out"
+            )
+        modes = ["2d", "3d"] if mode == "both" else [mode]
+        more = ReportOptions(units, first_unit, trainings, jobs, is_drawn)
+        for line in write_report(report, modes, options, more):
+            print(line)
+        return 0
     if units or trainings:
         raise UsageError("--units and --trainings go with --report")
-    return _evaluate(options, mode, Outputs(json, plot, card), jobs)
+    _check_outputs(mode, heights, json, plot)
+    _evaluate(options, mode, jobs, Outputs(json, plot, card))
+    return 0
 
 
 class Outputs(NamedTuple):
-    """Where the result goes besides the terminal."""
+    """Where the result of a campaign goes besides the terminal."""
 
     json: Path | None
     plot: Path | None
     card: bool
 
 
-def _check_report(outputs: Outputs) -> None:
-    if outputs.json is not None or outputs.plot is not None or outputs.card:
-        raise UsageError("--report writes its own JSON and plots: leave --json, --plot, --card out")
-
-
-def _evaluate(options: CampaignOptions, mode: str, outputs: Outputs, jobs: int) -> int:
-    """One campaign."""
-    _check_outputs(mode, options.heights, outputs.json, outputs.plot)
-    campaign, aim = open_aimed(options, mode, DEFAULT_TARGETS)
-    print(f"machine: {aim}", flush=True)
-    started = perf_counter()
-    known = options._replace(tables=campaign.params.calibration)
-    batches = range(batch_count(campaign, options.throws))
-    tasks = [partial(_batches, known, mode, batches[k : k + 1]) for k in batches]
-    if jobs == 1:
-        tasks = [partial(_batches, known, mode, batches)]
-    thrown = side_by_side(tasks, jobs, "evaluate")
-    results = by_target([result for part in thrown for result in part], options.throws)
-    accuracy = _accuracy(campaign, options, results, perf_counter() - started)
-    _write_json(outputs.json, accuracy)
+def _evaluate(options: CampaignOptions, mode: str, jobs: int, outputs: Outputs) -> None:
+    """Throw one campaign, print its accuracy and write the outputs."""
+    opened = open_registered(options, mode, DEFAULT_TARGETS)
+    print(f"machine: {opened.registration_note}", flush=True)
+    found = throw_accuracy(options, mode, opened, jobs)
+    print(accuracy_table(found.accuracy))
+    bad = bad_throws_text([result for part in found.results for result in part])
+    if bad:
+        print(bad)
+    if outputs.json is not None:
+        text = json_text.dumps(found.accuracy, indent=2, allow_nan=False)
+        outputs.json.write_text(text + "\n", encoding="utf-8")
     if outputs.card:
-        add_evaluation(campaign.policy_folder, {**accuracy, "unit_seed": options.unit_seed})
+        write_card(found, options.unit_seed)
     if outputs.plot is not None:
-        words = "registered" if accuracy["is_registered"] else "not registered"
-        where = f"plant {options.plant}, unit {options.unit_seed}, {words}, seed {options.seed}"
-        _plot(outputs.plot, campaign, results, where)
-    return 0
-
-
-def _batches(options: CampaignOptions, mode: str, batches: range) -> list[ThrowResult]:
-    """Some batches of a campaign, in a process of their own."""
-    campaign = open_with(options, mode, DEFAULT_TARGETS)
-    return throw_batches(campaign, options.throws, options.seed, batches)
+        plot_campaign(found, outputs.plot, options.unit_seed)
 
 
 def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None) -> None:
-    """Refuse what cannot be written, before anything is thrown."""
+    """Refuse files that cannot be written, before anything is thrown.
+
+    Raises:
+        UsageError: a mode, plot or folder that does not fit.
+    """
     if mode == "both":
         raise UsageError("--mode both goes with --report; choose 2d or 3d")
     if plot is not None:
         check_plot_path(plot)
-        if len(campaign_heights := heights.split(",")) > 1:
-            raise UsageError(f"--plot draws one height, --heights names {len(campaign_heights)}")
+        if (count := len(heights.split(","))) > 1:
+            raise UsageError(f"--plot draws one height, --heights names {count}")
     if json is not None and not json.parent.is_dir():
         raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
-
-
-def _write_json(path: Path | None, accuracy: AccuracyReport) -> None:
-    if path is not None:
-        text = json_text.dumps(accuracy, indent=2, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
-
-
-def _accuracy(
-    campaign: Campaign,
-    options: CampaignOptions,
-    results: Sequence[Sequence[ThrowResult]],
-    seconds: float,
-) -> AccuracyReport:
-    """The result, printed."""
-    accuracy = AccuracyReport(
-        mode=campaign.params.mode.value,
-        plant=options.plant,
-        policy=campaign.policy_id,
-        is_registered=is_registered(campaign),
-        seed=options.seed,
-        seconds=seconds,
-        real_time_factor=sum(r.simulated_s for part in results for r in part) / seconds,
-        targets=[
-            target_accuracy(range_m, part, height_m)
-            for (range_m, height_m), part in zip(campaign.places, results, strict=True)
-        ],
-    )
-    print(accuracy_table(accuracy))
-    bad = bad_throws_text([r for part in results for r in part])
-    if bad:
-        print(bad)
-    return accuracy
-
-
-def _plot(
-    path: Path, campaign: Campaign, results: Sequence[Sequence[ThrowResult]], where: str
-) -> None:
-    scatters = [
-        TargetScatter(range_m, *landing_errors(part), len(part))
-        for (range_m, _), part in zip(campaign.places, results, strict=True)
-    ]
-    title = f"{campaign.params.mode.value.upper()} throws, policy {campaign.policy_id}, {where}"
-    plot_accuracy(path, scatters, title=title, reach_m=campaign.spec.static_reach_m)

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from cli.campaigns import open_policy
+from evaluation.campaigns import open_policy
 from machine.calibration import load_calibration, nominal_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.errors import UsageError

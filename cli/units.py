@@ -1,29 +1,25 @@
-"""`downrange units`: the same throws on many machines of a kind that no training has seen."""
+"""`downrange units`: the same throws on many machines of the type that were not used in training."""
 
 import json as json_text
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-
-from cli.campaigns import open_campaign
-from cli.conditions import rows_of
-from cli.registration import registered
-from diagnosis.evaluation.conditions import ConditionRow, pooled
-from machine.conventions import DEFAULT_PACE_RATIO, Mode
+from evaluation.campaigns import CampaignOptions
+from evaluation.conditions import ERROR_NAMES, ConditionRow, root_mean_square
+from evaluation.unit_accuracy import FIRST_UNIT, UNIT_TARGETS, compare_units, throw_units
+from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
-
-NOMINAL_UNIT = 0
 
 
 def run(
     *,
     mode: Literal["2d", "3d"],
     count: int = 20,
-    first: int = 2000,
+    first: int = FIRST_UNIT,
     plant: str = "virtual",
-    targets: str = "7.5,8.5,9.5",
+    targets: str = UNIT_TARGETS,
     throws: int = 40,
     seed: int = 0,
     pace: float = DEFAULT_PACE_RATIO,
@@ -31,11 +27,10 @@ def run(
     policies: Path = Path("policies"),
     policy: Path | None = None,
 ) -> int:
-    """Throw alike on many units, each calibrated and registered as at its first start, and on unit 0.
+    """Throw alike with unit 0 and many other units, each calibrated and registered as at commissioning.
 
-    A unit's spread is the root mean square over the targets of its standard deviations. Training's ranges
-    stand around units 0, 100, 104, 108, 203, 302, 1003 and 1015; development units besides: 5, 301 to 304,
-    and 1000 to 1019, which judged earlier policies.
+    A unit's spread is the root mean square over the targets of its standard deviations. Units below 2000 were
+    used in training and development.
 
     Example: downrange units --mode 2d --count 20 --throws 40 --seed 7 --json units.json
 
@@ -57,64 +52,27 @@ def run(
     if json is not None and not json.parent.is_dir():
         raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")
     started = perf_counter()
+    options = CampaignOptions(plant, targets, throws, seed, 0, policies, policy, None, None, pace)
     units: dict[int, list[ConditionRow]] = {}
     print("unit  landed  down mean/sd, m  cross mean/sd, m")
-    for unit in (NOMINAL_UNIT, *range(first, first + count)):
-        campaign = open_campaign(
-            mode=Mode(mode), plant=plant, targets=targets, throws=throws, seed=seed,
-            unit_seed=unit, policies=policies, policy=policy, calibration=None,
-            profile=None, pace_ratio=pace,
-        )  # fmt: skip
-        units[unit] = rows_of(registered(campaign, seed), throws, seed)
-        print(_line(unit, units[unit]), flush=True)
-    summary = _summary(units)
+    for unit, rows in throw_units(mode, options, count, first):
+        units[unit] = rows
+        print(_line(unit, rows), flush=True)
+    summary = compare_units(units)
     for name, value in summary.items():
         print(f"{name}: {value:.3f}")
     print(f"{perf_counter() - started:.0f} s")
     if json is not None:
-        rows = {unit: [row.model_dump() for row in found] for unit, found in units.items()}
-        text = json_text.dumps({"summary": summary, "seed": seed, "units": rows}, indent=2)
+        found = {unit: [row.model_dump() for row in rows] for unit, rows in units.items()}
+        text = json_text.dumps({"summary": summary, "seed": seed, "units": found}, indent=2)
         json.write_text(text + "\n", encoding="utf-8")
     return 0
 
 
-def _line(unit: int, rows: list[ConditionRow]) -> str:
+def _line(unit: int, rows: Sequence[ConditionRow]) -> str:
     landed, thrown = sum(r.landed_count for r in rows), sum(r.throw_count for r in rows)
     cells = [
-        "-" if (value := pooled(rows, name)) is None else f"{value:.3f}"
-        for name in (
-            "mean_downrange_error_m",
-            "sd_downrange_m",
-            "mean_crossrange_error_m",
-            "sd_crossrange_m",
-        )
+        "-" if (value := root_mean_square(rows, name)) is None else f"{value:.3f}"
+        for name in ERROR_NAMES
     ]
     return f"{unit:4d}  {landed}/{thrown}  {cells[0]}/{cells[1]}      {cells[2]}/{cells[3]}"
-
-
-def _summary(units: dict[int, list[ConditionRow]]) -> dict[str, float]:
-    """Spread of the units against unit 0's."""
-    others = [rows for unit, rows in units.items() if unit != NOMINAL_UNIT]
-    found: dict[str, float] = {}
-    for way in ("downrange", "crossrange"):
-        nominal = pooled(units[NOMINAL_UNIT], f"sd_{way}_m")
-        spreads: list[Any] = [pooled(rows, f"sd_{way}_m") for rows in others]
-        known = [s for s in spreads if s is not None]
-        if nominal is None or not known:
-            continue
-        found |= {
-            f"sd {way} of unit 0, m": nominal,
-            f"sd {way}, median unit, m": float(np.median(known)),
-            f"sd {way}, worst unit, m": max(known),
-            f"median over unit 0, {way}": float(np.median(known)) / nominal,
-            f"worst over unit 0, {way}": max(known) / nominal,
-        }
-        misses = [pooled(rows, f"mean_{way}_error_m") for rows in others]
-        found[f"mean {way} error, rms over units, m"] = float(
-            np.sqrt(np.mean([m * m for m in misses if m is not None]))
-        )
-    landed = sum(row.landed_count for rows in others for row in rows)
-    found["landed share of the units"] = landed / sum(
-        row.throw_count for rows in others for row in rows
-    )
-    return found

@@ -3,8 +3,8 @@
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from diagnosis.intervals import mean_interval
 from machine.conventions import Array
+from sim_twin.confidence_intervals import mean_interval
 
 CONFIDENCE_RATIO = 0.90
 

@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict
 from scipy.optimize import least_squares
 
 from diagnosis.identification.quantity import CONFIDENCE_RATIO, Quantity, mean_quantity, unknown
-from diagnosis.intervals import deviation_interval
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
@@ -23,6 +22,7 @@ from machine.ballistics import drag_per_m, step_flight
 from machine.conventions import CONTROL_PERIOD_S, Array
 from machine.kinematics import grip_centre
 from machine.spec import MachineSpec
+from sim_twin.confidence_intervals import deviation_interval
 
 PAPER_MEAN_S, PAPER_SD_S, PAPER_COUNT = 0.258, 0.015, 39
 """Paper, section III-F."""

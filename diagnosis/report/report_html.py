@@ -6,7 +6,6 @@ scripts and requests in case that was not enough.
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from pathlib import Path
 from typing import Any, Final, cast
 
 from diagnosis.report.evidence_html import (
@@ -34,9 +33,10 @@ from diagnosis.report.report_words import (
     unknown_facts,
 )
 from diagnosis.verdict import Cause, Diagnosis, Stage, StageGap, VerdictKind
+from reports.html import TEMPLATES
 
 OPEN_FIGURES_COUNT: Final = 6
-_STYLE: Final = Path(__file__).with_name("report.css")
+_STYLE: Final = TEMPLATES / "report.css"
 _POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 )

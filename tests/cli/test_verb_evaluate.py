@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cli.campaigns import parse_targets
 from cli.main import main
+from evaluation.campaigns import parse_targets
 from machine.errors import UsageError
 
 KEYS = {

@@ -16,7 +16,7 @@ FOREIGN = {
     "server.viewer_door.frames",  # the 3D view's own protocol
     "diagnosis.verdict",  # a published shape: the unit stands beside the value or in the name around it
     "diagnosis.identification.quantity",  # likewise
-    "diagnosis.evaluation.measures",  # the published names of `downrange evaluate --json`, with intervals
+    "evaluation.measures",  # the published names of `downrange evaluate --json`, with intervals
     "diagnosis.healthy.noise",  # numbers of a channel, each in that channel's unit
     "diagnosis.healthy.filters",  # learned weights over inputs of many units
 }

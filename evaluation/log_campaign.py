@@ -1,0 +1,134 @@
+"""Campaigns whose throws or identification tests are written as throw logs."""
+
+import re
+from itertools import cycle, islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from evaluation.campaigns import Campaign, progress_line
+from machine.errors import UsageError
+from machine.starts import sample_starts
+from runtime.control.control_loop import ControlParams
+from sim_twin.commissioning.motions import TestKind, motion_program
+from sim_twin.commissioning.recording import record_test
+from sim_twin.throws.campaign import ThrowResult, run_throws
+from sim_twin.throws.plants import TWIN, VIRTUAL, plant_profile
+from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
+from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
+
+MAX_RECORDED_COUNT = 64
+"""Throws that are kept in memory together; the rows of a throw take about 1 MB."""
+
+
+class RecordedMachine(NamedTuple):
+    """The plant that is recorded, as named on the command line."""
+
+    plant: str
+    unit_seed: int
+    profile: Path | None
+    """Twin profile; None: the twin's nominal one, or identified on the virtual machine."""
+
+
+class RecordedCampaign(NamedTuple):
+    """Results and logs of a recorded campaign."""
+
+    results: list[ThrowResult]
+    paths: list[Path]
+    size_bytes: int
+
+
+def record_campaign(
+    campaign: Campaign,
+    machine: RecordedMachine,
+    test: TestKind | None,
+    throws: int,
+    seed: int,
+    out: Path,
+) -> RecordedCampaign:
+    """Throw round the targets, or run an identification test, and write one log per throw into `out`.
+
+    Raises:
+        UsageError: `out` cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
+    profile, name = _twin_profile(campaign, machine), _slug(machine.plant)
+    context = LogContext(
+        machine_id=f"{name}-{machine.unit_seed}",
+        throw_prefix=f"{name}-{machine.unit_seed}-{test or campaign.params.mode.value}-s{seed}",
+        twin_profile_version_count=0 if profile is None else profile.version_count,
+        out_dir=out,
+        twin_profile=profile,
+        pace_ratio=campaign.pace_ratio,
+        test=test or "",
+    )
+    recorder = CampaignRecorder(campaign.params, context)
+    if test is None:
+        results = _throw(campaign, throws, seed, recorder)
+    else:
+        results = _run_test(campaign, test, seed, recorder)
+    stored = recorder.stored
+    return RecordedCampaign(results, [s.path for s in stored], sum(s.size_bytes for s in stored))
+
+
+def _slug(plant: str) -> str:
+    """A plant's name in the characters that ids allow."""
+    return re.sub(r"[^a-z0-9]+", "-", plant.lower()).strip("-")
+
+
+def _twin_profile(campaign: Campaign, machine: RecordedMachine) -> TwinProfile | None:
+    """The profile that the logs carry: read, the twin's, or identified on the virtual machine."""
+    if machine.profile is not None:
+        return load_profile(machine.profile)
+    if machine.plant == TWIN:
+        return nominal_profile(campaign.spec)
+    if machine.plant != VIRTUAL:
+        return None
+    return plant_profile(
+        campaign.make,
+        unit_seed=machine.unit_seed,
+        spec=campaign.spec,
+        calibration=campaign.params.calibration,
+    )
+
+
+def _run_test(
+    campaign: Campaign, test: TestKind, seed: int, recorder: CampaignRecorder
+) -> list[ThrowResult]:
+    params = ControlParams(
+        campaign.spec, campaign.params.calibration, campaign.params.mode, policy=None
+    )
+    program = motion_program(test, seed)
+    machines = campaign.make(program.start_rad_m.shape[0])
+    try:
+        return record_test(machines, params, program, seed, recorder)
+    finally:
+        machines.close()
+
+
+def _throw(
+    campaign: Campaign, throws: int, seed: int, recorder: CampaignRecorder
+) -> list[ThrowResult]:
+    """Throw round the targets from random starts."""
+    target_m = np.zeros((throws, 3))
+    target_m[:, 0] = list(islice(cycle(campaign.ranges_m), throws))
+    rng = np.random.default_rng(seed)
+    starts = sample_starts(campaign.spec, campaign.params.mode, target_m, rng)
+    machines = campaign.make(min(throws, MAX_RECORDED_COUNT))
+    try:
+        return run_throws(
+            machines,
+            campaign.params,
+            target_m,
+            starts,
+            seed,
+            record=recorder,
+            progress=progress_line("record"),
+            pace_ratio=campaign.pace_ratio,
+        )
+    finally:
+        machines.close()
