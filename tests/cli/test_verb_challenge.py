@@ -55,18 +55,17 @@ def test_a_changed_truth_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "was changed" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["make", "--seed", "-1", "--out", "{0}/d", "--sealed", "{0}/s.json"], "at least 0"),
-        (["make", "--seed", "1", "--out", "{0}/d", "--sealed", "{0}/d/s.json"], "inside"),
-        (["run", "{0}", "--json", "{0}/a.json"], "no challenge"),
-        (["run", "{0}", "--json", "{0}/a.json", "--jobs", "0"], "at least 1"),
-        (["score", "{0}/none.json", "--sealed", "{0}/s.json"], "no answers"),
-    ],
+REFUSED = (
+    (["make", "--seed", "-1", "--out", "{0}/d", "--sealed", "{0}/s.json"], "at least 0"),
+    (["make", "--seed", "1", "--out", "{0}/d", "--sealed", "{0}/d/s.json"], "inside"),
+    (["run", "{0}", "--json", "{0}/a.json"], "no challenge"),
+    (["run", "{0}", "--json", "{0}/a.json", "--jobs", "0"], "at least 1"),
+    (["score", "{0}/none.json", "--sealed", "{0}/s.json"], "no answers"),
 )
-def test_what_cannot_work_is_refused(
-    arguments: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["challenge", *(text.format(tmp_path) for text in arguments)]) == 1
-    assert reason in capsys.readouterr().err
+"""Arguments that cannot work, and what the message says; {0} is the folder."""
+
+
+def test_what_cannot_work_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, reason in REFUSED:
+        assert main(["challenge", *(text.format(tmp_path) for text in arguments)]) == 1, arguments
+        assert reason in capsys.readouterr().err, arguments

@@ -64,26 +64,25 @@ def test_columns_agree_with_each_other() -> None:
     assert len(effects_where(lambda _: True)) == len(EFFECTS) - 1 == 31
 
 
-@pytest.mark.parametrize(
-    ("effect", "joint", "parameters", "message"),
-    [
-        ("valve_delay", "boom", {"extra_dead_time_s": 0.1}, "no effect 'valve_delay'"),
-        ("valve_dead_time", "roll", {"extra_dead_time_s": 0.1}, "name one of slew, boom"),
-        ("valve_dead_time", None, {"extra_dead_time_s": 0.1}, "name one of slew, boom"),
-        ("valve_dead_time", "boom", {"dead_time_s": 0.1}, "it has extra_dead_time_s"),
-        ("valve_dead_time", "boom", {"extra_dead_time_s": 0.31}, "0.31 is outside -0.1 to 0.3"),
-        ("valve_dead_time", "boom", {"extra_dead_time_s": float("nan")}, "finite"),
-        ("wind", "boom", {"x_m_per_s": 1.0}, "whole machine"),
-        (DRIFT, "boom", {"extra_dead_time_s": 0.1}, "no parameter"),
-        (DRIFT, None, {"valve_dead_time.extra_dead_time_s": 0.1}, "name one of slew"),
-        (DRIFT, None, {"wind.x_m_per_s": 1.0, "wind.y_m_per_s": 1.0}, "exactly one"),
-    ],
+REFUSED: tuple[tuple[str, str | None, dict[str, float], str], ...] = (
+    ("valve_delay", "boom", {"extra_dead_time_s": 0.1}, "no effect 'valve_delay'"),
+    ("valve_dead_time", "roll", {"extra_dead_time_s": 0.1}, "name one of slew, boom"),
+    ("valve_dead_time", None, {"extra_dead_time_s": 0.1}, "name one of slew, boom"),
+    ("valve_dead_time", "boom", {"dead_time_s": 0.1}, "it has extra_dead_time_s"),
+    ("valve_dead_time", "boom", {"extra_dead_time_s": 0.31}, "0.31 is outside -0.1 to 0.3"),
+    ("valve_dead_time", "boom", {"extra_dead_time_s": float("nan")}, "finite"),
+    ("wind", "boom", {"x_m_per_s": 1.0}, "whole machine"),
+    (DRIFT, "boom", {"extra_dead_time_s": 0.1}, "no parameter"),
+    (DRIFT, None, {"valve_dead_time.extra_dead_time_s": 0.1}, "name one of slew"),
+    (DRIFT, None, {"wind.x_m_per_s": 1.0, "wind.y_m_per_s": 1.0}, "exactly one"),
 )
-def test_effects_outside_the_table_are_refused(
-    effect: str, joint: str | None, parameters: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ValidationError, match=message):
-        Effect(effect=effect, joint=joint, parameters=parameters)
+"""Effect, joint and parameters that are refused, and what the message says."""
+
+
+def test_effects_outside_the_table_are_refused() -> None:
+    for effect, joint, parameters, message in REFUSED:
+        with pytest.raises(ValidationError, match=message):
+            Effect(effect=effect, joint=joint, parameters=parameters)
 
 
 def test_a_value_at_a_bound_is_inside_whatever_rounding_does() -> None:
