@@ -51,7 +51,7 @@ Progress = Callable[[int, int], None]
 Result = TypeVar("Result")
 
 
-class ThrowPlan(NamedTuple):
+class ModeThrows(NamedTuple):
     """Throws of one mode in a set."""
 
     mode: Mode
@@ -87,9 +87,9 @@ class LossyRecorder(CampaignRecorder):
         return rows[keep]
 
 
-def plan_throws(spec: MachineSpec, throws: int, rng: np.random.Generator) -> list[ThrowPlan]:
+def plan_throws(spec: MachineSpec, throws: int, rng: np.random.Generator) -> list[ModeThrows]:
     """Targets anywhere between 7 and 10 m, random starts, the modes by turns."""
-    plans: list[ThrowPlan] = []
+    plans: list[ModeThrows] = []
     for first, mode in enumerate((Mode.PLANAR, Mode.SPATIAL)):
         numbers = tuple(range(first, throws, 2))
         if not numbers:
@@ -99,7 +99,7 @@ def plan_throws(spec: MachineSpec, throws: int, rng: np.random.Generator) -> lis
         target_m = np.stack(
             [reach * np.cos(azimuth), reach * np.sin(azimuth), np.zeros(len(numbers))], axis=1
         )
-        plans.append(ThrowPlan(mode, numbers, target_m, sample_starts(spec, mode, target_m, rng)))
+        plans.append(ModeThrows(mode, numbers, target_m, sample_starts(spec, mode, target_m, rng)))
     return plans
 
 

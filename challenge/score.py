@@ -21,7 +21,7 @@ UNKNOWN_LABEL: Final[Label] = frozenset({("unknown", None)})
 NONE_LABEL: Final[Label] = frozenset()
 
 
-class Scored(NamedTuple):
+class ScoredSet(NamedTuple):
     """One set and its answer."""
 
     truth: SetTruth
@@ -135,9 +135,9 @@ def read_sealed(path: Path, sha256: str) -> list[SetTruth]:
     return sets
 
 
-def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[Scored]:
+def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[ScoredSet]:
     """Pair each answered set with its truth."""
-    scored: list[Scored] = []
+    scored: list[ScoredSet] = []
     for truth in truths:
         given = answers["sets"].get(truth.set_id)
         if given is None:
@@ -145,11 +145,11 @@ def match(answers: Mapping[str, Any], truths: Sequence[SetTruth]) -> list[Scored
         said = given["said"]
         said = None if "error" in said else Diagnosis.model_validate(said)
         memory = float(given.get("memory_mib", float("nan")))
-        scored.append(Scored(truth, said, float(given["seconds"]), memory))
+        scored.append(ScoredSet(truth, said, float(given["seconds"]), memory))
     return scored
 
 
-def mistakes(scored: Sequence[Scored]) -> list[str]:
+def mistakes(scored: Sequence[ScoredSet]) -> list[str]:
     """One line for each wrong answer: what was hidden and what was answered."""
     lines: list[str] = []
     for s in scored:

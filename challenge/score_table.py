@@ -11,7 +11,7 @@ from challenge.score import (
     NONE_LABEL,
     UNKNOWN_LABEL,
     Label,
-    Scored,
+    ScoredSet,
     cause_label,
     effect_key,
 )
@@ -48,7 +48,7 @@ def share_interval(hits: int, count: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def measures(scored: Sequence[Scored], beside: Sequence[Scored] = ()) -> list[Measure]:
+def measures(scored: Sequence[ScoredSet], beside: Sequence[ScoredSet] = ()) -> list[Measure]:
     """All lines of the table.
 
     Args:
@@ -107,7 +107,7 @@ _NO: Final = (float("nan"), float("nan"))
 
 
 def _share(
-    name: str, sets: Sequence[Scored], hit: Callable[[Scored], bool], bar: str = ""
+    name: str, sets: Sequence[ScoredSet], hit: Callable[[ScoredSet], bool], bar: str = ""
 ) -> Measure:
     hits = sum(bool(hit(s)) for s in sets)
     value = hits / len(sets) if sets else float("nan")
@@ -122,34 +122,34 @@ def _number(
     return Measure(name, len(finite), value, *_NO, bar, False)
 
 
-def _noticed(s: Scored) -> bool:
+def _noticed(s: ScoredSet) -> bool:
     return s.top is not None and s.top != NONE_LABEL
 
 
-def _named_or_one_of_two(s: Scored) -> bool:
+def _named_or_one_of_two(s: ScoredSet) -> bool:
     """Whether the exact set was named, or is one of the two members of an ambiguity."""
     return s.is_right or s.is_right_or_ambiguous
 
 
-def _stage_right(s: Scored) -> bool:
+def _stage_right(s: ScoredSet) -> bool:
     return s.where in {effect.stage for effect in s.truth.effects}
 
 
-def _effect_right(s: Scored) -> bool:
+def _effect_right(s: ScoredSet) -> bool:
     return s.top is not None and {e for e, _ in s.top} == {e for e, _ in s.label}
 
 
-def _among_first(s: Scored) -> bool:
+def _among_first(s: ScoredSet) -> bool:
     return s.label in [label for label, _ in s.ranked[:TOP_COUNT]]
 
 
-def _f1(s: Scored) -> float:
+def _f1(s: ScoredSet) -> float:
     named = s.top or NONE_LABEL
     hits = len(named & s.label)
     return 2.0 * hits / (len(named) + len(s.label)) if named or s.label else 1.0
 
 
-def calibration_error(scored: Sequence[Scored]) -> float:
+def calibration_error(scored: Sequence[ScoredSet]) -> float:
     """Expected calibration error of the most probable answer's probability, in 10 bins."""
     pairs = [(s.ranked[0][1], s.ranked[0][0] == s.label) for s in scored if s.ranked]
     if not pairs:
@@ -164,7 +164,7 @@ def calibration_error(scored: Sequence[Scored]) -> float:
     return float(np.sum(gaps))
 
 
-def _effect_auroc(scored: Sequence[Scored]) -> float:
+def _effect_auroc(scored: Sequence[ScoredSet]) -> float:
     """Probability that a set with an effect has a lower probability of "none" than a healthy one.
 
     It measures alarms at all thresholds: a baseline that never alarms has no false alarms, and scores 0.5.
@@ -172,12 +172,12 @@ def _effect_auroc(scored: Sequence[Scored]) -> float:
     return _auroc(scored, NONE_LABEL, lambda s: s.truth.tier is Tier.NULL)
 
 
-def _unknown_auroc(scored: Sequence[Scored]) -> float:
+def _unknown_auroc(scored: Sequence[ScoredSet]) -> float:
     """Probability that an unknown set has a higher probability of "unknown" than another set."""
     return _auroc(scored, UNKNOWN_LABEL, lambda s: s.truth.tier is Tier.UNKNOWN)
 
 
-def _auroc(scored: Sequence[Scored], label: Label, has_it: Callable[[Scored], bool]) -> float:
+def _auroc(scored: Sequence[ScoredSet], label: Label, has_it: Callable[[ScoredSet], bool]) -> float:
     """Probability that a set with the label ranks it above a set without it; ties count half."""
     chance = [(sum(p for said, p in s.ranked if said == label), has_it(s)) for s in scored]
     yes = np.array([p for p, has in chance if has])
@@ -187,7 +187,7 @@ def _auroc(scored: Sequence[Scored], label: Label, has_it: Callable[[Scored], bo
     return float((yes[:, None] > no).mean() + 0.5 * (yes[:, None] == no).mean())
 
 
-def _sizes(scored: Sequence[Scored], beside: Sequence[Scored]) -> list[Measure]:
+def _sizes(scored: Sequence[ScoredSet], beside: Sequence[ScoredSet]) -> list[Measure]:
     """Errors and intervals of the sizes of correctly named causes."""
     named = {key: fit for s in scored for key, fit in _fits(s).items()}
     covered = [hit for fit in named.values() for hit in fit.covered]
@@ -218,7 +218,7 @@ class _Fit(NamedTuple):
     """Of each parameter: whether its interval holds the true one."""
 
 
-def _fits(s: Scored) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
+def _fits(s: ScoredSet) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
     """By set and effect, if the cause is right."""
     if not s.is_right or s.diagnosis is None or not s.truth.effects or s.label == UNKNOWN_LABEL:
         return {}
@@ -243,7 +243,7 @@ def _fits(s: Scored) -> dict[tuple[str, tuple[str, str | None]], _Fit]:
     return fits
 
 
-def _shrinks(hidden: Sequence[Scored]) -> list[Measure]:
+def _shrinks(hidden: Sequence[ScoredSet]) -> list[Measure]:
     found = [
         s.diagnosis.shrink
         for s in hidden

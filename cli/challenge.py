@@ -1,4 +1,4 @@
-"""`downrange challenge`: hide effects in data sets, diagnose them blind, and score what was said."""
+"""`downrange challenge`: hide effects in data sets, diagnose them blind, and score the answers."""
 
 from pathlib import Path
 from typing import Literal
@@ -7,7 +7,7 @@ import tyro
 
 from challenge.make import make_challenge
 from challenge.run import answered, run_challenge
-from challenge.score import Scored, match, read_sealed
+from challenge.score import ScoredSet, match, read_sealed
 from challenge.score import mistakes as missed
 from challenge.score_table import as_json, measures, table
 from challenge.sealed_truth import Tier
@@ -134,7 +134,7 @@ def score(
     if not files:
         raise UsageError("give at least one file of answers")
     documents = answered(files)
-    columns: list[tuple[str, list[Scored]]] = []
+    columns: list[tuple[str, list[ScoredSet]]] = []
     for path, document in zip(files, documents, strict=True):
         scored = match(document, read_sealed(sealed, str(document["sealed_sha256"])))
         if not scored:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from challenge.score import Scored, match, mistakes, read_sealed
+from challenge.score import ScoredSet, match, mistakes, read_sealed
 from challenge.score_table import Measure, calibration_error, measures, share_interval, table
 from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from diagnosis.verdict import (
@@ -68,7 +68,7 @@ WRONG_JOINT = fitted("valve_dead_time", "dipper", extra_dead_time_s=0.1)
 NONE = cause(0.1, name="none")
 
 
-def value(scored: list[Scored], name: str) -> Measure:
+def value(scored: list[ScoredSet], name: str) -> Measure:
     return next(m for m in measures(scored) if m.name == name)
 
 
@@ -89,7 +89,7 @@ def test_a_right_cause_counts_with_size_and_interval() -> None:
         held_out_throws=4,
         removable_ratio=1.0,
     )
-    right = Scored(
+    right = ScoredSet(
         truth(Tier.SINGLE, DELAY),
         said(VerdictKind.EXPLAINED, cause(0.9, RIGHT), NONE, stage="actuation", shrink=shrink),
         4.0,
@@ -105,7 +105,7 @@ def test_a_right_cause_counts_with_size_and_interval() -> None:
 
 
 def test_the_wrong_joint_is_wrong_but_the_effect_is_right() -> None:
-    wrong = Scored(
+    wrong = ScoredSet(
         truth(Tier.SINGLE, DELAY), said(VerdictKind.EXPLAINED, cause(0.9, WRONG_JOINT), NONE), 1.0
     )
     assert not wrong.is_right
@@ -118,9 +118,9 @@ def test_the_wrong_joint_is_wrong_but_the_effect_is_right() -> None:
 def test_an_ambiguity_is_right_with_two_members_and_a_motion() -> None:
     causes = (cause(0.5, WRONG_JOINT, name="a"), cause(0.4, RIGHT, name="b"), NONE)
 
-    def answer(members: tuple[str, ...], motion: dict[str, str]) -> Scored:
+    def answer(members: tuple[str, ...], motion: dict[str, str]) -> ScoredSet:
         group = Ambiguity(members=members, separating_motion=motion, why="")
-        return Scored(
+        return ScoredSet(
             truth(Tier.SINGLE, DELAY), said(VerdictKind.AMBIGUOUS, *causes, ambiguity=group), 1.0
         )
 
@@ -133,18 +133,18 @@ def test_an_ambiguity_is_right_with_two_members_and_a_motion() -> None:
 
 
 def test_null_and_unknown_follow_the_verdict() -> None:
-    quiet = Scored(truth(Tier.NULL), said(VerdictKind.NONE, cause(0.9, name="none")), 1.0)
-    alarm = Scored(truth(Tier.NULL), said(VerdictKind.EXPLAINED, cause(0.9, RIGHT), NONE), 1.0)
-    failed = Scored(truth(Tier.NULL), None, 1.0)
+    quiet = ScoredSet(truth(Tier.NULL), said(VerdictKind.NONE, cause(0.9, name="none")), 1.0)
+    alarm = ScoredSet(truth(Tier.NULL), said(VerdictKind.EXPLAINED, cause(0.9, RIGHT), NONE), 1.0)
+    failed = ScoredSet(truth(Tier.NULL), None, 1.0)
     assert value([quiet, alarm, failed], "false alarms on null").value == pytest.approx(2 / 3)
     odd = truth(Tier.UNKNOWN, hidden("gust", speed_m_per_s=5.0))
-    flagged = Scored(
+    flagged = ScoredSet(
         odd, said(VerdictKind.UNKNOWN, cause(0.9, name="unknown"), NONE, stage="flight"), 1.0
     )
-    missed = Scored(odd, said(VerdictKind.NONE, cause(1.0, name="none")), 1.0)
+    missed = ScoredSet(odd, said(VerdictKind.NONE, cause(1.0, name="none")), 1.0)
     assert value([flagged, missed], "unknown flagged").value == 0.5
     assert value([flagged, missed, quiet], "AUROC of unknown").value == pytest.approx(0.75)
-    known = Scored(
+    known = ScoredSet(
         truth(Tier.SINGLE, DELAY), said(VerdictKind.UNKNOWN, cause(0.9, name="unknown")), 1.0
     )
     assert value([known, flagged], "known called unknown").value == 1.0
@@ -154,12 +154,12 @@ def test_pairs_need_both_effects() -> None:
     other = hidden("wind", x_m_per_s=2.0, y_m_per_s=0.0)
     both = truth(Tier.PAIR, DELAY, other)
     found = fitted("wind", x_m_per_s=2.2, y_m_per_s=0.0)
-    exact = Scored(both, said(VerdictKind.EXPLAINED, cause(0.8, found, RIGHT)), 1.0)
-    half = Scored(both, said(VerdictKind.EXPLAINED, cause(0.8, RIGHT)), 1.0)
+    exact = ScoredSet(both, said(VerdictKind.EXPLAINED, cause(0.8, found, RIGHT)), 1.0)
+    half = ScoredSet(both, said(VerdictKind.EXPLAINED, cause(0.8, RIGHT)), 1.0)
     assert value([exact, half], "exact set, pairs").value == 0.5
     causes = (cause(0.5, found, WRONG_JOINT, name="a"), cause(0.4, found, RIGHT, name="b"), NONE)
     group = Ambiguity(members=("a", "b"), separating_motion={"kind": "step"}, why="")
-    either = Scored(both, said(VerdictKind.AMBIGUOUS, *causes, ambiguity=group), 1.0)
+    either = ScoredSet(both, said(VerdictKind.AMBIGUOUS, *causes, ambiguity=group), 1.0)
     assert value([exact, half, either], "exact set, pairs").value == pytest.approx(1 / 3)
     assert value([exact, half, either], "exact set or one of two, pairs").value == pytest.approx(
         2 / 3
@@ -173,15 +173,15 @@ def test_who_never_alarms_or_names_little_is_compared_fairly() -> None:
     quiet, loud = said(VerdictKind.NONE, cause(0.9, name="none")), (cause(0.9, RIGHT), NONE)
     healthy, faulty = truth(Tier.NULL), truth(Tier.SINGLE, DELAY, name="set-0002")
     ours = [
-        Scored(healthy, quiet, 1.0),
-        Scored(faulty, said(VerdictKind.EXPLAINED, *loud), 1.0),
+        ScoredSet(healthy, quiet, 1.0),
+        ScoredSet(faulty, said(VerdictKind.EXPLAINED, *loud), 1.0),
     ]
-    mute = [Scored(one, quiet, 1.0) for one in (healthy, faulty)]
+    mute = [ScoredSet(one, quiet, 1.0) for one in (healthy, faulty)]
     assert value(mute, "false alarms on null").value == 0.0
     assert value(mute, "AUROC of an effect").value == 0.5
     assert value(ours, "AUROC of an effect").value == 1.0
     rough = cause(0.9, fitted("valve_dead_time", "boom", extra_dead_time_s=0.13))
-    theirs = [Scored(faulty, said(VerdictKind.EXPLAINED, rough), 1.0)]
+    theirs = [ScoredSet(faulty, said(VerdictKind.EXPLAINED, rough), 1.0)]
     name = "size error of the first, same effects"
     assert [m for m in measures(ours) if m.name == name] == []
     by_name = {m.name: m for m in measures(theirs, ours)}
@@ -194,18 +194,18 @@ def test_drifts_are_told_by_what_drifts() -> None:
     drift = hidden("warm_up_drift", "boom", **{"valve_gain.positive_ratio": 0.2})
     named = fitted("warm_up_drift", "boom", **{"valve_gain.negative_ratio": 0.2})
     other = fitted("warm_up_drift", "boom", **{"valve_lag.extra_lag_s": 0.2})
-    assert Scored(
+    assert ScoredSet(
         truth(Tier.SINGLE, drift), said(VerdictKind.EXPLAINED, cause(0.9, named)), 1.0
     ).is_right
-    assert not Scored(
+    assert not ScoredSet(
         truth(Tier.SINGLE, drift), said(VerdictKind.EXPLAINED, cause(0.9, other)), 1.0
     ).is_right
 
 
 def test_calibration_error_is_zero_for_honest_probabilities() -> None:
-    def answers(probability: float, right: int, count: int) -> list[Scored]:
+    def answers(probability: float, right: int, count: int) -> list[ScoredSet]:
         return [
-            Scored(
+            ScoredSet(
                 truth(Tier.SINGLE, DELAY),
                 said(
                     VerdictKind.EXPLAINED, cause(probability, RIGHT if i < right else WRONG_JOINT)
@@ -237,8 +237,10 @@ def test_only_the_sealed_file_is_taken(tmp_path: Path) -> None:
 
 
 def test_the_table_has_a_column_for_each_method() -> None:
-    right = [Scored(truth(Tier.SINGLE, DELAY), said(VerdictKind.EXPLAINED, cause(0.9, RIGHT)), 4.0)]
-    wrong = [Scored(truth(Tier.NULL), None, 4.0)]
+    right = [
+        ScoredSet(truth(Tier.SINGLE, DELAY), said(VerdictKind.EXPLAINED, cause(0.9, RIGHT)), 4.0)
+    ]
+    wrong = [ScoredSet(truth(Tier.NULL), None, 4.0)]
     text = table([("diagnose", measures(right)), ("lag_rmse", measures(wrong))])
     head, *rows = text.splitlines()
     assert "diagnose" in head
