@@ -1,9 +1,9 @@
-"""Fire pressed to machine accepted, STOP pressed to machine latched: over HTTP, server, Zenoh, loopback.
+"""Latency from fire request to acceptance and from STOP request to latch: HTTP, server, Zenoh, loopback.
 
-    PYTHONPATH=. python benchmarks/commands.py [--repeats 50]
+    python benchmarks/commands.py [--repeats 50] [--json FILE]
 
 The machine is the tests' stand-in (tests/server/fake_machine.py), in this process like the server. The
-floor is the bare command over Zenoh, without HTTP, rights, lease and audit.
+floor is a command over Zenoh alone, without HTTP, rights, lease and audit.
 """
 
 import tempfile
@@ -14,6 +14,7 @@ from pathlib import Path
 import tyro
 from httpx import Client
 
+from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from machine.messages import LoadRequest
 from server.clock import new_id
 from server.plans.plan_store import PlanStore
@@ -22,10 +23,13 @@ from tests.server.fake_machine import FakeMachine
 from tests.server.server_bench import Running, add_people, make_settings, running_server, wait_for
 
 
-def show(name: str, seconds: list[float]) -> None:
-    ordered = sorted(seconds)
-    p50, p99 = ordered[len(ordered) // 2], ordered[int(len(ordered) * 0.99)]
-    print(f"{name:<28}{p50 * 1e3:>8.1f}{p99 * 1e3:>8.1f}{ordered[-1] * 1e3:>8.1f}")
+def summary(name: str, seconds: list[float]) -> Row:
+    """Print and return percentiles of one command."""
+    times = [1e3 * value for value in seconds]
+    found = {"p50_ms": percentile(times, 50), "p99_ms": percentile(times, 99), "max_ms": max(times)}
+    line = row(len(times), {"command": name}, found)
+    print(f"{name:<28}" + "".join(f"{value.value:>8.1f}" for value in line.values.values()))
+    return line
 
 
 def timed(action: Callable[[], object]) -> float:
@@ -34,8 +38,10 @@ def timed(action: Callable[[], object]) -> float:
     return time.perf_counter() - began_s
 
 
-def main(repeats: int = 50, policies: Path = Path("policies")) -> None:
-    """Start a server and a stand-in for a machine, and press the buttons."""
+def main(
+    repeats: int = 50, policies: Path = Path("policies"), json: Path = RESULTS / "commands.json"
+) -> None:
+    """Start a server and a stand-in for a machine, and send commands."""
     with tempfile.TemporaryDirectory() as folder:
         settings = make_settings(Path(folder), policies)
         with running_server(settings) as running:
@@ -43,7 +49,9 @@ def main(repeats: int = 50, policies: Path = Path("policies")) -> None:
             with stand_in(running) as machine, running.client("sue") as client:
                 wait_for(lambda: running.services.registry.is_connected("m001"))
                 print(f"{'ms':<28}{'p50':>8}{'p99':>8}{'max':>8}")
-                measure(running, machine, client, repeats)
+                rows = measure(running, machine, client, repeats)
+    title = "Latency of commands from HTTP request to machine"
+    write_result(describe("commands", title, rows, seed=None), json)
 
 
 def stand_in(running: Running) -> FakeMachine:
@@ -59,7 +67,7 @@ def stand_in(running: Running) -> FakeMachine:
     return machine
 
 
-def measure(running: Running, machine: FakeMachine, client: Client, repeats: int) -> None:
+def measure(running: Running, machine: FakeMachine, client: Client, repeats: int) -> list[Row]:
     arms: list[float] = []
     fires: list[float] = []
     for _ in range(repeats):
@@ -70,8 +78,6 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
         arms.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/arm", json={})))
         fires.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/fire").raise_for_status()))
         wait_for(lambda: machine.state.value == "disarmed")
-    show("arm -> answered", arms)
-    show("fire -> accepted", fires)
     stops: list[float] = []
     for _ in range(repeats):
         began_s = time.perf_counter()
@@ -86,9 +92,8 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
         stops.append(seen[0] - began_s)
         machine._latch = latch
         client.post("/machines/m001/stop/clear").raise_for_status()
-    show("STOP -> latched", stops)
     epoch = machine.epoch_count
-    bare = [
+    floor = [
         timed(
             lambda: running.services.link.send(
                 LoadRequest(command_id=new_id(), machine_id="m001", issuer="b", epoch_count=epoch)
@@ -96,7 +101,12 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
         )
         for _ in range(repeats)
     ]
-    show("floor: bare command", bare)
+    return [
+        summary("arm to answer", arms),
+        summary("fire to acceptance", fires),
+        summary("STOP to latch", stops),
+        summary("floor: Zenoh alone", floor),
+    ]
 
 
 def ready_plan(plans: PlanStore, client: Client) -> str:

@@ -1,11 +1,10 @@
-"""Real-time factor of evaluation campaigns, where their time goes, and the bare mujoco.batch beside it.
+"""Real-time factor of evaluation campaigns, shares of their time, and the floor: mujoco.batch alone.
 
     python benchmarks/evaluation.py --policies policies [--mode 2d] [--throws 400] [--json FILE]
 
 The control step of the runtime is in the loop. The factor counts each throw to its own end.
 """
 
-import json as json_text
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter, process_time
@@ -15,6 +14,7 @@ import numpy as np
 import tyro
 from mujoco import batch
 
+from benchmarks.result_file import RESULTS, Row, describe, row, write_result
 from evaluation.campaigns import MAX_BATCH_COUNT, open_policy
 from machine.conventions import CONTROL_PERIOD_S, Mode
 from machine.spec import load_spec
@@ -30,7 +30,7 @@ TARGET_FACTOR = {"twin": 300.0, "virtual": 100.0}
 
 
 class Stopwatch:
-    """Adds up the time that wrapped calls take."""
+    """Total time of wrapped calls."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -48,7 +48,7 @@ class Stopwatch:
         return timed
 
 
-def bare_factor(count: int, ticks: int) -> float:
+def floor_factor(count: int, ticks: int) -> float:
     """Real-time factor of mujoco.batch alone on the twin's model."""
     machines = batch.Batch(twin_model()[0], count, 2)
     machines.bind("qpos")[:] = safe_pose()
@@ -61,7 +61,7 @@ def bare_factor(count: int, ticks: int) -> float:
 def campaign(
     plant_name: str, mode: Mode, policies: Path, throws: int, range_m: float
 ) -> dict[str, Any]:
-    """Throw and measure."""
+    """Run and time one campaign."""
     spec = load_spec()
     make = plant_maker(plant_name, unit_seed=0, profile=None, calibration=None, spec=spec)
     params = ControlParams(
@@ -102,24 +102,37 @@ def main(
     mode: Literal["2d", "3d"] = "2d",
     throws: int = 400,
     target: float = 8.5,
-    json: Path | None = None,
+    json: Path = RESULTS / "evaluation_speed.json",
 ) -> None:
-    """Run `throws` throws on the twin and on the virtual machine and print what it took."""
-    report: dict[str, Any] = {}
+    """Time `throws` throws on the twin and on the virtual machine."""
+    rows: list[Row] = []
     for plant in ("twin", "virtual"):
         campaign(plant, Mode(mode), policies, 8, target)  # compiles models, measures valves
-        bare_before = bare_factor(min(throws, MAX_BATCH_COUNT), 200)
+        before = floor_factor(min(throws, MAX_BATCH_COUNT), 200)
         found = campaign(plant, Mode(mode), policies, throws, target)
-        bare = 0.5 * (bare_before + bare_factor(min(throws, MAX_BATCH_COUNT), 200))
-        report[plant] = {**found, "bare_batch_factor": bare}
+        floor = 0.5 * (before + floor_factor(min(throws, MAX_BATCH_COUNT), 200))
+        values = {
+            "real_time_factor": found["real_time_factor"],
+            "floor_factor": floor,
+            "simulated_s": found["simulated_s"],
+            "wall_s": found["wall_s"],
+            "cpu_s": found["cpu_s"],
+            **{f"{name.replace(' ', '_')}_ratio": part for name, part in found["share"].items()},
+        }
+        rows.append(row(throws, {"plant": plant}, values))
         share = ", ".join(f"{name} {part:.0%}" for name, part in found["share"].items())
         print(
             f"{plant}: {found['real_time_factor']:.0f} x real time (target {TARGET_FACTOR[plant]:.0f}); "
             f"{found['simulated_s']:.0f} s simulated in {found['wall_s']:.2f} s wall, "
-            f"{found['cpu_s']:.2f} s CPU; bare mujoco.batch {bare:.0f} x\n  {share}"
+            f"{found['cpu_s']:.2f} s CPU; mujoco.batch alone {floor:.0f} x\n  {share}"
         )
-    if json is not None:
-        json.write_text(json_text.dumps(report, indent=2) + "\n", encoding="utf-8")
+    title = f"Real-time factor of evaluation campaigns, {mode}, {target:g} m"
+    notes = (
+        "Targets: "
+        + ", ".join(f"{name} {factor:.0f}" for name, factor in TARGET_FACTOR.items())
+        + "."
+    )
+    write_result(describe("evaluation_speed", title, rows, seed=0, notes=notes), json)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""History of a million throws: time of one page for every kind of filter, at random depths.
+"""Time of one page of the throw history, for every kind of filter, at random depths of a million throws.
 
-    python benchmarks/history.py [--rows 1000000] [--database-url URL]
+    python benchmarks/history.py [--rows 1000000] [--database-url URL] [--json FILE]
 
-Without a URL a SQLite file in a temporary folder. The floor is the cheapest page: no filter, first page.
+Without a URL the database is a SQLite file in a temporary folder. The floor is the first page without a
+filter.
 """
 
 import random
@@ -14,6 +15,7 @@ from pathlib import Path
 import tyro
 from sqlalchemy import insert
 
+from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from machine.conventions import Mode
 from server.clock import id_at, utc_now
 from server.schemas.history import GroupBy, Outcome
@@ -101,8 +103,13 @@ FILTERS = {
 }
 
 
-def main(rows: int = 1_000_000, database_url: str | None = None, repeats: int = 40) -> None:
-    """Fill and measure."""
+def main(
+    rows: int = 1_000_000,
+    database_url: str | None = None,
+    repeats: int = 40,
+    json: Path = RESULTS / "history.json",
+) -> None:
+    """Fill a database and time pages."""
     with tempfile.TemporaryDirectory() as folder:
         url = database_url or f"sqlite:///{Path(folder) / 'bench.db'}"
         upgrade(url)
@@ -110,12 +117,15 @@ def main(rows: int = 1_000_000, database_url: str | None = None, repeats: int = 
         began_s = time.perf_counter()
         fill(database, rows)
         print(f"{rows} throws in {time.perf_counter() - began_s:.0f} s, {database.dialect}")
-        measure(History(database), Statistics(database), repeats)
+        found = measure(History(database), Statistics(database), repeats)
+        title = f"Time of one history page of {rows} throws, {database.dialect}"
         database.close()
+    write_result(describe("history", title, found, seed=2), json)
 
 
-def measure(history: History, statistics: Statistics, repeats: int) -> None:
+def measure(history: History, statistics: Statistics, repeats: int) -> list[Row]:
     rng = random.Random(2)
+    found: list[Row] = []
     everything: list[float] = []
     print(f"{'filter':<22}{'p50 ms':>9}{'p95 ms':>9}{'max ms':>9}")
     for name, wanted in FILTERS.items():
@@ -127,8 +137,8 @@ def measure(history: History, statistics: Statistics, repeats: int) -> None:
             history.page(wanted, cursor, 50)
             times.append((time.perf_counter() - began_s) * 1e3)
         everything += times
-        show(name, times)
-    show("all", everything)
+        found.append(summary(name, times))
+    found.append(summary("all", everything))
     for name, wanted in (
         ("stats", ThrowFilter()),
         ("stats of a machine", FILTERS["machine, rare"]),
@@ -138,13 +148,20 @@ def measure(history: History, statistics: Statistics, repeats: int) -> None:
             began_s = time.perf_counter()
             statistics.of(wanted, GroupBy.POLICY)
             times.append((time.perf_counter() - began_s) * 1e3)
-        show(name, times)
+        found.append(summary(name, times))
+    return found
 
 
-def show(name: str, times: list[float]) -> None:
-    ordered = sorted(times)
-    p50, p95 = ordered[len(ordered) // 2], ordered[int(len(ordered) * 0.95)]
-    print(f"{name:<22}{p50:>9.1f}{p95:>9.1f}{ordered[-1]:>9.1f}")
+def summary(name: str, times: list[float]) -> Row:
+    """Print and return percentiles of one filter."""
+    values = {
+        "p50_ms": percentile(times, 50),
+        "p95_ms": percentile(times, 95),
+        "max_ms": max(times),
+    }
+    line = row(len(times), {"filter": name}, values)
+    print(f"{name:<22}" + "".join(f"{value.value:>9.1f}" for value in line.values.values()))
+    return line
 
 
 if __name__ == "__main__":

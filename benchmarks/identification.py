@@ -1,20 +1,22 @@
-"""Identification against hidden parameters: records tests of virtual units and compares.
+"""Error and coverage of the identification, against the hidden parameters of virtual machines.
 
-python -m benchmarks.identification 0 3 7 --seeds 4 [--first-seed 0] [--tests release ...] [--json FILE]
+    python benchmarks/identification.py [0 3 7] [--seeds 4] [--tests release ...] [--json FILE]
 
-Release delay and its scatter, friction and length have a counterpart in the unit; dead time and lag of a
-drive have one up to what oil and sensors add; limits and gains are compared between seeds.
+Release delay, its standard deviation, friction and length are parameters of a virtual machine. Dead time
+and lag are parameters up to the contributions of oil and sensors. Limits and gains are compared between
+seeds.
 """
 
 import argparse
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.stats import binomtest
 
+from benchmarks.result_file import RESULTS, Row, Value, describe, row, write_result
 from diagnosis.identification.free_swing import identify_swing
 from diagnosis.identification.quantity import Quantity
 from diagnosis.identification.release_delay import identify_release
@@ -40,7 +42,7 @@ def record(kind: TestKind, unit: int, seed: int, out: Path) -> tuple[ThrowData, 
     valves = plant_calibration(VIRTUAL, make, unit_seed=unit, spec=SPEC, path=None)
     params = ControlParams(SPEC, valves, Mode.PLANAR, policy=None)
     context = LogContext(f"virtual-{unit}", f"{kind}-{unit}-{seed}", 0, out, test=kind)
-    # Poses of a program move a limit by 2 %: the same ones on all units would make all units err alike.
+    # The poses of a program affect a limit by 2 %: common poses would give all units the same error.
     draw = int(np.random.SeedSequence((unit, seed)).generate_state(1)[0])
     program = motion_program(kind, draw)
     plant = make(program.start_rad_m.shape[0])
@@ -50,7 +52,7 @@ def record(kind: TestKind, unit: int, seed: int, out: Path) -> tuple[ThrowData, 
 
 
 def hidden(unit_seed: int) -> dict[str, float]:
-    """Values of the unit in the terms of what is identified."""
+    """Parameters of the unit in terms of the identified quantities."""
     unit = make_unit(SPEC, unit_seed)
     body = build_body(SPEC, unit, 0.002)
     model, data = body.model, mujoco.MjData(body.model)
@@ -107,11 +109,11 @@ def responses(throws: tuple[ThrowData, ...]) -> dict[str, Quantity]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("units", nargs="+", type=int)
+    parser.add_argument("units", nargs="*", type=int, default=[0, 3, 7])
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--tests", nargs="+", default=["release", "swing", "response"])
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, default=RESULTS / "identification.json")
     options = parser.parse_args()
     runs = []
     for unit in options.units:
@@ -126,14 +128,26 @@ def main() -> None:
                 }
             )
             print(f"unit {unit} seed {seed}", flush=True)
-            if options.json:
-                options.json.write_text(json.dumps(runs))
-    against_truth(runs)
-    against_other_seeds(runs)
+    title = "Identification against the parameters of virtual machines"
+    rows = [*against_truth(runs), *against_other_seeds(runs)]
+    notes = "Coverage: share of the 90 % intervals that contain the reference."
+    write_result(
+        describe("identification", title, rows, seed=options.first_seed, notes=notes), options.json
+    )
 
 
-def against_truth(runs: list[dict[str, Any]]) -> None:
+def coverage(inside: int, total: int) -> Value:
+    """Share of intervals that contain the reference, with Wilson's 95 % interval."""
+    if total == 0:
+        return Value(value=None)
+    interval = binomtest(inside, total).proportion_ci(method="wilson")
+    return Value(value=inside / total, low=float(interval.low), high=float(interval.high))
+
+
+def against_truth(runs: list[dict[str, Any]]) -> list[Row]:
+    """Print and return errors against the unit's parameters."""
     print("quantity            n  mean error  rms error  rms half width  inside 90 %")
+    lines: list[Row] = []
     for name in runs[0]["truth"]:
         if name not in runs[0]["found"]:
             continue
@@ -150,19 +164,27 @@ def against_truth(runs: list[dict[str, Any]]) -> None:
             f"{name:<18} {len(rows):3d}  {error.mean():+10.4f} {np.sqrt((error**2).mean()):10.4f}"
             f"  {np.sqrt(((high - low) ** 2 / 4).mean()):14.4f}  {inside:10.0%}"
         )
+        values = {
+            "mean_error": error.mean(),
+            "rms_error": np.sqrt((error**2).mean()),
+            "coverage_ratio": coverage(round(inside * len(rows)), len(rows)),
+        }
+        lines.append(row(len(rows), {"quantity": name, "reference": "parameter"}, values))
+    return lines
 
 
-def against_other_seeds(runs: list[dict[str, Any]]) -> None:
-    """Share of intervals that hold the mean of the unit's other seeds, by what was identified."""
+def against_other_seeds(runs: list[dict[str, Any]]) -> list[Row]:
+    """Print and return the share of intervals that contain the mean of the unit's other seeds."""
+    lines: list[Row] = []
     counts = {}
     for name in runs[0]["found"]:
         if " " not in name:
             continue
         kind = name.split()[-1]
         for unit in {r["unit"] for r in runs}:
-            own = [r["found"][name] for r in runs if r["unit"] == unit]
-            counts.setdefault(kind, [0, 0, 0])[2] += len(own)
-            known = [f for f in own if f[0] is not None]
+            found = [r["found"][name] for r in runs if r["unit"] == unit]
+            counts.setdefault(kind, [0, 0, 0])[2] += len(found)
+            known = [f for f in found if f[0] is not None]
             if len(known) < 2:
                 continue
             for k, (_, low, high) in enumerate(known):
@@ -171,7 +193,12 @@ def against_other_seeds(runs: list[dict[str, Any]]) -> None:
                 counts[kind][1] += 1
     for kind, (inside, total, asked) in counts.items():
         share = f"{inside / total:.0%}" if total else "-"
-        print(f"{kind:<28} {total:3d} of {asked} known, {share} hold the mean of the other seeds")
+        print(
+            f"{kind:<28} {total:3d} of {asked} known, {share} contain the mean of the other seeds"
+        )
+        values = {"mean_error": None, "rms_error": None, "coverage_ratio": coverage(inside, total)}
+        lines.append(row(total, {"quantity": kind, "reference": "other seeds"}, values))
+    return lines
 
 
 if __name__ == "__main__":

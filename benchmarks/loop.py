@@ -1,9 +1,9 @@
-"""Lateness of the 100 Hz control loop: alone, and with other processes busy on every core beside it.
+"""Lateness of the 100 Hz control loop, alone and with a busy process on every core.
 
-Runs the loop of the control process (driver, checks, protocol, control step, rows to a socket) on the virtual
-machine in a process of its own. Targets: p99 2 ms, 1 % of the ticks later than 5 ms.
+    python benchmarks/loop.py [--ticks 2000] [--json FILE]
 
-    python benchmarks/loop.py [--ticks 2000]
+Runs the loop of the control process (driver, checks, protocol, control step, rows to a socket) on the
+virtual machine in a separate process.
 """
 
 import argparse
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.result_file import RESULTS, Row, describe, row, write_result
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS
 from machine.spec import load_spec
@@ -25,11 +26,12 @@ from runtime.process.ipc import Kind, PacketSocket, pack_rows, packet_pair
 from runtime.process.real_time import IdleGarbageCollector, become_real_time
 from runtime.process.ticker import LATE_TICK_NS, RealTimeClock, Ticker
 
-HOG = "while True:\n    sum(range(10000))\n"
+TARGETS = "Targets: lateness p99 2 ms, 1 % of the ticks later than 5 ms."
+BUSY_PROGRAM = "while True:\n    sum(range(10000))\n"
 
 
 def worker(driver_name: str, ticks: int, is_real_time: bool) -> dict[str, float]:
-    """The loop; returns its statistics."""
+    """Run the loop and return its statistics."""
     if is_real_time:
         become_real_time()
     spec = load_spec()
@@ -65,9 +67,9 @@ def worker(driver_name: str, ticks: int, is_real_time: bool) -> dict[str, float]
     }
 
 
-def measure(ticks: int, driver: str, is_real_time: bool, hogs: int) -> dict[str, float]:
-    """Run the loop beside so many busy processes."""
-    busy = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(hogs)]
+def measure(ticks: int, driver: str, is_real_time: bool, busy_count: int) -> dict[str, float]:
+    """Run the loop beside a number of busy processes."""
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY_PROGRAM]) for _ in range(busy_count)]
     try:
         command = [sys.executable, __file__, "--worker", "--ticks", str(ticks), "--driver", driver]
         root = str(Path(__file__).parents[1])
@@ -86,7 +88,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--ticks", type=int, default=2000)
     parser.add_argument("--driver", default="sim_twin.virtual.virtual_machine:VirtualMachine")
-    parser.add_argument("--worker", action="store_true")
+    parser.add_argument("--json", type=Path, default=RESULTS / "loop.json")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")
     given = parser.parse_args()
     if given.worker:
@@ -94,11 +97,20 @@ def main() -> None:
         return
     cores = os.cpu_count() or 1
     print(f"{given.ticks} ticks of 10 ms, {cores} cores, load {os.getloadavg()[0]:.1f}")
+    rows: list[Row] = []
     for is_real_time in (True, False):
-        for hogs in (0, cores):
-            found = measure(given.ticks, given.driver, is_real_time, hogs)
-            name = ("real-time" if is_real_time else "ordinary") + f", {hogs} busy processes"
+        for busy_count in (0, cores):
+            found = measure(given.ticks, given.driver, is_real_time, busy_count)
+            labels = {
+                "scheduling": "real-time" if is_real_time else "ordinary",
+                "busy processes": busy_count,
+            }
+            rows.append(row(given.ticks, labels, found))
+            name = f"{labels['scheduling']}, {busy_count} busy processes"
             print(f"{name:34}", "  ".join(f"{key} {value:.0f}" for key, value in found.items()))
+    print(TARGETS)
+    title = "Lateness and time of the 100 Hz control loop"
+    write_result(describe("loop", title, rows, seed=0, notes=TARGETS), given.json)
 
 
 if __name__ == "__main__":

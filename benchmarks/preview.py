@@ -1,13 +1,12 @@
-"""Latency of previews against the cheapest thing that does the same physics; one run, side by side.
+"""Latency of previews, and its floor: MuJoCo alone.
 
     python benchmarks/preview.py --policies policies [--mode 3d] [--count 20] [--json FILE]
 
-Measured: time until the nominal throw is shown (what an operator waits for), until it has come down, until
-the first ellipse, and until the ellipse of 200 throws. Floor: bare MuJoCo steps of the same model, for the
-ticks until the load leaves, which is all that either of the two simulates before it is shown.
+Measured: time until the nominal throw is shown (what an operator waits for), until its landing, until the
+first ellipse, and until the ellipse of 200 throws. Floor: MuJoCo steps of the same model up to the release,
+without control and output.
 """
 
-import json as json_text
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
@@ -18,6 +17,7 @@ import numpy as np
 import tyro
 from mujoco import batch
 
+from benchmarks.result_file import RESULTS, describe, percentile, row, write_result
 from evaluation.campaigns import open_policy
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_S, Mode
@@ -39,17 +39,17 @@ class Timing:
 
     shown_ms: float
     shown_cpu_ms: float
-    """Processor time of the same; on a busy machine the honest number."""
+    """Processor time of the same, which other load of the host does not change."""
     landed_ms: float
     first_ellipse_ms: float
     ellipse_ms: float
     ellipse_cpu_ms: float
     tick_count: int
-    """Ticks of the nominal throw until its load leaves."""
+    """Ticks of the nominal throw until its release."""
 
 
 def measure(request: PreviewRequest) -> Timing:
-    """Run one preview and note when what arrived."""
+    """Time one preview."""
     started, cpu_started = perf_counter(), process_time()
     marks: list[tuple[float, ThrowPreview]] = []
     cpu: list[float] = []
@@ -75,7 +75,7 @@ def measure(request: PreviewRequest) -> Timing:
 
 
 def floor_ms(ticks: int, count: int) -> float:
-    """Bare physics: `ticks` steps of `count` machines, nothing read, nothing controlled."""
+    """Milliseconds of `ticks` physics steps of `count` machines, without control and output."""
     model, _ = twin_model()
     started = perf_counter()
     if count == 1:
@@ -97,9 +97,9 @@ def main(
     count: int = 20,
     nearest: float = 7.0,
     farthest: float = 9.5,
-    json: Path | None = None,
+    json: Path = RESULTS / "preview.json",
 ) -> None:
-    """Preview `count` targets between `nearest` and `farthest` and print what it took."""
+    """Time previews of `count` targets between `nearest` and `farthest`."""
     spec = load_spec()
     runner = open_policy(Mode(mode), policies, None, spec)
     params = ControlParams(
@@ -109,7 +109,7 @@ def main(
     floors: list[tuple[float, float]] = []
     for index, range_m in enumerate(np.linspace(nearest, farthest, count + 1)):
         target = Target(x_m=float(range_m), y_m=0.0)
-        # Aligned already, so that the drawn turn of a 2D throw does not count as simulated time.
+        # Aligned already: aligning the cabin would count as simulated time of a 2D throw.
         slew = float(aligned_slew_rad(spec, np.array([target.x_m, target.y_m, 0.0])))
         pose = safe_pose(slew)
         request = PreviewRequest(
@@ -121,36 +121,30 @@ def main(
         )
         timing = measure(request)
         if index == 0:
-            continue  # the first preview compiles the model and warms the policy
+            continue  # The first preview compiles the model and loads the policy.
         timings.append(timing)
         floors.append((floor_ms(timing.tick_count, 1), floor_ms(timing.tick_count, 200)))
-    report = {
-        key: {
-            "p50_ms": float(np.nanpercentile([getattr(t, key) for t in timings], 50)),
-            "p95_ms": float(np.nanpercentile([getattr(t, key) for t in timings], 95)),
-        }
-        for key in (
-            "shown_ms",
-            "shown_cpu_ms",
-            "landed_ms",
-            "first_ellipse_ms",
-            "ellipse_ms",
-            "ellipse_cpu_ms",
+    parts = ("shown", "shown_cpu", "landed", "first_ellipse", "ellipse", "ellipse_cpu")
+    times = {part: [getattr(timing, f"{part}_ms") for timing in timings] for part in parts}
+    times["floor of one throw"] = [one for one, _ in floors]
+    times["floor of 200 throws"] = [many for _, many in floors]
+    rows = [
+        row(
+            len(values),
+            {"part": part.replace("_", " ")},
+            {"p50_ms": percentile(values, 50), "p95_ms": percentile(values, 95)},
         )
-    }
-    one, many = np.median(floors, axis=0)
-    report["floor"] = {"one_throw_ms": float(one), "two_hundred_throws_ms": float(many)}
+        for part, values in times.items()
+    ]
     ticks = np.median([t.tick_count for t in timings])
-    print(f"{count} previews in {mode}, 200 throws each; {ticks:.0f} ticks until the load leaves")
-    for key, row in report.items():
-        print(f"{key:>18}: " + ", ".join(f"{k} {v:.1f}" for k, v in row.items()))
-    print(
-        f"nominal throw shown: {report['shown_ms']['p50_ms'] / one:.0f} x bare MuJoCo; "
-        f"ellipse: {report['ellipse_ms']['p50_ms'] / many:.1f} x bare mujoco.batch; "
-        f"targets: shown {TARGET_MS['shown']:.0f} ms p95, ellipse {TARGET_MS['ellipse']:.0f} ms"
-    )
-    if json is not None:
-        json.write_text(json_text.dumps(report, indent=2) + "\n", encoding="utf-8")
+    print(f"{count} previews in {mode}, 200 throws each; {ticks:.0f} ticks until the release")
+    for line in rows:
+        shown = ", ".join(f"{key} {value.value or 0.0:.1f}" for key, value in line.values.items())
+        print(f"{line.labels['part']:>20}: {shown}")
+    notes = "Targets, p95: " + ", ".join(f"{k} {v:.0f} ms" for k, v in TARGET_MS.items()) + "."
+    print(notes)
+    title = f"Latency of previews, {mode}"
+    write_result(describe("preview", title, rows, seed=0, notes=notes), json)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,22 @@
-"""3D view: click to marker on the wire, and what the fan-out to many browsers costs.
+"""3D view: latency from click to marker on the wire, and CPU time of the fan-out to many browsers.
 
-    .venv/bin/python benchmarks/viewer.py
+    python benchmarks/viewer.py [--json FILE]
 
-Clients speak the view's protocol through the real proxy on loopback; no browser renders. The browsers
-that only look live in a process of their own, so that the CPU time is the server's. Targets (6-targets.md,
-design 3 D): click -> marker p95 <= 80 ms (goal 30); 10 browsers <= 25 % of a core.
+Clients speak the view's protocol through the real proxy on loopback; no browser renders. Watching clients
+run in a separate process, so that the CPU time is the server's.
 """
 
+import argparse
 import resource
-import statistics
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from machine.starts import safe_pose
 from tests.server.viewer_app import CAMERA, Port, ViewClient, ViewerApp, click, wait_for
 
@@ -23,10 +24,7 @@ CLICKS = 200
 CLIENTS = 10
 RATE_HZ = 25.0
 FAN_OUT_S = 8.0
-
-
-def percentile(values: list[float], share: float) -> float:
-    return float(np.percentile(values, share))
+TARGETS = "Targets: click to marker p95 80 ms; 25 % of a core for 10 browsers."
 
 
 def connect(app: ViewerApp, session_id: str) -> ViewClient:
@@ -38,7 +36,7 @@ def connect(app: ViewerApp, session_id: str) -> ViewClient:
 
 
 def drive(app: ViewerApp, stop: threading.Event) -> None:
-    """A machine that swings all its joints, at the rate of the joint stream."""
+    """Move all joints of a machine, at the rate of the joint stream."""
     pose, began_s = safe_pose(), time.monotonic()
     while not stop.wait(1.0 / RATE_HZ):
         swing = 0.2 * np.sin(3.0 * (time.monotonic() - began_s))
@@ -46,7 +44,7 @@ def drive(app: ViewerApp, stop: threading.Event) -> None:
 
 
 def watch(port: int) -> None:
-    """Child process: browsers that only look."""
+    """Child process: clients that only watch."""
     clients = [ViewClient(Port(port), f"watch{i}") for i in range(CLIENTS)]
     for client in clients:
         client.send(CAMERA)
@@ -89,45 +87,61 @@ def measure_clicks(app: ViewerApp, client: ViewClient, rng: np.random.Generator)
     return taken
 
 
-def report(name: str, taken: list[float]) -> None:
-    print(
-        f"{name}: p50 {statistics.median(taken):.1f} ms, p95 {percentile(taken, 95):.1f} ms, "
-        f"max {max(taken):.1f} ms, n {len(taken)}"
-    )
+def summary(name: str, taken: list[float], core_ratio: float | None = None) -> Row:
+    """Print and return percentiles of one measurement."""
+    values = {
+        "p50_ms": percentile(taken, 50),
+        "p95_ms": percentile(taken, 95),
+        "max_ms": max(taken),
+        "core_ratio": core_ratio,
+    }
+    line = row(len(taken), {"measurement": name}, values)
+    shown = (f"{key} {v.value:.2f}" for key, v in line.values.items() if v.value is not None)
+    print(f"{name}: " + ", ".join(shown))
+    return line
 
 
-def main() -> None:
+def main(json: Path) -> None:
+    """Measure with one client and with many."""
     app, rng = ViewerApp(), np.random.default_rng(1)
     app.scene.update_machine("m001", safe_pose())
     began_s = time.perf_counter()
     client = connect(app, "clicks")
-    print(f"connect to machine on the wire: {1000 * (time.perf_counter() - began_s):.0f} ms")
-    report("click -> marker, 1 client, machine at rest", measure_clicks(app, client, rng))
+    connect_ms = 1000.0 * (time.perf_counter() - began_s)
+    rows = [
+        summary("connect to machine on the wire", [connect_ms]),
+        summary("click to marker, 1 client, machine at rest", measure_clicks(app, client, rng)),
+    ]
     stop = threading.Event()
     threading.Thread(target=drive, args=(app, stop), daemon=True).start()
-    report("click -> marker, 1 client, machine moving", measure_clicks(app, client, rng))
+    taken = measure_clicks(app, client, rng)
+    rows.append(summary("click to marker, 1 client, machine moving", taken))
     for index in range(CLIENTS):
         app.scene.show_machine(f"watch{index}", "m001")
-    arguments = [sys.executable, __file__, str(app.port)]
+    arguments = [sys.executable, __file__, "--watch", str(app.port)]
     with subprocess.Popen(arguments, stdin=subprocess.PIPE) as others:
         wait_for(lambda: app.scene.client_count(f"watch{CLIENTS - 1}"), "the others", 60.0)
         read_for(client, 2.0)
         used_s, began_s = cpu_s(), time.perf_counter()
         read_for(client, FAN_OUT_S)
         share = (cpu_s() - used_s) / (time.perf_counter() - began_s)
-        print(
-            f"fan-out of {RATE_HZ:.0f} Hz to {CLIENTS + 1} browsers: {100 * share:.0f} % of a core"
-        )
-        report(f"click -> marker, {CLIENTS + 1} browsers", measure_clicks(app, client, rng))
+        name = f"click to marker, {CLIENTS + 1} clients, {RATE_HZ:.0f} Hz"
+        rows.append(summary(name, measure_clicks(app, client, rng), share))
         others.terminate()
     stop.set()
     client.close()
     wait_for(lambda: app.scene.client_count("clicks") == 0, "the views to go")
     app.close()
+    title = "3D view: click to marker, and share of a core of the server"
+    write_result(describe("viewer", title, rows, seed=1, notes=TARGETS), json)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        watch(int(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, default=RESULTS / "viewer.json")
+    parser.add_argument("--watch", type=int, metavar="PORT", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.watch is None:
+        main(given.json)
     else:
-        main()
+        watch(given.watch)

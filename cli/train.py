@@ -54,8 +54,8 @@ def run(
         os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else "cuda,cpu"
     from dataclasses import replace
 
-    from training.environment.shipped import learner_for, task_for
-    from training.identified import read_response, with_identified
+    from training.environment.configurations import learner_for, task_for
+    from training.identified_response import read_response, with_identified
     from training.train import RunOptions, train
 
     chosen = Mode(mode)

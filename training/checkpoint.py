@@ -1,6 +1,6 @@
-"""Checkpoints that survive a kill: the whole learner in one file, replaced atomically.
+"""Checkpoints: the whole learner in one file, replaced atomically.
 
-A resumed run goes on exactly as an uninterrupted one would on the same device (tested).
+A resumed run gives exactly the results of an uninterrupted one on the same device.
 """
 
 import os
@@ -20,7 +20,7 @@ CHECKPOINT_FILE = "checkpoint.npz"
 
 
 def save_checkpoint(path: Path, learner: Learner, fingerprint: str) -> None:
-    """Write every leaf of the learner and the configuration's fingerprint; never leaves half a file."""
+    """Write the learner and the configuration's fingerprint, replacing the file atomically."""
     arrays = {name: _to_numpy(leaf) for name, leaf in _named(learner)}
     partial = path.with_suffix(".partial.npz")
     with partial.open("wb") as stream:
@@ -49,7 +49,7 @@ def load_checkpoint(path: Path, like: Learner, fingerprint: str) -> Learner:
 def load_weights(path: Path, like: Learner) -> Learner:
     """`like` with the networks and the normaliser of another run's checkpoint: a warm start.
 
-    The spread of the actions stays that of `like`, so that the new run explores again.
+    The standard deviation of the actions stays that of `like`, so that the new run explores again.
 
     Raises:
         UsageError: the other run had networks of other sizes, or the file is no checkpoint.
@@ -75,7 +75,7 @@ def _opened(path: Path) -> Generator[Mapping[str, np.ndarray]]:
         UsageError: the file is missing, damaged or something else.
     """
     try:
-        # Opened here: NumPy leaves a damaged archive's file open.
+        # Opened here, since NumPy does not close the file of a damaged archive.
         with path.open("rb") as file, np.load(file) as stored:
             yield stored
     except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:

@@ -1,7 +1,7 @@
-"""Writes a policy folder: ONNX with the normaliser inside, and the card beside it.
+"""Export of a policy folder: ONNX file with the normaliser inside, and the card beside it.
 
-The exported file is run through onnxruntime against the JAX actor before the card is written; a difference
-above 1e-5 (actions are of order 1) is an error.
+Before the card is written, the file's actions are compared with those of the JAX actor; a relative
+difference above 1e-5 is an error.
 """
 
 import math
@@ -30,7 +30,7 @@ from training.measure import act
 from training.networks import NORMALISED_LIMIT, Layers, Normaliser
 
 OPSET = 17
-"""Known to every onnxruntime since 1.12."""
+"""Operator set version; supported by onnxruntime since 1.12."""
 IR_VERSION = 8
 PARITY_LIMIT_RATIO = 1e-5
 
@@ -77,9 +77,9 @@ def policy_model(actor: Layers, normaliser: Normaliser) -> onnx.ModelProto:
 
 
 def parity_error(model: onnx.ModelProto, actor: Layers, normaliser: Normaliser) -> float:
-    """Largest difference between the file under onnxruntime and the JAX actor, over 4096 observations.
+    """Largest difference between the file's and the JAX actor's actions over 4096 observations.
 
-    Of actions beyond 1 (they are clipped there) the share is meant: single precision rounds them by more.
+    Relative for actions beyond 1 (which are clipped later), since single precision rounds them by more.
     """
     rng = np.random.default_rng(0)
     width = actor[0][0].shape[0]
@@ -105,7 +105,7 @@ def export_policy(
     """Write `folder`/policy.onnx and card.json.
 
     Raises:
-        PolicyError: the exported file does not give the trained network's actions.
+        PolicyError: the file's actions differ from those of the trained network.
     """
     model = policy_model(actor, normaliser)
     worst = parity_error(model, actor, normaliser)
@@ -126,7 +126,7 @@ def export_policy(
         observation_names=observation_names(task.mode, task.episode.pace_ratio is not None),
         action_names=ACTION_NAMES[task.mode],
         action_scale_rad_m_per_s=tuple(float(v) for v in action_scale(spec, task.mode)),
-        # The last targets of the training range have neighbours on one side only: keep 5 cm inside.
+        # Targets at the end of the training range have neighbours on one side only: stay 5 cm inside.
         target_range_min_m=nearest,
         target_range_max_m=math.floor(10.0 * farthest) / 10.0,
         target_height_min_m=task.episode.target_height_m[0],
@@ -141,7 +141,7 @@ def export_policy(
 
 
 def _reach_inside(reach_m: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    """Whole tenths of a metre, at least 5 cm inside of what was trained where that ends on a half."""
+    """Ranges rounded down to tenths of a metre, 5 cm inside the trained range where that ends on a half."""
     return tuple((height_m, math.floor(10.0 * far_m) / 10.0) for height_m, far_m in reach_m)
 
 

@@ -1,4 +1,4 @@
-"""Accuracy of a policy in the training environment: one deterministic throw an environment, by distance."""
+"""Accuracy of a policy in the training environment, by target range."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,10 +10,10 @@ import numpy as np
 
 from machine.conventions import DEFAULT_PACE_RATIO, POLICY_PERIOD_S
 from machine.spec import MachineSpec
-from training.environment.environment import ThrowEnvironment
-from training.environment.episode import Failure, StepInfo
+from training.environment.episode import EpisodeFailure, StepInfo
 from training.environment.state import EnvironmentState, start_table
 from training.environment.task import TaskConfig
+from training.environment.throw_environment import ThrowEnvironment
 from training.networks import Layers, Normaliser, apply_layers, normalise
 
 Field = Any
@@ -21,7 +21,7 @@ Field = Any
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What a policy does at one target distance."""
+    """Accuracy of a policy at one target range."""
 
     range_m: float
     throw_count: int
@@ -32,11 +32,11 @@ class Accuracy:
     crossrange_sd_m: float
     duration_s: float
     failure_count: dict[str, int]
-    """Throws by the way they failed."""
+    """Failed throws by kind of failure."""
 
 
 def act(actor: Layers, normaliser: Normaliser, observation: Field) -> Field:
-    """Deterministic action (N, A) for observations (N, D): the mean, as in the exported file."""
+    """Mean action (N, A) for observations (N, D), as in the exported file."""
     width = observation.shape[-1]
     moments = Normaliser(normaliser.mean[:width], normaliser.variance[:width], normaliser.count)
     return apply_layers(actor, normalise(moments, observation))
@@ -46,10 +46,10 @@ _Compiled = tuple[Callable[..., Any], Callable[..., Any]]
 
 
 class Measurement:
-    """Throws that say what a policy does, at every distance on the ground and at the usual pace.
+    """Deterministic throws at given ranges at ground level, at the default pace.
 
-    Everything else is randomised as in training. Compiling takes longer than throwing: `prepare` does it
-    while the policy still learns.
+    Everything else is randomised as in training. Compilation takes longer than the throws: `prepare`
+    compiles while the policy is still trained.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Measurement:
         throw_count: int,
         seed: int,
     ) -> None:
-        """Draw the starts of `throw_count` throws at every distance."""
+        """Draw the starts of `throw_count` throws at every range."""
         if task.episode.pace_ratio is not None:
             usual = replace(task.episode, pace_ratio=(DEFAULT_PACE_RATIO, DEFAULT_PACE_RATIO))
             task = replace(task, episode=usual)
@@ -70,7 +70,7 @@ class Measurement:
         rng = np.random.default_rng(seed)
         self._table = start_table(spec, task.mode, distance, np.zeros_like(distance), rng)
         reset_key, run_key = jax.random.split(jax.random.key(seed))
-        # The load flies at most a second and a half after the last chance to release.
+        # A load released at the last moment flies for at most 1.5 s.
         steps = int(task.episode.time_limit_s / POLICY_PERIOD_S) + 25
         self._reset_key, self._step_keys = reset_key, jax.random.split(run_key, steps)
         self._compiled: _Compiled | None = None
@@ -83,12 +83,12 @@ class Measurement:
         self._compiled = (begin, step)
 
     def accuracy(self, actor: Layers, normaliser: Normaliser) -> list[Accuracy]:
-        """Throw once from every start; a row a distance."""
+        """Throw once from every start; one row per range."""
         if self._compiled is None:
             self.prepare(actor, normaliser)
         begin, step = cast(_Compiled, self._compiled)
         state, end = begin(self._reset_key)
-        # Not a scan over the steps: on the CPU that compiled, but never came back (JAX 0.10.2).
+        # A scan over the steps hangs on the CPU (JAX 0.10.2).
         for key in self._step_keys:
             state, end = step(actor, normaliser, state, end, key)
         thrown = jax.tree.map(np.asarray, end)
@@ -99,7 +99,7 @@ class Measurement:
         return result
 
     def _begin(self, key: Field) -> tuple[EnvironmentState, StepInfo]:
-        """Fresh episodes, and the blank infos of their ends."""
+        """New episodes, and empty infos for their ends."""
         count = self._table.start_rad_m.shape[0]
         state = self._env.reset(key, self._table, jnp.arange(count))
         action = jnp.zeros((count, self._env.action_count))
@@ -114,7 +114,7 @@ class Measurement:
         end: StepInfo,
         key: Field,
     ) -> tuple[EnvironmentState, StepInfo]:
-        """One control step of the episodes that run."""
+        """One control step of the episodes that have not ended."""
         observation, _ = self._env.observe(state)
         after, _, info = self._env.step(key, state, act(actor, normaliser, observation))
 
@@ -141,7 +141,7 @@ def _accuracy(range_m: float, end: StepInfo) -> Accuracy:
         duration_s=float(np.asarray(end.duration_s).mean()),
         failure_count={
             code.name.lower(): int((failure == code).sum())
-            for code in Failure
+            for code in EpisodeFailure
             if (failure == code).any()
         },
     )

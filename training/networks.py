@@ -1,4 +1,4 @@
-"""Actor and critic: multilayer perceptrons with ELU, and the running normaliser of what they see."""
+"""Actor and critic: multilayer perceptrons with ELU, and the running normaliser of their inputs."""
 
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ Layers = tuple[tuple[Field, Field], ...]
 """Weights (in, out) and biases (out,) of each layer."""
 
 NORMALISED_LIMIT = 10.0
-"""Normalised values are clipped here: a sensor fault must not drive the network off its range."""
+"""Bound of normalised inputs: a sensor fault must not drive the network out of its range."""
 
 
 class Normaliser(NamedTuple):
@@ -23,12 +23,12 @@ class Normaliser(NamedTuple):
 
 
 class Networks(NamedTuple):
-    """Everything that is learned by gradient."""
+    """Parameters learned by gradient."""
 
     actor: Layers
     critic: Layers
     log_deviation: Field
-    """(A,) of the actions, the same in every state."""
+    """(A,) log standard deviation of the actions, independent of the state."""
 
 
 def make_layers(key: Field, sizes: tuple[int, ...], last_scale: float) -> Layers:
@@ -68,7 +68,7 @@ def make_networks(
     hidden: tuple[int, ...],
     log_deviation: float,
 ) -> Networks:
-    """Fresh networks; the critic sees the observation and the privileged values."""
+    """Initial networks; the critic's input is observation and privileged values."""
     keys = jax.random.split(key, 2)
     return Networks(
         actor=make_layers(keys[0], (observation_count, *hidden, action_count), 0.01),
@@ -78,7 +78,7 @@ def make_networks(
 
 
 def make_normaliser(count: int) -> Normaliser:
-    """A normaliser that has seen nothing."""
+    """Initial normaliser."""
     return Normaliser(jnp.zeros(count), jnp.ones(count), jnp.asarray(1e-4))
 
 
@@ -94,7 +94,7 @@ def update_normaliser(normaliser: Normaliser, batch: Field) -> Normaliser:
         + variance * count
         + jnp.square(delta) * normaliser.count * count / total
     )
-    # Capped, so that the moments keep following a policy that still changes.
+    # Capped, so that the moments follow the changing policy.
     return Normaliser(
         normaliser.mean + delta * count / total, merged / total, jnp.minimum(total, 2e8)
     )

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation with generalised advantage estimation; a whole iteration is one jitted scan.
+"""Proximal policy optimisation with generalised advantage estimation; iterations are one compiled scan.
 
 Loss and bookkeeping follow Schulman et al. 2017 (PPO) and 2016 (GAE); the learning rate follows the
 Kullback-Leibler divergence of each update, as in the paper's implementation.
@@ -13,12 +13,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from training.environment.environment import ThrowEnvironment
-from training.environment.episode import Failure, StepInfo
+from training.environment.episode import EpisodeFailure, StepInfo
 from training.environment.reward import hurry_share
 from training.environment.state import EnvironmentState, StartTable
 from training.environment.task import PpoConfig
-from training.hard_starts import draw_starts, first_scores, rescored
+from training.environment.throw_environment import ThrowEnvironment
 from training.networks import (
     Networks,
     Normaliser,
@@ -28,12 +27,13 @@ from training.networks import (
     normalise,
     update_normaliser,
 )
+from training.start_sampling import draw_starts, first_scores, rescored
 
 Field = Any
 
 
 class Learner(NamedTuple):
-    """Everything that a run carries from iteration to iteration: the checkpoint."""
+    """State that a run carries from iteration to iteration: the content of a checkpoint."""
 
     networks: Networks
     optimiser: Any
@@ -43,14 +43,14 @@ class Learner(NamedTuple):
     start_row: Field
     """(N,) row of the start table at which each environment's episode began."""
     start_score_m: Field
-    """(M,) how badly the starts of the table went (training.hard_starts)."""
+    """(M,) scores of the starts of the table (training.start_sampling)."""
     key: Field
     iteration: Field
-    """Iterations done."""
+    """() completed iterations."""
 
 
 class Batch(NamedTuple):
-    """What one iteration collected; (T, N, ...) before, (M, ...) inside the update."""
+    """Data of one iteration: (T, N, ...) as collected, (M, ...) in a minibatch."""
 
     observation: Field
     """Observation and privileged values, not normalised."""
@@ -60,13 +60,13 @@ class Batch(NamedTuple):
     reward: Field
     done: Field
     drives: Field
-    """1.0 where the action had a say: after the release the settle motion drives."""
+    """1.0 where the action drives the joints; 0.0 during the settle motion after the release."""
     advantage: Field
     target: Field
 
 
-class Metrics(NamedTuple):
-    """Sums over one iteration's steps; `progress` turns them into rates and moments."""
+class IterationMetrics(NamedTuple):
+    """Sums over one iteration's steps; `training.progress` turns them into rates and moments."""
 
     reward: Field
     done: Field
@@ -76,7 +76,7 @@ class Metrics(NamedTuple):
     miss: Field
     miss_squared: Field
     within_quarter: Field
-    """Landings within 0.25 m."""
+    """Landings within 0.25 m of the target."""
     duration: Field
     learning_rate: Field
     divergence: Field
@@ -93,15 +93,15 @@ class Trainer:
         self.table = table
         self.config = config
         self._optimiser = optax.scale_by_adam(eps=1e-5)
-        self._compiled: dict[int, Callable[[Learner], tuple[Learner, Metrics]]] = {}
-        """`advance` by its number of iterations."""
+        self._compiled: dict[int, Callable[[Learner], tuple[Learner, IterationMetrics]]] = {}
+        """Compiled `advance`, by its number of iterations."""
 
     def prepared(self, key: Field, iterations: int) -> Learner:
-        """`start`, while the host also compiles `advance` by so many iterations."""
+        """Result of `start`; compiles `advance` for this number of iterations at the same time."""
         learner = jax.eval_shape(self.start, key)
         chunk = Trainer._advance.lower(self, learner, iterations)
         with ThreadPoolExecutor() as pool:
-            # The longest first: it is what everything waits for.
+            # First, because it takes longest.
             advance = pool.submit(chunk.compile)
             start = Trainer.start.lower(self, key).compile()
             self._compiled[iterations] = advance.result()
@@ -109,7 +109,7 @@ class Trainer:
 
     @partial(jax.jit, static_argnums=0)
     def start(self, key: Field) -> Learner:
-        """Fresh networks and environments."""
+        """Initial networks and environments."""
         keys = jax.random.split(key, 4)
         count, env = self.config.environment_count, self.environment
         rows = jax.random.randint(keys[0], (count,), 0, self.table.start_rad_m.shape[0])
@@ -137,20 +137,20 @@ class Trainer:
         # Weakly typed leaves would make the second call of `advance` compile again.
         return jax.tree.map(lambda x: jax.lax.convert_element_type(x, x.dtype), learner)
 
-    def advance(self, learner: Learner, iterations: int) -> tuple[Learner, Metrics]:
-        """Several whole iterations; metrics have a leading axis of that length."""
+    def advance(self, learner: Learner, iterations: int) -> tuple[Learner, IterationMetrics]:
+        """Run iterations; the metrics have a leading axis of that length."""
         ready = self._compiled.get(iterations)
         return ready(learner) if ready is not None else self._advance(learner, iterations)
 
     @partial(jax.jit, static_argnums=(0, 2), donate_argnums=1)
-    def _advance(self, learner: Learner, iterations: int) -> tuple[Learner, Metrics]:
+    def _advance(self, learner: Learner, iterations: int) -> tuple[Learner, IterationMetrics]:
         return jax.lax.scan(lambda carry, _: self._iterate(carry), learner, length=iterations)
 
-    def _iterate(self, learner: Learner) -> tuple[Learner, Metrics]:
+    def _iterate(self, learner: Learner) -> tuple[Learner, IterationMetrics]:
         key, roll_key, update_key = jax.random.split(learner.key, 3)
         learner, batch, collected = self._collect(roll_key, learner)
         normaliser = update_normaliser(learner.normaliser, batch.observation)
-        # The batch was collected with the old moments; the update must see what the actor saw.
+        # The update must see the observations as the actor saw them: with the moments of the collection.
         observation = normalise(learner.normaliser, batch.observation)
         batch = batch._replace(observation=observation)
         learner, losses = self._update(update_key, learner, batch)
@@ -165,7 +165,7 @@ class Trainer:
         )
         return learner, metrics
 
-    def _collect(self, key: Field, learner: Learner) -> tuple[Learner, Batch, Metrics]:
+    def _collect(self, key: Field, learner: Learner) -> tuple[Learner, Batch, IterationMetrics]:
         """Run the policy for `step_count` steps in every environment, then estimate advantages."""
         env, config = self.environment, self.config
         networks, normaliser = learner.networks, learner.normaliser
@@ -210,7 +210,7 @@ class Trainer:
         last_value = apply_layers(networks.critic, scaled, kept_as)[:, 0]
         advantage = self._advantages(batch, last_value)
         batch = batch._replace(advantage=advantage, target=advantage + batch.value)
-        # Counted once for all steps: a sum over the environments in every step took 0.2 ms on a GPU.
+        # One sum over all steps: a sum in every step is slow on a GPU.
         return learner, batch, _count(batch.reward, info)
 
     def _advantages(self, batch: Batch, last_value: Field) -> Field:
@@ -220,7 +220,7 @@ class Trainer:
             advantage, next_value = carry
             reward, done, value = row
             alive = 1.0 - done.astype(jnp.float32)
-            # TD error: r_t + gamma V(s_{t+1}) - V(s_t), no value after an end
+            # TD error: r_t + gamma V(s_{t+1}) - V(s_t); the value after an end is zero.
             delta = reward + gamma * alive * next_value - value
             advantage = delta + gamma * trace * alive * advantage
             return (advantage, value), advantage
@@ -230,7 +230,11 @@ class Trainer:
         return jax.lax.scan(back, first, rows, reverse=True)[1]
 
     def _update(self, key: Field, learner: Learner, batch: Batch) -> tuple[Learner, Field]:
-        """Epochs of minibatches, split along the environments; returns mean (KL, value loss, entropy)."""
+        """Epochs of minibatches, split along the environments.
+
+        Returns:
+            Learner; means of divergence, value loss and entropy (3,).
+        """
         config = self.config
         parts = config.minibatch_count
         share = batch.drives / jnp.maximum(batch.drives.sum(), 1.0)
@@ -267,7 +271,7 @@ class Trainer:
         return learner, losses.mean((0, 1))
 
     def _divergence_bounds(self, learner: Learner) -> tuple[Field, Field]:
-        """Both bounds () of the divergence; in the last part of the training they shrink."""
+        """Bounds () of the divergence, which shrink in the last part of the training."""
         config = self.config
         first, share = config.divergence_shrinks_from_ratio, config.divergence_last_ratio
         done = (learner.iteration / config.iteration_count - first) / (1.0 - first)
@@ -296,9 +300,9 @@ class Trainer:
 
 
 def clip_gradient(gradient: Networks, limit_ratio: float) -> Networks:
-    """Limit the norm of the actor's gradient and that of the critic's, each by itself.
+    """Limit the norms of the actor's and of the critic's gradient separately.
 
-    The critic's is so much larger that one norm over both would be its norm.
+    A common norm would be that of the critic's gradient, which is much larger.
     """
 
     def clipped(tree: Any) -> Any:
@@ -317,7 +321,7 @@ def log_density(mean: Field, log_deviation: Field, action: Field) -> Field:
 
 
 def _select(done: Field, fresh: EnvironmentState, after: EnvironmentState) -> EnvironmentState:
-    """Take the fresh state where episodes are over."""
+    """The fresh state where an episode has ended, else the state after the step."""
 
     def pick(new: Field, old: Field) -> Field:
         return jnp.where(done.reshape(-1, *[1] * (new.ndim - 1)), new, old)
@@ -325,14 +329,14 @@ def _select(done: Field, fresh: EnvironmentState, after: EnvironmentState) -> En
     return jax.tree.map(pick, fresh, after)
 
 
-def _count(reward: Field, info: StepInfo) -> Metrics:
+def _count(reward: Field, info: StepInfo) -> IterationMetrics:
     """Sums over the steps (T, N) of one iteration."""
     miss = jnp.where(info.landed, jnp.hypot(info.miss_m[..., 0], info.miss_m[..., 1]), 0.0)
     landed = info.landed.astype(jnp.float32)
     ended = info.done.astype(jnp.float32)
-    codes = jnp.arange(len(Failure))[:, None, None]
+    codes = jnp.arange(len(EpisodeFailure))[:, None, None]
     zero = jnp.asarray(0.0)
-    return Metrics(
+    return IterationMetrics(
         reward=reward.sum(),
         done=ended.sum(),
         landed=landed.sum(),

@@ -1,4 +1,4 @@
-"""What a training run tells: progress lines, metrics as CSV and JSON, and the learning curve."""
+"""Reports of a training run: progress lines, metrics as CSV and JSON, learning curve."""
 
 import csv
 import json
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from training.environment.episode import Failure
+from training.environment.episode import EpisodeFailure
 
 if TYPE_CHECKING:
     from training.measure import Accuracy
-    from training.ppo import Metrics
+    from training.ppo import IterationMetrics
 
 CSV_FILE = "metrics.csv"
 CURVE_FILE = "learning_curve.png"
@@ -23,22 +23,22 @@ SUMMARY_FILE = "metrics.json"
 
 @dataclass(frozen=True)
 class ProgressRow:
-    """One iteration."""
+    """Metrics of one iteration."""
 
     iteration_count: int
     environment_step_count: int
     wall_s: float
-    """Of the whole run, compilation and earlier parts before a resume included."""
+    """Wall time of the run so far, compilation and parts before a resume included."""
     reward_ratio: float
-    """Mean a control step."""
+    """Mean reward of a control step."""
     episode_count: int
     landed_ratio: float
-    """Episodes that ended with a landing."""
+    """Share of the episodes that ended with a landing."""
     miss_mean_m: float
-    """Mean distance to the target of the landings, with exploration noise; NaN where nothing landed."""
+    """Mean miss of the landings, with exploration noise; NaN without landings."""
     miss_rms_m: float
     within_quarter_ratio: float
-    """Landings within 0.25 m."""
+    """Share of the landings within 0.25 m of the target."""
     duration_s: float
     """Mean length of an episode."""
     numeric_ratio: float
@@ -55,9 +55,9 @@ class ProgressRow:
 
 
 def progress_rows(
-    metrics: "Metrics", first_iteration: int, steps_each: int, wall_s: tuple[float, float]
+    metrics: "IterationMetrics", first_iteration: int, steps_each: int, wall_s: tuple[float, float]
 ) -> list[ProgressRow]:
-    """Rows of consecutive iterations, the wall time spread evenly between its two ends."""
+    """Rows of consecutive iterations; the wall time is interpolated between its two values."""
     host = {name: np.asarray(value) for name, value in metrics._asdict().items()}
     count = host["reward"].shape[0]
     times = np.linspace(wall_s[0], wall_s[1], count + 1)[1:]
@@ -78,11 +78,11 @@ def progress_rows(
                 miss_rms_m=float(np.sqrt(host["miss_squared"][i] / landings)),
                 within_quarter_ratio=float(host["within_quarter"][i]) / max(landed, 1.0),
                 duration_s=float(host["duration"][i]) / done,
-                numeric_ratio=float(failure[Failure.NUMERIC]),
-                collision_ratio=float(failure[Failure.COLLISION]),
-                limit_ratio=float(failure[Failure.LIMIT]),
-                swing_ratio=float(failure[Failure.SWING]),
-                timeout_ratio=float(failure[Failure.TIMEOUT]),
+                numeric_ratio=float(failure[EpisodeFailure.NUMERIC]),
+                collision_ratio=float(failure[EpisodeFailure.COLLISION]),
+                limit_ratio=float(failure[EpisodeFailure.LIMIT]),
+                swing_ratio=float(failure[EpisodeFailure.SWING]),
+                timeout_ratio=float(failure[EpisodeFailure.TIMEOUT]),
                 learning_rate_ratio=float(host["learning_rate"][i]),
                 divergence_ratio=float(host["divergence"][i]),
                 entropy_ratio=float(host["entropy"][i]),
@@ -94,7 +94,7 @@ def progress_rows(
 
 
 def progress_line(row: ProgressRow, total: int) -> str:
-    """One line for people."""
+    """A row as a line of text."""
     rate = row.environment_step_count / max(row.wall_s, 1e-9) / 1e6
     miss = f"{row.miss_mean_m:.3f} m" if isfinite(row.miss_mean_m) else "-"
     return (
@@ -113,10 +113,10 @@ def append_rows(path: Path, rows: list[ProgressRow]) -> None:
 
 
 def keep_rows(path: Path, iteration_count: int) -> list[ProgressRow]:
-    """Rows up to an iteration, all others taken out of the CSV.
+    """Remove the rows after an iteration from the CSV; return the others.
 
-    A killed run may have written rows beyond its last checkpoint, or half a line; those iterations are run
-    again. The file is replaced as a whole, so that a kill in the middle leaves the old one.
+    A killed run may have written rows after its last checkpoint, or half a line; those iterations are run
+    again. The file is replaced atomically.
     """
     if not path.is_file():
         return []
@@ -136,7 +136,7 @@ def _write(stream: TextIO, rows: list[ProgressRow], *, header: bool) -> None:
 
 
 def read_rows(path: Path) -> list[ProgressRow]:
-    """Read the CSV back; none if there is no file. A last line without its end is not read."""
+    """Rows of the CSV; none without a file. An incomplete last line is ignored."""
     if not path.is_file():
         return []
     whole = {field.name for field in fields(ProgressRow) if field.type in (int, "int")}
@@ -150,7 +150,7 @@ def read_rows(path: Path) -> list[ProgressRow]:
 
 
 def write_summary(path: Path, rows: list[ProgressRow], accuracy: "list[Accuracy]") -> None:
-    """Write the last row and the accuracy by distance as JSON; null where nothing landed."""
+    """Write the last row and the accuracy by distance as JSON; null for values that are not finite."""
     content = {
         "last": _finite(asdict(rows[-1])) if rows else None,
         "accuracy": [_finite(asdict(entry)) for entry in accuracy],
@@ -159,12 +159,12 @@ def write_summary(path: Path, rows: list[ProgressRow], accuracy: "list[Accuracy]
 
 
 def _finite(row: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no NaN."""
+    """The row with None in place of values that are not finite."""
     return {k: None if isinstance(v, float) and not isfinite(v) else v for k, v in row.items()}
 
 
 def plot_curve(path: Path, rows: list[ProgressRow], title: str) -> None:
-    """Draw miss and share of landings over the control steps."""
+    """Plot miss and share of landings over the control steps."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -26,11 +26,11 @@ from training.checkpoint import (
     load_weights,
     save_checkpoint,
 )
-from training.environment.environment import ThrowEnvironment
 from training.environment.state import random_table
 from training.environment.task import PpoConfig, TaskConfig
+from training.environment.throw_environment import ThrowEnvironment
 from training.export import export_policy
-from training.identified import ResponseSource
+from training.identified_response import ResponseSource
 from training.measure import Accuracy, Measurement
 from training.networks import Layers, Normaliser
 from training.ppo import Learner, Trainer
@@ -48,35 +48,35 @@ from training.progress import (
 )
 
 MEASURED_RANGES_M = (7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 10.87)
-"""Where accuracy is measured after training (paper: 7 to 10 m; the last is 45 % past the reach)."""
+"""Target ranges of the accuracy measurement (paper: 7 to 10 m); the last is 1.45 times the reach."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What one run is told besides task and learner."""
+    """Options of a run besides task and learner."""
 
     out: Path
     """Folder for checkpoint, metrics, curve and policy."""
     policy_id: str
     """Name of the exported policy version."""
     seed_count: int = 0
-    """The seed's value."""
+    """Seed of all random numbers."""
     commit: str = ""
-    """Commit the code was taken from; empty: asked of git."""
+    """Commit of the code; empty: read from git."""
     chunk_count: int = 20
     """Iterations between progress lines."""
     measured_throw_count: int = 1024
-    """Throws a distance after training."""
+    """Throws per target range after training; 0: none."""
     time_limit_s: float = float("inf")
-    """Learning ends here even if iterations are left."""
+    """Wall time after which training ends even if iterations are left."""
     unroll_count: int = 1
-    """Physics ticks unrolled in the compiled loop: more compile longer and run faster on a GPU."""
+    """Physics ticks unrolled in the compiled loop: longer compilation, faster steps on a GPU."""
     warm_start: Path | None = None
-    """Checkpoint of another run whose networks this one starts from."""
+    """Checkpoint of another run whose networks are the initial ones."""
     checkpoint_period_s: float = 20.0
-    """A kill costs at most this much of the learning, and the chunk that was running."""
+    """Time between checkpoints."""
     response_sources: tuple[ResponseSource, ...] = ()
-    """Where the task's response was identified; the card names them."""
+    """Files of the identified response, recorded in the card."""
 
 
 def train(
@@ -90,7 +90,7 @@ def train(
     _check(config, options)
     learner, trainer, fingerprint = _prepare(spec, task, config, options, say)
     with ThreadPoolExecutor() as pool:
-        # A GPU's host has nothing else to do while its GPU learns.
+        # The host is idle while the GPU trains.
         shapes = jax.eval_shape(lambda: (learner.networks.actor, learner.normaliser))
         measuring = pool.submit(_measurement, spec, task, options, shapes)
         drawing = pool.submit(importlib.import_module, "matplotlib.figure")
@@ -135,7 +135,7 @@ def train(
 def _measurement(
     spec: MachineSpec, task: TaskConfig, options: RunOptions, shapes: tuple[Layers, Normaliser]
 ) -> Measurement | None:
-    """What is thrown once a policy of these shapes has learned, compiled; None without throws."""
+    """Compiled accuracy measurement for networks of these shapes; None without throws."""
     if not options.measured_throw_count:
         return None
     near, far = task.episode.target_range_m
@@ -148,10 +148,10 @@ def _measurement(
 
 
 def _check(config: PpoConfig, options: RunOptions) -> None:
-    """Refuse what would fail later, some of it only after the whole training.
+    """Refuse options that would fail later.
 
     Raises:
-        UsageError: with the option, its value and what would do.
+        UsageError: with option, value and remedy.
     """
     count, parts = config.environment_count, config.minibatch_count
     if count < 1 or count % parts:
@@ -194,7 +194,7 @@ def _prepare(
     environment = ThrowEnvironment(spec, task, options.unroll_count)
     table = random_table(spec, task, options.seed_count)
     trainer = Trainer(environment, table, config)
-    # A longer run of the same task may go on from a shorter one's checkpoint.
+    # Independent of the iterations: a longer run may resume from a shorter one's checkpoint.
     same = {"task": asdict(task), "ppo": asdict(replace(config, iteration_count=0))}
     text = json.dumps(_plain(same), sort_keys=True) + spec.sha256 + str(options.seed_count)
     fingerprint = hashlib.sha256(text.encode()).hexdigest()
@@ -203,7 +203,7 @@ def _prepare(
     path = options.out / CHECKPOINT_FILE
     if options.warm_start is not None and not path.is_file():
         learner = load_weights(options.warm_start, learner)
-        # Enough to explore again, not so much that what was learned drowns in it.
+        # Explore again, but less than untrained networks do.
         spread = jnp.full_like(learner.networks.log_deviation, config.log_deviation_floor_ratio[0])
         learner = learner._replace(networks=learner.networks._replace(log_deviation=spread))
         say(f"networks taken from {options.warm_start}")
@@ -220,7 +220,7 @@ def _learn(
     options: RunOptions,
     say: Callable[[str], None],
 ) -> tuple[Learner, float]:
-    """Iterate to the end; returns the learner and the run's wall time, resumed parts included."""
+    """Iterate to the end; return the learner and the run's wall time, parts before a resume included."""
     config, csv_path = trainer.config, options.out / CSV_FILE
     path = options.out / CHECKPOINT_FILE
     iteration = int(learner.iteration)
@@ -251,7 +251,7 @@ def _learn(
 
 
 def accuracy_line(entry: Accuracy) -> str:
-    """One line for people."""
+    """Accuracy at one range as a line of text."""
     failures = ", ".join(f"{count} {name}" for name, count in entry.failure_count.items())
     landed = f"{entry.range_m:6.2f} m  landed {entry.landed_count}/{entry.throw_count}  "
     if not entry.landed_count:
@@ -281,14 +281,14 @@ def current_commit() -> str:
 
 
 def _resolved(task: TaskConfig, config: PpoConfig, options: RunOptions) -> dict[str, Any]:
-    """What the card keeps: every field, and the files that ranges were identified in, if any."""
-    told = {"task": _plain(asdict(task)), "ppo": _plain(asdict(config))}
+    """Configuration for the card: every field, and the files of the identified response, if any."""
+    resolved = {"task": _plain(asdict(task)), "ppo": _plain(asdict(config))}
     sources = [asdict(source) for source in options.response_sources]
-    return {**told, "response_sources": sources} if sources else told
+    return {**resolved, "response_sources": sources} if sources else resolved
 
 
 def _plain(value: Any) -> Any:
-    """Dataclass dictionaries as JSON values."""
+    """A dictionary of a dataclass with JSON values only."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -17,7 +17,7 @@ from runtime.control.observation import ACTION_NAMES, observation_names
 from runtime.control.policy import PolicyRunner
 from tests.training.tiny_training import SPEC, host
 from training import export
-from training.environment.shipped import task_for
+from training.environment.configurations import task_for
 from training.export import export_policy, parity_error, policy_model
 from training.measure import act
 from training.networks import Layers, Normaliser, make_layers

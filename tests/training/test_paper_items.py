@@ -14,9 +14,9 @@ from machine.policy_card import load_card
 from machine.spec import load_spec
 from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
 from runtime.control.policy import find_policy
-from training.environment.environment import ThrowEnvironment
-from training.environment.shipped import learner_for, task_for
+from training.environment.configurations import learner_for, task_for
 from training.environment.task import PassiveConfig, PpoConfig, RewardConfig
+from training.environment.throw_environment import ThrowEnvironment
 from training.networks import make_networks
 
 SPEC = load_spec()

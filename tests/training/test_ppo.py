@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.training.tiny_training import host
-from training.environment.environment import ThrowEnvironment
+from training.environment.configurations import planar_task
 from training.environment.episode import StepInfo
-from training.environment.shipped import planar_task
 from training.environment.state import StartTable
 from training.environment.task import PpoConfig
+from training.environment.throw_environment import ThrowEnvironment
 from training.networks import apply_layers, make_normaliser, normalise, update_normaliser
 from training.ppo import Batch, Learner, Trainer, clip_gradient, log_density
 

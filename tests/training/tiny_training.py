@@ -11,10 +11,10 @@ import numpy as np
 
 from machine.conventions import Mode
 from machine.spec import load_spec
-from training.environment.environment import ThrowEnvironment
-from training.environment.shipped import task_for
+from training.environment.configurations import task_for
 from training.environment.state import EnvironmentState, StartTable, random_table
 from training.environment.task import TaskConfig
+from training.environment.throw_environment import ThrowEnvironment
 
 SPEC = load_spec()
 COUNT = 256

@@ -1,8 +1,7 @@
 """Smallest distance between the gripper and ground, machine and arm, from the spec's collision shapes.
 
-The gripper's capsule is covered by three spheres (at most 10 mm less than the capsule), everything else is
-exact; checked against MuJoCo's geometry distance (tests/training/environment/test_clearance.py).
-Numpy or JAX.
+The gripper's capsule is covered by three spheres (error at most 10 mm); everything else is exact. Checked
+against MuJoCo's geometry distance (tests/training/environment/test_clearance.py). Numpy or JAX.
 """
 
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ Point = tuple[Any, Any, Any]
 
 @dataclass(frozen=True)
 class ClearanceShapes:
-    """Collision shapes of one machine type, taken apart once."""
+    """Collision shapes of one machine type, by body."""
 
     spheres: tuple[tuple[float, float], ...]
     """Gripper: (distance below the roll axis, radius), m."""
@@ -35,7 +34,7 @@ class ClearanceShapes:
 
 
 def clearance_shapes(spec: MachineSpec, chassis_height_m: float = 0.85) -> ClearanceShapes:
-    """Read the shapes out of the spec; `chassis_height_m` is the chassis body above ground (MJCF)."""
+    """Shapes of the spec; `chassis_height_m` is the height of the chassis body above ground (MJCF)."""
     by_name = {shape.name: shape for shape in spec.collision_shapes}
     spheres: list[tuple[float, float]] = []
     chassis: list[tuple[Point, Point]] = []
@@ -76,7 +75,7 @@ def _capsule(shape: CollisionShape) -> tuple[Point, Point, float]:
 
 
 def clearance(spec: MachineSpec, shapes: ClearanceShapes, q: Any) -> Any:
-    """Smallest distance (N,) of the gripper to anything it may hit, for joints (N, 6); m."""
+    """Smallest distance (N,) of the gripper from ground, machine and arm for positions q (N, 6), m."""
     xp, g = namespace(q), spec.geometry
     boom, tube = q[..., 1], q[..., 1] + q[..., 2]
     swing, roll = tube + q[..., 4], q[..., 5]
@@ -95,7 +94,7 @@ def clearance(spec: MachineSpec, shapes: ClearanceShapes, q: Any) -> Any:
     )
     ss, cs, sr, cr = xp.sin(swing), xp.cos(swing), xp.sin(roll), xp.cos(roll)
     slew_c, slew_s = xp.cos(q[..., 0]), xp.sin(q[..., 0])
-    # All spheres at once, (S, N): a loop over them made half of what a GPU had to compile.
+    # All spheres at once, (S, N): a Python loop over them doubles the compile time on a GPU.
     below, radius = (
         xp.asarray(column).reshape(-1, *[1] * boom.ndim)
         for column in zip(*shapes.spheres, strict=True)
@@ -121,7 +120,7 @@ def clearance(spec: MachineSpec, shapes: ClearanceShapes, q: Any) -> Any:
 def _placed(
     capsule: tuple[Point, Point, float], x: Any, z: Any, c: Any, s: Any
 ) -> tuple[Point, Point, float]:
-    """Move a capsule's ends into the arm plane: turn by the body's angle, shift to its origin."""
+    """Ends of a capsule in the arm plane: rotated by the body's angle, shifted to its origin."""
     first, second, radius = capsule
     return _turned(first, x, z, c, s), _turned(second, x, z, c, s), radius
 

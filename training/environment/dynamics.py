@@ -1,7 +1,7 @@
-"""Exact dynamics of the two free joints under a moving arm, and the velocity response of the driven ones.
+"""Exact dynamics of the two free joints under a moving arm, and velocity response of the driven joints.
 
-Pure functions over numpy or JAX arrays (see machine.kinematics.namespace). The passive joints follow
-Newton-Euler for hanger and gripper with load; the driven joints are prescribed motion to them.
+Pure functions over numpy or JAX arrays (see machine.kinematics.namespace). The free joints follow
+Newton-Euler for hanger and gripper with load; the motion of the driven joints is prescribed.
 Checked against MuJoCo on machine/m545.xml (tests/training/environment/test_dynamics.py).
 """
 
@@ -16,7 +16,7 @@ Field = Any
 
 
 class ChainGeometry(NamedTuple):
-    """The lengths of machine.spec.Geometry, where some are drawn a machine (N,)."""
+    """The lengths of machine.spec.Geometry; some differ between machines (N,)."""
 
     slew_frame_height_m: Field
     boom_pivot_m: tuple[Field, Field, Field]
@@ -34,7 +34,7 @@ class ChainGeometry(NamedTuple):
 
 
 class DrawnMachine(NamedTuple):
-    """Stands where kinematics take a spec: only the geometry is asked for."""
+    """Stands in for a spec in the kinematics, which read its geometry and passive joints only."""
 
     geometry: ChainGeometry
     passive: Passive
@@ -47,7 +47,7 @@ def drawn_machine(
     pitch_to_roll_error_m: Field = 0.0,
     roll_to_grip_error_m: Field = 0.0,
 ) -> MachineSpec:
-    """The machine as built, not as drawn: lengths with their errors (N,)."""
+    """Spec with errors (N,) added to three lengths."""
     g = spec.geometry
     geometry = ChainGeometry(
         slew_frame_height_m=g.slew_frame_height_m,
@@ -59,12 +59,12 @@ def drawn_machine(
         pitch_to_roll_m=g.pitch_to_roll_m + pitch_to_roll_error_m,
         roll_to_grip_centre_m=g.roll_to_grip_centre_m + roll_to_grip_error_m,
     )
-    # The kinematics read attributes by name; a drawn machine has the same ones, with arrays.
+    # The kinematics read attributes by name: arrays in place of numbers work.
     return cast(MachineSpec, DrawnMachine(geometry, spec.passive))
 
 
 class PassiveBody(NamedTuple):
-    """Hanger and gripper with its load, one value a machine (N,) or one for all."""
+    """Hanger and gripper with load; each value (N,) or one for all machines."""
 
     load_mass_kg: Field
     load_com_m: Field
@@ -86,7 +86,7 @@ def passive_body(
     inertia_scale: Field = 1.0,
     mass_scale: Field = 1.0,
 ) -> PassiveBody:
-    """Combine gripper and ball; friction torques are the paper's accelerations times nominal inertias."""
+    """Combine gripper and ball. Friction torques are the paper's accelerations times nominal inertias."""
     p, g, ball = spec.passive, spec.geometry, spec.ball
     com, gripper = p.gripper_com_m + com_error_m, p.gripper_mass_kg * mass_scale
     mass = gripper + payload_mass_kg
@@ -96,7 +96,7 @@ def passive_body(
         + payload_mass_kg * (g.roll_to_grip_centre_m - load_com) ** 2
     )
     # A basketball is a shell: 2/3 m r^2.
-    own = 2.0 / 3.0 * payload_mass_kg * ball.radius_m**2
+    shell = 2.0 / 3.0 * payload_mass_kg * ball.radius_m**2
     ix, iy, iz = (value * inertia_scale * mass_scale for value in p.gripper_inertia_kg_m2)
     # The nominal inertias turn the paper's friction acceleration into the torque the MJCF carries.
     roll_inertia = p.gripper_inertia_kg_m2[0] + p.gripper_mass_kg * p.gripper_com_m**2
@@ -110,7 +110,7 @@ def passive_body(
     return PassiveBody(
         load_mass_kg=mass,
         load_com_m=load_com,
-        load_inertia_kg_m2=(ix + spread + own, iy + spread + own, iz + own),
+        load_inertia_kg_m2=(ix + spread + shell, iy + spread + shell, iz + shell),
         viscous_n_m_s=(
             pitch_inertia * viscous * friction_scale,
             roll_inertia * viscous * friction_scale,
@@ -123,7 +123,7 @@ def passive_body(
 
 
 class PinMotion(NamedTuple):
-    """Tool pin in the turning arm plane: distance from the slew axis, rates and accelerations."""
+    """Tool pin in the slewing arm plane: distance from the slew axis, rates and accelerations."""
 
     x_m: Field
     x_rate_m_per_s: Field
@@ -132,7 +132,7 @@ class PinMotion(NamedTuple):
 
 
 def pin_motion(spec: MachineSpec, q: Field, v: Field, active_acceleration: Field) -> PinMotion:
-    """Differentiate the planar chain twice; q, v (N, 6), active_acceleration (N, 4)."""
+    """Motion of the tool pin for q, v (N, 6) and active_acceleration (N, 4)."""
     xp, g = namespace(q), spec.geometry
     boom, tube = q[..., 1], q[..., 1] + q[..., 2]
     boom_rate, tube_rate = v[..., 1], v[..., 1] + v[..., 2]
@@ -236,7 +236,7 @@ def _offset(
 
 
 FRICTION_BLEND_RAD_PER_S = 0.005
-"""Dry friction passes through zero over this rate: a step there would chatter at 100 Hz."""
+"""Rate over which dry friction changes sign: a step would chatter at 100 Hz."""
 
 
 def friction(viscous_n_m_s: Field, coulomb_n_m: Field, rate_rad_per_s: Field) -> Field:
@@ -246,7 +246,7 @@ def friction(viscous_n_m_s: Field, coulomb_n_m: Field, rate_rad_per_s: Field) ->
     return viscous_n_m_s * rate_rad_per_s + coulomb_n_m * dry
 
 
-class Response(NamedTuple):
+class JointResponse(NamedTuple):
     """Parameters of the driven joints' velocity response, each (N, 4) in joint order."""
 
     dead_time_s: Field
@@ -258,20 +258,21 @@ class Response(NamedTuple):
     boom_from_dipper_ratio: Field = 0.0
     """(N,) share of the dipper's acceleration that its reaction takes from the boom's."""
     dipper_from_boom_ratio: Field = 0.0
-    """(N,) the same the other way round; the product of both is below 1, as that of inertias is."""
+    """(N,) share of the boom's acceleration that its reaction takes from the dipper's. The product of both
+    is below 1."""
 
 
 class ResponseState(NamedTuple):
-    """Where the driven joints' response stands, each (N, 4)."""
+    """State of the driven joints' response, each (N, 4)."""
 
     lagged: Field
-    """Behind the first-order lag."""
+    """Output of the first-order lag, rad/s and m/s."""
     acceleration: Field
-    """That each drive would give its joint if the others stood still."""
+    """Acceleration that each drive would give its joint with the other joints at rest."""
 
 
 def respond(
-    response: Response,
+    response: JointResponse,
     state: ResponseState,
     velocity: Field,
     reference: Field,
@@ -280,8 +281,8 @@ def respond(
 ) -> tuple[Field, ResponseState]:
     """One step of x' = (K r - x) / lag, s' = wn^2 (x + d - v) - 2 zeta wn v', v' = s - C v'; all (N, 4).
 
-    C is what boom and dipper do to each other: an arm that speeds up pushes back on what carries it.
-    The damping is taken at the end of the step: stiff, overdamped drives stay stable at 100 Hz.
+    C is the reaction between boom and dipper. The damping term is implicit, which keeps stiff, overdamped
+    drives stable at 100 Hz.
     """
     xp = namespace(reference)
     gain = xp.where(reference > 0.0, response.gain_positive_ratio, response.gain_negative_ratio)
@@ -296,8 +297,8 @@ def respond(
     return velocity, ResponseState(lagged, drive)
 
 
-def _reaction(xp: Any, response: Response, drive: Field) -> Field:
-    """By how much boom and dipper hold each other back (N, 4), m/s2 and rad/s2: drive less acceleration.
+def _reaction(xp: Any, response: JointResponse, drive: Field) -> Field:
+    """Reaction of boom and dipper on each other (N, 4), rad/s2: drive minus acceleration.
 
     a_boom = s_boom - b a_dipper, a_dipper = s_dipper - c a_boom.
     """

@@ -1,33 +1,30 @@
-"""What is drawn at the start of an episode, how an episode ends, and what only the critic may know."""
+"""Randomised parameters of an episode, and how an episode ends."""
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from machine.spec import MachineSpec
-from training.environment.dynamics import Response
+from training.environment.dynamics import JointResponse
 from training.environment.task import ResponseConfig, TaskConfig
-
-if TYPE_CHECKING:
-    from training.environment.state import EnvironmentState
 
 Field = Any
 
 
-class Failure(IntEnum):
-    """Why an episode ended badly; 0 = it did not."""
+class EpisodeFailure(IntEnum):
+    """Why an episode failed; 0: it did not."""
 
     NONE = 0
     NUMERIC = 1
-    """A state that is not finite or beyond reason: the episode is thrown away with a loss."""
+    """The state is not finite or out of bounds: the episode ends with the loss of a failure."""
     COLLISION = 2
     LIMIT = 3
     SWING = 4
     TIMEOUT = 5
     SHORT = 6
-    """The load never rose to the target's height. Paid as a landing that far off."""
+    """The load never rose to the target's height. The missing height counts as landing error."""
 
 
 class StepInfo(NamedTuple):
@@ -40,7 +37,7 @@ class StepInfo(NamedTuple):
     failure: Field
     """Failure code."""
     miss_m: Field
-    """(N, 2) landing less target, frame `throw`: downrange, crossrange left. Hypothetical before the end."""
+    """(N, 2) landing minus target, frame `throw`: downrange, crossrange left. Predicted before the end."""
     duration_s: Field
     """Since the start."""
     closest_m: Field
@@ -53,8 +50,8 @@ class EpisodeDraw(NamedTuple):
     target_m: Field
     """(N, 3) frame `throw`."""
     plane_m: Field
-    """(N,) height of the load's centre at the impact."""
-    response: Response
+    """(N,) height of the load's centre at impact."""
+    response: JointResponse
     """Each (N, 4)."""
     friction_scale_ratio: Field
     com_error_m: Field
@@ -66,27 +63,27 @@ class EpisodeDraw(NamedTuple):
     payload_mass_kg: Field
     drag_per_m: Field
     release_delay_s: Field
-    """(N,) of this opening."""
+    """(N,) of this release."""
     release_mean_s: Field
-    """(N,) of this machine."""
+    """(N,) mean delay of this machine."""
     settle_delay_s: Field
-    """(N,) from the load leaving to the settle motion."""
+    """(N,) from release to the start of the settle motion."""
     swing_bias_rad: Field
     """(N, 2) error of the estimated passive angles."""
     latency_s: Field
-    """(N,) age of what the policy sees."""
+    """(N,) age of the observation."""
     grasp_m: Field
-    """(N, 3) load less grip centre, frame `machine`."""
+    """(N, 3) load minus grip centre, frame `machine`."""
     slip_m_per_s: Field
-    """(N, 3) velocity the claws give."""
+    """(N, 3) velocity that the opening claws add to the load."""
     pace_ratio: Field
-    """(N,) 0 careful .. 1 fast; 0 where the task has none."""
+    """(N,) 0 careful .. 1 fast; 0 in tasks without a pace."""
 
 
 def draw_episode(
     key: Field, spec: MachineSpec, task: TaskConfig, target_m: Field, drag_per_m: float
 ) -> EpisodeDraw:
-    """Draw the parameters of one episode a target (N, 3)."""
+    """Draw the parameters of one episode for each target (N, 3)."""
     count = target_m.shape[0]
     keys = jax.random.split(key, 4)
     scalars = jax.random.uniform(keys[1], (12, count))
@@ -118,7 +115,7 @@ def draw_episode(
         drag_per_m=drag_per_m * scalar(4, passive.drag_scale_ratio) * spec.ball.mass_kg / mass,
         release_delay_s=delay,
         release_mean_s=delay_mean,
-        # One draw for the delay and the age: both are the machine's slowness, and neither is seen.
+        # Delay and latency share one random number: both stand for the delay of one control system.
         settle_delay_s=scalar(6, task.episode.settle_delay_s),
         swing_bias_rad=sensor.swing_bias_sd_rad * normals[1:3].T,
         latency_s=scalar(6, sensor.latency_s),
@@ -130,8 +127,8 @@ def draw_episode(
     )
 
 
-def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
-    """Uniform between the configuration's two values, every joint and parameter by itself."""
+def _draw_response(key: Field, config: ResponseConfig, count: int) -> JointResponse:
+    """Uniform between minimum and maximum, independent for every joint and parameter."""
     share = jax.random.uniform(key, (6, count, 4))
     reaction = jax.random.uniform(jax.random.fold_in(key, 1), (2, count))
 
@@ -143,7 +140,7 @@ def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
         return limits[0] + (limits[1] - limits[0]) * drawn
 
     c = config
-    return Response(
+    return JointResponse(
         dead_time_s=joints(0, c.dead_time_min_s, c.dead_time_max_s),
         lag_s=joints(1, c.lag_min_s, c.lag_max_s),
         natural_frequency_rad_per_s=joints(
@@ -155,48 +152,3 @@ def _draw_response(key: Field, config: ResponseConfig, count: int) -> Response:
         boom_from_dipper_ratio=between(c.boom_from_dipper_ratio, reaction[0]),
         dipper_from_boom_ratio=between(c.dipper_from_boom_ratio, reaction[1]),
     )
-
-
-def privileged_values(state: "EnvironmentState") -> Field:
-    """True state and drawn parameters (N, P), scaled to order one: for the critic alone."""
-    draw = state.draw
-    response = draw.response
-    slots = [
-        10.0 * response.dead_time_s,
-        0.1 * response.natural_frequency_rad_per_s,
-        response.damping_ratio,
-        10.0 * (response.gain_positive_ratio - 1.0),
-        10.0 * (response.gain_negative_ratio - 1.0),
-        response.lag_s,
-        state.response.acceleration,
-        state.response.lagged,
-        10.0 * state.disturbance,
-        state.reference,
-        state.position,
-        state.velocity,
-        state.landing_m - draw.target_m[:, :2],
-        state.shortfall_m[:, None],
-        10.0 * draw.swing_bias_rad,
-        10.0 * draw.grasp_m,
-        10.0 * draw.slip_m_per_s,
-    ]
-    columns = [
-        draw.friction_scale_ratio,
-        10.0 * draw.com_error_m,
-        10.0 * (draw.inertia_scale_ratio - 1.0),
-        10.0 * (draw.mass_scale_ratio - 1.0),
-        10.0 * draw.telescope_to_pin_error_m,
-        10.0 * draw.pitch_to_roll_error_m,
-        10.0 * draw.roll_to_grip_error_m,
-        draw.payload_mass_kg,
-        30.0 * draw.drag_per_m,
-        10.0 * (draw.release_mean_s - 0.258),
-        response.boom_from_dipper_ratio,
-        response.dipper_from_boom_ratio,
-        10.0 * state.leave_in_s * state.opened,
-        state.opened,
-        state.time_s,
-        state.gone_s,
-        jnp.minimum(state.impact_distance_m, 15.0),
-    ]
-    return jnp.concatenate([*slots, jnp.stack(columns, axis=-1)], axis=-1).astype(jnp.float32)

@@ -1,7 +1,7 @@
-"""Landing point of a released load, cheap enough for every control step of every environment.
+"""Landing point of a released load, computed in every control step of every environment.
 
-Same equation as machine.ballistics (quadratic drag, no wind): Runge-Kutta over the vacuum flight time in
-eight steps, closed by a parabola; within 2 mm of machine.ballistics
+Equation of machine.ballistics (quadratic drag, no wind): eight Runge-Kutta steps over the flight time in
+vacuum, then a parabola to the plane. Within 2 mm of machine.ballistics
 (tests/training/environment/test_flight.py).
 """
 
@@ -16,7 +16,7 @@ FLIGHT_STEPS = 8
 def landing(
     position_m: Any, velocity_m_per_s: Any, plane_height_m: Any, drag_per_m: Any
 ) -> tuple[Any, Any, Any]:
-    """Where and when loads come down through a plane.
+    """Landing points and flight times of loads that fall through a plane.
 
     Args:
         position_m: (N, 3).
@@ -25,14 +25,14 @@ def landing(
         drag_per_m: (N,) k of machine.ballistics.
 
     Returns:
-        x (N,), y (N,) in metres and the flight time (N,) in seconds; of a load that never rises to the plane
-        those of its highest point.
+        x (N,), y (N,) in metres and the flight time (N,) in seconds. For a load that never rises to the
+        plane, those of its apex.
     """
     xp = namespace(position_m)
     x, y, z = position_m[..., 0], position_m[..., 1], position_m[..., 2]
     vx, vy, vz = velocity_m_per_s[..., 0], velocity_m_per_s[..., 1], velocity_m_per_s[..., 2]
     square = vz * vz + 2.0 * GRAVITY_M_PER_S2 * (z - plane_height_m)
-    # 0 for a load that falls below the plane: it lands at once.
+    # A load already below the plane and falling lands at once.
     flight = xp.maximum(vz + xp.sqrt(xp.maximum(square, 0.0)), 0.0) / GRAVITY_M_PER_S2
     h = flight / FLIGHT_STEPS
     for _ in range(FLIGHT_STEPS):
@@ -40,13 +40,13 @@ def landing(
     _, _, az = _acceleration(vx, vy, vz, drag_per_m)
     root = xp.sqrt(xp.maximum(vz * vz - 2.0 * az * (z - plane_height_m), 0.0))
     rest = xp.where(square < 0.0, 0.0, (-vz - root) / az)
-    # Drag lengthens the descent by a few hundredths of a second; more would be a fault of the input.
+    # Drag lengthens the descent by a few hundredths of a second; the bound guards against invalid input.
     rest = xp.clip(rest, -0.2, 0.2)
     return x + rest * vx, y + rest * vy, flight + rest
 
 
 def shortfall(position_m: Any, velocity_m_per_s: Any, plane_height_m: Any) -> Any:
-    """By how much loads (N, 3) stay below a plane (N,) at their highest, m (N,); without drag."""
+    """By how much the apex of loads (N, 3) stays below a plane (N,), m (N,); without drag."""
     xp = namespace(position_m)
     climb = xp.maximum(velocity_m_per_s[..., 2], 0.0)
     highest = position_m[..., 2] + climb * climb / (2.0 * GRAVITY_M_PER_S2)
@@ -62,7 +62,7 @@ def _acceleration(vx: Any, vy: Any, vz: Any, drag_per_m: Any) -> tuple[Any, Any,
 def flight_step(
     x: Any, y: Any, z: Any, vx: Any, vy: Any, vz: Any, drag_per_m: Any, step_s: Any
 ) -> tuple[Any, Any, Any, Any, Any, Any]:
-    """One classical Runge-Kutta step of the flight; everything (N,)."""
+    """One classical Runge-Kutta step of the flight; all arguments and results (N,)."""
     h, half = step_s, 0.5 * step_s
     ax1, ay1, az1 = _acceleration(vx, vy, vz, drag_per_m)
     ux2, uy2, uz2 = vx + half * ax1, vy + half * ay1, vz + half * az1

@@ -1,4 +1,4 @@
-"""Rewards of one control step: ours and the paper's (section III-D). Pure, batched."""
+"""Rewards of one control step: the shipped one and the paper's (section III-D). Pure, batched."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ Field = Any
 
 
 class RewardInputs(NamedTuple):
-    """What a step is paid for; leading axis N."""
+    """Inputs of the reward of one step; leading axis N."""
 
     action: Field
     """(N, A) clipped to [-1, 1]."""
@@ -20,35 +20,35 @@ class RewardInputs(NamedTuple):
     opened: Field
     """(N,) 1.0 once the release was commanded."""
     progress_m: Field
-    """(N,) by how much the hypothetical impact came nearer to the target."""
+    """(N,) decrease of the predicted impact's distance from the target."""
     error_m: Field
-    """(N, 2) horizontal and 3D distance of the load to the target."""
+    """(N, 2) horizontal and 3D distance of the load from the target."""
     best_error_m: Field
-    """(N, 2) the smallest of them before this step."""
+    """(N, 2) smallest such distances before this step."""
     landed: Field
-    """(N,) bool: the throw ended well in this step."""
+    """(N,) bool: the episode ended with a landing in this step."""
     landing_error_m: Field
-    """(N,) distance of the landing to the target."""
+    """(N,) distance of the landing from the target."""
     failed: Field
-    """(N,) bool: the throw ended badly in this step."""
+    """(N,) bool: the episode failed in this step."""
     pace_ratio: Field
     """(N,) 0 careful .. 1 fast."""
     holds: Field
     """(N,) bool: the load was held at the beginning of this step."""
     left_m_per_s: Field
-    """(N,) speed of the load where it left in this step, else 0."""
+    """(N,) speed of a load released in this step, else 0."""
     hurry_ratio: Field
-    """() share of the loss for time that counts so far."""
+    """() share of the loss for time that is charged."""
 
 
 def step_reward(config: RewardConfig, inputs: RewardInputs, *, is_paced: bool = False) -> Field:
-    """Reward (N,) of one step under either configuration, at a pace or without one."""
+    """Reward (N,) of one step."""
     reward = paper_reward if config.kind == "paper" else impact_reward
     return reward(config, inputs) - (pace_loss(config, inputs) if is_paced else 0.0)
 
 
 def pace_loss(config: RewardConfig, inputs: RewardInputs) -> Field:
-    """What a fast throw pays for time and a careful one for what moves the machine much (N,)."""
+    """Loss (N,) for time at a fast pace, and for large actions and release speed at a careful one."""
     careful = 1.0 - inputs.pace_ratio
     whole = config.hurry_per_s_ratio * POLICY_PERIOD_S * jnp.square(inputs.pace_ratio)
     hurry = inputs.hurry_ratio * whole
@@ -58,13 +58,13 @@ def pace_loss(config: RewardConfig, inputs: RewardInputs) -> Field:
 
 
 def hurry_share(config: RewardConfig, training_ratio: Field) -> Field:
-    """Share () of the loss for time that counts after this share () of the training."""
+    """Share () of the loss for time that is charged after a share () of the training."""
     first, last = config.hurry_from_ratio
     return jnp.clip((training_ratio - first) / (last - first), 0.0, 1.0)
 
 
 def impact_reward(config: RewardConfig, inputs: RewardInputs) -> Field:
-    """Progress of the hypothetical impact, less action costs; bells of three widths at the landing."""
+    """Shipped reward (N,): progress of the predicted impact, action costs, Gaussians of the landing error."""
     error = inputs.landing_error_m
     bells = sum(
         height * jnp.exp(-jnp.square(error / width))

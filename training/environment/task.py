@@ -1,8 +1,8 @@
-"""What is trained: frozen configurations of the task, the randomisation, the reward and the learner.
+"""Configurations of a training: task, randomisation, reward and learner.
 
-A task is a function that returns a configuration; nothing is looked up by name at run time. The resolved
-configuration is saved in the policy's card. Sources: "paper" is *Dynamic Throwing with Robotic Material
-Handling Machines*; the mapping of its items to symbols is docs/training.md.
+A task is a function that returns a configuration. The resolved configuration is saved in the policy's card.
+Sources: "paper" is *Dynamic Throwing with Robotic Material Handling Machines*; docs/training.md maps its
+items to symbols.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,12 +16,11 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class ResponseConfig:
-    """Closed-loop velocity response of the active joints, drawn once an episode, in joint order.
+    """Closed-loop velocity response of the active joints, drawn once per episode, in joint order.
 
     Reference -> dead time -> first-order lag -> second-order lag -> joint velocity, under the runtime's
-    velocity controller; boom and dipper push each other back. Ranges: around what was fitted to throws of
-    the virtual machine's units 0, 100, 104, 108, 203, 302, 1003 and 1015; the fits explain 95-98 % of the
-    boom's, 98-99 % of the dipper's and 99.4 % of the other velocities (docs/training.md).
+    velocity controller; boom and dipper react on each other. Ranges: around the responses fitted to
+    recorded throws of eight virtual machines (docs/training.md).
     """
 
     dead_time_min_s: Four = (0.01, 0.07, 0.03, 0.03)
@@ -49,22 +48,22 @@ class ResponseConfig:
     gain_negative_max_ratio: Four = (1.03, 1.08, 1.05, 1.13)
     """Largest steady gain of negative references."""
     disturbance_sd_rad_m_per_s: Four = (0.0196, 0.0159, 0.0232, 0.0078)
-    """Stationary deviation of the correlated velocity disturbance: of boom, dipper and telescope the size of
-    what the fits leave, of the slew, whose ringing makes more of it, two thirds (paper, section III-A:
-    velocity command randomisation). In 2D two thirds of that throw nearer, in 3D not (docs/training.md)."""
+    """Stationary standard deviation of the correlated velocity disturbance (paper, section III-A: velocity
+    command randomisation): the residual of the fitted responses for boom, dipper and telescope, two thirds
+    of it for the slew, whose residual is mostly ringing."""
     disturbance_correlation_s: Four = (0.35, 0.10, 0.15, 0.12)
     """Correlation time of that disturbance."""
     boom_from_dipper_ratio: Range = (0.4, 0.7)
     """Share of the dipper's acceleration that its reaction takes from the boom's."""
     dipper_from_boom_ratio: Range = (0.3, 0.9)
-    """The same the other way round."""
+    """Share of the boom's acceleration that its reaction takes from the dipper's."""
 
 
 def widened(response: ResponseConfig, factor_ratio: float) -> ResponseConfig:
     """The same response with every range but the first-order lag's stretched about its middle.
 
-    A policy that has seen more machines than there are throws more evenly on those there are
-    (docs/training.md). No value falls below 0.001.
+    Wider randomisation makes a policy's accuracy more uniform over machines (docs/training.md). No value
+    falls below 0.001.
     """
     stretched: dict[str, Four] = {}
     for name in ("dead_time_{}_s", "natural_frequency_{}_rad_per_s", "damping_{}_ratio",
@@ -105,7 +104,7 @@ class PassiveConfig:
     grasp_error_m: float = 0.02
     """Largest distance of the held load from the grip centre, any direction."""
     slip_sd_m_per_s: float = 0.015
-    """What the opening claws give the load, each axis."""
+    """Standard deviation of the velocity that the opening claws add to the load, each axis."""
     payload_mass_kg: Range = (0.567, 0.650)
     """Mass of the ball (FIBA size 7)."""
     drag_scale_ratio: Range = (0.85, 1.15)
@@ -113,7 +112,7 @@ class PassiveConfig:
     release_delay_mean_s: Range = (0.253, 0.263)
     """Mean opening delay of one machine (paper: 258 ms)."""
     release_delay_sd_s: float = 0.015
-    """Spread of single openings about that mean (paper, section III-F)."""
+    """Standard deviation of single releases about that mean (paper, section III-F)."""
     start_swing_sd_rad: Range = (0.02, 0.02)
     """Deviation of pitch and roll from plumb at the start."""
     start_swing_rate_sd_rad_per_s: Range = (0.03, 0.03)
@@ -122,7 +121,7 @@ class PassiveConfig:
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """What the observation gets wrong."""
+    """Errors of the observation."""
 
     position_noise_sd_rad_m: Four = (0.002, 0.002, 0.002, 0.002)
     """White noise of the active joints' positions."""
@@ -131,51 +130,51 @@ class SensorConfig:
     swing_noise_sd_rad: float = 0.005
     """White noise of the estimated passive angles."""
     swing_bias_sd_rad: float = 0.009
-    """Error of the estimated passive angles that stays for an episode; 10 mrad with the noise."""
+    """Standard deviation of the passive angles' bias, constant over an episode; 10 mrad with the noise."""
     swing_rate_noise_sd_rad_per_s: float = 0.02
     """White noise of the estimated passive rates."""
     latency_s: Range = (0.005, 0.02)
-    """Age of the joint state the policy sees; one control tick on average."""
+    """Age of the observed joint state; one control tick on average."""
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Either what worked for us (``impact``) or the paper's terms (``paper``), section III-D.
+    """Weights of the reward: shipped terms (``impact``) or the paper's (``paper``, section III-D).
 
-    ``impact``: progress of the hypothetical impact (where the load would land if it left now), action
-    penalties, and a landing reward that is steep near the target. ``paper``: progress of the ball towards
-    the target, closeness, action penalties, and exp(-b2 err^2) when the ball lands.
+    ``impact``: progress of the predicted impact (landing point of a release now), action penalties, and a
+    landing reward that is steep near the target. ``paper``: progress of the ball towards the target,
+    closeness, action penalties, and exp(-b2 err^2) when the ball lands.
     """
 
     kind: Literal["impact", "paper"] = "impact"
-    """Which of the two."""
+    """Which terms."""
     progress_ratio: float = 1.0
-    """impact: weight of the progress, a metre."""
+    """impact: reward per metre of progress."""
     landing_height_ratio: tuple[float, float, float] = (2.0, 4.0, 4.0)
-    """impact: heights of the landing reward's bells."""
+    """impact: heights of the landing reward's Gaussians."""
     landing_width_m: tuple[float, float, float] = (1.0, 0.25, 0.08)
     """impact: their widths."""
     landing_linear_ratio: float = 0.5
-    """impact: loss a metre of landing error."""
+    """impact: loss per metre of landing error."""
     landing_linear_limit_m: float = 4.0
     """impact: landing error from which the loss no longer grows."""
     failure_ratio: float = 5.0
     """Loss at a collision, a limit or no release."""
     action_difference_ratio: float = 0.02
-    """Loss a squared change of the action (paper: c3)."""
+    """Loss per squared change of the action (paper: c3)."""
     action_ratio: float = 0.002
-    """Loss a squared action (paper: c4, there only after the release)."""
+    """Loss per squared action (paper: c4, only after the release)."""
     hurry_per_s_ratio: float = 3.5
-    """impact, with a pace: loss a second until the load has left, times the square of the pace. The discount
-    alone is worth 0.6 a second of a good landing."""
+    """impact, with a pace: loss per second until the release, times the square of the pace. For comparison,
+    discounting takes 0.6 per second from a landing on target."""
     hurry_from_ratio: Range = (0.35, 0.65)
-    """Share of the training from which that loss grows, and from which it is whole. From the start on it
-    taught policies to let go before they had swung far enough (docs/training.md)."""
+    """Shares of the training between which that loss rises from zero to its full value. Charged from the
+    start it leads to releases before the load has swung far enough."""
     care_action_ratio: float = 0.02
-    """impact, with a pace: further loss a squared action while the load is held, times 1 - pace: small
-    valve motions are the ones that machines follow alike. A centimetre of landing error costs 0.4."""
+    """impact, with a pace: loss per squared action while the load is held, times 1 - pace: machines differ
+    less in their response to small commands. For comparison, a centimetre of landing error costs 0.4."""
     care_release_ratio: float = 0.03
-    """impact, with a pace: loss a squared m/s of the load when it leaves, times 1 - pace."""
+    """impact, with a pace: loss per squared m/s of the released load, times 1 - pace."""
     approach_ratio: float = 1.0
     """paper: c1, weight of r_delta_err."""
     closeness_ratio: float = 0.02
@@ -190,47 +189,48 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class EpisodeConfig:
-    """Where an episode starts, what is thrown at, and what ends it."""
+    """Start, target and end of an episode."""
 
     target_range_m: Range
     """Distance of targets from the slew axis."""
     target_height_m: Range = (0.0, 0.0)
     """Height of the target plane (paper: ground level)."""
     ground_share_ratio: float = 0.0
-    """Share of the targets that lie on the ground whatever the range of heights."""
+    """Share of the targets at ground level; the others are drawn from the range of heights."""
     reach_at_height_m: tuple[tuple[float, float], ...] = ()
-    """Height and farthest target there, heights increasing; straight between, empty: as on the ground."""
+    """Pairs of height and largest range there, heights increasing, interpolated linearly; empty: the same
+    range at every height."""
     aim_margin_m: float = 0.0
-    """Targets are drawn up to this much farther than those that may be asked for: a registered machine is
-    told to aim past a target that it falls short of."""
+    """How far beyond the requested ranges targets are drawn: a registration moves the aim point past targets
+    that a machine falls short of."""
     pace_ratio: Range | None = None
-    """Pace, drawn once an episode, that the policy sees and the reward follows; None: no such entry."""
+    """Range of the pace, drawn once per episode; it is observed and weighs the reward. None: no pace."""
     start_count: int = 65536
-    """Start poses in the table drawn on the host."""
+    """Start poses in the table, which is drawn on the host."""
     time_limit_s: float = 7.0
-    """No release until then ends the episode."""
+    """An episode without a release ends then."""
     swing_limit_rad: float = 1.30
-    """Absolute swing that ends it; the machine's own limit is 1.35 rad."""
+    """Absolute swing that ends an episode before the release; the machine's limit is 1.35 rad."""
     roll_limit_rad: float = 1.1
-    """Roll that ends it."""
+    """Absolute roll that ends an episode."""
     joint_limit_margin_rad_m: float = 0.03
-    """Distance to a joint limit that ends it."""
+    """Distance from a joint limit that ends an episode before the release."""
     clearance_m: float = 0.12
-    """Distance of the gripper to ground, arm and machine that counts as a collision."""
+    """Distance of the gripper from ground, arm and machine that counts as a collision."""
     override_probability_ratio: float = 0.0
-    """Chance a step that the release is forced near the target (paper: 5 %, section III-C); off in our own
-    configuration, where it taught policies to hurry past near targets."""
+    """Probability per step that the release is forced near the target (paper: 5 %, section III-C). Zero in
+    the shipped tasks: with it policies rush past near targets."""
     override_distance_m: float = 2.0
-    """What counts as near: distance of the hypothetical impact."""
+    """Distance of the predicted impact from the target below which the release may be forced."""
     override_speed_m_per_s: float = 1.5
     """Grip-centre speed below which the release may be forced."""
     after_release: Literal["settle", "policy"] = "settle"
-    """Who drives once the load has left: the runtime's settle motion for `settle_s`, or the policy until
-    the load lands (paper)."""
+    """What drives the joints after the release: the runtime's settle motion for `settle_s`, or the policy
+    until the load lands (paper)."""
     settle_s: float = 1.4
-    """Time after the release that belongs to the episode: the gripper swings back in it."""
+    """Time after the release that belongs to the episode, in which the gripper swings back."""
     settle_delay_s: Range = (0.02, 0.06)
-    """From the load leaving to the settle motion: load switch and ticks."""
+    """Time from the release to the settle motion: load switch and control ticks."""
     settle_swing_limit_rad: float = 1.6
     """Absolute swing that ends an episode after the release."""
 
@@ -240,17 +240,17 @@ class TaskConfig:
     """One training task."""
 
     mode: Mode
-    """Within the arm plane, or with the cabin turning."""
+    """2D: within the arm plane; 3D: with the slew."""
     episode: EpisodeConfig
-    """Starts, targets, ends."""
+    """Starts, targets and ends of episodes."""
     response: ResponseConfig = field(default_factory=ResponseConfig)
     """The active joints."""
     passive: PassiveConfig = field(default_factory=PassiveConfig)
     """The free joints, load and release."""
     sensor: SensorConfig = field(default_factory=SensorConfig)
-    """What the policy sees of it."""
+    """Errors of the observation."""
     reward: RewardConfig = field(default_factory=RewardConfig)
-    """What the policy is paid for."""
+    """The reward."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ class PpoConfig:
     iteration_count: int = 4000
     """Iterations (paper)."""
     hard_start_ratio: float = 0.0
-    """Share of the episodes that begin where throws went badly (training.hard_starts)."""
+    """Share of the episodes whose start is drawn in proportion to its miss (training.start_sampling)."""
     epoch_count: int = 5
     """Passes over a batch."""
     minibatch_count: int = 4
@@ -272,9 +272,8 @@ class PpoConfig:
     hidden_count: tuple[int, ...] = (256, 128)
     """Units of the hidden layers, actor and critic (paper)."""
     discount_ratio: float = 0.995
-    """Gamma. At 0.99 waiting a second costs a good landing 1.2 of its worth of 10, and throws in 3D are
-    released while the cabin still turns; 0.995 throws nearer, 0.998 waits until a drawn-in telescope is out
-    (docs/training.md)."""
+    """Gamma. At 0.99 a second of waiting costs a landing on target 1.2 of its reward of 10, and 3D throws are
+    released while the cabin still slews. 0.998 allows for extending a retracted telescope first."""
     trace_ratio: float = 0.95
     """Lambda of the advantage estimate."""
     clip_ratio: float = 0.2
@@ -290,15 +289,15 @@ class PpoConfig:
     divergence_ratio: Range = (0.005, 0.02)
     """Below the first the learning rate grows, above the second it shrinks."""
     divergence_shrinks_from_ratio: float = 0.7
-    """Share of the training from which both bounds shrink, evenly on a logarithmic scale."""
+    """Share of the training from which both bounds shrink, linearly on a logarithmic scale."""
     divergence_last_ratio: float = 0.4
-    """Share of the bounds that is left at the end: small last steps, little noise in the exported weights.
-    At 0.2 the learning rate fell to its lower bound and nothing more was learned: rounding alone makes a
-    divergence of 0.003 (one H200, 3D, 0.45e9 steps)."""
+    """Share of the bounds at the end of the training: small last steps, little noise in the exported
+    weights. Much smaller bounds stop the learning, since rounding to bfloat16 alone causes a divergence of
+    0.003."""
     hidden_type: Literal["float32", "bfloat16"] = "bfloat16"
-    """What the outputs of hidden layers are kept in while learning; exported and thrown with is float32."""
+    """Type of the hidden layers' outputs during training; exported policies use float32."""
     gradient_norm_ratio: float = 1.0
-    """The norms of the actor's and of the critic's gradient are clipped here, each by itself."""
+    """Bound of the norms of the actor's and of the critic's gradient, clipped separately."""
     log_deviation_start_ratio: float = -0.5
     """First log standard deviation of the actions."""
     log_deviation_floor_ratio: Range = (-1.5, -3.0)

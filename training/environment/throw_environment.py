@@ -1,8 +1,8 @@
-"""Batched training environment in JAX: thousands of machines that throw, 12.5 Hz control, 100 Hz physics.
+"""Batched training environment in JAX: 12.5 Hz control, 100 Hz physics.
 
-The reference shaping and the observation are the runtime's own functions; the driven joints follow a
-drawn velocity response, the free joints their exact dynamics, the load a ballistic flight with drag. It
-knows nothing of valves and pressures: those are the virtual machine's.
+Reference shaping and observation are the runtime's functions. The driven joints follow a randomised
+velocity response, the free joints their exact dynamics, the load a ballistic flight with drag. Valves and
+pressures are not modelled here: the virtual machine models them.
 """
 
 from typing import Any
@@ -40,29 +40,28 @@ from training.environment.dynamics import (
     passive_body,
     respond,
 )
-from training.environment.episode import (
-    EpisodeDraw,
-    Failure,
-    StepInfo,
-    draw_episode,
-    privileged_values,
-)
+from training.environment.episode import EpisodeDraw, EpisodeFailure, StepInfo, draw_episode
 from training.environment.flight import flight_step, landing, shortfall
 from training.environment.reward import RewardInputs, step_reward
-from training.environment.settling import settle_request
-from training.environment.state import DELAY_TICKS, EnvironmentState, StartTable
+from training.environment.settle_motion import settle_request
+from training.environment.state import (
+    DELAY_TICKS,
+    EnvironmentState,
+    StartTable,
+    privileged_values,
+)
 from training.environment.task import TaskConfig
 
 Field = Any
 
 
 def _untyped(values: jax.Array) -> Any:
-    """The machine's own functions are annotated for numpy and run on JAX arrays as well."""
+    """Functions of `machine` and `runtime` are annotated for numpy and run on JAX arrays as well."""
     return values
 
 
 class ThrowEnvironment:
-    """The environment's constants and pure functions; jit and scan them freely."""
+    """Constants and pure functions of the environment. All methods can be compiled and scanned by JAX."""
 
     def __init__(self, spec: MachineSpec, task: TaskConfig, unroll_count: int = 1) -> None:
         self.spec = spec
@@ -82,7 +81,7 @@ class ThrowEnvironment:
         self._low, self._high = jnp.asarray(low + margin), jnp.asarray(high - margin)
 
     def reset(self, key: Field, table: StartTable, rows: Field) -> EnvironmentState:
-        """Start episodes at rest from these rows (N,) of the table."""
+        """Start one episode from each of the given rows (N,) of the table, with the arm at rest."""
         keys = jax.random.split(key, 3)
         count = rows.shape[0]
         start, target = table.start_rad_m[rows], table.target_m[rows]
@@ -113,7 +112,7 @@ class ThrowEnvironment:
             opened=zeros,
             leave_in_s=zeros + draw.release_delay_s,
             time_s=zeros,
-            # At rest the load would fall straight down.
+            # Released at rest, the load falls straight down.
             impact_distance_m=jnp.hypot(horizontal, below),
             best_error_m=jnp.stack([horizontal, jnp.linalg.norm(offset, axis=-1)], axis=-1),
             ball=jnp.zeros((count, 6)),
@@ -125,7 +124,7 @@ class ThrowEnvironment:
         )
 
     def observe(self, state: EnvironmentState) -> tuple[Field, Field]:
-        """What the policy sees (N, 65 | 56), and what only the critic sees (N, P)."""
+        """Observation of the policy (N, 65 in 3D, 56 in 2D) and additional inputs of the critic (N, P)."""
         frame = policy_frame(
             self.spec,
             self.task.mode,
@@ -147,7 +146,7 @@ class ThrowEnvironment:
         return observation.astype(jnp.float32), hidden
 
     def drives(self, state: EnvironmentState) -> Field:
-        """(N,) bool: whether the policy's next action moves anything."""
+        """(N,) bool: whether the policy's next action drives the joints."""
         if self.task.episode.after_release == "policy":
             return jnp.ones_like(state.gone_s, dtype=jnp.bool_)
         return state.gone_s < 0.0
@@ -155,7 +154,17 @@ class ThrowEnvironment:
     def step(
         self, key: Field, state: EnvironmentState, action: Field, hurry_ratio: Field = 1.0
     ) -> tuple[EnvironmentState, Field, StepInfo]:
-        """One control step (80 ms); returns state, reward (N,) and what ended. Does not reset."""
+        """Advance one control step (80 ms). Does not reset episodes that end.
+
+        Args:
+            key: of the step's random numbers.
+            state: before the step.
+            action: (N, A), clipped to [-1, 1].
+            hurry_ratio: () share of the loss for time that is charged at this point of the training.
+
+        Returns:
+            State, reward (N,) and how the step ended.
+        """
         keys = jax.random.split(key, 3)
         count = state.time_s.shape[0]
         clipped = jnp.clip(action, -1.0, 1.0)
@@ -174,7 +183,7 @@ class ThrowEnvironment:
         return self._judge(state, after, clipped, touched, hurry_ratio)
 
     def _release(self, key: Field, state: EnvironmentState, action: Field) -> Field:
-        """Latch the release command; near the target at low speed it is sometimes forced (paper)."""
+        """Latch the release command (N,). Near the target at low speed it is forced at random (paper)."""
         episode = self.task.episode
         grip = grip_centre(self.spec, state.position, state.velocity)
         slow = jnp.linalg.norm(grip.velocity_m_per_s, axis=-1) < episode.override_speed_m_per_s
@@ -184,7 +193,7 @@ class ThrowEnvironment:
         return jnp.where(commanded, 1.0, state.opened)
 
     def _built(self, draw: EpisodeDraw) -> MachineSpec:
-        """The machine of this episode: the drawn lengths in the place of the drawing's."""
+        """Spec with this episode's randomised lengths (N,) in place of the nominal ones."""
         return drawn_machine(
             self.spec,
             telescope_to_pin_error_m=draw.telescope_to_pin_error_m,
@@ -195,7 +204,12 @@ class ThrowEnvironment:
     def _ticks(
         self, state: EnvironmentState, request: Field
     ) -> tuple[EnvironmentState, tuple[Field, Field, Field], Field]:
-        """Eight physics ticks; also the joints when the load left (q, v, whether), and clearance."""
+        """Advance eight physics ticks.
+
+        Returns:
+            State; joint positions (N, 6) and velocities (N, 6) at the release and whether the load was
+            released in this step (N,); smallest clearance (N,), m.
+        """
         draw, built, dt = state.draw, self._built(state.draw), CONTROL_PERIOD_S
         ticks = jnp.arange(DELAY_TICKS)[:, None]
         # Linear interpolation between the two references around the dead time.
@@ -262,14 +276,14 @@ class ThrowEnvironment:
     def _fly(
         self, before: EnvironmentState, after: EnvironmentState, leaving: tuple[Field, Field, Field]
     ) -> EnvironmentState:
-        """Hypothetical impact of a held load, true landing of one that left in this step."""
+        """Predict the impact of a held load, and the landing of a load released in this step."""
         leave_q, leave_v, leaves = leaving
         draw = before.draw
         q = jnp.where(leaves[:, None], leave_q, after.position)
         v = jnp.where(leaves[:, None], leave_v, after.velocity)
         grip = grip_centre(self._built(draw), _untyped(q), _untyped(v))
         position, velocity = grip.position_m + draw.grasp_m, grip.velocity_m_per_s
-        # The claws' push is not foreseen: it belongs to the throw, not to the hypothesis.
+        # The push of the opening claws is random: it acts on the throw, not on the prediction.
         velocity = velocity + jnp.where(leaves[:, None], draw.slip_m_per_s, 0.0)
         x, y, flight = landing(position, velocity, draw.plane_m, draw.drag_per_m)
         below = shortfall(position, velocity, draw.plane_m)
@@ -292,7 +306,7 @@ class ThrowEnvironment:
         )
 
     def _remember(self, key: Field, after: EnvironmentState, action: Field) -> EnvironmentState:
-        """Sense, and push what was sensed and commanded into the histories."""
+        """Push the sensed joints and the action into the histories."""
         seen_q, seen_v = self._sense(key, after.position, after.velocity, after.draw)
         return after._replace(
             q_history=push_history(after.q_history, seen_q),
@@ -303,7 +317,7 @@ class ThrowEnvironment:
     def _sense(
         self, key: Field, position: Field, velocity: Field, draw: EpisodeDraw
     ) -> tuple[Field, Field]:
-        """Joint state as the control step would know it, in the policy's frame."""
+        """Measured joint positions (N, 6) and velocities (N, 6) with noise, bias and latency."""
         sensor = self.task.sensor
         q_sd = jnp.asarray([*sensor.position_noise_sd_rad_m, *[sensor.swing_noise_sd_rad] * 2])
         rate_sd = sensor.swing_rate_noise_sd_rad_per_s
@@ -314,7 +328,7 @@ class ThrowEnvironment:
         return q, velocity + noise[1] * v_sd
 
     def _ended(self, after: EnvironmentState, closest: Field) -> tuple[Field, Field, Field]:
-        """What ended now: landings, failures (codes, 0 for none), and whether the numbers make sense."""
+        """Landings (N,), failure codes (N,), 0 for none, and whether the state is finite and bounded (N,)."""
         episode = self.task.episode
         q = after.position
         swing = q[:, 1] + q[:, 2] + q[:, 4]
@@ -326,14 +340,14 @@ class ThrowEnvironment:
         bounded = (jnp.abs(q) < 50.0).all(-1) & (jnp.abs(after.velocity) < 20.0).all(-1)
         sane = bounded & jnp.isfinite(after.impact_distance_m)
         tests = (
-            (Failure.NUMERIC, ~sane),
-            (Failure.COLLISION, closest < episode.clearance_m),
-            (Failure.LIMIT, ~gone & ((active < self._low) | (active > self._high)).any(-1)),
+            (EpisodeFailure.NUMERIC, ~sane),
+            (EpisodeFailure.COLLISION, closest < episode.clearance_m),
+            (EpisodeFailure.LIMIT, ~gone & ((active < self._low) | (active > self._high)).any(-1)),
             (
-                Failure.SWING,
+                EpisodeFailure.SWING,
                 (jnp.abs(swing) > swing_limit) | (jnp.abs(q[:, 5]) > episode.roll_limit_rad),
             ),
-            (Failure.TIMEOUT, (after.time_s > episode.time_limit_s) & (after.opened == 0.0)),
+            (EpisodeFailure.TIMEOUT, (after.time_s > episode.time_limit_s) & (after.opened == 0.0)),
         )
         failure = jnp.zeros(q.shape[0], jnp.int32)
         for code, is_so in reversed(tests):
@@ -348,7 +362,7 @@ class ThrowEnvironment:
         closest: Field,
         hurry_ratio: Field,
     ) -> tuple[EnvironmentState, Field, StepInfo]:
-        """End what has ended, and pay."""
+        """End episodes and compute rewards (N,)."""
         landed, failure, sane = self._ended(after, closest)
         target = before.draw.target_m
         ball = after.ball[:, :3] - target
@@ -382,7 +396,7 @@ class ThrowEnvironment:
         info = StepInfo(
             done=landed | (failure > 0),
             landed=landed & ~short,
-            failure=jnp.where(short, int(Failure.SHORT), failure),
+            failure=jnp.where(short, int(EpisodeFailure.SHORT), failure),
             miss_m=after.landing_m - target[:, :2],
             duration_s=after.time_s,
             closest_m=closest,

@@ -1,7 +1,7 @@
-"""Which starts of the table come next: half of them evenly, the other half as badly as they went before.
+"""Sampling of the starts of episodes: uniformly, or in proportion to the miss of earlier episodes.
 
-A few combinations (a drawn-in telescope and a far target, an extended one and a near target) are rare and
-hard: drawn evenly they teach too little. Prioritised replay of levels (Jiang et al. 2021), the miss as score.
+Prioritised level replay (Jiang et al. 2021) with the miss as score. Some combinations, such as a retracted
+telescope and a far target, are rare and hard, so that uniform sampling covers them too little.
 """
 
 from typing import Any
@@ -14,21 +14,20 @@ from training.environment.episode import StepInfo
 Field = Any
 
 WORST_MISS_M = 0.6
-"""A miss counts no more than this, a failure as much: what nobody can reach must not take all episodes.
-By eye, as are the weight below and the half: 0.8 in place of it throws no nearer (docs/training.md)."""
+"""Largest score, also that of a failure, m: targets out of reach must not take all episodes."""
 NEWEST_RATIO = 0.3
-"""Weight of a start's newest episode in its score: single throws scatter, policies learn."""
+"""Weight of a start's newest episode in its score, an exponential moving average."""
 
 
 def first_scores(count: int) -> Field:
-    """Scores (M,) before anything was thrown, m: all alike."""
+    """Equal scores (M,) for the start of a training, m."""
     return jnp.full(count, WORST_MISS_M, jnp.float32)
 
 
 def draw_starts(
     key: Field, scores_m: Field, shape: tuple[int, ...], hard_share_ratio: float
 ) -> Field:
-    """Rows of the table, of this shape: with `hard_share_ratio` in proportion to their scores (M,)."""
+    """Rows of the table, of the given shape: a share in proportion to the scores (M,), the others uniform."""
     keys = jax.random.split(key, 3)
     rows = scores_m.shape[0]
     even = jax.random.randint(keys[0], shape, 0, rows)
@@ -41,10 +40,10 @@ def draw_starts(
 
 
 def rescored(scores_m: Field, rows: Field, info: StepInfo) -> Field:
-    """Scores (M,) after steps (T, N) of episodes that began at these rows (T, N) of the table."""
+    """Scores (M,) after steps (T, N) of episodes that began at rows (T, N) of the table."""
     miss = jnp.hypot(info.miss_m[..., 0], info.miss_m[..., 1])
     worst = jnp.where(info.landed, jnp.minimum(miss, WORST_MISS_M), WORST_MISS_M)
     newest = scores_m[rows] + NEWEST_RATIO * (worst - scores_m[rows])
-    # What has not ended writes past the table, where nothing is kept.
+    # Episodes that go on write past the end of the table, which JAX drops.
     ended = jnp.where(info.done, rows, scores_m.shape[0])
     return scores_m.at[ended].set(newest, mode="drop")

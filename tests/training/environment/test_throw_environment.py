@@ -13,8 +13,8 @@ from machine.starts import is_valid_start
 from runtime.control import observation
 from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
-from training.environment.episode import Failure
-from training.environment.shipped import AIM_MARGIN_M, GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M
+from training.environment.configurations import AIM_MARGIN_M, GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M
+from training.environment.episode import EpisodeFailure
 from training.environment.state import DELAY_TICKS, EnvironmentState
 from training.environment.task import ResponseConfig
 
@@ -39,7 +39,7 @@ def _posed(throws: Throws, **joints: float | np.ndarray) -> EnvironmentState:
     )
 
 
-def _failures(throws: Throws, state: EnvironmentState) -> set[Failure]:
+def _failures(throws: Throws, state: EnvironmentState) -> set[EpisodeFailure]:
     """What one still step ends with."""
     _, reward, info = throws.step(KEY, state, throws.still())
     info = host(info)
@@ -49,7 +49,7 @@ def _failures(throws: Throws, state: EnvironmentState) -> set[Failure]:
     loss = throws.env.task.reward.failure_ratio
     assert (np.asarray(reward)[info.done] < -loss + 2.0).all()
     assert (np.asarray(reward)[~info.done] > -2.0).all()
-    return {Failure(int(code)) for code in info.failure}
+    return {EpisodeFailure(int(code)) for code in info.failure}
 
 
 # --- starts, targets, what is drawn ---------------------------------------------------------------
@@ -245,7 +245,7 @@ def test_no_release_is_forced_at_speed_or_in_our_configuration(paper: Throws, pl
 
 
 def test_a_quiet_step_ends_nothing(throws: Throws):
-    assert _failures(throws, _posed(throws)) == {Failure.NONE}
+    assert _failures(throws, _posed(throws)) == {EpisodeFailure.NONE}
 
 
 def test_a_large_swing_or_roll_ends_it(throws: Throws):
@@ -255,9 +255,13 @@ def test_a_large_swing_or_roll_ends_it(throws: Throws):
         for sign, angle in ((1.0, 1.40), (1.0, 1.25))
     ]
     assert limit.swing_limit_rad == 1.30
-    assert _failures(throws, swung[0]) == {Failure.SWING}
-    assert _failures(throws, swung[1]) == {Failure.NONE}
-    for roll, end in ((1.2, Failure.SWING), (-1.2, Failure.SWING), (1.0, Failure.NONE)):
+    assert _failures(throws, swung[0]) == {EpisodeFailure.SWING}
+    assert _failures(throws, swung[1]) == {EpisodeFailure.NONE}
+    for roll, end in (
+        (1.2, EpisodeFailure.SWING),
+        (-1.2, EpisodeFailure.SWING),
+        (1.0, EpisodeFailure.NONE),
+    ):
         assert _failures(throws, _posed(throws, roll=roll)) == {end}
 
 
@@ -274,7 +278,7 @@ def test_a_joint_near_its_limit_ends_it(
         _failures(planar, _posed(planar, **{**others, joint: high - gap}))
         for gap in (0.5 * margin, 3.0 * margin)
     ]
-    assert ends == [{Failure.LIMIT}, {Failure.NONE}]
+    assert ends == [{EpisodeFailure.LIMIT}, {EpisodeFailure.NONE}]
 
 
 def test_the_ground_and_the_machine_end_it(planar: Throws):
@@ -287,23 +291,23 @@ def test_the_ground_and_the_machine_end_it(planar: Throws):
     _, _, info = planar.step(KEY, state, planar.still())
     failure = np.asarray(info.failure)
     # The lengths of the drawn machines, and what it moves in a step, blur it by less than 0.15 m.
-    assert (failure[gap < limit - 0.15] == Failure.COLLISION).all()
-    assert (failure[gap > limit + 0.15] == Failure.NONE).all()
+    assert (failure[gap < limit - 0.15] == EpisodeFailure.COLLISION).all()
+    assert (failure[gap > limit + 0.15] == EpisodeFailure.NONE).all()
     folded = _posed(planar, boom=0.9, dipper=-0.9, telescope=0.0)
     folded = folded._replace(position=folded.position.at[:, 4].add(-1.0))
     apart = clearance(SPEC, shapes, np.asarray(folded.position, np.float64))
     assert apart.max() < limit - 0.03, apart.max()
-    assert _failures(planar, folded) == {Failure.COLLISION}
+    assert _failures(planar, folded) == {EpisodeFailure.COLLISION}
 
 
 def test_no_release_in_time_ends_it(throws: Throws):
     limit = throws.env.task.episode.time_limit_s
     late = _posed(throws)._replace(time_s=jnp.full(COUNT, limit, jnp.float32))
     early = late._replace(time_s=late.time_s - 0.1)
-    assert _failures(throws, late) == {Failure.TIMEOUT}
-    assert _failures(throws, early) == {Failure.NONE}
+    assert _failures(throws, late) == {EpisodeFailure.TIMEOUT}
+    assert _failures(throws, early) == {EpisodeFailure.NONE}
     opened = late._replace(opened=jnp.ones(COUNT))
-    assert _failures(throws, opened) == {Failure.NONE}
+    assert _failures(throws, opened) == {EpisodeFailure.NONE}
 
 
 @pytest.mark.parametrize("field", ["position", "velocity"])
@@ -311,7 +315,7 @@ def test_a_state_that_is_not_finite_ends_it_with_a_loss(planar: Throws, field: s
     state = _posed(planar)
     for bad in (np.nan, np.inf, 1e6):
         broken = state._replace(**{field: getattr(state, field).at[:, 4].set(bad)})
-        assert _failures(planar, broken) == {Failure.NUMERIC}
+        assert _failures(planar, broken) == {EpisodeFailure.NUMERIC}
 
 
 def _after_release(throws: Throws, steps: int) -> tuple[EnvironmentState, list[Any], list[Any]]:
@@ -419,5 +423,5 @@ def test_random_actions_never_give_a_number_that_is_not_finite(throws: Throws):
         observed, hidden = throws.observe(state)
         for value in (reward, observed, hidden):
             assert np.isfinite(value).all()
-    assert int(Failure.NUMERIC) not in seen
+    assert int(EpisodeFailure.NUMERIC) not in seen
     assert ended.mean() > 0.3

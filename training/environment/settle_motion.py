@@ -1,9 +1,9 @@
-"""What the arm does after the load has left: the runtime's SETTLE motion as a function of the true state.
+"""Settle motion after the release: the runtime's control law as a function of the true state.
 
-Only its request for velocities; limits and pump flow are applied where every request is. The same law as
-runtime.control.swing_control.settle with runtime.control.follow_through, on noise-free joints, in numpy or
-JAX (tests/training/environment/test_settling.py), so that policies learn throws after which the gripper
-stays clear of arm and ground.
+Returns requested velocities; limits and pump flow are applied to every request elsewhere. The law is that
+of runtime.control.swing_control.settle and runtime.control.follow_through, for noise-free joints, in numpy
+or JAX (compared in tests/training/environment/test_settle_motion.py). Training includes it so that the
+gripper stays clear of arm and ground after a throw.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ Field = Any
 
 
 def settle_request(spec: MachineSpec, time_s: Field, q: Field, v: Field) -> Field:
-    """Requested velocities (N, 4) for joints (N, 6) at velocities (N, 6), time_s (N,) after the throw."""
+    """Requested velocities (N, 4) for positions q and velocities v (N, 6), time_s (N,) after the release."""
     xp, g = namespace(q), spec.geometry
     pitch, roll = swing_frequency_rad_per_s(spec)
     tube = q[..., 1] + q[..., 2]
@@ -32,7 +32,7 @@ def settle_request(spec: MachineSpec, time_s: Field, q: Field, v: Field) -> Fiel
     calm = 1.0 / (1.0 + (amplitude / swing_control.RETURN_SWING_RAD) ** 2)
     gap = [SAFE_ACTIVE_RAD_M[i] - q[..., i] for i in range(4)]
     fastest = swing_control.RETURN_SPEED_RAD_M_PER_S
-    home = [
+    pose_return = [
         xp.clip(swing_control.RETURN_GAIN_PER_S * gap[i], -fastest[i], fastest[i]) * calm
         for i in range(4)
     ]
@@ -45,9 +45,9 @@ def settle_request(spec: MachineSpec, time_s: Field, q: Field, v: Field) -> Fiel
     damped = xp.stack(
         [
             sideways / xp.maximum(radius, 2.0),
-            home[1],
-            home[2] + along * outward,
-            home[3] + telescope * outward,
+            pose_return[1],
+            pose_return[2] + along * outward,
+            pose_return[3] + telescope * outward,
         ],
         axis=-1,
     )

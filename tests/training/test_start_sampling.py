@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from training.environment.episode import Failure, StepInfo
-from training.hard_starts import (
+from training.environment.episode import EpisodeFailure, StepInfo
+from training.start_sampling import (
     NEWEST_RATIO,
     WORST_MISS_M,
     draw_starts,
@@ -23,7 +23,7 @@ def _info(done: list[bool], landed: list[bool], miss_m: list[float]) -> StepInfo
     return StepInfo(
         done=jnp.asarray([done]),
         landed=jnp.asarray([landed]),
-        failure=jnp.full((1, len(done)), int(Failure.NONE)),
+        failure=jnp.full((1, len(done)), int(EpisodeFailure.NONE)),
         miss_m=jnp.stack([jnp.asarray([miss_m]), jnp.asarray([across])], axis=-1),
         duration_s=jnp.zeros((1, len(done))),
         closest_m=jnp.ones((1, len(done))),

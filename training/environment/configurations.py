@@ -1,4 +1,4 @@
-"""Shipped tasks and learners of both modes, and what the paper pays for."""
+"""Shipped tasks and learners of both modes, and the paper's reward."""
 
 from dataclasses import replace
 from typing import Literal
@@ -15,18 +15,21 @@ from training.environment.task import (
 )
 
 RESPONSE_WIDENING_RATIO = 1.25
-"""Training sees ranges this much wider than those around the fitted machines."""
+"""Factor by which the ranges of the fitted responses are stretched for training."""
 AIM_MARGIN_M = 0.4
+"""How far beyond the requested ranges targets are drawn: a registration may move the aim point so far."""
 GROUND_SHARE_RATIO = 0.6
+"""Share of the targets at ground level."""
 REACH_AT_HEIGHT_M = ((-1.0, 10.95), (0.0, 10.95), (1.0, 10.4), (2.0, 9.3), (3.0, 8.2))
-"""How far targets off the ground may be. To 2 m: where throws of m545-2d-v4 at 10.87 m in the twin come down
-through that height (100 throws, release 7.3 m out, 1.7 m high, 3.9 m/s outward, 3.5 m/s up); at 3 m, which
-those do not reach, by eye: the arm must be raised, and the plumb grip then ends at 6.9 m."""
+"""Height of a target and its largest range, m. Up to 2 m: where the trajectory of the farthest throw at
+ground level passes that height (release at 7.3 m range and 1.7 m height, 3.9 m/s outward, 3.5 m/s upward).
+At 3 m: an estimate, since that trajectory does not reach it; the raised arm's grip then ends at 6.9 m."""
 ANY_PACE = (0.0, 1.0)
+"""Range of the pace: from careful to fast."""
 
 
-def off_the_ground(episode: EpisodeConfig) -> EpisodeConfig:
-    """The same with some of the targets in pits and on piles and trucks, at any pace."""
+def with_raised_targets(episode: EpisodeConfig) -> EpisodeConfig:
+    """The same with some targets below and above ground level, and any pace."""
     return replace(
         episode,
         target_height_m=(-1.0, 3.0),
@@ -38,10 +41,10 @@ def off_the_ground(episode: EpisodeConfig) -> EpisodeConfig:
 
 
 def planar_task(reward: RewardConfig | None = None) -> TaskConfig:
-    """2D: the arm plane stands over the target, targets 6..10.9 m (45 % past the reach)."""
+    """2D: the arm plane contains the target; targets 6 to 10.95 m."""
     return TaskConfig(
         mode=Mode.PLANAR,
-        episode=off_the_ground(EpisodeConfig(target_range_m=(6.0, 10.95))),
+        episode=with_raised_targets(EpisodeConfig(target_range_m=(6.0, 10.95))),
         response=widened(
             ResponseConfig(disturbance_sd_rad_m_per_s=(0.0014, 0.011, 0.016, 0.0054)),
             RESPONSE_WIDENING_RATIO,
@@ -52,17 +55,17 @@ def planar_task(reward: RewardConfig | None = None) -> TaskConfig:
 
 
 def spatial_task(reward: RewardConfig | None = None) -> TaskConfig:
-    """3D: the cabin starts anywhere, targets 5..10.9 m."""
+    """3D: the cabin starts at any slew angle; targets 5 to 10.95 m."""
     return TaskConfig(
         mode=Mode.SPATIAL,
-        episode=off_the_ground(EpisodeConfig(target_range_m=(5.0, 10.95))),
+        episode=with_raised_targets(EpisodeConfig(target_range_m=(5.0, 10.95))),
         response=widened(ResponseConfig(), RESPONSE_WIDENING_RATIO),
         reward=reward or RewardConfig(),
     )
 
 
 def paper_reward(task: TaskConfig) -> TaskConfig:
-    """The same task paid by the paper's terms: targets on the ground, no pace, over when the ball lands."""
+    """The same task with the paper's reward: targets at ground level, no pace, ends when the ball lands."""
     return replace(
         task,
         reward=RewardConfig(kind="paper", action_ratio=0.0005, action_difference_ratio=0.01),
@@ -87,7 +90,7 @@ def task_for(mode: Mode, reward: Literal["impact", "paper"] = "impact") -> TaskC
 def learner_for(mode: Mode, reward: Literal["impact", "paper"] = "impact") -> PpoConfig:
     """The shipped learner of a mode.
 
-    2D needs fewer iterations than the paper has; 3D waits longer and comes back to starts that go badly.
+    2D has fewer iterations than the paper. 3D has a longer horizon and repeats starts with large misses.
     """
     if reward == "paper":
         return PpoConfig()

@@ -1,7 +1,7 @@
-"""Ranges of the training's response from what `downrange identify response --json` wrote, one file a machine.
+"""Response ranges for training from results of `downrange identify response --json`, one file per machine.
 
-It reads, merges and has them stretched as the built-in ranges are. It refuses files that are not such
-results, numbers that no machine has, and ranges that the simulator cannot hold.
+The ranges of all files are merged and stretched like the built-in ones. Refused are files that are not such
+results, values that are impossible for a machine, and ranges beyond the simulator's limits.
 """
 
 import hashlib
@@ -15,58 +15,60 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S
 from machine.errors import UsageError
-from training.environment.shipped import RESPONSE_WIDENING_RATIO
+from training.environment.configurations import RESPONSE_WIDENING_RATIO
 from training.environment.state import DELAY_TICKS
 from training.environment.task import Range, ResponseConfig, widened
 
 LONGEST_DEAD_TIME_S = round((DELAY_TICKS - 1) * CONTROL_PERIOD_S, 3)
-"""What the simulator's delay line holds."""
+"""Length of the simulator's delay line."""
 HIGHEST_NATURAL_FREQUENCY_RAD_PER_S = 2.0 / CONTROL_PERIOD_S
-"""With w h < 2 one step of `training.environment.dynamics.respond` is stable whatever the damping."""
+"""With w h < 2 a step of `training.environment.dynamics.respond` is stable for any damping."""
 SMALLEST_LAG_S = min(ResponseConfig().lag_min_s)
-"""Stands for no first-order lag at all: the identified model has none."""
-NO_PUSH = (0.0, 0.0)
+"""First-order lag of an identified response, whose model has none."""
+NO_REACTION = (0.0, 0.0)
+"""Reaction between boom and dipper of an identified response, whose model has none."""
 
 
 @dataclass(frozen=True)
-class _Number:
-    """One number of a joint: what people call it, its fields in the configuration, its bounds."""
+class _Parameter:
+    """Response parameter of a joint: its label, its fields in the configuration, its bound."""
 
     label: str
     field: str
-    """Of `ResponseConfig`, with ``{}`` for min and max."""
+    """Field of `ResponseConfig`, with ``{}`` for min and max."""
     unit: str = ""
     limit: float = math.inf
-    """Largest that the simulator holds."""
+    """Largest value that the simulator supports."""
 
 
 DYNAMICS = {
-    "dead_time_s": _Number("dead time", "dead_time_{}_s", " s", LONGEST_DEAD_TIME_S),
-    "natural_frequency_rad_per_s": _Number(
+    "dead_time_s": _Parameter("dead time", "dead_time_{}_s", " s", LONGEST_DEAD_TIME_S),
+    "natural_frequency_rad_per_s": _Parameter(
         "natural frequency",
         "natural_frequency_{}_rad_per_s",
         " rad/s",
         HIGHEST_NATURAL_FREQUENCY_RAD_PER_S,
     ),
-    "damping_ratio": _Number("damping", "damping_{}_ratio"),
+    "damping_ratio": _Parameter("damping", "damping_{}_ratio"),
 }
-"""The three that belong together: one alone says nothing where the model has a further lag."""
+"""Used only together: the identified model has no first-order lag, so that one of them alone would be
+combined with a lag that it already contains."""
 GAINS = {
-    "gain_positive_ratio": _Number("gain positive", "gain_positive_{}_ratio"),
-    "gain_negative_ratio": _Number("gain negative", "gain_negative_{}_ratio"),
+    "gain_positive_ratio": _Parameter("gain positive", "gain_positive_{}_ratio"),
+    "gain_negative_ratio": _Parameter("gain negative", "gain_negative_{}_ratio"),
 }
-NUMBERS = {**DYNAMICS, **GAINS}
-PUSHES = {"boom": "boom_from_dipper_ratio", "dipper": "dipper_from_boom_ratio"}
-"""What of the other's acceleration a joint feels; the identified model has it inside its own numbers."""
+PARAMETERS = {**DYNAMICS, **GAINS}
+REACTIONS = {"boom": "boom_from_dipper_ratio", "dipper": "dipper_from_boom_ratio"}
+"""Fields of the reaction between boom and dipper, which identified parameters contain already."""
 REMEDY = (
-    "write the file anew with `downrange identify response LOG... --json FILE`, "
-    "or put a sentence in the range's place to keep the built-in one"
+    "write the file again with `downrange identify response LOG... --json FILE`, "
+    "or replace the range by a sentence to keep the built-in one"
 )
 
 
 @dataclass(frozen=True)
 class ResponseSource:
-    """Where ranges came from, as the policy's card names it."""
+    """Source of identified ranges, recorded in the policy's card."""
 
     file: str
     machine_id: str
@@ -75,20 +77,20 @@ class ResponseSource:
 
 @dataclass(frozen=True)
 class ResponseFile:
-    """What one file knows."""
+    """Ranges of one file."""
 
     source: ResponseSource
     known: Mapping[str, Mapping[str, Range]]
-    """By joint and number; what is not there cannot be known from the machine's logs."""
+    """By joint and parameter; a missing one could not be identified from the machine's logs."""
 
 
 @dataclass(frozen=True)
 class IdentifiedResponse:
-    """The response that training draws from."""
+    """Response ranges of a training."""
 
     response: ResponseConfig
     lines: tuple[str, ...]
-    """One for people a joint: what comes from the files, what stays built in."""
+    """One line of text per joint: parameters from the files, and built-in ones."""
 
 
 class _Result(BaseModel):
@@ -106,8 +108,8 @@ def read_response(path: Path) -> ResponseFile:
     """Read and check one file.
 
     Raises:
-        UsageError: it is missing, no result of `identify response`, or one of its numbers cannot be; with
-            file, number, cause and remedy.
+        UsageError: the file is missing, is no result of `identify response`, or holds an impossible value;
+            with file, parameter, cause and remedy.
     """
     try:
         content = path.read_bytes()
@@ -120,7 +122,7 @@ def read_response(path: Path) -> ResponseFile:
         found = _File.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
-        # The branches of "two numbers or a sentence" are pydantic's names, not the file's.
+        # Parts with "tuple[" are pydantic's names of union branches, not keys of the file.
         where = ".".join(str(part) for part in first["loc"] if "tuple[" not in str(part))
         raise UsageError(
             f"{path} is not a result of `downrange identify response` "
@@ -135,59 +137,57 @@ def _known(
     path: Path, training: Mapping[str, Mapping[str, Range | str]]
 ) -> dict[str, dict[str, Range]]:
     known: dict[str, dict[str, Range]] = {}
-    for joint, numbers in training.items():
+    for joint, ranges in training.items():
         if joint not in ACTIVE_JOINTS:
             raise UsageError(
                 f"{path}: no joint is called '{joint}', only {', '.join(ACTIVE_JOINTS)}; {REMEDY}"
             )
         known[joint] = {}
-        for name, value in numbers.items():
-            if name not in NUMBERS:
+        for name, value in ranges.items():
+            if name not in PARAMETERS:
                 raise UsageError(
-                    f"{path}: {joint} has no '{name}', only {', '.join(NUMBERS)}; {REMEDY}"
+                    f"{path}: {joint} has no '{name}', only {', '.join(PARAMETERS)}; {REMEDY}"
                 )
             if not isinstance(value, str):
-                _check_range(f"{path}: {joint} {name}", NUMBERS[name], value)
+                _check_range(f"{path}: {joint} {name}", PARAMETERS[name], value)
                 known[joint][name] = value
     if not any(known.values()):
         raise UsageError(
-            f"{path} knows no number for training; identify it from throws "
+            f"{path} holds no range for training; identify it from throws "
             "(`downrange record --mode 2d`, 40 or more): valve steps bypass the velocity controller"
         )
     return known
 
 
-def _check_range(where: str, number: _Number, value: Range) -> None:
+def _check_range(where: str, parameter: _Parameter, value: Range) -> None:
     low, high = value
-    told = f"{low:g} to {high:g}{number.unit}"
+    shown = f"{low:g} to {high:g}{parameter.unit}"
     if not (math.isfinite(low) and math.isfinite(high)):
-        raise UsageError(f"{where}: {told} is not a range of numbers; {REMEDY}")
+        raise UsageError(f"{where}: {shown} is not a range of numbers; {REMEDY}")
     if low > high:
+        raise UsageError(f"{where}: {shown}: the bounds are swapped; write the lower one first")
+    if low < 0.0 or (low == 0.0 and parameter is not PARAMETERS["dead_time_s"]):
+        raise UsageError(f"{where}: {shown}: the lower bound must be positive; {REMEDY}")
+    if high > parameter.limit:
         raise UsageError(
-            f"{where}: {told} runs downwards, the two are swapped; write the lower first"
-        )
-    if low < 0.0 or (low == 0.0 and number is not NUMBERS["dead_time_s"]):
-        raise UsageError(f"{where}: {told} begins where no machine is; {REMEDY}")
-    if high > number.limit:
-        raise UsageError(
-            f"{where}: {told} goes beyond the {number.limit:g}{number.unit} that the training's "
-            f"simulator holds; {REMEDY}"
+            f"{where}: {shown} goes beyond the {parameter.limit:g}{parameter.unit} that the training's "
+            f"simulator supports; {REMEDY}"
         )
 
 
 def with_identified(built_in: ResponseConfig, files: Sequence[ResponseFile]) -> IdentifiedResponse:
-    """The built-in response with what the files know in its place, stretched as that is.
+    """The built-in response with identified ranges in place of its own, stretched in the same way.
 
-    A range goes from the smallest low to the largest high of the files that know it. A joint's dead time,
-    natural frequency and damping are taken if a file knows all three. It then has neither first-order lag
-    nor push of its neighbour, since the identified model has neither.
+    A range extends from the smallest to the largest bound in the files that hold it. A joint's dead time,
+    natural frequency and damping are used if one file holds all three. The joint then has no first-order
+    lag and no reaction, since the identified model has neither.
 
     Args:
-        built_in: as the task has it, stretched already.
-        files: one a machine.
+        built_in: the task's response, stretched already.
+        files: one per machine.
 
     Raises:
-        UsageError: nothing of the files can be used, or a stretched range reaches zero.
+        UsageError: no range of the files can be used, or a stretched range reaches zero.
     """
     taken = {joint: _taken(joint, files) for joint in ACTIVE_JOINTS}
     if not any(taken.values()):
@@ -202,12 +202,12 @@ def with_identified(built_in: ResponseConfig, files: Sequence[ResponseFile]) -> 
 
 
 def _taken(joint: str, files: Sequence[ResponseFile]) -> dict[str, Range]:
-    """Ranges of one joint that are used, not yet stretched."""
+    """Ranges of one joint that are used, before stretching."""
     known = [file.known.get(joint, {}) for file in files]
-    whole = any(DYNAMICS.keys() <= numbers.keys() for numbers in known)
+    whole = any(DYNAMICS.keys() <= item.keys() for item in known)
     taken: dict[str, Range] = {}
-    for name in NUMBERS:
-        ranges = [numbers[name] for numbers in known if name in numbers]
+    for name in PARAMETERS:
+        ranges = [item[name] for item in known if name in item]
         if ranges and (whole or name in GAINS):
             taken[name] = (min(low for low, _ in ranges), max(high for _, high in ranges))
     return taken
@@ -219,26 +219,26 @@ def _stretched(
     narrow = built_in
     for index, joint in enumerate(ACTIVE_JOINTS):
         for name, (low, high) in taken[joint].items():
-            narrow = _with(narrow, NUMBERS[name].field, index, low, high)
+            narrow = _with(narrow, PARAMETERS[name].field, index, low, high)
     wide = widened(narrow, RESPONSE_WIDENING_RATIO)
     response = built_in
     for index, joint in enumerate(ACTIVE_JOINTS):
         for name in taken[joint]:
-            number = NUMBERS[name]
-            low, high = _range(wide, number.field, index)
-            given = _range(narrow, number.field, index)
+            parameter = PARAMETERS[name]
+            low, high = _range(wide, parameter.field, index)
+            given = _range(narrow, parameter.field, index)
             # `widened` stops at 0.001; a dead time may be that short.
             if low < given[0] and low <= 0.001 and name != "dead_time_s":
                 raise UsageError(
-                    f"{joint} {name}: {given[0]:g} to {given[1]:g}{number.unit} over all files, stretched "
+                    f"{joint} {name}: {given[0]:g} to {given[1]:g}{parameter.unit} over all files, stretched "
                     f"{RESPONSE_WIDENING_RATIO:g} times, reaches zero; identify from more throws or {REMEDY}"
                 )
-            high = max(low, min(high, number.limit))
-            response = _with(response, number.field, index, low, high)
+            high = max(low, min(high, parameter.limit))
+            response = _with(response, parameter.field, index, low, high)
         if DYNAMICS.keys() <= taken[joint].keys():
             response = _with(response, "lag_{}_s", index, SMALLEST_LAG_S, SMALLEST_LAG_S)
-            if joint in PUSHES:
-                response = replace(response, **{PUSHES[joint]: NO_PUSH})
+            if joint in REACTIONS:
+                response = replace(response, **{REACTIONS[joint]: NO_REACTION})
     return response
 
 
@@ -262,14 +262,14 @@ def _line(joint: str, response: ResponseConfig, taken: Mapping[str, Range]) -> s
     index = ACTIVE_JOINTS.index(joint)
     parts: list[str] = []
     for name in taken:
-        low, high = _range(response, NUMBERS[name].field, index)
-        parts.append(f"{NUMBERS[name].label} {low:.3g}..{high:.3g}{NUMBERS[name].unit}")
-    kept = [number.label for name, number in NUMBERS.items() if name not in taken]
-    push = ["push of its neighbour"] if joint in PUSHES else []
+        low, high = _range(response, PARAMETERS[name].field, index)
+        parts.append(f"{PARAMETERS[name].label} {low:.3g}..{high:.3g}{PARAMETERS[name].unit}")
+    kept = [parameter.label for name, parameter in PARAMETERS.items() if name not in taken]
+    reaction = ["reaction of its neighbour"] if joint in REACTIONS else []
     if DYNAMICS.keys() <= taken.keys():
-        parts += [f"no lag ({SMALLEST_LAG_S:g} s)", *(f"no {what}" for what in push)]
+        parts += [f"no lag ({SMALLEST_LAG_S:g} s)", *(f"no {what}" for what in reaction)]
     else:
-        kept += ["lag", *push]
-    told = [f"from the files {', '.join(parts)}"] if parts else []
-    told += [f"built in {', '.join(kept)}"] if kept else []
-    return f"{joint}: {'; '.join(told)}"
+        kept += ["lag", *reaction]
+    sources = [f"from the files {', '.join(parts)}"] if parts else []
+    sources += [f"built in {', '.join(kept)}"] if kept else []
+    return f"{joint}: {'; '.join(sources)}"

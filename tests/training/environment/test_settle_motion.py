@@ -7,7 +7,7 @@ from runtime.control import control_loop, swing_control
 from runtime.control.arm_motion import ArmMotion
 from runtime.control.imu_estimator import ImuEstimate
 from sim_twin.twin.twin import Twin
-from training.environment.settling import settle_request
+from training.environment.settle_motion import settle_request
 
 SPEC = load_spec()
 
