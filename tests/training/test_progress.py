@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from training.measure import Accuracy
-from training.ppo import Metrics
+from training.ppo import IterationMetrics
 from training.progress import (
     CSV_FILE,
     ProgressRow,
@@ -25,7 +25,7 @@ from training.progress import (
 def _rows(first: int, count: int, landed: float = 8.0) -> list[ProgressRow]:
     """Rows of `count` iterations: 10 episodes each, of which `landed` land 0.5 m off."""
     one = np.ones(count)
-    metrics = Metrics(
+    metrics = IterationMetrics(
         reward=-640.0 * one,
         done=10.0 * one,
         landed=landed * one,
