@@ -44,6 +44,7 @@ NOT_YET = (
     "cli/",
     "diagnosis/",
     "docs/",
+    "evaluation/",
     "runtime/",
     "server/",
     "benchmarks/commands.py",
