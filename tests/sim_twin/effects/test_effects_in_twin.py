@@ -102,6 +102,38 @@ def test_every_effect_acts_from_its_stage_on(outputs: ReplayOutput) -> None:
     assert not wrong, "\n".join(wrong)
 
 
+REPLAYS: dict[str, tuple[bool, bool, tuple[str, ...]]] = {
+    "actuation": (False, False, ("joint_velocity_rad_m_per_s",)),
+    "swing": (True, False, ("gyro_rad_per_s", "accel_m_per_s2")),
+    "flight": (True, True, ("release_velocity_m_per_s", "impact_m")),
+}
+"""Measured driven joints, measured swing and opening, and the channels that are compared."""
+
+
+def test_an_effect_shows_in_the_replays_of_its_row_only(plain: Recorded) -> None:
+    wrong: list[str] = []
+    shown: set[tuple[str, str | None]] = set()
+    for replay_name, (joints, swing, channels) in REPLAYS.items():
+        elements = [
+            ReplayElement(0, effects, (joints,) * 4, measured_swing=swing, measured_opening=swing)
+            for effects in [*((c.effect,) for c in CASES), ()]
+        ]
+        out = replay([plain.replay_input], elements, PROFILE, CALIBRATION)
+        for row, case in enumerate(CASES):
+            change = max(
+                float(np.nanmax(np.abs(getattr(out, name)[row] - getattr(out, name)[-1])))
+                for name in channels
+            )
+            if change < 1e-6:
+                continue
+            shown.add((case.effect.effect, case.effect.joint))
+            if replay_name not in EFFECTS[case.effect.effect].replays:
+                wrong.append(f"{case.name} changes the {replay_name} replay by {change:.2g}")
+    assert not wrong, "\n".join(wrong)
+    silent = {(c.effect.effect, c.effect.joint) for c in CASES} - shown
+    assert {name for name, _ in silent} == {"release_delay"}, "compared with the switch alone"
+
+
 def test_joint_effects_move_their_own_joint_only(outputs: ReplayOutput) -> None:
     for row, case in enumerate(CASES):
         effect = case.effect
