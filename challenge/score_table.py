@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
 
 from challenge.score import (
     NONE_LABEL,
@@ -16,14 +15,17 @@ from challenge.score import (
     effect_key,
 )
 from challenge.sealed_truth import Tier
+from sim_twin.confidence_intervals import proportion_interval
 
 STRONG_RATIO: Final = 2.0
 CLEAR_RATIO: Final = 0.97
 """Sizes are clipped at bounds: slightly less than twice the limit counts as twice the limit."""
 TOP_COUNT: Final = 3
 ECE_BINS: Final = 10
+CONFIDENCE_RATIO: Final = 0.95
 LEAST_PROBABILITY: Final = 1e-3
 """Floor of the probability in the log score."""
+_NO: Final = (float("nan"), float("nan"))
 
 
 class Measure(NamedTuple):
@@ -41,11 +43,8 @@ class Measure(NamedTuple):
 
 
 def share_interval(hits: int, count: int) -> tuple[float, float]:
-    """95 % Wilson interval of a share; NaN of nothing."""
-    if count == 0:
-        return float("nan"), float("nan")
-    found = binomtest(hits, count).proportion_ci(confidence_level=0.95, method="wilson")
-    return float(found.low), float(found.high)
+    """95 % interval of a share; NaN of nothing."""
+    return proportion_interval(hits, count, CONFIDENCE_RATIO) if count else _NO
 
 
 def measures(scored: Sequence[ScoredSet], beside: Sequence[ScoredSet] = ()) -> list[Measure]:
@@ -101,9 +100,6 @@ def measures(scored: Sequence[ScoredSet], beside: Sequence[ScoredSet] = ()) -> l
         _share("failed", scored, lambda s: s.diagnosis is None),
     ]
     return [line for line in lines if line.number]
-
-
-_NO: Final = (float("nan"), float("nan"))
 
 
 def _share(
