@@ -66,6 +66,8 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@cmp build/openapi.json web/openapi.json || { echo "web/openapi.json is old: run make types"; exit 1; }
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- ../build/schema.ts > build/types.log
 	@cmp build/schema.ts web/src/api/schema.ts || { echo "web/src/api/schema.ts is old: run make types"; exit 1; }
+	@$(BIN)/python scripts/vocabulary.py build/vocabulary.ts
+	@cmp build/vocabulary.ts web/src/api/vocabulary.ts || { echo "web/src/api/vocabulary.ts is old: run make types"; exit 1; }
 
 test: check $(STAMP)/browser  ## All checks and tests, those of the whole demo in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
@@ -76,9 +78,10 @@ e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, 
 	@# Once more where one failed: a browser without graphics, a server and a 100 Hz loop share few cores.
 	@$(BIN)/pytest tests/e2e || $(BIN)/pytest --last-failed tests/e2e
 
-types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description
+types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description and the report's vocabulary
 	@$(BIN)/downrange openapi --out web/openapi.json
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- src/api/schema.ts
+	@$(BIN)/python scripts/vocabulary.py web/src/api/vocabulary.ts
 
 tables: $(STAMP)/python  ## Regenerate the documents' tables from benchmarks/results and the effects
 	@$(BIN)/python -m scripts.result_tables

@@ -12,7 +12,7 @@ from diagnosis.alone.flight_problem import Ball
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import load_throws
-from diagnosis.report.report_html import report_html
+from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
@@ -235,7 +235,7 @@ def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) 
         if json is not None:
             json.write_text(found.model_dump_json(indent=2) + "\n", encoding="utf-8")
         if html is not None:
-            html.write_text(report_html(found, title), encoding="utf-8")
+            html.write_text(diagnosis_html(found, title), encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
     return int(EXIT_CODES[found.verdict])

@@ -13,10 +13,11 @@ from diagnosis.fitted_causes import causes_of, effect_names
 from diagnosis.healthy.reference import reference_evidence
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.location import named, signature_of, where
-from diagnosis.report.report_words import channel_words, percent, probability, size_words
+from diagnosis.report.vocabulary import channel_words, size_words
 from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.verdict import Ambiguity, Cause, Diagnosis, Gap, Shrink, VerdictKind
+from reports.number_format import percent, probability
 from sim_twin.effects.effect import Effect
 
 LEAST_GAIN_RATIO = 0.05

@@ -1,1 +1,1 @@
-"""The result as a page."""
+"""The report of a diagnosis, and the vocabulary that it shares with the console."""

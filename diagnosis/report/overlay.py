@@ -1,9 +1,9 @@
-"""Series for the report: what was measured, and what the twin says of the same commands, before and after.
+"""Series for the report: measurements, and the twin's answer to the same commands, before and after.
 
-Where a drive is at fault, everything is simulated from the commands to the impact, so that a late joint is
-seen late downstream too. Otherwise what follows from the joints is simulated from their measured motion, so
-that what drives miss on any machine does not hide it. What every healthy machine of the type differs by is
-taken into account before and after alike.
+An effect of a drive is simulated from the commands to the impact, so that a late joint is also late
+downstream. Any other effect is simulated from the measured motion of the joints, so that the errors that the
+drives of every machine have do not hide it. The mean error of healthy machines of the type is corrected
+before and after alike.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,12 +27,12 @@ SHOWN_COUNT = 3
 """Throws: the first, one of the middle, and the last."""
 DIGITS = 4
 PITCH_AXIS = 1
-"""Of the IMU: the load swings about it in a throw straight ahead."""
+"""Axis of the gyro about which the load swings in a throw straight ahead."""
 NO_EFFECTS: tuple[Effect, ...] = ()
 TURN_RATE = "gripper's turn rate"
 HEIGHT = "load's height in flight"
 FROM_MEASURED = {TURN_RATE: "turn rate from measured joints", HEIGHT: "height from measured joints"}
-"""Their names where the joints are taken as measured; titles of plots have no room for more."""
+"""Titles of these series where the joints are taken as measured."""
 
 
 def overlay(
@@ -40,12 +40,12 @@ def overlay(
 ) -> dict[str, Any]:
     """Plots ``{name: {x, x_unit, unit, measured, twin_before, twin_after}}``; the last only with effects.
 
-    What the effects act on comes first, then the place to look at, then the rest of the chain.
+    The signals that the effects act on come first, then the located stage, then the rest of the chain.
 
     Args:
         problem: the throws and their twin.
-        effects: what was found.
-        where: stage and joint to look at.
+        effects: of the best cause.
+        where: stage and joint of the largest gap.
     """
     places = [(effect_stage(e), e.joint, acting_effect(e)) for e in effects]
     if where is not None:
@@ -63,19 +63,19 @@ def overlay(
 
 
 def _signal(stage: str, joint: str | None, effect: str) -> str:
-    """Which plot shows an effect, or what a stage adds, best."""
+    """The signal that shows an effect, or the term of a stage, best."""
     if joint is not None:
         return f"{joint} velocity"
     if stage == "swing" or (effect in EFFECTS and EFFECTS[effect].part == "imu"):
         return TURN_RATE
-    # A shortage of the pump is seen at the joint that needs most.
+    # A limited pump shows at the boom, which needs the most flow.
     return f"{ACTIVE_JOINTS[1]} velocity" if stage == "actuation" else HEIGHT
 
 
 def _all(
     problem: Problem, effects: Sequence[Effect], *, is_driven: bool
 ) -> dict[str, dict[int, dict[str, Any]]]:
-    """All plots: name of the signal -> number of the throw -> its plot."""
+    """All plots by name of the signal and number of the throw."""
     shown = _shown(problem.prepared)
     cases = {"twin_before": NO_EFFECTS}
     if effects:
@@ -138,17 +138,17 @@ def _simulate(
     *,
     is_driven: bool,
 ) -> tuple[list[Array], ReplayOutput]:
-    """Joint velocities (T, 4) a throw from its commands, corrected; what follows from these or measured."""
+    """Corrected joint velocities (T, 4) of each throw, and the replay from these or measured ones."""
     inputs = [p.input for p in shown]
-    alone = replay_drives(
+    driven = replay_drives(
         inputs,
         [ReplayElement(i, effects) for i in range(len(inputs))],
         problem.profile,
         problem.calibration,
     )
-    own = (*problem.profile.effects, *effects)
+    present = (*problem.profile.effects, *effects)
     moved = [
-        corrected_input(p, problem.healthy, alone[k], joint_latency_s(own, p.input))
+        corrected_input(p, problem.healthy, driven[k], joint_latency_s(present, p.input))
         for k, p in enumerate(shown)
     ]
     elements = [ReplayElement(i, effects, measured_joints=ALL) for i in range(len(inputs))]
@@ -158,7 +158,7 @@ def _simulate(
 
 
 def _height(p: PreparedThrow, height_m: Array) -> Array:
-    """The twin's load at the moments at which the real one was tracked; NaN when it was not in the air."""
+    """Height of the twin's load at the times of the tracker; NaN while it is not in the air."""
     flying = np.flatnonzero(np.isfinite(height_m))
     if flying.size < 2:
         return np.full(p.throw.ball_t_s.size, np.nan)

@@ -18,7 +18,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
 
 from diagnosis.correction import found_effects
-from diagnosis.report.report_html import report_html
+from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
 from sim_twin.twin.profile import TwinProfile
@@ -204,7 +204,7 @@ def answer_of(found: Diagnosis, title: str) -> GapAnswer:
         sentence=found.sentence,
         effect_count=len(found_effects(found)),
         result=result,
-        report=zlib.compress(report_html(found, title).encode()),
+        report=zlib.compress(diagnosis_html(found, title).encode()),
     )
 
 

@@ -1,6 +1,6 @@
 import type { Schema } from "../session/client";
 import classes from "./CauseTable.module.css";
-import { causeWords, fittedWords, probabilityWords, sizesOf } from "./words";
+import { causeWords, fittedWords, probabilityWords, SENTENCES, sizesOf } from "./words";
 
 /** Which effect: hypotheses by probability, sizes with their 90 % intervals. */
 export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
@@ -8,9 +8,9 @@ export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
     <table className={classes.causes}>
       <thead>
         <tr>
-          <th scope="col">Probability</th>
-          <th scope="col">Cause</th>
-          <th scope="col">Size, 90 % interval</th>
+          <th scope="col">{SENTENCES.column_probability}</th>
+          <th scope="col">{SENTENCES.column_cause}</th>
+          <th scope="col">{SENTENCES.column_size}</th>
         </tr>
       </thead>
       <tbody>

@@ -2,15 +2,14 @@ import { crossrangeWords, downrangeWords, metres, percent } from "../words/forma
 import classes from "./ChainFlow.module.css";
 import type { Chain, Link, Term } from "./chain";
 import { IntervalBar } from "./IntervalBar";
+import { intervalWords, SENTENCES, shareWords } from "./words";
 
 /** Where the gap lies: the chain from command to impact, metres of miss a stage. */
 export function ChainFlow({ chain }: { chain: Chain }) {
   return (
     <>
       <p className={classes.note}>
-        {chain.isMetric
-          ? "Metres of miss that each stage adds, measured minus twin, along the target line and across it. Bar: 90 % interval along the line, mean over the throws."
-          : "One stage was recorded alone: its share is all of the gap."}
+        {chain.isMetric ? SENTENCES.where : SENTENCES.where_single_stage}
       </p>
       <ol className={classes.chain}>
         {chain.links.map((link) => (
@@ -21,7 +20,9 @@ export function ChainFlow({ chain }: { chain: Chain }) {
             </h3>
             <p className={classes.dim}>{link.between}</p>
             {link.terms.length === 0 ? (
-              <p className={classes.dim}>{chain.isMetric ? "no term" : "not recorded"}</p>
+              <p className={classes.dim}>
+                {chain.isMetric ? SENTENCES.no_term : SENTENCES.not_recorded}
+              </p>
             ) : (
               chain.isMetric && <Terms link={link} limit_m={chain.limit_m} />
             )}
@@ -65,7 +66,7 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
               limit_m={limit_m}
               words={barWords(term)}
             />
-            {!term.joint && <p className={classes.dim}>{percent(term.share_ratio)} of all terms</p>}
+            {!term.joint && <p className={classes.dim}>{shareWords(term.share_ratio)}</p>}
           </div>
         ))}
       </div>
@@ -75,5 +76,5 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
 
 function barWords(term: Term): string {
   const [low, high] = term.ci90_m;
-  return `${downrangeWords(term.downrange_m)}, 90 % interval ${metres(low)} to ${metres(high)}`;
+  return `${downrangeWords(term.downrange_m)}, ${intervalWords(metres(low), metres(high))}`;
 }

@@ -3,6 +3,7 @@ import { useMemo, useState } from "react";
 import { TimeSeries } from "../charts/TimeSeries";
 import classes from "./GapPlots.module.css";
 import { overlaysOf } from "./plots";
+import { SENTENCES } from "./words";
 
 const NO_BANDS: readonly never[] = [];
 
@@ -52,7 +53,7 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
             overlay.left.length > 0 && (
               <div key={`${overlay.name} left`} className={classes.cell}>
                 <TimeSeries
-                  title={titleOf(`${overlay.name}: measured minus twin`, overlay.unit)}
+                  title={titleOf(`${overlay.name}: ${SENTENCES.measured_minus_twin}`, overlay.unit)}
                   unit=""
                   t_s={overlay.x}
                   lines={overlay.left}

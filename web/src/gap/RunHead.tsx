@@ -6,7 +6,15 @@ import { count, metres, percent, unbroken } from "../words/format";
 import { zonedStamp } from "../words/time";
 import classes from "./RunHead.module.css";
 import { reportHref, useGapActions } from "./useGap";
-import { comparedWords, type Diagnosis, isLook, isOpen, type Run, runTitle } from "./words";
+import {
+  comparedWords,
+  type Diagnosis,
+  isLook,
+  isOpen,
+  type Run,
+  runTitle,
+  SENTENCES,
+} from "./words";
 
 type Props = {
   run: Run;
@@ -104,9 +112,9 @@ function Facts({ found }: { found: Diagnosis }) {
   const { gap } = found;
   const facts: [string, string][] = [];
   if (typeof gap.impact_rms_m === "number")
-    facts.push(["Twin misses by, root mean square", metres(gap.impact_rms_m)]);
+    facts.push([SENTENCES.impact_rms, metres(gap.impact_rms_m)]);
   if (typeof gap.trajectory_rms_ratio === "number")
-    facts.push(["Residual, times a healthy machine's", gap.trajectory_rms_ratio.toFixed(2)]);
+    facts.push([SENTENCES.residual, gap.trajectory_rms_ratio.toFixed(2)]);
   if (facts.length === 0) return null;
   return (
     <dl className={classes.facts}>

@@ -8,7 +8,7 @@ import { ReasonList } from "./ReasonList";
 import classes from "./RunResult.module.css";
 import { refusedOf, ruledOutOf } from "./ruledOut";
 import { ShrinkBars } from "./ShrinkBars";
-import type { Diagnosis, Run } from "./words";
+import { type Diagnosis, type Run, SENTENCES, undecidedWords } from "./words";
 
 type Props = { run: Run; found: Diagnosis };
 
@@ -19,27 +19,25 @@ export function RunResult({ run, found }: Props) {
   return (
     <div className={classes.result}>
       {found.stages.length > 0 && (
-        <Section title="Where">
+        <Section title={SENTENCES.section_where}>
           <ChainFlow chain={chain} />
         </Section>
       )}
       {found.causes.length > 0 && (
-        <Section title="Which">
+        <Section title={SENTENCES.section_which}>
           <CauseTable causes={found.causes} />
         </Section>
       )}
       {found.ambiguity && (
-        <Section title="Next motion">
-          <p>
-            Undecided: {found.ambiguity.members.join(" or ")}; {found.ambiguity.why}.
-          </p>
+        <Section title={SENTENCES.section_next}>
+          <p>{undecidedWords(found.ambiguity)}</p>
           <p>
             <strong>{String(motion ?? "")}</strong>
           </p>
         </Section>
       )}
       {found.shrink && (
-        <Section title="How far it shrinks">
+        <Section title={SENTENCES.section_shrink}>
           <ShrinkBars found={found} />
         </Section>
       )}
@@ -49,17 +47,17 @@ export function RunResult({ run, found }: Props) {
         </Section>
       )}
       {found.verdict !== "bad_data" && (
-        <Section title="Measured against twin">
+        <Section title={SENTENCES.section_plots}>
           <GapPlots plots={found.plots} />
         </Section>
       )}
       <Section title="Reasons">
         <ReasonList
-          title="Refused logs"
+          title={SENTENCES.section_refused}
           reasons={refusedOf(found.evidence)}
           isOpen={found.verdict === "bad_data"}
         />
-        <ReasonList title="Ruled out" reasons={ruledOutOf(found.evidence)} />
+        <ReasonList title={SENTENCES.section_ruled_out} reasons={ruledOutOf(found.evidence)} />
         <p className={classes.dim}>All evidence stands in the report.</p>
       </Section>
     </div>

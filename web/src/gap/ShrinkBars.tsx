@@ -1,6 +1,6 @@
 import { fixed, unbroken } from "../words/format";
 import classes from "./ShrinkBars.module.css";
-import { type Diagnosis, shrinkWords } from "./words";
+import { type Diagnosis, SENTENCES, shrinkWords } from "./words";
 
 /** How far the gap shrinks on throws that did not choose the cause. */
 export function ShrinkBars({ found }: { found: Diagnosis }) {
@@ -10,8 +10,8 @@ export function ShrinkBars({ found }: { found: Diagnosis }) {
     typeof found.evidence.residual_unit === "string" ? found.evidence.residual_unit : "m";
   const largest = Math.max(shrink.before_m, shrink.after_m, 1e-12);
   const rows = [
-    { name: "twin before", value: shrink.before_m, kind: "before" },
-    { name: "twin after", value: shrink.after_m, kind: "after" },
+    { name: SENTENCES.twin_before, value: shrink.before_m, kind: "before" },
+    { name: SENTENCES.twin_after, value: shrink.after_m, kind: "after" },
   ];
   return (
     <>

@@ -1,6 +1,7 @@
 /** The chain from command to impact as the page draws it: every stage, with what it adds to the miss. */
 
-import { type Diagnosis, hereWord } from "./words";
+import { VOCABULARY } from "../api/vocabulary";
+import { type Diagnosis, stageMark } from "./words";
 
 export type Term = {
   joint: string | null;
@@ -30,21 +31,13 @@ export type Chain = {
   isMetric: boolean;
 };
 
-const STAGES = [
-  ["actuation", "Actuation", "command to joint motion"],
-  ["swing", "Swing", "joint motion to gripper"],
-  ["release", "Release", "command to opening"],
-  ["flight", "Flight", "release to impact"],
-  ["aim", "Aim", "sensors, base, survey"],
-] as const;
-
 export function chainOf(found: Diagnosis): Chain {
   const here =
     found.verdict === "none" ? largestStage(found) : placeOf(found.evidence.where)?.stage;
   const named = placesOf(found.evidence.named);
   const numbers = found.stages.flatMap((term) => [...term.ci90_m, term.miss_m.downrange]);
   const limit_m = Math.max(0, ...numbers.filter(Number.isFinite).map(Math.abs));
-  const links = STAGES.map(([stage, title, between]) => {
+  const links = VOCABULARY.stages.map(({ stage, title, link: between }) => {
     const terms = found.stages
       .filter((term) => term.stage === stage)
       .map((term) => ({
@@ -64,7 +57,7 @@ export function chainOf(found: Diagnosis): Chain {
       crossrange_m: sum(terms.map((term) => term.crossrange_m)),
       here:
         stage === here || named.some((place) => place.stage === stage)
-          ? hereWord(found.verdict)
+          ? stageMark(found.verdict)
           : "",
     };
   });

@@ -1,5 +1,6 @@
 /** Series of a diagnosis for the charts: measured, twin before, twin after, and what is left of each. */
 
+import { VOCABULARY } from "../api/vocabulary";
 import type { Line } from "../charts/seriesPlot";
 
 export type Overlay = {
@@ -14,10 +15,6 @@ export type Overlay = {
 };
 
 type Values = (number | null)[];
-
-const MEASURED = "measured";
-const BEFORE = ["ideal", "twin", "before", "twin_before"];
-const AFTER = ["explained", "after", "twin_after"];
 
 /** Overlays of all plots that have a time axis and at least one series of its length. */
 export function overlaysOf(plots: Record<string, unknown>): Overlay[] {
@@ -36,9 +33,9 @@ function overlayOf(name: string, plot: unknown): Overlay | null {
     const key = names.find((other) => numbers(fields[other]).length === x.length);
     return key ? numbers(fields[key]) : null;
   };
-  const measured = pick([MEASURED]);
-  const before = pick(BEFORE);
-  const after = pick(AFTER);
+  const measured = pick(VOCABULARY.series.measured);
+  const before = pick(VOCABULARY.series.twin_before);
+  const after = pick(VOCABULARY.series.twin_after);
   const lines = [
     ...line("measured", measured, "--ink"),
     ...line("before", before, "--chart-2", true),

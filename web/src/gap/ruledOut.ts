@@ -1,20 +1,15 @@
 /** What the data speak against, and which logs were refused, read out of a diagnosis's evidence. */
 
-import { effectWords } from "./words";
+import { effectWords, ruledOutWords } from "./words";
 
 export type Reason = { name: string; why: string };
 
 export function ruledOutOf(evidence: Record<string, unknown>): Reason[] {
   return records(evidence.ruled_out).map((entry) => {
-    const odds = entry.log_odds;
-    const why = [
-      typeof odds === "number" ? `natural log odds ${odds.toFixed(1)} against no effect` : "",
-      typeof entry.why === "string" ? entry.why : "",
-    ];
     const joint = typeof entry.joint === "string" ? entry.joint : null;
     return {
       name: effectWords(String(entry.effect ?? ""), joint),
-      why: why.filter(Boolean).join("; "),
+      why: ruledOutWords(entry.why, entry.log_odds),
     };
   });
 }

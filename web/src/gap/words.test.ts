@@ -116,7 +116,7 @@ describe("words of a diagnosis", () => {
       removable_ratio: 0.9,
     };
     expect(shrinkWords(shrink, "impact")).toBe(
-      "Removes 81 % of the removable gap on 12 held-out throws, 90 % interval 70 % to 88 %. Predicted before it was added: 85 %. 90 % of the gap is removable, the rest is noise and jitter. Both without what every healthy machine of the type is off its twin by.",
+      "Removes 81 % of the removable gap on 12 held-out throws, 90 % interval 70 % to 88 %. Predicted before it was added: 85 %. 90 % of the gap is removable, the rest is noise and jitter. Both values are without the error that every healthy machine of the type has against its twin.",
     );
     const channels = shrinkWords({ ...shrink, predicted_ratio: null }, "channels");
     expect(channels).toContain("81 % of the gap in the channels that it moves");
@@ -125,7 +125,7 @@ describe("words of a diagnosis", () => {
     expect(shrinkWords(worse, "impact")).toContain("Widens the removable gap by 89 %");
   });
 
-  it("warn of a cause that held-out throws do not bear out", () => {
+  it("warn of a cause that held-out throws do not confirm", () => {
     const shrink = (ratio: number, low: number) =>
       ({ ratio, ci90: [low, 0.9], before_m: 1.25, after_m: 2, held_out_throws: 8 }) as never;
     expect(doubtWords({ ...found, shrink: shrink(0.8, 0.7) })).toBeNull();
@@ -147,10 +147,10 @@ describe("a run", () => {
     ({ gap_run_id: "g1", state, progress_ratio }) as Run;
 
   it("follows events while it is open, and is what was asked for once it ended", () => {
-    const told = { g1: row("running", 0.5) };
-    expect(newest(row("queued"), told).progress_ratio).toBe(0.5);
+    const events = { g1: row("running", 0.5) };
+    expect(newest(row("queued"), events).progress_ratio).toBe(0.5);
     expect(newest(row("running"), {}).progress_ratio).toBe(0);
-    expect(newest(row("done"), told).state).toBe("done");
+    expect(newest(row("done"), events).state).toBe("done");
     expect(newest(row("running"), { g1: row("done") }).state).toBe("done");
   });
 });
@@ -186,7 +186,7 @@ describe("the chain", () => {
     expect(chain.isMetric).toBe(true);
   });
 
-  it("of one stage alone has no metres", () => {
+  it("of a single stage has no metres", () => {
     const alone = {
       stage: "swing" as const,
       miss_m: { downrange: 0, crossrange: 0 },
@@ -231,7 +231,7 @@ describe("reasons", () => {
       refused: [{ path: "/data/throws/a.mcap", reason: "10 Hz" }],
     };
     expect(ruledOutOf(evidence)).toEqual([
-      { name: "wind", why: "natural log odds -4.3 against no effect" },
+      { name: "wind", why: "natural log odds −4.3 against no effect" },
     ]);
     expect(refusedOf(evidence)).toEqual([{ name: "a.mcap", why: "10 Hz" }]);
     expect(ruledOutOf({})).toEqual([]);

@@ -1,5 +1,6 @@
-/** A diagnosis in words: verdicts, stages, causes, sizes; pure, and shared by all of the page. */
+/** A diagnosis in the words of the report: verdicts, stages, causes, sizes. Pure functions. */
 
+import { VOCABULARY } from "../api/vocabulary";
 import type { Schema } from "../session/client";
 import { count, fixed, percent } from "../words/format";
 
@@ -9,30 +10,15 @@ export type Verdict = Schema["VerdictKind"];
 type Fitted = Schema["FittedEffect"];
 type Size = Schema["FittedParameter"];
 
-const VERDICTS: Record<Verdict, string> = {
-  none: "No gap beyond a healthy machine's",
-  explained: "Explained",
-  ambiguous: "Ambiguous: two causes fit",
-  unknown: "Unknown effect",
-  bad_data: "Data cannot be used",
-};
+const { verdicts: VERDICTS, shown_units, ratio_units, unit_suffixes } = VOCABULARY;
 
-const SHORT: Record<Verdict, string> = {
-  none: "No gap",
-  explained: "Explained",
-  ambiguous: "Ambiguous",
-  unknown: "Unknown effect",
-  bad_data: "Bad data",
-};
+/** Sentences and terms that the report uses, too; names in braces are filled in. */
+export const SENTENCES = VOCABULARY.sentences;
 
-/** What the stage that the verdict points to is. */
-const HERE: Record<Verdict, string> = {
-  none: "largest",
-  explained: "cause",
-  ambiguous: "cause",
-  unknown: "unexplained",
-  bad_data: "",
-};
+/** A sentence with its values filled in. */
+function fill(sentence: string, values: Record<string, string | number>): string {
+  return sentence.replace(/\{(\w+)\}/g, (_, name: string) => String(values[name] ?? ""));
+}
 
 const STATES: Record<Run["state"], string> = {
   queued: "Waiting",
@@ -43,35 +29,42 @@ const STATES: Record<Run["state"], string> = {
   interrupted: "Interrupted",
 };
 
-export const hereWord = (verdict: Verdict) => HERE[verdict];
+/** What the marked stage is: the cause, unexplained, or only the largest. */
+export const stageMark = (verdict: Verdict) => VERDICTS[verdict].stage_mark;
 
-/** Amber is "look": the person has to do something before this means anything. */
+/** Shown in amber: the person has to act before the result can be used. */
 export const isLook = (verdict: Verdict | null) =>
-  verdict === "ambiguous" || verdict === "unknown" || verdict === "bad_data";
+  verdict !== null && VERDICTS[verdict].needs_attention;
 
 export const isOpen = (run: Run) => run.state === "queued" || run.state === "running";
 
-/** A row as it was asked for, or newer as events told it; an ended run is what was asked for. */
-export const newest = (row: Run, told: Readonly<Record<string, Run>>): Run =>
-  isOpen(row) ? (told[row.gap_run_id] ?? row) : row;
+/** An open run as the latest event has it; an ended run as it was fetched. */
+export const newest = (row: Run, events: Readonly<Record<string, Run>>): Run =>
+  isOpen(row) ? (events[row.gap_run_id] ?? row) : row;
 
-/** One word for a run: its verdict once there is one, else where it stands. */
-export const runWord = (run: Run) => (run.verdict ? SHORT[run.verdict] : STATES[run.state]);
+/** One word for a run: its verdict once there is one, else its state. */
+export const runWord = (run: Run) =>
+  run.verdict ? VERDICTS[run.verdict].short : STATES[run.state];
 
 /** The same as a heading. */
-export const runTitle = (run: Run) => (run.verdict ? VERDICTS[run.verdict] : STATES[run.state]);
+export const runTitle = (run: Run) =>
+  run.verdict ? VERDICTS[run.verdict].title : STATES[run.state];
 
 /** What a run was compared with. */
 export const comparedWords = (run: Run) =>
   run.reference_throw_count > 0
-    ? `${count(run.reference_throw_count, "healthy throw")} of this machine`
-    : "healthy machines of the type";
+    ? fill(SENTENCES.compared_with_machine, {
+        count: count(run.reference_throw_count, SENTENCES.healthy_throw),
+      })
+    : SENTENCES.compared_with_type;
 
-/** "valve dead time, boom"; of a drift what drifts: "drift of valve lag, boom". */
+/** "valve dead time, boom"; a drift by what drifts: "drift of valve lag, boom". */
 export function effectWords(effect: string, joint: string | null | undefined): string {
   const [kind = "", drifting] = effect.split(":");
-  const name = drifting ? `drift of ${parameterWords(drifting)}` : kind.replaceAll("_", " ");
-  return joint ? `${name}, ${joint}` : name;
+  const name = drifting
+    ? fill(SENTENCES.drift, { parameter: parameterWords(drifting) })
+    : kind.replaceAll("_", " ");
+  return joint ? fill(SENTENCES.effect_of_joint, { effect: name, joint }) : name;
 }
 
 export function fittedWords({ effect, joint, parameters }: Fitted): string {
@@ -83,21 +76,24 @@ export function causeWords(cause: Schema["Cause"]): string {
   if (cause.effects.length > 0) {
     return cause.effects.map(fittedWords).join(" + ");
   }
-  if (cause.name === "none") return "no effect";
-  return cause.name === "unknown" ? "something unknown" : cause.name;
+  const { name } = cause;
+  return name === "none" || name === "unknown" ? SENTENCES[name] : name;
 }
 
-/** Never quite certain: a posterior of 1 is a rounding. */
+/** Never 0 % or 100 %: these are roundings. */
 export function probabilityWords(probability: number): string {
   if (probability > 0.995) return "> 99 %";
   return probability < 0.005 ? "< 1 %" : percent(probability);
 }
 
-const UNIT_SUFFIX =
-  /_(rad_m_per_s|rad_per_s2|rad_per_s|m_per_s|per_s2|per_s|per_m|rad_m|ratio|rad|kg|s|m)$/;
-
-export const parameterWords = (name: string) =>
-  name.replaceAll(".", ", ").replace(UNIT_SUFFIX, "").replaceAll("_", " ");
+/** A parameter without its unit. */
+export function parameterWords(name: string): string {
+  const suffix = unit_suffixes.find((unit) => name.endsWith(unit)) ?? "";
+  return name
+    .slice(0, name.length - suffix.length)
+    .replaceAll(".", ", ")
+    .replaceAll("_", " ");
+}
 
 /** Value and interval in the unit a person would choose: "62.0 ms", "55.0 to 70.0 ms". */
 export function sizeWords(size: Size): { value: string; interval: string } {
@@ -109,19 +105,18 @@ export function sizeWords(size: Size): { value: string; interval: string } {
   const tail = unit ? ` ${unit}` : "";
   return {
     value: `${text(size.value)}${tail}`,
-    interval: `${text(size.ci90[0])} to ${text(size.ci90[1])}${tail}`,
+    interval:
+      fill(SENTENCES.interval, { low: text(size.ci90[0]), high: text(size.ci90[1]) }) + tail,
   };
 }
 
 function shownUnit(unit: string, largest: number): [number, string] {
-  if (unit === "s" && largest < 1) return [1000, "ms"];
-  if (unit === "rad" && largest < 1) return [1000, "mrad"];
-  if (unit === "m" && largest < 0.1) return [1000, "mm"];
-  if (unit === "m/s" && largest < 0.1) return [1000, "mm/s"];
-  return unit === "" || unit === "1" || unit === "ratio" ? [100, "%"] : [1, unit];
+  const small = Object.entries(shown_units).find(([name]) => name === unit)?.[1];
+  if (small && largest < small.below) return [small.scale, small.unit];
+  return ratio_units.some((ratio) => ratio === unit) ? [100, "%"] : [1, unit];
 }
 
-/** Lines of an effect: what, how large, how sure. */
+/** Parameters of an effect with value and interval. */
 export function sizesOf(effect: Fitted): { name: string; value: string; interval: string }[] {
   return Object.entries(effect.parameters).map(([name, size]) => ({
     name: parameterWords(name),
@@ -129,41 +124,58 @@ export function sizesOf(effect: Fitted): { name: string; value: string; interval
   }));
 }
 
-/** Of the gap before and after: smaller than the miss that is stated first. */
-const HEALTHY_OUT = "Both without what every healthy machine of the type is off its twin by.";
+/** Why an effect was ruled out. */
+export function ruledOutWords(why: unknown, logOdds: unknown): string {
+  const parts = [
+    typeof logOdds === "number" ? fill(SENTENCES.log_odds, { odds: fixed(logOdds, 1) }) : "",
+    typeof why === "string" ? why : "",
+  ];
+  return parts.filter(Boolean).join("; ");
+}
+
+export const undecidedWords = ({ members, why }: Schema["Ambiguity"]) =>
+  fill(SENTENCES.undecided, { members: members.join(" or "), why });
+
+export const shareWords = (ratio: number) =>
+  fill(SENTENCES.share_of_terms, { share: percent(ratio) });
+
+export const intervalWords = (low: string, high: string) =>
+  fill(SENTENCES.interval_90, { low, high });
 
 /**
- * How far the gap shrinks. Where the impact is no measure of the effect (a sensor moves none), the recorded
- * channels are, and metres say nothing about the share.
+ * How far the gap shrinks on held-out throws. An effect that does not move the impact, such as one of a
+ * sensor, is measured on the recorded channels.
  */
 export function shrinkWords(shrink: Schema["Shrink"], measure: unknown): string {
   const isByChannels = measure === "channels";
-  const what = isByChannels ? "gap in the channels that it moves" : "removable gap";
-  const interval = `90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}`;
-  const thrown = `on ${shrink.held_out_throws} held-out throws`;
   const parts = [
-    shrink.ratio < 0
-      ? `Widens the ${what} by ${percent(-shrink.ratio)} ${thrown} (removes ${percent(shrink.ratio)}, ${interval}).`
-      : `Removes ${percent(shrink.ratio)} of the ${what} ${thrown}, ${interval}.`,
+    fill(shrink.ratio < 0 ? SENTENCES.widens : SENTENCES.removes, {
+      share: percent(shrink.ratio),
+      growth: percent(-shrink.ratio),
+      gap: isByChannels ? SENTENCES.channel_gap : SENTENCES.removable_gap,
+      count: shrink.held_out_throws,
+      samples: "throws",
+      interval: intervalWords(percent(shrink.ci90[0]), percent(shrink.ci90[1])),
+    }),
   ];
   if (typeof shrink.predicted_ratio === "number")
-    parts.push(`Predicted before it was added: ${percent(shrink.predicted_ratio)}.`);
+    parts.push(fill(SENTENCES.predicted, { share: percent(shrink.predicted_ratio) }));
   parts.push(
     isByChannels
-      ? "The miss itself is no measure here: below, for comparison."
-      : `${percent(shrink.removable_ratio)} of the gap is removable, the rest is noise and jitter.`,
+      ? SENTENCES.miss_is_no_measure
+      : fill(SENTENCES.removable, { share: percent(shrink.removable_ratio) }),
   );
-  parts.push(HEALTHY_OUT);
+  parts.push(SENTENCES.without_type_error);
   return parts.join(" ");
 }
 
-/** Why not to apply what was found; null when held-out throws speak for it. */
+/** Why not to apply what was found; null when held-out throws confirm it. */
 export function doubtWords(found: Diagnosis): string | null {
   const { shrink } = found;
   if (!shrink || shrink.ci90[0] > 0) return null;
   return shrink.ratio < 0
     ? `On held-out throws the twin is worse with it: ${fixed(shrink.before_m, 2)} before, ${fixed(shrink.after_m, 2)} after. Do not apply it; throw more and diagnose again.`
-    : `Held-out throws do not show that it helps: 90 % interval ${percent(shrink.ci90[0])} to ${percent(shrink.ci90[1])}. Throw more before applying it.`;
+    : `Held-out throws do not show that it helps: ${intervalWords(percent(shrink.ci90[0]), percent(shrink.ci90[1]))}. Throw more before applying it.`;
 }
 
 /** "Adds valve dead time, dipper: extra dead time 62.0 ms." */
