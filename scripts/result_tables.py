@@ -8,9 +8,9 @@ A table stands between two comments of a document:
     <!-- end of table -->
 
 The name is that of the result file, or ``effects``. Options: `rows` and `columns` choose labels, `values`
-chooses values, ``where=label:text`` keeps matching rows, ``intervals=no`` leaves intervals out and
-``intervals=COLUMN`` shows those of one column. Without `columns` each value is a column. ``--check``
-changes nothing and fails when a table is old.
+chooses values, ``where=label:text`` keeps matching rows (``_`` is a blank), ``intervals=no`` leaves
+intervals out and ``intervals=COLUMN`` shows those of one column. Without `columns` each value is a column.
+``--check`` changes nothing and fails when a table is old.
 """
 
 import re
@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 BLOCK = re.compile(r"(<!-- table: ([^>]+?) -->\n)(.*?)(<!-- end of table -->)", re.S)
 UNITS = {
+    "rad_or_m_per_s": "rad/s or m/s",
     "rad_m_per_s": "rad/s (m/s)",
     "rad_per_s": "rad/s",
     "m_per_s": "m/s",
@@ -82,7 +83,7 @@ def read_layout(options: list[str]) -> Layout:
             intervals_of = text if intervals else ""
         elif key == "where":
             label, _, wanted = text.partition(":")
-            where[label] = wanted
+            where[label] = wanted.replace("_", " ")
         else:
             raise ValueError(f"unknown option '{option}' of a table")
     return Layout(rows, columns, values, where, intervals, intervals_of)
@@ -139,6 +140,11 @@ def line(cells: list[str]) -> str:
     return "|" + "|".join(cells) + "|"
 
 
+def is_known(value: Value) -> bool:
+    """Whether there is anything to show."""
+    return value.value is not None or value.low is not None
+
+
 def decimals(rows: list[Row], names: tuple[str, ...]) -> dict[str, int]:
     """Decimals of each value's column."""
     found: dict[str, int] = {}
@@ -157,7 +163,9 @@ def result_table(result: Result, layout: Layout) -> str:
     labels = layout.rows or tuple(
         name for name in rows[0].labels if name not in {layout.columns, *layout.where}
     )
-    names = layout.values or tuple(rows[0].values)
+    names = layout.values or tuple(
+        n for n in rows[0].values if any(is_known(r.values[n]) for r in rows)
+    )
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row.labels[name] for name in labels), []).append(row)
