@@ -12,11 +12,12 @@ from machine.calibration import (
 )
 from machine.errors import UsageError
 from machine.spec import load_spec
+from tests.cases import each
 
 SPEC = load_spec()
 
 
-@pytest.mark.parametrize(
+@each(
     ("valve", "speed"),
     [
         ((-1.0, 0.0, 1.0), (-0.1, 0.0)),
@@ -36,7 +37,7 @@ def test_files_come_back_as_written(tmp_path):
     assert load_calibration(path) == nominal_calibration(SPEC)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"machine_id": "m"}'])
+@each("text", ["", "{}", "[1]", '{"machine_id": "m"}'])
 def test_a_broken_file_names_itself_and_the_remedy(tmp_path, text):
     path = tmp_path / "broken.json"
     path.write_text(text)

@@ -20,6 +20,7 @@ from machine.kinematics import (
     to_throw_frame,
 )
 from machine.spec import MJCF_PATH, load_spec
+from tests.cases import each
 
 SPEC = load_spec()
 angles = st.floats(-1.2, 1.2)
@@ -100,7 +101,7 @@ def test_hanging_gripper_has_no_swing():
     assert tool.position_m[0] == pytest.approx(pin_in_plane(SPEC, pose)[0])
 
 
-@pytest.mark.parametrize("name", ["boom_cylinder", "dipper_cylinder"])
+@each("name", ["boom_cylinder", "dipper_cylinder"])
 def test_cylinder_arm_is_the_slope_of_its_length(name):
     cylinder = getattr(SPEC.hydraulics, name)
     angle, step = np.linspace(-1.0, 1.2, 23), 1e-6

@@ -16,6 +16,7 @@ from machine.messages import (
     ThrowPlan,
     ThrowState,
 )
+from tests.cases import each
 
 COMMAND = TypeAdapter[Command](Command)
 
@@ -40,7 +41,7 @@ def test_plan_hash_survives_the_wire_to_the_last_bit(x, y, z):
     assert ThrowPlan.model_validate_json(sent.model_dump_json()).plan_hash == sent.plan_hash
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"target": Target(x_m=9.0, y_m=1e-12)},
@@ -55,13 +56,13 @@ def test_plan_hash_changes_with_any_field(change):
     assert plan(**change).plan_hash != plan().plan_hash
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 61.0, "far"])
+@each("value", [float("nan"), float("inf"), 61.0, "far"])
 def test_a_target_that_is_no_place_is_refused(value):
     with pytest.raises(ValidationError):
         Target(x_m=value, y_m=0.0)
 
 
-@pytest.mark.parametrize("pace", [-0.01, 1.01, float("nan")])
+@each("pace", [-0.01, 1.01, float("nan")])
 def test_a_pace_outside_of_careful_and_fast_is_refused(pace):
     with pytest.raises(ValidationError):
         plan(pace_ratio=pace)
@@ -88,7 +89,7 @@ def test_the_server_ignores_fields_it_does_not_know():
     assert reply.state is ThrowState.ARMED
 
 
-@pytest.mark.parametrize(
+@each(
     "command",
     [
         StopRequest(command_id="1", machine_id="m", issuer="i"),

@@ -16,6 +16,7 @@ from machine.policy_card import (
     load_card,
 )
 from machine.reach import check_pace, check_target
+from tests.cases import each
 
 
 def make_card(sha: str, **changes) -> PolicyCard:
@@ -75,7 +76,7 @@ def test_a_card_with_a_missing_field_is_refused(folder):
         load_card(folder)
 
 
-@pytest.mark.parametrize(
+@each(
     ("target", "reason"),
     [
         (Target(x_m=11.4, y_m=0.0), RejectReason.TARGET_OUT_OF_REACH),
@@ -106,13 +107,13 @@ def test_the_reach_falls_with_the_height():
         check_target(card, Target(x_m=7.0, y_m=0.0, z_m=3.1))
 
 
-@pytest.mark.parametrize("pace", [-0.1, 1.1, float("nan")])
+@each("pace", [-0.1, 1.1, float("nan")])
 def test_a_pace_beyond_careful_and_fast_is_refused(pace):
     with pytest.raises(UsageError, match=r"between 0 \(careful\) and 1 \(fast\)"):
         check_pace(pace)
 
 
-@pytest.mark.parametrize(("x_m", "y_m"), [(-9.0, 0.0), (6.0, 0.0), (10.87, 0.0), (0.0, -8.0)])
+@each(("x_m", "y_m"), [(-9.0, 0.0), (6.0, 0.0), (10.87, 0.0), (0.0, -8.0)])
 def test_targets_within_reach_pass_in_any_direction(x_m, y_m):
     check_target(make_card("a"), Target(x_m=x_m, y_m=y_m))
 

@@ -10,6 +10,7 @@ from machine.calibration import nominal_calibration
 from machine.kinematics import to_throw_frame
 from machine.registration import MAX_CORRECTION_M, Registration, Term, TermKind
 from machine.spec import load_spec
+from tests.cases import each
 
 RANGES_M = tuple(np.arange(5.5, 12.01, 0.25).tolist())
 
@@ -99,7 +100,7 @@ def test_no_aim_is_moved_by_more_than_the_limit():
     assert far.aim(target, np.zeros(1))[0, 0] == pytest.approx(8.0 + MAX_CORRECTION_M)
 
 
-@pytest.mark.parametrize("ranges", [(9.0, 8.0), (8.0,), (8.0, 8.0)])
+@each("ranges", [(9.0, 8.0), (8.0,), (8.0, 8.0)])
 def test_a_table_out_of_order_is_refused(ranges):
     with pytest.raises(ValidationError):
         Registration.model_validate(

@@ -2,17 +2,17 @@
 
 import mujoco
 import numpy as np
-import pytest
 
 from machine.conventions import Mode
 from machine.kinematics import aligned_slew_rad, swing_rad
 from machine.spec import MJCF_PATH, load_spec
 from machine.starts import is_valid_start, safe_pose, sample_starts
+from tests.cases import each
 
 SPEC = load_spec()
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_starts_touch_nothing_hang_plumb_and_are_valid(mode):
     rng = np.random.default_rng(5)
     target = np.tile([9.0, 0.0, 0.0], (300, 1))
@@ -49,7 +49,7 @@ def test_the_safe_pose_is_valid_at_any_slew():
         assert is_valid_start(SPEC, safe_pose(slew))
 
 
-@pytest.mark.parametrize(("joint", "value"), [(1, 1.27), (2, 1.0), (3, 1.76), (1, -0.09)])
+@each(("joint", "value"), [(1, 1.27), (2, 1.0), (3, 1.76), (1, -0.09)])
 def test_a_pose_at_a_limit_is_no_start(joint, value):
     pose = safe_pose()
     pose[joint] = value

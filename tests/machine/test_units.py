@@ -6,11 +6,11 @@ import types
 import typing
 
 import numpy as np
-import pytest
 from pydantic import BaseModel
 
 from machine.conventions import UNIT_SUFFIXES
 from machine.telemetry import CONTROL_ROW, POLICY_ROW
+from tests.source_tree import packages
 
 FOREIGN = {
     "server.viewer_door.frames",  # the 3D view's own protocol
@@ -20,17 +20,16 @@ FOREIGN = {
     "diagnosis.healthy.noise",  # numbers of a channel, each in that channel's unit
     "diagnosis.healthy.filters",  # learned weights over inputs of many units
 }
-"""Modules whose field names are not ours to choose, or have no one unit."""
+"""Modules whose field names are fixed elsewhere, or have no one unit."""
 SEEDS = {"seed", "unit_seed"}
 """Names of random streams: numbers that measure nothing."""
 KEYED = {"best", "plot", "training"}
 """Numbers by name, where the name in the key carries the unit."""
-PACKAGES = ("machine", "runtime", "sim_twin", "training", "diagnosis", "challenge", "server")
 
 
 def models() -> list[type[BaseModel]]:
     found: dict[str, type[BaseModel]] = {}
-    for package in PACKAGES:
+    for package in packages():
         for module in pkgutil.walk_packages(
             importlib.import_module(package).__path__, f"{package}."
         ):
@@ -63,28 +62,25 @@ def is_numeric(annotation: object) -> bool:
     return False
 
 
-@pytest.mark.parametrize(
-    "model", models(), ids=lambda model: f"{model.__module__}.{model.__name__}"
-)
-def test_numeric_fields_of_models_end_with_a_unit(model):
-    bare = [
-        name
+def test_numeric_fields_of_models_end_with_a_unit():
+    without = [
+        f"{model.__module__}.{model.__name__}.{name}"
+        for model in models()
         for name, field in model.model_fields.items()
         if is_numeric(field.annotation)
         and not name.endswith(UNIT_SUFFIXES)
         and name not in SEEDS | KEYED
     ]
-    assert not bare, f"{model.__name__}: {bare} carry no unit; see machine/conventions.py"
+    assert without == [], "see UNIT_SUFFIXES in machine/conventions.py"
 
 
-@pytest.mark.parametrize("row", [CONTROL_ROW, POLICY_ROW])
-def test_columns_of_log_rows_end_with_a_unit(row):
-    assert row.names is not None
-    bare = [
+def test_columns_of_log_rows_end_with_a_unit():
+    without = [
         name
-        for name in row.names
+        for row in (CONTROL_ROW, POLICY_ROW)
+        for name in row.names or ()
         if row[name].base.kind in "fiu"
         and row[name].base != np.bool_
         and not name.endswith(UNIT_SUFFIXES)
     ]
-    assert not bare
+    assert without == [], "see UNIT_SUFFIXES in machine/conventions.py"

@@ -13,6 +13,7 @@ from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.throws.campaign import Outcome, run_throws
 from sim_twin.virtual.virtual_machine import VirtualMachine
+from tests.cases import each
 
 SPEC = load_spec()
 POLICIES = Path(__file__).parents[2] / "policies"
@@ -29,7 +30,7 @@ def calibration():
         plant.close()
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_ten_metres_on_a_machine_of_its_own(calibration, mode):
     policy = PolicyRunner(find_policy(POLICIES, mode), SPEC)
     params = ControlParams(SPEC, calibration, mode, policy)

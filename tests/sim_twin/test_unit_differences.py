@@ -14,6 +14,7 @@ from sim_twin.virtual.units import (
     make_unit,
     nominal_unit,
 )
+from tests.cases import each
 
 SPEC = load_spec()
 
@@ -75,7 +76,7 @@ def test_draws_stay_inside_their_half_widths_and_fill_them():
         assert abs(scaled.mean()) < 0.2, name
 
 
-@pytest.mark.parametrize("name", sorted(RANGES))
+@each("name", sorted(RANGES))
 def test_the_draw_covers_at_least_half_of_the_known_range(name):
     half = np.atleast_1d(np.asarray(UNIT_HALF_WIDTH[name]))
     for joint, (low, high) in enumerate(RANGES[name]):

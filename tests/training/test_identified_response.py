@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Mode
 from machine.errors import UsageError
+from tests.cases import each
 from training.environment.configurations import RESPONSE_WIDENING_RATIO, task_for
 from training.environment.dynamics import JointResponse, ResponseState, respond
 from training.environment.task import ResponseConfig, widened
@@ -134,7 +135,7 @@ def test_a_stretched_range_that_reaches_zero_is_refused():
         with_identified(BUILT_IN, [file({"boom": wide})])
 
 
-@pytest.mark.parametrize(
+@each(
     ("training", "words"),
     [
         (
@@ -162,14 +163,14 @@ def test_what_cannot_be_is_refused_with_file_number_and_remedy(
     path = written(tmp_path / "m1.json", training)
     with pytest.raises(UsageError) as refused:
         read_response(path)
-    told = str(refused.value)
-    assert words in told
-    assert str(path) in told
-    assert any(word in told for word in ("write", "identify it from throws"))
-    assert "\n" not in told
+    shown = str(refused.value)
+    assert words in shown
+    assert str(path) in shown
+    assert any(word in shown for word in ("write", "identify it from throws"))
+    assert "\n" not in shown
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "words"),
     [
         (b"not json", "is not a result"),

@@ -14,6 +14,7 @@ from machine.policy_card import load_card
 from machine.spec import load_spec
 from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
 from runtime.control.policy import find_policy
+from tests.cases import each
 from training.environment.configurations import learner_for, task_for
 from training.environment.task import PassiveConfig, PpoConfig, RewardConfig
 from training.environment.throw_environment import ThrowEnvironment
@@ -34,7 +35,7 @@ def test_simulator_at_100_hertz_control_at_12_and_a_half():
     assert pytest.approx(0.08) == POLICY_PERIOD_S
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_training_with_the_papers_reward_has_the_papers_experience(mode: Mode):
     """8192 environments, 32 control steps, 4000 iterations: 2.66 years."""
     ppo = learner_for(mode, "paper")
@@ -43,7 +44,7 @@ def test_training_with_the_papers_reward_has_the_papers_experience(mode: Mode):
     assert steps * POLICY_PERIOD_S / YEAR_S == pytest.approx(2.66, abs=0.01)
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_the_active_policy_is_what_its_one_command_trains(mode: Mode):
     """Learner and task on the card are those of `downrange train --mode MODE` (docs/training.md)."""
     card = load_card(find_policy(POLICIES, mode))
@@ -54,7 +55,7 @@ def test_the_active_policy_is_what_its_one_command_trains(mode: Mode):
     assert {**as_json(task_for(mode)), **told["task"]} == as_json(task_for(mode))
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_both_policies_are_perceptrons_of_256_and_128(mode: Mode):
     env = ThrowEnvironment(SPEC, task_for(mode, "paper"))
     made = make_networks(
@@ -94,7 +95,7 @@ def test_the_observation_has_the_rows_of_the_papers_table():
     assert RELEASE_THRESHOLD_RATIO == 0.9
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_the_papers_reward_is_a_configuration_beside_ours(mode: Mode):
     """Same machine and sensors; other pay, targets on the ground, and the paper's release and end."""
     ours, theirs = task_for(mode, "impact"), task_for(mode, "paper")

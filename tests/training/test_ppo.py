@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.cases import each
 from tests.training.tiny_training import host
 from training.environment.configurations import planar_task
 from training.environment.episode import StepInfo
@@ -185,7 +186,7 @@ def test_a_batch_without_a_driven_step_leaves_finite_networks(
     assert np.isfinite(losses).all()
 
 
-@pytest.mark.parametrize(("log_shift", "grows"), [(1.0, False), (0.05, True)])
+@each(("log_shift", "grows"), [(1.0, False), (0.05, True)])
 def test_the_learning_rate_follows_the_divergence(
     update: Any, learner: Learner, batch: Batch, log_shift: float, grows: bool
 ):

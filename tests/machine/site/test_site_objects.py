@@ -5,6 +5,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from machine.site.objects import SWING_CIRCLE_M, SiteKind, SiteObject, SiteObjects
 from machine.spec import load_spec
+from tests.cases import each
 
 SITE = TypeAdapter(SiteObjects)
 BED = {
@@ -18,7 +19,7 @@ BED = {
 }
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         ({"x_m": 2.0, "y_m": 0.0}, "the machine turns there"),

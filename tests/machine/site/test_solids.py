@@ -8,6 +8,7 @@ from machine.messages import Target
 from machine.site.objects import UNDESCRIBED, SiteKind, SiteObject
 from machine.site.solids import Solids, touch_share
 from machine.site.touchdown import Touchdown, touchdown
+from tests.cases import each
 
 RADIUS_M = 0.12
 BED = SiteObject(
@@ -89,7 +90,7 @@ def test_loads_that_do_not_fly_end_nowhere():
     assert np.isnan(end.time_s).tolist() == [True, False]
 
 
-@pytest.mark.parametrize(
+@each(
     ("target", "name", "ground_m"),
     [
         (Target(x_m=9.0, y_m=0.0, z_m=1.2), "bed", 0.0),
@@ -118,7 +119,7 @@ def test_raised_ground_that_nobody_described_is_met_from_above_only():
     assert low.contact.point_m[0, 2] == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize("item", [BED, PIT, PILE, BED.model_copy(update={"turn_rad": 0.7})])
+@each("item", [BED, PIT, PILE, BED.model_copy(update={"turn_rad": 0.7})])
 def test_distances_grow_by_a_metre_a_metre_and_vanish_on_the_surface(item):
     solids = Solids([item])
     rng = np.random.default_rng(1)

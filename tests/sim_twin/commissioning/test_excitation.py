@@ -9,6 +9,7 @@ from sim_twin.commissioning.response_fit import simulate_response
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.virtual_machine import VirtualMachine
+from tests.cases import each
 
 SPEC = load_spec()
 UNIT_SEED = 3
@@ -26,7 +27,7 @@ def identified():
     return profile, fresh
 
 
-@pytest.mark.parametrize("joint", range(4))
+@each("joint", range(4))
 def test_prediction_of_fresh_motion_beats_the_nominal_twin(identified, joint):
     profile, (joints, steady, measured) = identified
     own = joints == joint

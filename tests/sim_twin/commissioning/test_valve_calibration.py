@@ -11,6 +11,7 @@ from machine.starts import safe_pose
 from runtime.driver import ValveCommand
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, _table, calibrate
 from sim_twin.virtual.virtual_machine import VirtualMachine
+from tests.cases import each
 
 SPEC = load_spec()
 UNIT_SEED = 3
@@ -39,7 +40,7 @@ def test_tables_have_a_dead_band_and_reach_the_speeds_of_the_machine(calibration
         assert np.all(np.abs(top / limits - 1.0) < 0.35)
 
 
-@pytest.mark.parametrize(("joint", "share"), [(0, 0.5), (1, 0.4), (2, -0.4), (3, 0.4)])
+@each(("joint", "share"), [(0, 0.5), (1, 0.4), (2, -0.4), (3, 0.4)])
 def test_the_inverse_table_gives_the_wanted_speed(calibration, joint, share):
     table = calibration.tables[joint]
     speeds = np.array(table.actuator_speed_rad_m_per_s)

@@ -8,6 +8,7 @@ from sim_twin.effects.effect import Effect
 from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import EFFECTS
 from sim_twin.replay.replay import ReplayElement, ReplayInput, ReplayOutput, fly, replay
+from tests.cases import each
 from tests.sim_twin.twin_throw import CALIBRATION, OPENS_AT, PROFILE, TICKS, Recorded, record
 
 ALL = (True, True, True, True)
@@ -36,7 +37,7 @@ def test_an_unmodified_twin_repeats_its_own_throw_exactly(plain: Recorded) -> No
     assert out.release_t_s[0] == pytest.approx(0.01 * OPENS_AT + 0.258)
 
 
-@pytest.mark.parametrize("joints", [ALL, (False, True, False, True)])
+@each("joints", [ALL, (False, True, False, True)])
 def test_measured_joints_move_as_measured_and_the_gripper_follows(
     plain: Recorded, joints: tuple[bool, bool, bool, bool]
 ) -> None:
@@ -77,7 +78,7 @@ def test_a_measured_swing_and_opening_leave_only_the_flight(plain: Recorded) -> 
     assert out.impact_m[1, 0] > out.impact_m[0, 0] + 0.05
 
 
-@pytest.mark.parametrize(
+@each(
     "effect",
     [
         Effect(effect="joint_sensor_bias", joint="boom", parameters={"bias_rad_m": 0.05}),
@@ -91,7 +92,7 @@ def test_a_measured_swing_and_opening_leave_only_the_flight(plain: Recorded) -> 
         Effect(effect="gripper_length", parameters={"extra_length_m": 0.2}),
     ],
 )
-@pytest.mark.parametrize("joints", [(False,) * 4, ALL])
+@each("joints", [(False,) * 4, ALL])
 def test_the_true_hypothesis_explains_the_recording(
     effect: Effect, joints: tuple[bool, bool, bool, bool]
 ) -> None:

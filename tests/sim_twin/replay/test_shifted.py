@@ -1,14 +1,14 @@
 """Tracks moved by parts of a tick."""
 
 import numpy as np
-import pytest
 
 from sim_twin.replay.motion import shifted
+from tests.cases import each
 
 TICKS = np.arange(60.0)
 
 
-@pytest.mark.parametrize("ticks", [-7.0, 0.0, 3.0])
+@each("ticks", [-7.0, 0.0, 3.0])
 def test_whole_ticks_are_moved_exactly_and_ends_held(ticks: float) -> None:
     track = np.random.default_rng(0).normal(size=(60, 2))
     index = np.clip(TICKS + ticks, 0, 59).astype(int)

@@ -1,13 +1,13 @@
 """A swing measured by an IMU that is mounted askew, and the hypothesis that it is."""
 
 import numpy as np
-import pytest
 
 from machine.conventions import CONTROL_PERIOD_S
 from runtime.control.imu_estimator import start_angle
 from sim_twin.effects.effect import Effect
 from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
 from sim_twin.replay.turned_imu import swing_from_gyro
+from tests.cases import each
 from tests.sim_twin.twin_throw import CALIBRATION, PROFILE, Recorded, record
 
 ALL = (True, True, True, True)
@@ -47,7 +47,7 @@ def test_the_gyro_of_a_level_imu_gives_the_swing():
     )
 
 
-@pytest.mark.parametrize("swing_is_measured", [False, True])
+@each("swing_is_measured", [False, True])
 def test_the_true_mounting_explains_what_a_turned_imu_saw(swing_is_measured: bool):
     recorded = record([ASKEW])
     elements = [

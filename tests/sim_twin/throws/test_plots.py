@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from machine.errors import UsageError
 from sim_twin.throws.plots import TargetScatter, accuracy_figure, ellipse_points, plot_accuracy
+from tests.cases import each
 
 
 def scatter(range_m: float, count: int, seed: int = 0) -> TargetScatter:
@@ -62,7 +63,7 @@ def test_mean_and_sigma_stand_over_the_target() -> None:
     assert (high - low) / 2.0 == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg"])
+@each("suffix", [".png", ".svg"])
 def test_writes_a_file_even_when_hardly_anything_landed(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"plot{suffix}"
     empty = TargetScatter(9.0, np.zeros(0), np.zeros(0), 5)

@@ -20,6 +20,7 @@ from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.throws.refusals import nominal_refusals, spread_refusals
 from sim_twin.throws.throw_start import scattered_starts, throw_start, turn_angles_rad
 from sim_twin.twin.profile import Spread, nominal_profile
+from tests.cases import each
 
 SPEC = load_spec()
 CALIBRATION = nominal_calibration(SPEC)
@@ -160,7 +161,7 @@ def test_3d_starts_where_the_machine_stands(swing_policies: Path) -> None:
     assert shown.is_final
 
 
-@pytest.mark.parametrize(
+@each(
     ("target", "reason", "words"),
     [
         (Target(x_m=20.0, y_m=0.0), RejectReason.TARGET_OUT_OF_REACH, "20.00 m"),
@@ -257,7 +258,7 @@ def test_clearance_of_a_hanging_gripper_is_its_height_over_ground() -> None:
     assert "slew to its limit" not in limits
 
 
-@pytest.mark.parametrize("turn", [-3.0, -0.2, 0.05, 2.0])
+@each("turn", [-3.0, -0.2, 0.05, 2.0])
 def test_the_drawn_turn_is_smooth_and_arrives(turn: float) -> None:
     angles = turn_angles_rad(SPEC, turn, 0.02)
     assert angles[0] == 0.0

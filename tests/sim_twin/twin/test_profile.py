@@ -15,6 +15,7 @@ from sim_twin.twin.profile import (
     nominal_profile,
     save_profile,
 )
+from tests.cases import each
 
 SPEC = load_spec()
 NOMINAL = nominal_profile(SPEC)
@@ -69,7 +70,7 @@ def test_a_missing_or_broken_file_says_what_to_do(tmp_path: Path) -> None:
         load_profile(tmp_path / "half.json")
 
 
-@pytest.mark.parametrize(
+@each(
     ("field", "value"),
     [
         ("dead_time_s", (-0.01, 0.1, 0.1, 0.1)),

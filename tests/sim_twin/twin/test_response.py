@@ -8,6 +8,7 @@ from machine.calibration import actuator_ratio, nominal_calibration
 from machine.spec import load_spec
 from sim_twin.twin.profile import exact_profile, nominal_profile
 from sim_twin.twin.response import VelocityResponse, lag_matrices
+from tests.cases import each
 
 SPEC = load_spec()
 CALIBRATION = nominal_calibration(SPEC)
@@ -36,7 +37,7 @@ def steps(response: VelocityResponse, valve: np.ndarray, ticks: int) -> np.ndarr
     return np.stack([response.step(valve, MIDDLE)[0].copy() for _ in range(ticks)])
 
 
-@pytest.mark.parametrize("boom", np.linspace(-0.1, 1.28, 7))
+@each("boom", np.linspace(-0.1, 1.28, 7))
 def test_steady_joint_speed_is_actuator_speed_over_the_moment_arm(boom: float) -> None:
     response = VelocityResponse(SPEC, PROFILE, CALIBRATION, 1)
     response.reset(NOTHING)

@@ -16,6 +16,7 @@ from machine.starts import safe_pose
 from runtime.driver import SimulatedDriver, ValveCommand
 from sim_twin.twin.profile import TwinProfile, exact_profile, nominal_profile
 from sim_twin.twin.twin import Twin
+from tests.cases import each
 
 SPEC = load_spec()
 NOMINAL = nominal_profile(SPEC)
@@ -67,7 +68,7 @@ def period_s(angle: Array) -> float:
     return float(np.diff(times).mean())
 
 
-@pytest.mark.parametrize(("joint", "offset_m", "axis"), [(4, 0.15, 1), (5, 0.0, 0)])
+@each(("joint", "offset_m", "axis"), [(4, 0.15, 1), (5, 0.0, 0)])
 def test_free_swing_has_the_period_of_the_physical_pendulum(
     joint: int, offset_m: float, axis: int
 ) -> None:
@@ -193,7 +194,7 @@ def swung_release(surface_m: float = 0.0) -> Twin:
     return twin
 
 
-@pytest.mark.parametrize("surface_m", [0.0, 0.8])
+@each("surface_m", [0.0, 0.8])
 def test_landing_agrees_with_an_independent_integration(surface_m: float) -> None:
     twin = swung_release(surface_m)
     load = twin.payload
@@ -351,7 +352,7 @@ def test_noise_follows_the_clock_so_that_two_fresh_twins_agree_tick_by_tick() ->
     )
 
 
-@pytest.mark.parametrize("count", [2, 40])
+@each("count", [2, 40])
 def test_one_machine_equals_the_first_of_many(count: int) -> None:
     """Exactly: machines of a batch do not see each other, and neither do their random numbers."""
     alone, many = (
@@ -418,9 +419,7 @@ def test_the_clock_moves_in_whole_ticks_and_survives_a_reset() -> None:
     assert twin.now_ns() == start + 20_000_000
 
 
-@pytest.mark.parametrize(
-    "valve", [np.full((1, 4), np.nan), np.full((1, 4), 1.5), np.zeros((2, 4)), np.zeros((1, 3))]
-)
+@each("valve", [np.full((1, 4), np.nan), np.full((1, 4), 1.5), np.zeros((2, 4)), np.zeros((1, 3))])
 def test_impossible_valve_commands_are_refused(valve: Array) -> None:
     twin = make()
     with pytest.raises(PlantError, match="valve commands must be"):

@@ -10,6 +10,7 @@ from sim_twin.virtual.hydraulics import PORT_RELIEF_PA, Hydraulics
 from sim_twin.virtual.sizing import TANK_PRESSURE_PA, CylinderTriangle
 from sim_twin.virtual.spools import Spools
 from sim_twin.virtual.units import ThrowConditions, nominal_unit
+from tests.cases import each
 
 SPEC = load_spec()
 UNIT = nominal_unit(SPEC)
@@ -68,8 +69,8 @@ def test_closed_valves_hold_the_load():
     assert np.abs(rig.v).max() < 0.01
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("sign", [1, -1])
+@each("joint", range(4))
+@each("sign", [1, -1])
 def test_full_valve_reaches_about_the_speed_limit(joint, sign):
     valve = np.zeros(4)
     valve[joint] = sign
@@ -87,7 +88,7 @@ def test_full_valve_reaches_about_the_speed_limit(joint, sign):
     assert low * limit < speed < 1.08 * limit
 
 
-@pytest.mark.parametrize(("joint", "sign"), [(1, 1), (3, 1)])
+@each(("joint", "sign"), [(1, 1), (3, 1)])
 def test_boom_up_or_telescope_out_alone_takes_most_of_the_pump(joint, sign):
     valve = np.zeros(4)
     valve[joint] = sign

@@ -9,6 +9,7 @@ from machine.starts import safe_pose
 from runtime.driver import SimulatedDriver, SimulatedPlantFactory, ValveCommand
 from sim_twin.virtual.sensors import ACCEL_SD_M_PER_S2
 from sim_twin.virtual.virtual_machine import START_NS, VirtualMachine
+from tests.cases import each
 
 SPEC = load_spec()
 TICK_NS = 10_000_000
@@ -67,8 +68,8 @@ def test_at_rest_it_stands_still_and_its_sensors_say_so():
     assert not machine.collided().any()
 
 
-@pytest.mark.parametrize("joint", range(4))
-@pytest.mark.parametrize("sign", [1, -1])
+@each("joint", range(4))
+@each("sign", [1, -1])
 def test_a_positive_valve_moves_the_joint_positively_after_a_dead_time(joint, sign):
     machine = make(at=pose(0.8, 0.2, 0.6))
     valve = np.zeros(4)
@@ -207,7 +208,7 @@ def test_without_commands_the_watchdog_closes_the_valves():
     assert abs(machine.truth().joint_velocity_rad_m_per_s[0, 3]) < 0.01
 
 
-@pytest.mark.parametrize("switch", ["enable", "stop"])
+@each("switch", ["enable", "stop"])
 def test_enable_switch_and_emergency_stop_close_the_valves(switch):
     machine = make(count=2, at=pose(telescope=0.3))
     if switch == "enable":

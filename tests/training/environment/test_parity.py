@@ -15,6 +15,7 @@ from machine.conventions import Mode
 from machine.kinematics import grip_centre, hanging_pitch_rad
 from machine.spec import MJCF_PATH, load_spec
 from runtime.control import observation
+from tests.cases import each
 from training.environment.dynamics import drawn_machine, passive_acceleration, passive_body
 from training.environment.flight import landing
 
@@ -105,7 +106,7 @@ def test_passive_acceleration_of_a_drawn_machine_is_mujocos(built):
     assert np.abs(theirs).max() > 5.0
 
 
-@pytest.mark.parametrize(("has_drag", "tolerance_m"), [(False, 1e-3), (True, 3e-3)])
+@each(("has_drag", "tolerance_m"), [(False, 1e-3), (True, 3e-3)])
 def test_flight_is_that_of_a_free_body_in_mujoco(has_drag: bool, tolerance_m: float):
     """A free ball stepped at 1 ms by Runge-Kutta, the drag as an applied force."""
     ball = SPEC.ball
@@ -135,7 +136,7 @@ def test_flight_is_that_of_a_free_body_in_mujoco(has_drag: bool, tolerance_m: fl
         assert time[i] == pytest.approx(data.time - (1.0 - share) * 1e-3, abs=2e-3)
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@each("mode", list(Mode))
 def test_a_batch_in_the_trainers_arithmetic_is_the_runtimes_machine_by_machine(mode: Mode):
     """To 1e-6: compiled for a batch in double precision, against one machine at a time in numpy."""
     rng = np.random.default_rng(4)

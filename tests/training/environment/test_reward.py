@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.cases import each
 from training.environment.reward import (
     RewardInputs,
     hurry_share,
@@ -46,14 +47,12 @@ def _inputs(**changed: object) -> RewardInputs:
     )
 
 
-@pytest.mark.parametrize("config", [IMPACT, PAPER], ids=["impact", "paper"])
+@each("config", [IMPACT, PAPER])
 def test_a_still_step_far_away_is_worth_nothing(config: RewardConfig):
     assert float(step_reward(config, _inputs())[0]) == pytest.approx(0.0, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("changed", "worth"),
-    [
+@each(("changed", "worth"), [
         # progress of 0.3 m at 1 a metre, and the same backwards
         ({"progress_m": [0.3]}, 0.3),
         ({"progress_m": [-0.3]}, -0.3),
@@ -70,15 +69,12 @@ def test_a_still_step_far_away_is_worth_nothing(config: RewardConfig):
         # 7 m wide: no bell reaches, the loss is that of 4 m
         ({"landed": [True], "landing_error_m": [7.0]}, -2.0),
         ({"failed": [True]}, -5.0),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_impact_reward_by_hand(changed: dict[str, object], worth: float):
     assert float(impact_reward(IMPACT, _inputs(**changed))[0]) == pytest.approx(worth, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changed", "worth"),
-    [
+@each(("changed", "worth"), [
         # both distances shrink: 0.2 + 0.1
         ({"error_m": [[99.8, 99.9]]}, 0.3),
         # c1 counts the best so far, not the step before: going away costs nothing
@@ -93,13 +89,12 @@ def test_impact_reward_by_hand(changed: dict[str, object], worth: float):
         # 5 exp(-4 0.5^2)
         ({"landed": [True], "landing_error_m": [0.5]}, 5.0 * 0.36787944),
         ({"failed": [True]}, -5.0),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_paper_reward_by_hand(changed: dict[str, object], worth: float):
     assert float(paper_reward(PAPER, _inputs(**changed))[0]) == pytest.approx(worth, abs=1e-5)
 
 
-@pytest.mark.parametrize("config", [IMPACT, PAPER], ids=["impact", "paper"])
+@each("config", [IMPACT, PAPER])
 def test_a_nearer_landing_always_pays_more(config: RewardConfig):
     error = np.linspace(0.0, 1.4, COUNT)
     pays = step_reward(config, _inputs(landed=True, landing_error_m=error))
@@ -111,7 +106,7 @@ def test_a_nearer_landing_always_pays_more(config: RewardConfig):
         assert (slope < 0.0).all()
 
 
-@pytest.mark.parametrize("config", [IMPACT, PAPER], ids=["impact", "paper"])
+@each("config", [IMPACT, PAPER])
 def test_larger_and_more_sudden_actions_pay_less(config: RewardConfig):
     action = np.zeros((COUNT, 4))
     action[:, 0] = np.linspace(0.0, 1.0, COUNT)
@@ -120,16 +115,14 @@ def test_larger_and_more_sudden_actions_pay_less(config: RewardConfig):
     assert (np.diff(step_reward(config, held)) < 0.0).all()
 
 
-@pytest.mark.parametrize("config", [IMPACT, PAPER], ids=["impact", "paper"])
+@each("config", [IMPACT, PAPER])
 def test_no_landing_is_so_bad_that_failing_would_pay(config: RewardConfig):
     landing = step_reward(config, _inputs(landed=[True], landing_error_m=[30.0]))
     failing = step_reward(config, _inputs(failed=[True]))
     assert float(failing[0]) < float(landing[0]) - 2.0
 
 
-@pytest.mark.parametrize(
-    ("changed", "loss"),
-    [
+@each(("changed", "loss"), [
         # fast: 3.5 a second, 80 ms a step; nothing for the action
         ({"pace_ratio": 1.0, "action": [[0.5, 0.0, 0.0, 1.0]]}, 0.28),
         # half the pace, a quarter of the loss; half of the way into it
@@ -140,8 +133,7 @@ def test_no_landing_is_so_bad_that_failing_would_pay(config: RewardConfig):
         ({"pace_ratio": 0.5, "left_m_per_s": 4.0}, 0.5 * 0.03 * 16.0 + 0.25 * 0.28),
         # the load is gone
         ({"pace_ratio": 1.0, "holds": False}, 0.0),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_loss_of_a_pace_by_hand(changed: dict[str, object], loss: float):
     inputs = _inputs(**{"holds": True, **changed})
     assert float(pace_loss(IMPACT, inputs)[0]) == pytest.approx(loss, abs=1e-6)

@@ -11,6 +11,7 @@ from machine.conventions import CONTROL_PERIOD_S, POLICY_PERIOD_S, Mode
 from machine.kinematics import aligned_slew_rad, grip_centre, hanging_pitch_rad
 from machine.starts import is_valid_start
 from runtime.control import observation
+from tests.cases import each
 from tests.training.tiny_training import COUNT, SPEC, Throws, host
 from training.environment.clearance import clearance, clearance_shapes
 from training.environment.configurations import AIM_MARGIN_M, GROUND_SHARE_RATIO, REACH_AT_HEIGHT_M
@@ -265,9 +266,8 @@ def test_a_large_swing_or_roll_ends_it(throws: Throws):
         assert _failures(throws, _posed(throws, roll=roll)) == {end}
 
 
-@pytest.mark.parametrize(
-    ("joint", "index", "others"),
-    [("boom", 1, {}), ("telescope", 3, {"boom": 1.1, "dipper": 0.5})],
+@each(
+    ("joint", "index", "others"), [("boom", 1, {}), ("telescope", 3, {"boom": 1.1, "dipper": 0.5})]
 )
 def test_a_joint_near_its_limit_ends_it(
     planar: Throws, joint: str, index: int, others: dict[str, float]
@@ -310,7 +310,7 @@ def test_no_release_in_time_ends_it(throws: Throws):
     assert _failures(throws, opened) == {EpisodeFailure.NONE}
 
 
-@pytest.mark.parametrize("field", ["position", "velocity"])
+@each("field", ["position", "velocity"])
 def test_a_state_that_is_not_finite_ends_it_with_a_loss(planar: Throws, field: str):
     state = _posed(planar)
     for bad in (np.nan, np.inf, 1e6):
@@ -356,7 +356,7 @@ def test_ours_ends_after_the_settle_motion_and_the_policy_no_longer_drives(plana
 # --- what the policy sees -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bearing", [0.0, 2.4])
+@each("bearing", [0.0, 2.4])
 def test_the_observation_is_the_runtimes(throws: Throws, bearing: float):
     """The runtime's machine stands turned by whole turns and a bearing; the policy must not notice."""
     mode, state = throws.env.task.mode, throws.fresh
