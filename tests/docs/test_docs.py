@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 from cli.main import VERBS
+from server.settings import Settings, variable_name
 from tests.source_tree import ROOT, documents, shown
 
 SYMBOL = re.compile(r"`([\w./-]+\.(?:py|tsx?)) :: ([\w.]+)`")
@@ -71,3 +72,25 @@ def test_every_make_target_is_in_the_readme():
     targets = re.findall(r"^([a-z0-9]+):.*## ", (ROOT / "Makefile").read_text(), flags=re.M)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert [target for target in targets if f"make {target}" not in readme] == []
+
+
+def test_documents_stay_short():
+    """A page has at most 1500 words, all pages 25 000; the change log at most 120 lines."""
+    words = {path: len(path.read_text(encoding="utf-8").split()) for path in documents()}
+    pages = {path: count for path, count in words.items() if ROOT / "docs" in path.parents}
+    too_long = [f"{shown(path)}: {count}" for path, count in pages.items() if count > 1500]
+    assert too_long == []
+    assert sum(pages.values()) <= 25_000
+    assert (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").count("\n") <= 120
+
+
+def test_every_setting_of_the_server_is_documented():
+    text = (ROOT / "docs/operations.md").read_text(encoding="utf-8")
+    names = [variable_name(field) for field in Settings.model_fields]
+    assert [name for name in names if f"`{name}`" not in text] == []
+
+
+def test_the_glossary_is_short():
+    text = (ROOT / "docs/glossary.md").read_text(encoding="utf-8")
+    terms = [line for line in text.splitlines() if line.startswith("| ")][1:]
+    assert len(terms) <= 40
