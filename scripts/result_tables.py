@@ -172,39 +172,48 @@ def result_table(result: Result, layout: Layout) -> str:
     count = {row.n for row in rows}
     heads = [title(name) for name in labels]
     columns = list(dict.fromkeys(row.labels[layout.columns] for row in rows if layout.columns))
-    heads += columns or ["n"] * (len(count) > 1) + [title(name) for name in names]
+    alike = [key for key, members in groups.items() if len({r.n for r in members}) == 1]
+    has_n = len(count) > 1 and 2 * len(alike) > len(groups)
+    heads += ["n"] * has_n + (columns or [title(name) for name in names])
     digits = decimals(rows, names)
     lines = [line(heads), "|" + "---|" * len(heads)]
     for key, members in groups.items():
         if "unit" in labels:
             digits = decimals(members, names)
+        cells = [str(members[0].n) if key in alike else ""] * has_n
         if columns:
-            cells = [pivoted(members, column, layout, names, digits) for column in columns]
+            shows_n = len(count) > 1 and not (has_n and key in alike)
+            cells += [pivoted(members, c, layout, names, digits, shows_n=shows_n) for c in columns]
         else:
             (row,) = members
-            cells = [str(row.n)] * (len(count) > 1)
             cells += [
                 cell(row.values[name], name, digits[name], intervals=layout.intervals)
                 for name in names
             ]
         lines.append(line([*key, *cells]))
     meaning = ""
-    if columns and len(names) > 1:
+    if columns and names != ("result",):
         meaning = f"Cells: {'/'.join(title(name) for name in names)}. "
     return "\n".join(lines) + "\n\n" + meaning + source(result, layout, count) + "\n"
 
 
 def pivoted(
-    members: list[Row], column: str, layout: Layout, names: tuple[str, ...], digits: dict[str, int]
+    members: list[Row],
+    column: str,
+    layout: Layout,
+    names: tuple[str, ...],
+    digits: dict[str, int],
+    *,
+    shows_n: bool,
 ) -> str:
-    """The cell of one column: its values, and its n where the row's cells differ in it."""
+    """The cell of one column: its values, and its n if asked for."""
     row = next((r for r in members if r.labels[layout.columns] == column), None)
     if row is None:
         return ""
     shown = layout.intervals and layout.intervals_of in ("", column)
     texts = [cell(row.values[name], name, digits[name], intervals=shown) for name in names]
     text = "/".join(text for text in texts if text)
-    return f"{text} (n {row.n})" if text and len({r.n for r in members}) > 1 else text
+    return f"{text} (n {row.n})" if text and shows_n else text
 
 
 def source(result: Result, layout: Layout, count: set[int]) -> str:
