@@ -18,7 +18,7 @@ from benchmarks.result_file import RESULTS, Row, describe, percentile, row, writ
 from machine.messages import LoadRequest
 from server.clock import new_id
 from server.plans.plan_store import PlanStore
-from server.plans.policies import PolicyShelf
+from server.plans.policy_store import PolicyStore
 from tests.server.fake_machine import FakeMachine
 from tests.server.server_bench import Running, add_people, make_settings, running_server, wait_for
 
@@ -45,9 +45,9 @@ def main(
     with tempfile.TemporaryDirectory() as folder:
         settings = make_settings(Path(folder), policies)
         with running_server(settings) as running:
-            add_people(running.services)
+            add_people(running.parts)
             with stand_in(running) as machine, running.client("sue") as client:
-                wait_for(lambda: running.services.registry.is_connected("m001"))
+                wait_for(lambda: running.parts.registry.is_connected("m001"))
                 print(f"{'ms':<28}{'p50':>8}{'p99':>8}{'max':>8}")
                 rows = measure(running, machine, client, repeats)
     title = "Latency of commands from HTTP request to machine"
@@ -55,13 +55,13 @@ def main(
 
 
 def stand_in(running: Running) -> FakeMachine:
-    shelf: PolicyShelf = running.services.policies
-    shelf.refresh()
+    policies: PolicyStore = running.parts.policies
+    policies.refresh()
     machine = FakeMachine(
         running.settings.link_listen,
         "m001",
-        running.services.registry.secret_path("m001").read_text().strip(),
-        {item.mode.value: item.policy_sha256 for item in shelf.reach().modes},
+        running.parts.registry.secret_path("m001").read_text().strip(),
+        {item.mode.value: item.policy_sha256 for item in policies.reach().modes},
     )
     machine.needs_hold, machine.swing_s = False, 0.0
     return machine
@@ -74,7 +74,7 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
         client.post("/machines/m001/lease")
         machine.payload_held = True
         time.sleep(0.15)
-        plan_id = ready_plan(running.services.plans, client)
+        plan_id = ready_plan(running.parts.plans, client)
         arms.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/arm", json={})))
         fires.append(timed(lambda p=plan_id: client.post(f"/plans/{p}/fire").raise_for_status()))
         wait_for(lambda: machine.state.value == "disarmed")
@@ -95,7 +95,7 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
     epoch = machine.epoch_count
     floor = [
         timed(
-            lambda: running.services.link.send(
+            lambda: running.parts.link.send(
                 LoadRequest(command_id=new_id(), machine_id="m001", issuer="b", epoch_count=epoch)
             )
         )

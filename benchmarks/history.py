@@ -21,8 +21,8 @@ from server.clock import id_at, utc_now
 from server.schemas.history import GroupBy, Outcome
 from server.store.database import Database, upgrade
 from server.store.models import Machine, Throw
-from server.throws.history import History, ThrowFilter
-from server.throws.stats import Statistics
+from server.throws.throw_history import ThrowFilter, ThrowHistory
+from server.throws.throw_statistics import ThrowStatistics
 
 START = datetime(2024, 1, 1, tzinfo=UTC)
 CHUNK = 20_000
@@ -117,13 +117,13 @@ def main(
         began_s = time.perf_counter()
         fill(database, rows)
         print(f"{rows} throws in {time.perf_counter() - began_s:.0f} s, {database.dialect}")
-        found = measure(History(database), Statistics(database), repeats)
+        found = measure(ThrowHistory(database), ThrowStatistics(database), repeats)
         title = f"Time of one history page of {rows} throws, {database.dialect}"
         database.close()
     write_result(describe("history", title, found, seed=2), json)
 
 
-def measure(history: History, statistics: Statistics, repeats: int) -> list[Row]:
+def measure(history: ThrowHistory, statistics: ThrowStatistics, repeats: int) -> list[Row]:
     rng = random.Random(2)
     found: list[Row] = []
     everything: list[float] = []

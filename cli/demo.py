@@ -17,7 +17,7 @@ from cli.calibrate import run as calibrate_machine
 from machine.errors import UsageError
 from machine.site.files import SITE
 from machine.site.objects import SiteKind, SiteObject
-from server.accounts.auth import FIRST_LOGIN_FILE
+from server.accounts.accounts import FIRST_LOGIN_FILE
 from server.serve import open_socket
 
 MACHINE_ID = "m001"

@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from cli.throw_client import ThrowClient, ThrowReport, login_from_file
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.reach import check_pace
-from server.accounts.auth import FIRST_LOGIN_FILE
-from server.throws.throw_client import ThrowClient, ThrowReport, login_from_file
+from server.accounts.accounts import FIRST_LOGIN_FILE
 
 
 def run(

@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 
 from machine.errors import UsageError
-from server.accounts.audit import AuditChain
-from server.accounts.people import People
+from server.accounts.audit_chain import AuditChain
+from server.accounts.user_admin import UserAdmin
 from server.schemas.console import Role
 from server.settings import load_settings
 from server.store.database import Database
@@ -119,12 +119,12 @@ ACTIONS: dict[str, Callable[..., int]] = {
 
 
 @contextmanager
-def _people(data: Path | None) -> Generator[People]:
+def _people(data: Path | None) -> Generator[UserAdmin]:
     settings = load_settings(data_dir=data)
     database = Database(settings.resolved_database_url)
     try:
         database.require_current()
-        yield People(database, AuditChain(database, settings.data_dir / "audit-anchors.jsonl"))
+        yield UserAdmin(database, AuditChain(database, settings.data_dir / "audit-anchors.jsonl"))
     finally:
         database.close()
 

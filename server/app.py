@@ -17,8 +17,9 @@ from starlette.requests import HTTPConnection
 
 from machine.errors import DownrangeError
 from machine.spec import load_spec
-from server.accounts.auth import COOKIE, Session
-from server.error_shape import add_error_handlers
+from server.accounts.accounts import COOKIE, Session
+from server.composition import Parts, open_parts
+from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
@@ -41,13 +42,12 @@ from server.routes import (
 )
 from server.schemas.console import ErrorBody
 from server.schemas.plans import HoldMessage, HoldReply
-from server.services import Services, open_services
 from server.settings import Settings
 from server.store.instance_lock import instance_lock
 from server.version import SOFTWARE
+from server.viewer.pick import PickRefusedError
 from server.viewer.scene import ViewerScene
-from server.viewer_door.pick import PickRefusedError
-from server.viewer_door.proxy import ViewerProxy, ViewerSession
+from server.viewer_proxy.proxy import ViewerProxy, ViewerSession
 
 logger = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ def _api_router() -> APIRouter:
 
 
 async def _no_such_api(path: str, request: Request) -> None:
-    # Without this the console's page would answer for every mistyped address of the interface.
+    # Without this route the console's page is the answer to every unknown address of the interface.
     raise NotFoundError("not_found", f"There is no {request.method} /api/{path[:100]}.")
 
 
@@ -100,21 +100,21 @@ def create_app(settings: Settings) -> FastAPI:
     """
 
     def pick(session_id: str, point_m: tuple[float, float, float]) -> None:
-        services: Services = app.state.services
-        services.targets.take_pick(session_id, point_m)
+        parts: Parts = app.state.parts
+        parts.targets.take_pick(session_id, point_m)
 
     def refused_pick(session_id: str, error: PickRefusedError) -> None:
-        services: Services = app.state.services
-        services.targets.take_refused_pick(session_id, error)
+        parts: Parts = app.state.parts
+        parts.targets.take_refused_pick(session_id, error)
 
     async def session_of(connection: HTTPConnection) -> Session | None:
-        services: Services = app.state.services
-        return await asyncio.to_thread(services.accounts.session_of, connection.cookies.get(COOKIE))
+        parts: Parts = app.state.parts
+        return await asyncio.to_thread(parts.accounts.session_of, connection.cookies.get(COOKIE))
 
     def admit(session: ViewerSession, websocket: WebSocket) -> Place:
-        services: Services = app.state.services
+        parts: Parts = app.state.parts
         assert isinstance(session, Session)
-        return services.streams.take(StreamKind.VIEW, session.username, websocket)
+        return parts.streams.take(StreamKind.VIEW, session.username, websocket)
 
     scene = ViewerScene(load_spec(), pick, on_pick_refused=refused_pick)
     proxy = ViewerProxy(scene, session_of, allowed_origins=settings.allowed_origins, admit=admit)
@@ -147,7 +147,7 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def openapi_document(app: FastAPI) -> dict[str, object]:
-    """The interface's description, with the WebSocket messages that OpenAPI itself has no place for."""
+    """The interface's description, with the WebSocket messages, which OpenAPI does not cover."""
     document = app.openapi()
     _, extra = models_json_schema(
         [(HoldMessage, "validation"), (HoldReply, "serialization")],
@@ -165,34 +165,34 @@ def _lifespan(
         async with AsyncExitStack() as stack:
             try:
                 stack.enter_context(instance_lock(settings.data_dir))
-                opened = open_services(settings, scene)
-                services = await asyncio.to_thread(opened.__enter__)
+                opened = open_parts(settings, scene)
+                parts = await asyncio.to_thread(opened.__enter__)
             except DownrangeError as error:
                 app.state.startup_error = error
                 raise
             stack.push_async_callback(asyncio.to_thread, opened.__exit__, None, None, None)
-            app.state.services = services
+            app.state.parts = parts
             loop = asyncio.get_running_loop()
 
             def close_view(session: Session) -> None:
                 asyncio.run_coroutine_threadsafe(proxy.close_session(session.session_id), loop)
 
-            services.accounts.on_session_end(close_view)
-            ticking = asyncio.create_task(_tick(services))
+            parts.accounts.on_session_end(close_view)
+            ticking = asyncio.create_task(_tick(parts))
             stack.push_async_callback(_cancel, ticking)
             yield
 
     return lifespan
 
 
-async def _tick(services: Services) -> None:
-    """What is due a few times a second: leases that run out, and how late this loop wakes."""
+async def _tick(parts: Parts) -> None:
+    """Expire leases and measure the lag of the event loop, twice a second."""
     while True:
         began_s = time.monotonic()
         await asyncio.sleep(TICK_S)
-        services.metrics.loop_lag_s.set(max(time.monotonic() - began_s - TICK_S, 0.0))
+        parts.metrics.loop_lag_s.set(max(time.monotonic() - began_s - TICK_S, 0.0))
         try:
-            await asyncio.to_thread(services.leases.expire_due)
+            await asyncio.to_thread(parts.leases.expire_due)
         except Exception:
             logger.exception("leases could not be looked through")
 

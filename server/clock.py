@@ -1,4 +1,4 @@
-"""Wall clock and time-ordered ids of the server. Times of control are the machine's, never these."""
+"""Wall clock and time-ordered ids of the server. Control uses the machine's own clock only."""
 
 import secrets
 import threading
@@ -18,13 +18,13 @@ def utc_now() -> datetime:
 
 def new_id() -> str:
     """A UUID of version 7 (RFC 9562): later ids of this process sort after earlier ones."""
-    global _last_ms_count, _count  # one sequence a process is the point of this function
+    global _last_ms_count, _count  # one sequence for the whole process
     with _lock:
         now_ms = time.time_ns() // 1_000_000
         if now_ms > _last_ms_count:
             _last_ms_count, _count = now_ms, secrets.randbits(11)
         else:
-            # The clock stood still or went back: count on within the last millisecond.
+            # The clock did not advance: continue the count within the last millisecond.
             _count += 1
             if _count >= 1 << 12:
                 _last_ms_count, _count = _last_ms_count + 1, 0
@@ -32,12 +32,12 @@ def new_id() -> str:
 
 
 def first_id_at(moment: datetime) -> str:
-    """The smallest id that could be made at this moment; bounds of time become bounds of ids."""
+    """The smallest id of a moment, so that a bound on time is a bound on ids."""
     return _assemble(int(moment.timestamp() * 1000), 0, 0)
 
 
 def id_at(moment: datetime) -> str:
-    """An id as if made at this moment, for records that are imported."""
+    """An id with the time of `moment`, for imported records."""
     return _assemble(int(moment.timestamp() * 1000), secrets.randbits(12), secrets.randbits(62))
 
 

@@ -1,9 +1,9 @@
-"""Numbers for Prometheus; one registry an application, so that tests and restarts start from zero."""
+"""Prometheus metrics, with one registry per application."""
 
 import prometheus_client
 
 
-class Metrics:
+class ServiceMetrics:
     """Counters, gauges and histograms of the service."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Around every answer: security headers, the one error shape, and how long it took."""
+"""Middleware for every response: security headers, the error format, the duration."""
 
 import json
 import time
@@ -88,10 +88,10 @@ class RequestTimes:
         try:
             await self._app(scope, receive, note)
         finally:
-            services = getattr(scope["app"].state, "services", None)
+            parts = getattr(scope["app"].state, "parts", None)
             operation = getattr(scope.get("route"), "name", None)
-            if services is not None and operation is not None and not is_stream:
-                services.metrics.requests_s.labels(
+            if parts is not None and operation is not None and not is_stream:
+                parts.metrics.requests_s.labels(
                     operation=operation, status=str(status_code)
                 ).observe(time.perf_counter() - began_s)
 

@@ -1,4 +1,4 @@
-"""Runs the web service until it is told to stop: socket, uvicorn, clear errors at the start."""
+"""Runs the web service until it is interrupted."""
 
 import contextlib
 import logging
@@ -12,7 +12,7 @@ from fastapi import FastAPI
 
 from machine.errors import DownrangeError, UsageError
 from server.app import create_app
-from server.limits.connections import WaitingRoom, allow_open_files, patient_protocol
+from server.limits.connections import IdleConnectionLimit, allow_open_files, timed_http_protocol
 from server.settings import Settings
 
 logger = logging.getLogger(__name__)
@@ -33,16 +33,16 @@ class Server(uvicorn.Server):
         self._on_ready = on_ready
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, then tell."""
+        """Start, then call `on_ready`."""
         await super().startup(sockets)
         if self.started and self._on_ready is not None:
             self._on_ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Streams never end by themselves; a browser that listens must not hold the server up."""
-        services = getattr(self._app.state, "services", None)
-        if services is not None:
-            services.hub.close()
+        parts = getattr(self._app.state, "parts", None)
+        if parts is not None:
+            parts.hub.close()
         await super().shutdown(sockets)
 
 
@@ -75,7 +75,7 @@ def make_server(
     app = create_app(settings)
     config = uvicorn.Config(
         app,
-        http=patient_protocol(WaitingRoom()),
+        http=timed_http_protocol(IdleConnectionLimit()),
         log_config=None,
         access_log=False,
         ws_max_size=WEBSOCKET_MAX_BYTES,
@@ -115,8 +115,8 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
 
 
 def _is_news(record: logging.LogRecord) -> bool:
-    # A failed start is told in one line by the caller; and a WebSocket that was refused with an answer is
-    # complete, whatever uvicorn 0.54 says of it.
+    # The caller reports a failed start in one line. uvicorn 0.54 logs an error for a WebSocket that was
+    # refused with a response, although the response is complete.
     return not str(record.msg).startswith(
         ("Traceback", "ASGI callable returned without completing")
     )

@@ -120,7 +120,7 @@ def load_settings(environment: Mapping[str, str] | None = None, **overrides: Any
         overrides: fields that the command line sets.
 
     Raises:
-        UsageError: a variable DOWNRANGE_* that is none, or a value that cannot be used.
+        UsageError: an unknown variable DOWNRANGE_*, or an invalid value.
     """
     found = os.environ if environment is None else environment
     known = {variable_name(name) for name in Settings.model_fields}

@@ -1,4 +1,4 @@
-"""Versions of twin profiles: what a diagnosis found is applied, and undone, each as a new version.
+"""Versions of twin profiles: the findings of a diagnosis are applied or undone, each as a new version.
 
 A version's number is never used twice, so that a plan's `twin_profile_version` always names one content.
 """
@@ -10,14 +10,14 @@ from sqlalchemy.orm import Session as DatabaseSession
 
 from diagnosis.correction import corrected_profile
 from diagnosis.verdict import Diagnosis
-from server.accounts.audit import AuditChain, Entry
-from server.accounts.auth import Session
+from server.accounts.accounts import Session
+from server.accounts.audit_chain import AuditChain, Entry
 from server.clock import utc_now
 from server.errors import ConflictError
-from server.events import EventHub
-from server.gap.store import GapStore
-from server.machines.machines import Registry
-from server.machines.twins import TwinFiles, content_sha256
+from server.event_hub import EventHub
+from server.gap.gap_store import GapStore
+from server.machines.machine_registry import MachineRegistry
+from server.machines.twin_files import TwinFiles, content_sha256
 from server.schemas.events import TwinUpdatedEvent
 from server.schemas.gap import TwinProfileView, TwinVersionView
 from server.store.database import Database
@@ -28,13 +28,13 @@ SHOWN_COUNT = 20
 
 
 class TwinVersions:
-    """Applies and undoes."""
+    """Applies and undoes versions of twin profiles."""
 
     def __init__(
         self,
         database: Database,
         audit: AuditChain,
-        registry: Registry,
+        registry: MachineRegistry,
         twins: TwinFiles,
         runs: GapStore,
         hub: EventHub,

@@ -1,1 +1,1 @@
-"""What one caller may hold open, so that nobody can keep the others, or STOP, away."""
+"""Limits per caller: connections, streams, failed logins."""

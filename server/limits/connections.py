@@ -1,7 +1,7 @@
-"""Connections that ask for nothing: closed when they take too long, the oldest first when there are many.
+"""Limits of connections without a complete request: by time and by count, the oldest is closed first.
 
-Whoever can reach the port can open connections without signing in; left alone they stay for ever, until the
-process has no file left for the one that brings STOP. A new connection is never refused for them.
+Anybody who reaches the port can open connections without signing in. Unlimited, they would use up the
+process's file descriptors and block STOP. A new connection is never refused because of idle ones.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ConnectionLimits:
-    """For connections whose request is not there yet, or not whole."""
+    """Limits for connections whose request has not arrived completely."""
 
     headers_s: float = 15.0
     """From the connection, or the first byte of a later request, to the end of the headers."""
@@ -28,38 +28,38 @@ class ConnectionLimits:
     total_count: int = 512
 
 
-class WaitingRoom:
-    """The connections that wait, oldest first; used in the event loop only."""
+class IdleConnectionLimit:
+    """Connections that wait for a request, oldest first; used in the event loop only."""
 
     def __init__(self, limits: ConnectionLimits | None = None) -> None:
         self.limits = limits or ConnectionLimits()
         self.closed_count = 0
-        """Connections closed to make room or for their silence, since the start."""
-        self._waiting: dict[str, OrderedDict[PatientProtocol, None]] = {}
+        """Connections closed because of a limit or a timeout, since the start."""
+        self._waiting: dict[str, OrderedDict[TimedHttpProtocol, None]] = {}
 
     @property
     def count(self) -> int:
         """Connections that wait now."""
-        return sum(len(room) for room in self._waiting.values())
+        return sum(len(waiting) for waiting in self._waiting.values())
 
-    def enter(self, address: str, connection: "PatientProtocol") -> None:
-        """A connection waits; where there are too many the one that waits longest is closed."""
-        room = self._waiting.setdefault(address, OrderedDict())
-        room[connection] = None
-        if len(room) > self.limits.per_address_count:
-            self.close(address, next(iter(room)), "too many of one address")
+    def enter(self, address: str, connection: "TimedHttpProtocol") -> None:
+        """Add a waiting connection; above a limit the oldest one is closed."""
+        waiting = self._waiting.setdefault(address, OrderedDict())
+        waiting[connection] = None
+        if len(waiting) > self.limits.per_address_count:
+            self.close(address, next(iter(waiting)), "too many of one address")
         elif self.count > self.limits.total_count:
             fullest = max(self._waiting, key=lambda name: len(self._waiting[name]))
             self.close(fullest, next(iter(self._waiting[fullest])), "too many in all")
 
-    def leave(self, address: str, connection: "PatientProtocol") -> None:
-        """Its request is there, or it is gone."""
-        room = self._waiting.get(address, OrderedDict())
-        room.pop(connection, None)
-        if not room:
+    def leave(self, address: str, connection: "TimedHttpProtocol") -> None:
+        """Remove a connection whose request is complete or that is gone."""
+        waiting = self._waiting.get(address, OrderedDict())
+        waiting.pop(connection, None)
+        if not waiting:
             self._waiting.pop(address, None)
 
-    def close(self, address: str, connection: "PatientProtocol", reason: str) -> None:
+    def close(self, address: str, connection: "TimedHttpProtocol", reason: str) -> None:
         """End a connection that waits."""
         self.leave(address, connection)
         self.closed_count += 1
@@ -67,10 +67,10 @@ class WaitingRoom:
         connection.transport.abort()
 
 
-class PatientProtocol(H11Protocol):
-    """HTTP/1.1 of uvicorn with limited patience; `room` is set by `patient_protocol`."""
+class TimedHttpProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 protocol with these limits; `idle_limit` is set by `timed_http_protocol`."""
 
-    room: WaitingRoom
+    idle_limit: IdleConnectionLimit
     _timer: asyncio.TimerHandle | None = None
     _address = ""
     _heard_s = 0.0
@@ -81,10 +81,10 @@ class PatientProtocol(H11Protocol):
         """Begin to wait for the first request."""
         super().connection_made(transport)
         self._address = self.client[0] if self.client else "unknown"
-        self._wait(self.room.limits.headers_s)
+        self._wait(self.idle_limit.limits.headers_s)
 
     def data_received(self, data: bytes) -> None:
-        """Wait on for what is missing of the request, or no longer."""
+        """Keep waiting while the request is incomplete."""
         self._heard_s = self.loop.time()
         super().data_received(data)
         if self._is_websocket:
@@ -92,10 +92,10 @@ class PatientProtocol(H11Protocol):
         if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
             self._wait_no_more()
         elif not self._is_waiting and not self.transport.is_closing():
-            self._wait(self.room.limits.headers_s)
+            self._wait(self.idle_limit.limits.headers_s)
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """From here on the connection is another protocol's."""
+        """Leave the connection to the WebSocket protocol."""
         self._is_websocket = True
         self._wait_no_more()
         super().handle_websocket_upgrade(event)
@@ -108,7 +108,7 @@ class PatientProtocol(H11Protocol):
     def _wait(self, patience_s: float) -> None:
         self._is_waiting = True
         self._timer = self.loop.call_later(patience_s, self._look)
-        self.room.enter(self._address, self)
+        self.idle_limit.enter(self._address, self)
 
     def _wait_no_more(self) -> None:
         if self._timer is not None:
@@ -116,21 +116,21 @@ class PatientProtocol(H11Protocol):
             self._timer = None
         if self._is_waiting:
             self._is_waiting = False
-            self.room.leave(self._address, self)
+            self.idle_limit.leave(self._address, self)
 
     def _look(self) -> None:
-        """Time is up: headers that are still missing are not waited for, a body while it comes."""
-        left_s = self._heard_s + self.room.limits.silence_s - self.loop.time()
+        """Close the connection on timeout, unless a body is still arriving."""
+        left_s = self._heard_s + self.idle_limit.limits.silence_s - self.loop.time()
         if self.conn.their_state is h11.SEND_BODY and left_s > 0.0:
             self._timer = self.loop.call_later(left_s, self._look)
             return
         self._wait_no_more()
-        self.room.close(self._address, self, "its request did not come")
+        self.idle_limit.close(self._address, self, "its request did not come")
 
 
-def patient_protocol(room: WaitingRoom) -> type[asyncio.Protocol]:
-    """The protocol class of one server, with its waiting room."""
-    return type("PatientProtocol", (PatientProtocol,), {"room": room})
+def timed_http_protocol(idle_limit: IdleConnectionLimit) -> type[asyncio.Protocol]:
+    """The protocol class of one server, with its limit."""
+    return type("TimedHttpProtocol", (TimedHttpProtocol,), {"idle_limit": idle_limit})
 
 
 def allow_open_files() -> None:

@@ -1,6 +1,6 @@
-"""Places for long-lived streams (events, holds, 3D views): so many a person, an address and in all.
+"""Places for long-lived streams (events, holds, 3D views): limits per person, per address and in total.
 
-Who is over a limit is refused with the numbers; what is open stays open. STOP is no stream: it needs none.
+A caller above a limit is refused with the numbers; open streams stay open. STOP needs no stream.
 """
 
 import logging
@@ -16,16 +16,16 @@ from typing import Self
 from starlette.requests import HTTPConnection
 
 from server.errors import TooManyRequestsError
-from server.metrics import Metrics
+from server.metrics import ServiceMetrics
 
 logger = logging.getLogger(__name__)
 
 WARNING_PERIOD_S = 10.0
-"""A flood must not flood the log too; the metric counts every refusal."""
+"""Shortest time between two log lines; the metric counts every refusal."""
 
 
 class StreamKind(StrEnum):
-    """Each kind has places of its own: many open pages leave room for a hold."""
+    """Each kind is limited separately: many open pages do not prevent a hold."""
 
     EVENTS = "event streams"
     HOLD = "hold signals"
@@ -43,10 +43,10 @@ class StreamLimits:
 
 
 class Place:
-    """A taken place; given back once, however often that is said."""
+    """A taken place. Giving it back twice has no further effect."""
 
-    def __init__(self, desk: "StreamDesk", keys: tuple[tuple[StreamKind, str], ...]) -> None:
-        self._desk = desk
+    def __init__(self, limiter: "StreamLimiter", keys: tuple[tuple[StreamKind, str], ...]) -> None:
+        self._limiter = limiter
         self._keys = keys
         self._is_taken = True
 
@@ -54,7 +54,7 @@ class Place:
         """Free the place."""
         if self._is_taken:
             self._is_taken = False
-            self._desk.free(self._keys)
+            self._limiter.free(self._keys)
 
     def __enter__(self) -> Self:
         return self
@@ -68,10 +68,10 @@ class Place:
         self.give_back()
 
 
-class StreamDesk:
+class StreamLimiter:
     """Hands out places; from any thread."""
 
-    def __init__(self, metrics: Metrics, limits: StreamLimits | None = None) -> None:
+    def __init__(self, metrics: ServiceMetrics, limits: StreamLimits | None = None) -> None:
         self.limits = limits or StreamLimits()
         self._metrics = metrics
         self._warned_s = -math.inf

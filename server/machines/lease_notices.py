@@ -1,4 +1,4 @@
-"""Tells machines the lease epoch: after every change of hands, and whenever one connects that is behind.
+"""Tells machines the lease epoch: after every change, and when a machine connects with an older one.
 
 A machine that hears of a higher epoch disarms. So does every machine that was armed when the server went
 down: at the start all leases are freed, which counts their epochs up.
@@ -8,20 +8,22 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 
 from machine.messages import LeaseNotice
-from server.accounts.audit import SERVER
+from server.accounts.audit_chain import SERVER
 from server.clock import new_id
 from server.errors import ApiError
-from server.machines.commands import CommandDesk
-from server.machines.leases import LeaseBook
-from server.machines.machines import Registry
+from server.machines.lease_service import LeaseService
+from server.machines.machine_commands import MachineCommands
+from server.machines.machine_registry import MachineRegistry
 
 logger = logging.getLogger(__name__)
 
 
 class LeaseNotices:
-    """Sends notices beside the requests that cause them."""
+    """Sends notices in the background."""
 
-    def __init__(self, leases: LeaseBook, registry: Registry, commands: CommandDesk) -> None:
+    def __init__(
+        self, leases: LeaseService, registry: MachineRegistry, commands: MachineCommands
+    ) -> None:
         self._leases = leases
         self._registry = registry
         self._commands = commands
@@ -34,7 +36,7 @@ class LeaseNotices:
         self._senders.shutdown(wait=True, cancel_futures=True)
 
     def _changed(self, machine_id: str, epoch_count: int) -> None:
-        # One that is away now is told when it comes back.
+        # A machine that is away gets its notice when it connects.
         if self._registry.is_connected(machine_id):
             self._senders.submit(self._send, machine_id, epoch_count)
 
@@ -55,4 +57,4 @@ class LeaseNotices:
             self._commands.send(notice, SERVER)
         except ApiError as error:
             # The machine enforces epochs by itself: an arm or fire of an older one is refused there.
-            logger.warning("%s was not told epoch %d: %s", machine_id, epoch_count, error)
+            logger.warning("%s did not receive epoch %d: %s", machine_id, epoch_count, error)

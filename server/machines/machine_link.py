@@ -1,8 +1,8 @@
 """The Zenoh link to the machines: commands out, states, joints and events in.
 
-A command is sent once and waits half a second for exactly one answer; nothing is repeated or kept for
-later. What comes in is only noted in Zenoh's callbacks; threads of ours parse it, states newest first, so
-that a slow server sees fewer states, not older ones.
+A command is sent once and waits half a second for exactly one answer; nothing is repeated or
+stored. Zenoh's callbacks only queue what arrives; other threads parse it, the newest state only, so that a
+slow server sees fewer states, not older ones.
 """
 
 import logging
@@ -26,8 +26,8 @@ from machine.messages import (
     OperatorHeartbeat,
     StopRequest,
 )
-from server.machines.machines import Registry
-from server.metrics import Metrics
+from server.machines.machine_registry import MachineRegistry
+from server.metrics import ServiceMetrics
 
 logger = logging.getLogger(__name__)
 
@@ -50,9 +50,9 @@ class MachineLink:
     def __init__(
         self,
         site: str,
-        registry: Registry,
+        registry: MachineRegistry,
         take_events: Callable[[EventBatch], EventAck],
-        metrics: Metrics,
+        metrics: ServiceMetrics,
     ) -> None:
         self._site = site
         self._registry = registry
@@ -87,8 +87,8 @@ class MachineLink:
     def _listen_to(self, session: zenoh.Session, machine_id: str) -> None:
         """One declaration a machine and channel.
 
-        A machine's access rule covers its own keys only: a wildcard over all machines would not be told to
-        it, and its publishers send nothing while they know of no subscriber.
+        A machine's access rule covers its own keys only: a wildcard subscription over all machines is
+        not announced to it, and publishers send nothing without a subscriber.
         """
         for name in ("state", "joints"):
             key = machine_key(self._site, machine_id, name)
@@ -193,7 +193,7 @@ class MachineLink:
             express=True,
         )
 
-    # In: callbacks only take notes ------------------------------------------------------------------
+    # In: callbacks only queue ------------------------------------------------------------------
 
     def _note(self, machine_id: str, name: str) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
@@ -271,7 +271,7 @@ class MachineLink:
 
 
 def _guarded(job: Callable[[], None]) -> None:
-    # A fault of one message or listener must not end the thread that serves all machines.
+    # An error in one message or listener must not end the thread that serves all machines.
     try:
         job()
     except Exception:

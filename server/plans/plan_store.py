@@ -1,4 +1,4 @@
-"""Plans on disk and, while their preview runs, in memory; and the freezing of a plan when it is armed.
+"""Stored plans; those whose preview runs are in memory too. A plan is frozen when it is armed.
 
 The hash of a plan binds what the operator saw to what the machine runs: any version that was shown may be
 frozen, no other.

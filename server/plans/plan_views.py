@@ -9,6 +9,7 @@ from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.site.objects import GROUND, SiteObject
 from server.clock import utc_now
+from server.plans.landing_errors import errors_of
 from server.plans.preview_worker import unit_of
 from server.schemas.console import TargetView
 from server.schemas.plans import (
@@ -20,7 +21,6 @@ from server.schemas.plans import (
     RefusalView,
 )
 from server.store.models import Plan
-from server.throws.impacts import errors_of
 from sim_twin.throws.clearances import Clearance
 from sim_twin.throws.preview import ThrowPreview
 

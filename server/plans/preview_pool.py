@@ -1,7 +1,7 @@
 """Previews in warm processes beside the server: first numbers at once, the ellipse as it grows.
 
-Processes are spawned, never forked: the server holds Zenoh's threads. A process that dies costs the previews
-it was working on; the next preview gets new processes.
+Processes are spawned, never forked: the server holds Zenoh's threads. When a process
+dies its previews fail; the next preview starts new processes.
 """
 
 import itertools

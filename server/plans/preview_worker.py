@@ -1,4 +1,4 @@
-"""What runs in a preview process: the twin, warm, one job at a time; it knows nothing of the server."""
+"""Computes previews in a worker process, one job at a time, with the twin loaded once."""
 
 import logging
 import os
@@ -48,7 +48,7 @@ class PreviewJob:
 
 
 class CancelledPreviewError(Exception):
-    """Nobody wants this preview any more."""
+    """The preview was cancelled."""
 
 
 @dataclass(slots=True)

@@ -1,1 +1,1 @@
-"""HTTP: one module a noun; they check rights and shapes and call the services, nothing more."""
+"""HTTP routes, one module per resource: they check permissions and bodies and call the parts."""

@@ -6,10 +6,9 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from sqlalchemy import select
 
-from server.accounts.access import Auditor
+from server.dependencies import AuditDep, Auditor, DatabaseDep
 from server.errors import ApiError
-from server.schemas.history import AuditPage, AuditRow, AuditVerdict
-from server.services import ServicesDep
+from server.schemas.audit import AuditPage, AuditRow, AuditVerdict
 from server.store.models import Audit
 
 router = APIRouter(tags=["audit"])
@@ -20,7 +19,7 @@ Name = Annotated[str | None, Query(max_length=64)]
 @router.get("/audit")
 def list_audit(
     session: Auditor,
-    services: ServicesDep,
+    store: DatabaseDep,
     machine_id: Name = None,
     throw_id: Name = None,
     actor: Name = None,
@@ -42,7 +41,7 @@ def list_audit(
         if not cursor.isdecimal():
             raise ApiError("bad_cursor", f"'{cursor}' is no cursor of the audit.")
         query = query.where(Audit.sequence_count < int(cursor[:18]))
-    with services.database.read() as database:
+    with store.read() as database:
         rows = database.scalars(query).all()
     return AuditPage(
         rows=tuple(_view(row) for row in rows[:limit]),
@@ -51,9 +50,9 @@ def list_audit(
 
 
 @router.get("/audit/verify")
-def verify_audit(session: Auditor, services: ServicesDep) -> AuditVerdict:
+def verify_audit(session: Auditor, audit: AuditDep) -> AuditVerdict:
     """Check the whole chain."""
-    return services.audit.verify()
+    return audit.verify()
 
 
 def _view(row: Audit) -> AuditRow:

@@ -2,37 +2,40 @@
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from server.accounts.access import SessionDep, check_own_page
-from server.accounts.auth import COOKIE
+from server.accounts.accounts import COOKIE
+from server.dependencies import AccountsDep, SessionDep, SettingsDep, check_write
 from server.schemas.console import LoginRequest, SessionView
-from server.services import ServicesDep
 
 router = APIRouter(tags=["auth"])
 
 
-@router.post("/auth/login", dependencies=[Depends(check_own_page)])
+@router.post("/auth/login", dependencies=[Depends(check_write)])
 def login(
-    body: LoginRequest, request: Request, response: Response, services: ServicesDep
+    body: LoginRequest,
+    request: Request,
+    response: Response,
+    accounts: AccountsDep,
+    settings: SettingsDep,
 ) -> SessionView:
     """Sign in; sets the session cookie."""
     address = request.client.host if request.client else "unknown"
-    token, session = services.accounts.login(body.username, body.password, address)
+    token, session = accounts.login(body.username, body.password, address)
     response.set_cookie(
         COOKIE,
         token,
-        max_age=int(services.settings.session_s),
+        max_age=int(settings.session_s),
         httponly=True,
         samesite="strict",
-        secure=services.settings.secure_cookie,
+        secure=settings.secure_cookie,
         path="/",
     )
     return session.view()
 
 
 @router.post("/auth/logout", status_code=204)
-def logout(response: Response, session: SessionDep, services: ServicesDep) -> None:
+def logout(response: Response, session: SessionDep, accounts: AccountsDep) -> None:
     """Sign out; leases are given back and streams end."""
-    services.accounts.logout(session)
+    accounts.logout(session)
     response.delete_cookie(COOKIE, path="/")
 
 

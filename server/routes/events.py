@@ -15,14 +15,13 @@ from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
-from server.accounts.access import Viewer, socket_session
-from server.accounts.auth import COOKIE
+from server.accounts.accounts import COOKIE, Accounts
+from server.dependencies import AccessDep, AccountsDep, HubDep, StreamsDep, Viewer
 from server.errors import TooManyRequestsError
-from server.events import Frame, HubClient
+from server.event_hub import Frame, HubClient
 from server.limits.streams import StreamKind
 from server.schemas.console import Permission
 from server.schemas.events import ServerEvent
-from server.services import Services, ServicesDep, get_services
 
 router = APIRouter(tags=["events"])
 
@@ -46,18 +45,20 @@ MAX_REASON_COUNT = 120
 async def stream_events(
     request: Request,
     session: Viewer,
-    services: ServicesDep,
+    accounts: AccountsDep,
+    hub: HubDep,
+    streams: StreamsDep,
     machine_id: Annotated[str | None, Query(max_length=32)] = None,
 ) -> StreamingResponse:
     """Everything that happens; states of `machine_id` at full rate, of the others once a second."""
-    place = services.streams.take(StreamKind.EVENTS, session.username, request)
-    client = services.hub.subscribe(session.session_id, machine_id)
+    place = streams.take(StreamKind.EVENTS, session.username, request)
+    client = hub.subscribe(session.session_id, machine_id)
 
     def end() -> None:
-        services.hub.unsubscribe(client)
+        hub.unsubscribe(client)
         place.give_back()
 
-    return _EventStream(_frames(client, services, request.cookies.get(COOKIE)), end)
+    return _EventStream(_frames(client, accounts, request.cookies.get(COOKIE)), end)
 
 
 class _EventStream(StreamingResponse):
@@ -77,33 +78,37 @@ class _EventStream(StreamingResponse):
 
 @router.websocket("/events/socket")
 async def events_socket(
-    websocket: WebSocket, machine_id: Annotated[str | None, Query(max_length=32)] = None
+    websocket: WebSocket,
+    access: AccessDep,
+    accounts: AccountsDep,
+    hub: HubDep,
+    streams: StreamsDep,
+    machine_id: Annotated[str | None, Query(max_length=32)] = None,
 ) -> None:
     """The same as JSON lists of events; an empty list says that the server is there."""
-    services = get_services(websocket)
-    session = await socket_session(websocket, services, Permission.VIEW)
+    session = await access.socket_session(websocket, Permission.VIEW)
     if session is None:
         # Closing before accepting answers the handshake with 403.
         await websocket.close(CLOSED_REFUSED)
         return
     try:
-        place = services.streams.take(StreamKind.EVENTS, session.username, websocket)
+        place = streams.take(StreamKind.EVENTS, session.username, websocket)
     except TooManyRequestsError as error:
-        # Accepted first: a page is told why a socket was closed, not why it was not opened.
+        # Accept first: browsers show pages the reason of a close, not of a refused handshake.
         await websocket.accept()
         await websocket.close(CLOSED_TOO_MANY, error.message[:MAX_REASON_COUNT])
         return
-    client = services.hub.subscribe(session.session_id, machine_id)
+    client = hub.subscribe(session.session_id, machine_id)
     try:
         await websocket.accept()
-        await _serve(websocket, client, services)
+        await _serve(websocket, client, accounts)
     finally:
-        services.hub.unsubscribe(client)
+        hub.unsubscribe(client)
         place.give_back()
 
 
-async def _serve(websocket: WebSocket, client: HubClient, services: Services) -> None:
-    sending = asyncio.create_task(_send(websocket, client, services))
+async def _serve(websocket: WebSocket, client: HubClient, accounts: Accounts) -> None:
+    sending = asyncio.create_task(_send(websocket, client, accounts))
     listening = asyncio.create_task(_until_gone(websocket))
     try:
         await asyncio.wait((sending, listening), return_when=asyncio.FIRST_COMPLETED)
@@ -116,8 +121,8 @@ async def _serve(websocket: WebSocket, client: HubClient, services: Services) ->
             await websocket.close(CLOSED_ENDED, "stream ended")
 
 
-async def _send(websocket: WebSocket, client: HubClient, services: Services) -> None:
-    async for frames in _batches(client, services, websocket.cookies.get(COOKIE)):
+async def _send(websocket: WebSocket, client: HubClient, accounts: Accounts) -> None:
+    async for frames in _batches(client, accounts, websocket.cookies.get(COOKIE)):
         await websocket.send_text(f"[{','.join(frame.data for frame in frames)}]")
 
 
@@ -126,14 +131,14 @@ async def _until_gone(websocket: WebSocket) -> None:
     await websocket.receive()
 
 
-async def _frames(client: HubClient, services: Services, token: str | None) -> AsyncIterator[bytes]:
+async def _frames(client: HubClient, accounts: Accounts, token: str | None) -> AsyncIterator[bytes]:
     yield b"retry: 1000\n\n: connected\n\n"
-    async for frames in _batches(client, services, token):
+    async for frames in _batches(client, accounts, token):
         yield b"".join(_encode(frame) for frame in frames) or b"event: ping\ndata: {}\n\n"
 
 
 async def _batches(
-    client: HubClient, services: Services, token: str | None
+    client: HubClient, accounts: Accounts, token: str | None
 ) -> AsyncIterator[list[Frame]]:
     """What comes in until the stream or its session ends; nothing every `KEEP_ALIVE_S`."""
     checked_s = time.monotonic()
@@ -141,7 +146,7 @@ async def _batches(
         frames = await client.wait(KEEP_ALIVE_S)
         # By the clock: a machine's states leave no pause in which the end of a session would be noticed.
         if time.monotonic() - checked_s >= RECHECK_S:
-            if await asyncio.to_thread(services.accounts.session_of, token) is None:
+            if await asyncio.to_thread(accounts.session_of, token) is None:
                 return
             checked_s = time.monotonic()
         yield frames

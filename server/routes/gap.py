@@ -7,7 +7,14 @@ from fastapi import APIRouter, Query, Response
 
 from machine.conventions import Mode
 from machine.messages import Target
-from server.accounts.access import GapRunner, TwinKeeper, Viewer
+from server.dependencies import (
+    GapDep,
+    GapPreviewsDep,
+    GapRunner,
+    TwinKeeper,
+    TwinVersionsDep,
+    Viewer,
+)
 from server.schemas.gap import (
     GapPreviewView,
     GapRunPage,
@@ -16,7 +23,6 @@ from server.schemas.gap import (
     GapRunView,
     TwinProfileView,
 )
-from server.services import ServicesDep
 
 router = APIRouter(prefix="/machines/{machine_id}", tags=["gap"])
 
@@ -32,47 +38,41 @@ REPORT_HEADERS = {
 
 @router.post("/gap-runs", status_code=202)
 def create_gap_run(
-    machine_id: str, body: GapRunRequest, session: GapRunner, services: ServicesDep
+    machine_id: str, body: GapRunRequest, session: GapRunner, gap: GapDep
 ) -> GapRunRow:
     """Queue a diagnosis; its progress comes as `gap.updated` events."""
-    return services.gap.create(machine_id, body, session)
+    return gap.create(machine_id, body, session)
 
 
 @router.get("/gap-runs")
 def list_gap_runs(
     machine_id: str,
     session: Viewer,
-    services: ServicesDep,
+    gap: GapDep,
     cursor: Annotated[str | None, Query(max_length=36)] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
 ) -> GapRunPage:
     """Diagnoses of a machine, newest first."""
-    return services.gap.page(machine_id, cursor, limit)
+    return gap.page(machine_id, cursor, limit)
 
 
 @router.get("/gap-runs/{gap_run_id}")
-def read_gap_run(
-    machine_id: str, gap_run_id: str, session: Viewer, services: ServicesDep
-) -> GapRunView:
+def read_gap_run(machine_id: str, gap_run_id: str, session: Viewer, gap: GapDep) -> GapRunView:
     """One diagnosis with its result."""
-    return services.gap.view(machine_id, gap_run_id)
+    return gap.view(machine_id, gap_run_id)
 
 
 @router.delete("/gap-runs/{gap_run_id}")
-def cancel_gap_run(
-    machine_id: str, gap_run_id: str, session: GapRunner, services: ServicesDep
-) -> GapRunRow:
+def cancel_gap_run(machine_id: str, gap_run_id: str, session: GapRunner, gap: GapDep) -> GapRunRow:
     """Stop a diagnosis that waits or runs; its row stays."""
-    return services.gap.cancel(machine_id, gap_run_id, session)
+    return gap.cancel(machine_id, gap_run_id, session)
 
 
 @router.get("/gap-runs/{gap_run_id}/report.html", response_class=Response)
-def read_gap_report(
-    machine_id: str, gap_run_id: str, session: Viewer, services: ServicesDep
-) -> Response:
+def read_gap_report(machine_id: str, gap_run_id: str, session: Viewer, gap: GapDep) -> Response:
     """The report as one page."""
     return Response(
-        services.gap.store.report(gap_run_id, machine_id),
+        gap.store.report(gap_run_id, machine_id),
         media_type="text/html; charset=utf-8",
         headers=REPORT_HEADERS,
     )
@@ -83,7 +83,7 @@ def preview_gap_run(
     machine_id: str,
     gap_run_id: str,
     session: GapRunner,
-    services: ServicesDep,
+    gap_previews: GapPreviewsDep,
     mode: Mode,
     range_m: Annotated[float, Query(gt=0.0, le=60.0, allow_inf_nan=False)],
     azimuth_rad: Annotated[
@@ -95,28 +95,34 @@ def preview_gap_run(
     target = Target(
         x_m=range_m * math.cos(azimuth_rad), y_m=range_m * math.sin(azimuth_rad), z_m=height_m
     )
-    return services.gap_previews.compare(machine_id, gap_run_id, mode, target)
+    return gap_previews.compare(machine_id, gap_run_id, mode, target)
 
 
 @router.post("/gap-runs/{gap_run_id}/apply")
 def apply_gap_run(
-    machine_id: str, gap_run_id: str, session: TwinKeeper, services: ServicesDep
+    machine_id: str,
+    gap_run_id: str,
+    session: TwinKeeper,
+    twin_versions: TwinVersionsDep,
+    gap: GapDep,
 ) -> TwinProfileView:
     """Add what this diagnosis found to the machine's twin, as a new version of its profile."""
-    profile = services.twin_versions.apply(machine_id, gap_run_id, session)
-    services.gap.publish(gap_run_id)
+    profile = twin_versions.apply(machine_id, gap_run_id, session)
+    gap.publish(gap_run_id)
     return profile
 
 
 @router.get("/twin-profile")
-def read_twin_profile(machine_id: str, session: Viewer, services: ServicesDep) -> TwinProfileView:
+def read_twin_profile(
+    machine_id: str, session: Viewer, twin_versions: TwinVersionsDep
+) -> TwinProfileView:
     """The twin profile that previews of this machine use."""
-    return services.twin_versions.view(machine_id)
+    return twin_versions.view(machine_id)
 
 
 @router.post("/twin-profile/undo")
 def undo_twin_profile(
-    machine_id: str, session: TwinKeeper, services: ServicesDep
+    machine_id: str, session: TwinKeeper, twin_versions: TwinVersionsDep
 ) -> TwinProfileView:
     """Go back to the profile before the last one applied, as a new version."""
-    return services.twin_versions.undo(machine_id, session)
+    return twin_versions.undo(machine_id, session)

@@ -8,8 +8,20 @@ from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from diagnosis.loading.throw_csv import throw_csv
 from machine.conventions import Mode
-from server.accounts.access import ImpactMarker, Viewer
-from server.accounts.audit import Entry
+from server.accounts.audit_chain import Entry
+from server.dependencies import (
+    AuditDep,
+    DatabaseDep,
+    HistoryDep,
+    ImpactMarker,
+    LogsDep,
+    PlansDep,
+    ReplaysDep,
+    StatisticsDep,
+    ThrowsDep,
+    Viewer,
+)
+from server.plans.landing_errors import point_of
 from server.schemas.history import (
     GroupBy,
     ImpactRequest,
@@ -22,10 +34,9 @@ from server.schemas.history import (
     ThrowSeries,
     ThrowStats,
 )
-from server.services import ServicesDep
-from server.throws.history import ThrowFilter
-from server.throws.impacts import add_impact, impact_view, impact_views, point_of, target_of
+from server.throws.impacts import add_impact, impact_view, impact_views, target_of
 from server.throws.throw_details import throw_detail
+from server.throws.throw_history import ThrowFilter
 from server.throws.throw_series import series_of
 
 router = APIRouter(tags=["history"])
@@ -69,64 +80,68 @@ def _aware(moment: datetime | None) -> datetime | None:
 @router.get("/throws")
 def list_throws(
     session: Viewer,
-    services: ServicesDep,
+    history: HistoryDep,
     wanted: FilterDep,
     cursor: Annotated[str | None, Query(max_length=36)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> ThrowPage:
     """A page of throws, newest first."""
-    return services.history.page(wanted, cursor, limit)
+    return history.page(wanted, cursor, limit)
 
 
 @router.get("/throws/stats")
 def read_throw_stats(
     session: Viewer,
-    services: ServicesDep,
+    statistics: StatisticsDep,
     wanted: FilterDep,
     group_by: GroupBy = GroupBy.POLICY,
 ) -> ThrowStats:
     """Accuracy of the newest throws that match."""
-    return services.statistics.of(wanted, group_by)
+    return statistics.of(wanted, group_by)
 
 
 @router.get("/throws/export.csv", response_class=StreamingResponse)
-def export_throws(session: Viewer, services: ServicesDep, wanted: FilterDep) -> StreamingResponse:
+def export_throws(
+    session: Viewer, audit: AuditDep, history: HistoryDep, wanted: FilterDep
+) -> StreamingResponse:
     """The throws that match, as CSV."""
-    services.audit.record(Entry(session.actor, "throws.export", "fact"))
+    audit.record(Entry(session.actor, "throws.export", "fact"))
     return StreamingResponse(
-        services.history.export(wanted),
+        history.export(wanted),
         media_type="text/csv; charset=utf-8",
         headers={"Content-Disposition": 'attachment; filename="throws.csv"'},
     )
 
 
 @router.get("/throws/{throw_id}")
-def read_throw(throw_id: str, session: Viewer, services: ServicesDep) -> ThrowDetail:
+def read_throw(
+    throw_id: str, session: Viewer, database: DatabaseDep, plans: PlansDep, logs: LogsDep
+) -> ThrowDetail:
     """Everything about one throw."""
-    return throw_detail(services.database, services.plans, services.logs, throw_id)
+    return throw_detail(database, plans, logs, throw_id)
 
 
 @router.get("/throws/{throw_id}/series")
-def read_throw_series(throw_id: str, session: Viewer, services: ServicesDep) -> ThrowSeries:
+def read_throw_series(throw_id: str, session: Viewer, logs: LogsDep) -> ThrowSeries:
     """Time series from the throw's log."""
-    return series_of(throw_id, services.logs.read(throw_id))
+    return series_of(throw_id, logs.read(throw_id))
 
 
 @router.get("/throws/{throw_id}/log", response_class=FileResponse)
-def read_throw_log(throw_id: str, session: Viewer, services: ServicesDep) -> FileResponse:
+def read_throw_log(throw_id: str, session: Viewer, logs: LogsDep) -> FileResponse:
     """The throw's log file (MCAP)."""
     return FileResponse(
-        services.logs.path(throw_id),
+        logs.path(throw_id),
         media_type="application/octet-stream",
         filename=f"{throw_id}.mcap",
     )
 
 
 @router.get("/throws/{throw_id}/csv", response_class=PlainTextResponse)
-def read_throw_csv(throw_id: str, session: Viewer, services: ServicesDep) -> PlainTextResponse:
+def read_throw_csv(throw_id: str, session: Viewer, logs: LogsDep) -> PlainTextResponse:
     """The throw's log as CSV."""
     return PlainTextResponse(
-        throw_csv(services.logs.read(throw_id)),
+        throw_csv(logs.read(throw_id)),
         media_type="text/csv; charset=utf-8",
         headers={"Content-Disposition": f'attachment; filename="{throw_id}.csv"'},
     )
@@ -134,11 +149,16 @@ def read_throw_csv(throw_id: str, session: Viewer, services: ServicesDep) -> Pla
 
 @router.post("/throws/{throw_id}/impacts", status_code=201)
 def mark_impact(
-    throw_id: str, body: ImpactRequest, session: ImpactMarker, services: ServicesDep
+    throw_id: str,
+    body: ImpactRequest,
+    session: ImpactMarker,
+    store: DatabaseDep,
+    throws: ThrowsDep,
+    audit: AuditDep,
 ) -> ImpactView:
     """Add a record of where the load came down; nothing is overwritten."""
-    with services.database.write() as database:
-        throw = services.throws.get(database, throw_id)
+    with store.write() as database:
+        throw = throws.get(database, throw_id)
         target = target_of(throw)
         if body.x_m is not None and body.y_m is not None:
             x_m, y_m = body.x_m, body.y_m
@@ -155,7 +175,7 @@ def mark_impact(
             recorded_by=session.username,
             note=body.note.replace("\x00", ""),
         )
-        services.audit.append(
+        audit.append(
             database,
             Entry(
                 session.actor,
@@ -168,15 +188,20 @@ def mark_impact(
         )
         database.flush()
         view = impact_view(impact, is_current=impact_views(database, throw_id)[-1].is_current)
-    services.throws.publish(throw_id)
+    throws.publish(throw_id)
     return view
 
 
 @router.post("/throws/{throw_id}/replay")
 def replay_throw(
-    throw_id: str, body: ReplayRequest, session: Viewer, services: ServicesDep
+    throw_id: str,
+    body: ReplayRequest,
+    session: Viewer,
+    store: DatabaseDep,
+    throws: ThrowsDep,
+    replays: ReplaysDep,
 ) -> ReplayView:
     """Show the throw in this session's 3D view."""
-    with services.database.read() as database:
-        plan_id = services.throws.get(database, throw_id).plan_id
-    return services.replays.control(throw_id, plan_id, body, session)
+    with store.read() as database:
+        plan_id = throws.get(database, throw_id).plan_id
+    return replays.control(throw_id, plan_id, body, session)

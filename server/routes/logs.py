@@ -6,8 +6,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
+from server.dependencies import LogsDep, RegistryDep, ThrowsDep
 from server.errors import ApiError, NotSignedInError
-from server.services import ServicesDep
 
 router = APIRouter(tags=["logs"])
 
@@ -31,20 +31,22 @@ async def put_throw_log(
     machine_id: str,
     throw_id: str,
     request: Request,
-    services: ServicesDep,
+    registry: RegistryDep,
+    logs: LogsDep,
+    throws: ThrowsDep,
     authorization: Annotated[str, Header()] = "",
     x_content_sha256: Annotated[str, Header()] = "",
 ) -> Response:
     """Store a throw's log; the same upload again changes nothing."""
     token = authorization.removeprefix("Bearer ")
-    if token == authorization or not services.registry.is_token_of(machine_id, token):
+    if token == authorization or not registry.is_token_of(machine_id, token):
         raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
     if not _SHA256.fullmatch(x_content_sha256) or not _THROW_ID.fullmatch(throw_id):
         raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
-    scratch, size_bytes = await services.logs.receive(request.stream(), x_content_sha256)
+    scratch, size_bytes = await logs.receive(request.stream(), x_content_sha256)
     is_new = await asyncio.to_thread(
-        services.logs.keep, scratch, machine_id, throw_id, x_content_sha256, size_bytes
+        logs.keep, scratch, machine_id, throw_id, x_content_sha256, size_bytes
     )
     if is_new:
-        await asyncio.to_thread(services.throws.publish, throw_id)
+        await asyncio.to_thread(throws.publish, throw_id)
     return Response(status_code=204)

@@ -9,9 +9,23 @@ from machine.messages import (
     LoadRequest,
     StopClearRequest,
 )
-from server.accounts.access import Enroller, StopClearer, Thrower, Viewer
-from server.accounts.auth import Session
+from server.accounts.accounts import Session
 from server.clock import new_id
+from server.dependencies import (
+    CommandsDep,
+    Enroller,
+    LeasesDep,
+    RegistryDep,
+    StopClearer,
+    StopsDep,
+    TargetsDep,
+    Thrower,
+    ThrowServiceDep,
+    Viewer,
+    ViewsDep,
+)
+from server.machines.lease_service import LeaseService
+from server.machines.machine_commands import MachineCommands
 from server.schemas.console import (
     CommandView,
     MachineEnrolRequest,
@@ -19,104 +33,137 @@ from server.schemas.console import (
     TargetRequest,
     TargetView,
 )
-from server.services import Services, ServicesDep
+from server.throws.throw_service import ThrowService
 
 router = APIRouter(tags=["machines"])
 
 
 @router.get("/machines")
-def list_machines(session: Viewer, services: ServicesDep) -> list[MachineView]:
+def list_machines(
+    session: Viewer, views: ViewsDep, targets: TargetsDep, registry: RegistryDep
+) -> list[MachineView]:
     """All machines of this site, those not seen any more included."""
     return [
-        services.views.view(
-            known.machine_id, services.targets.target_of(session.session_id, known.machine_id)
-        )
-        for known in services.registry.listed()
+        views.view(known.machine_id, targets.target_of(session.session_id, known.machine_id))
+        for known in registry.listed()
     ]
 
 
 @router.post("/machines", status_code=201)
 def enrol_machine(
-    body: MachineEnrolRequest, session: Enroller, services: ServicesDep
+    body: MachineEnrolRequest, session: Enroller, registry: RegistryDep, views: ViewsDep
 ) -> MachineView:
     """Add a machine to the list; one without an account gets one, which the link knows after a restart."""
-    services.registry.enrol(body.machine_id, body.name, session.actor)
-    return services.views.view(body.machine_id)
+    registry.enrol(body.machine_id, body.name, session.actor)
+    return views.view(body.machine_id)
 
 
 @router.get("/machines/{machine_id}")
-def read_machine(machine_id: str, session: Viewer, services: ServicesDep) -> MachineView:
+def read_machine(
+    machine_id: str, session: Viewer, targets: TargetsDep, views: ViewsDep
+) -> MachineView:
     """One machine."""
-    target = services.targets.target_of(session.session_id, machine_id)
-    return services.views.view(machine_id, target)
+    target = targets.target_of(session.session_id, machine_id)
+    return views.view(machine_id, target)
 
 
 @router.put("/machines/{machine_id}/target")
 def propose_target(
-    machine_id: str, body: TargetRequest, session: Thrower, services: ServicesDep
+    machine_id: str,
+    body: TargetRequest,
+    session: Thrower,
+    registry: RegistryDep,
+    targets: TargetsDep,
 ) -> TargetView:
     """Set this session's proposed target."""
-    services.registry.get(machine_id)
-    return services.targets.propose(
-        session.session_id, machine_id, body.target(), body.mode, "fields"
-    )
+    registry.get(machine_id)
+    return targets.propose(session.session_id, machine_id, body.target(), body.mode, "fields")
 
 
 @router.delete("/machines/{machine_id}/target", status_code=204)
-def remove_target(machine_id: str, session: Thrower, services: ServicesDep) -> None:
+def remove_target(
+    machine_id: str, session: Thrower, registry: RegistryDep, targets: TargetsDep
+) -> None:
     """Remove this session's proposed target and its preview."""
-    services.registry.get(machine_id)
-    services.targets.remove(session.session_id, machine_id)
+    registry.get(machine_id)
+    targets.remove(session.session_id, machine_id)
 
 
 @router.post("/machines/{machine_id}/load")
-def load(machine_id: str, session: Thrower, services: ServicesDep) -> CommandView:
+def load(
+    machine_id: str,
+    session: Thrower,
+    leases: LeasesDep,
+    commands: CommandsDep,
+    throw_service: ThrowServiceDep,
+) -> CommandView:
     """Take up a payload."""
-    return _command(services, session, machine_id, LoadRequest)
+    return _command(leases, commands, throw_service, session, machine_id, LoadRequest)
 
 
 @router.post("/machines/{machine_id}/abort")
-def abort(machine_id: str, session: Thrower, services: ServicesDep) -> CommandView:
+def abort(
+    machine_id: str,
+    session: Thrower,
+    leases: LeasesDep,
+    commands: CommandsDep,
+    throw_service: ThrowServiceDep,
+) -> CommandView:
     """End the armed or running throw."""
-    return _command(services, session, machine_id, AbortRequest)
+    return _command(leases, commands, throw_service, session, machine_id, AbortRequest)
 
 
 @router.post("/machines/{machine_id}/disarm")
-def disarm(machine_id: str, session: Thrower, services: ServicesDep) -> CommandView:
+def disarm(
+    machine_id: str,
+    session: Thrower,
+    leases: LeasesDep,
+    commands: CommandsDep,
+    throw_service: ThrowServiceDep,
+) -> CommandView:
     """Give an armed plan back."""
-    return _command(services, session, machine_id, DisarmRequest)
+    return _command(leases, commands, throw_service, session, machine_id, DisarmRequest)
 
 
 @router.post("/machines/{machine_id}/stop/clear")
-def clear_stop(machine_id: str, session: StopClearer, services: ServicesDep) -> CommandView:
+def clear_stop(
+    machine_id: str,
+    session: StopClearer,
+    registry: RegistryDep,
+    leases: LeasesDep,
+    stops: StopsDep,
+    commands: CommandsDep,
+) -> CommandView:
     """Clear a latched stop or fault; needs the privilege, and a new arm afterwards."""
-    services.registry.get(machine_id)
+    registry.get(machine_id)
     request = StopClearRequest(
         command_id=new_id(),
         machine_id=machine_id,
         issuer=session.username,
-        epoch_count=services.leases.epoch(machine_id),
+        epoch_count=leases.epoch(machine_id),
     )
-    with services.stops.suspended(machine_id):
-        return _view(services.commands.send(request, session.actor))
+    with stops.suspended(machine_id):
+        return _view(commands.send(request, session.actor))
 
 
 def _command(
-    services: Services,
+    leases: LeaseService,
+    commands: MachineCommands,
+    throw_service: ThrowService,
     session: Session,
     machine_id: str,
     kind: type[LoadRequest | AbortRequest | DisarmRequest],
 ) -> CommandView:
-    lease = services.leases.require(machine_id, session)
+    lease = leases.require(machine_id, session)
     if kind is not LoadRequest:
-        services.throw_desk.forget(machine_id)
+        throw_service.forget(machine_id)
     request = kind(
         command_id=new_id(),
         machine_id=machine_id,
         issuer=session.username,
         epoch_count=lease.epoch_count,
     )
-    return _view(services.commands.send(request, session.actor))
+    return _view(commands.send(request, session.actor))
 
 
 def _view(reply: CommandReply) -> CommandView:

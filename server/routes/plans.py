@@ -2,40 +2,41 @@
 
 from fastapi import APIRouter
 
-from server.accounts.access import Thrower, Viewer
+from server.dependencies import PlannerDep, PlansDep, Thrower, ThrowServiceDep, Viewer
 from server.schemas.plans import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
-from server.services import ServicesDep
 
 router = APIRouter(tags=["plans"])
 
 
 @router.post("/machines/{machine_id}/plans", status_code=201)
 def create_plan(
-    machine_id: str, body: PlanRequest, session: Thrower, services: ServicesDep
+    machine_id: str, body: PlanRequest, session: Thrower, planner: PlannerDep
 ) -> PlanView:
     """Preview a throw: first numbers at once, the ellipse by events."""
-    return services.planner.create(machine_id, body, session)
+    return planner.create(machine_id, body, session)
 
 
 @router.get("/plans/{plan_id}")
-def read_plan(plan_id: str, session: Viewer, services: ServicesDep) -> PlanView:
+def read_plan(plan_id: str, session: Viewer, plans: PlansDep) -> PlanView:
     """One plan."""
-    return services.plans.view(plan_id)
+    return plans.view(plan_id)
 
 
 @router.get("/plans/{plan_id}/frames")
-def read_plan_frames(plan_id: str, session: Viewer, services: ServicesDep) -> PlanFrames:
+def read_plan_frames(plan_id: str, session: Viewer, plans: PlansDep) -> PlanFrames:
     """The predicted motion."""
-    return services.plans.frames(plan_id)
+    return plans.frames(plan_id)
 
 
 @router.post("/plans/{plan_id}/arm")
-def arm_plan(plan_id: str, body: ArmBody, session: Thrower, services: ServicesDep) -> ArmView:
+def arm_plan(
+    plan_id: str, body: ArmBody, session: Thrower, throw_service: ThrowServiceDep
+) -> ArmView:
     """Arm the machine for this plan."""
-    return services.throw_desk.arm(plan_id, body.plan_hash, session)
+    return throw_service.arm(plan_id, body.plan_hash, session)
 
 
 @router.post("/plans/{plan_id}/fire")
-def fire_plan(plan_id: str, session: Thrower, services: ServicesDep) -> FireView:
+def fire_plan(plan_id: str, session: Thrower, throw_service: ThrowServiceDep) -> FireView:
     """Fire the armed plan, once; then hold on the WebSocket until the machine is committed."""
-    return services.throw_desk.fire(plan_id, session)
+    return throw_service.fire(plan_id, session)

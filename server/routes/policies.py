@@ -2,20 +2,19 @@
 
 from fastapi import APIRouter
 
-from server.accounts.access import Viewer
+from server.dependencies import PoliciesDep, Viewer
 from server.schemas.history import PolicyView
-from server.services import ServicesDep
 
 router = APIRouter(tags=["policies"])
 
 
 @router.get("/policies")
-def list_policies(session: Viewer, services: ServicesDep) -> list[PolicyView]:
+def list_policies(session: Viewer, policies: PoliciesDep) -> list[PolicyView]:
     """All policy versions ever seen, the active ones first."""
-    return services.policies.views()
+    return policies.views()
 
 
 @router.get("/policies/{policy_sha256}")
-def read_policy(policy_sha256: str, session: Viewer, services: ServicesDep) -> PolicyView:
+def read_policy(policy_sha256: str, session: Viewer, policies: PoliciesDep) -> PolicyView:
     """One policy version."""
-    return services.policies.view(policy_sha256)
+    return policies.view(policy_sha256)

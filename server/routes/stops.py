@@ -1,49 +1,44 @@
-"""STOP over HTTP, on threads of its own: whatever else the server is asked for cannot hold it up.
+"""STOP over HTTP, on threads that nothing else uses.
 
 All other operations share the framework's forty threads, and some of those wait for previews or the disk.
 """
 
 from fastapi import APIRouter, Request
 
-from server.accounts.access import current_session, requires
-from server.accounts.auth import Session
+from server.accounts.access_control import AccessControl
+from server.accounts.accounts import Session
+from server.dependencies import AccessDep, RegistryDep, StopsDep
 from server.schemas.console import Permission, StopView
-from server.services import Services, get_services
 
 router = APIRouter(tags=["machines"])
-_check = requires(Permission.STOP)
 
 
 @router.post("/machines/{machine_id}/stop")
-async def stop_machine(machine_id: str, request: Request) -> StopView:
+async def stop_machine(
+    machine_id: str, request: Request, access: AccessDep, registry: RegistryDep, stops: StopsDep
+) -> StopView:
     """STOP one machine; any role, no lease."""
-    services = get_services(request)
 
     def stop() -> StopView:
-        session = _admit(request, services)
-        services.registry.get(machine_id)
-        return _stop(services, [machine_id], session)[0]
+        session = _admit(request, access)
+        registry.get(machine_id)
+        return stops.stop([machine_id], session.actor)[0]
 
-    return await services.stops.in_lane(stop)
+    return await stops.in_stop_thread(stop)
 
 
 @router.post("/stop")
-async def stop_all(request: Request) -> list[StopView]:
+async def stop_all(
+    request: Request, access: AccessDep, registry: RegistryDep, stops: StopsDep
+) -> list[StopView]:
     """STOP all machines; any role, no lease."""
-    services = get_services(request)
 
     def stop() -> list[StopView]:
-        session = _admit(request, services)
-        return _stop(services, [known.machine_id for known in services.registry.listed()], session)
+        session = _admit(request, access)
+        return stops.stop([known.machine_id for known in registry.listed()], session.actor)
 
-    return await services.stops.in_lane(stop)
-
-
-def _admit(request: Request, services: Services) -> Session:
-    return _check(request, services, current_session(request, services))
+    return await stops.in_stop_thread(stop)
 
 
-def _stop(services: Services, machine_ids: list[str], session: Session) -> list[StopView]:
-    for machine_id in machine_ids:
-        services.throw_desk.forget(machine_id)
-    return services.stops.stop(machine_ids, session.actor)
+def _admit(request: Request, access: AccessControl) -> Session:
+    return access.require(request, access.session_of(request), Permission.STOP)

@@ -52,7 +52,7 @@ class Role(StrEnum):
 
 
 class Permission(StrEnum):
-    """One right; roles are sets of these (server/accounts/auth.py)."""
+    """One right; roles are sets of these (server/accounts/accounts.py)."""
 
     VIEW = "view"
     STOP = "stop"

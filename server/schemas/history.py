@@ -1,4 +1,4 @@
-"""Bodies of the HTTP interface for throws, statistics, policies, audit and server-sent events.
+"""Bodies of the HTTP interface for throws, statistics, and policies.
 
 Errors are in frame `throw`: downrange positive when long, crossrange positive to the left of the line
 from the slew axis to the target.
@@ -265,35 +265,3 @@ class PolicyView(View):
     first_seen_utc: datetime
     throw_count: int
     card: PolicyCard
-
-
-class AuditRow(View):
-    """One link of the audit chain."""
-
-    sequence_count: int
-    t_utc: datetime
-    actor: str
-    session_id: str | None
-    machine_id: str | None
-    throw_id: str | None
-    action: str
-    phase: Literal["intent", "outcome", "denied", "fact"]
-    detail: JsonValue
-    previous_sha256: str
-    row_sha256: str
-
-
-class AuditPage(View):
-    """A page, newest first."""
-
-    rows: tuple[AuditRow, ...]
-    next_cursor: str | None
-
-
-class AuditVerdict(View):
-    """Whether the chain is whole."""
-
-    is_intact: bool
-    row_count: int
-    first_bad_sequence_count: int | None
-    problem: str | None

@@ -1,1 +1,1 @@
-"""The database, its tables, and machine events on their way into it."""
+"""The database and its tables."""

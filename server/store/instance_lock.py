@@ -1,4 +1,4 @@
-"""One server a data folder: two would each believe to hold the truth about leases and nonces."""
+"""A lock that admits one server per data folder; two would disagree about leases and nonces."""
 
 import fcntl
 import os

@@ -282,7 +282,7 @@ class GapRun(Base):
     profile_version_count: Mapped[int] = mapped_column(BigInteger)
     """Of the twin that the throws were compared with: when the run was asked for, then when it began."""
     profile_sha256: Mapped[str] = mapped_column(String(64))
-    """Of that profile's content (server.machines.twins.content_sha256)."""
+    """Of that profile's content (server.machines.twin_files.content_sha256)."""
     verdict: Mapped[str | None] = mapped_column(String(16))
     sentence: Mapped[str] = mapped_column(Text, default="")
     effect_count: Mapped[int] = mapped_column(BigInteger, default=0)

@@ -1,1 +1,1 @@
-"""Throws: in the making, in the database, in statistics and replays."""
+"""Throws: arm and fire, hold, events, logs, history, statistics."""

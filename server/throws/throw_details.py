@@ -10,7 +10,7 @@ from server.store.database import Database
 from server.store.models import Event, Throw
 from server.throws.impacts import impact_views
 from server.throws.throw_logs import LogStore
-from server.throws.throws import throw_row
+from server.throws.throw_store import throw_row
 
 
 def throw_detail(

@@ -11,7 +11,7 @@ from pathlib import Path
 from machine.errors import LogError
 from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import ThrowLog as LogContent
-from server.accounts.audit import Actor, AuditChain, Entry
+from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.clock import utc_now
 from server.errors import ApiError, ConflictError, ForbiddenError, NotFoundError, UnavailableError
 from server.schemas.history import ThrowLogView

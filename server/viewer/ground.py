@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import viser
 
 from machine.site.objects import SiteKind, SiteObject
-from server.viewer import shapes, site_shapes
+from server.viewer import shapes
 from server.viewer.theme import Theme
 
 GROUND_RADIUS_M = 400.0
@@ -65,7 +65,7 @@ class GroundNodes:
     def _lay(self, pits: Sequence[SiteObject]) -> viser.SceneNodeHandle:
         return self._scene.add_mesh_simple(
             "/ground",
-            *site_shapes.ground(GROUND_RADIUS_M, pits),
+            *shapes.ground_mesh(GROUND_RADIUS_M, pits),
             color=self._theme.ground,
             cast_shadow=False,
             receive_shadow=self._theme.shadow_ratio if self._shadows else False,
@@ -92,7 +92,7 @@ class GroundNodes:
         self._site += [
             self._scene.add_mesh_simple(
                 name,
-                *site_shapes.mesh(item),
+                *shapes.site_mesh(item),
                 color=theme.pit if is_pit else theme.site,
                 flat_shading=True,
                 side="double" if is_pit else "front",
@@ -101,7 +101,7 @@ class GroundNodes:
             ),
             self._scene.add_line_segments(
                 f"{name}/edges",
-                site_shapes.edges(item),
+                shapes.site_edges(item),
                 theme.site_edge,
                 thickness=1.6,
                 thickness_units="screen",

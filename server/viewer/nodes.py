@@ -12,7 +12,7 @@ from machine.spec import MJCF_PATH, MachineSpec
 from server.viewer.meshes import PartMesh, Surface, cylinder_meshes, part_meshes
 from server.viewer.pose import CylinderPart, JointPart, Part, local_pose, machine_parts
 from server.viewer.theme import Rgb
-from server.viewer_door.gate import send_orientation
+from server.viewer.viewer_server import send_orientation
 
 PAYLOAD = "payload"
 PAINTED = Surface((0.20, 0.21, 0.23, 1.0), 0.2, 0.5)

@@ -27,7 +27,7 @@ from server.viewer.state import (
 )
 from server.viewer.theme import THEMES, VIEWPOINTS, CameraPreset, ThemeName
 from server.viewer.view import ClientView
-from server.viewer_door.gate import ViewerGate
+from server.viewer.viewer_server import ViewerServer
 
 
 class ViewerScene:
@@ -63,7 +63,7 @@ class ViewerScene:
         self._stage.close()
 
     @property
-    def gate(self) -> ViewerGate:
+    def gate(self) -> ViewerServer:
         """The loopback server; for the proxy."""
         return self._stage.gate
 

@@ -15,11 +15,11 @@ import viser
 
 from machine.spec import MachineSpec
 from server.viewer.nodes import MachineKit
+from server.viewer.pick import PickRefusedError, Ray, pick_surface
 from server.viewer.state import LiveSample, Point, SessionView
 from server.viewer.theme import VIEWPOINTS
 from server.viewer.view import ClientView
-from server.viewer_door.gate import ViewerGate
-from server.viewer_door.pick import PickRefusedError, Ray, pick_surface
+from server.viewer.viewer_server import ViewerServer
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class ViewerStage:
         self._on_pick_refused = on_pick_refused
         self._shadows = shadows
         self._kit: MachineKit | None = None
-        self._gate: ViewerGate | None = None
+        self._gate: ViewerServer | None = None
         self._thread: threading.Thread | None = None
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._sessions: dict[str, SessionView] = {}
@@ -70,7 +70,7 @@ class ViewerStage:
     def start(self) -> None:
         """Mesh the machine, open the loopback server and start drawing."""
         self._kit = MachineKit.load(self._spec, self._mjcf_path)
-        self._gate = ViewerGate()
+        self._gate = ViewerServer()
         camera = self._gate.server.initial_camera
         view = VIEWPOINTS["3d"]
         camera.position, camera.look_at, camera.fov = view.position_m, view.look_at_m, view.fov_rad
@@ -89,7 +89,7 @@ class ViewerStage:
         self._gate = self._thread = None
 
     @property
-    def gate(self) -> ViewerGate:
+    def gate(self) -> ViewerServer:
         """The loopback server."""
         if self._gate is None:
             raise RuntimeError("The 3D view has not been started; call start() first.")
@@ -125,7 +125,7 @@ class ViewerStage:
             if draw is None:
                 return
             for owner, view in list(self._views.values()):
-                if owner == session_id and ViewerGate.is_open(view.client):
+                if owner == session_id and ViewerServer.is_open(view.client):
                     draw(view, state)
 
         self._jobs.put(job)
@@ -175,7 +175,7 @@ class ViewerStage:
             self._next_frame_s = now + FRAME_S
         for session_id, state in self._sessions.items():
             views = [view for owner, view in self._views.values() if owner == session_id]
-            views = [view for view in views if ViewerGate.is_open(view.client)]
+            views = [view for view in views if ViewerServer.is_open(view.client)]
             if not views:
                 continue
             sample = None if state.machine_id is None else samples.get(state.machine_id)
@@ -222,7 +222,7 @@ class ViewerStage:
 
         async def updated(camera: viser.CameraHandle) -> None:
             nonlocal last
-            # The lens too: a browser that was slow to follow has told its old one in between.
+            # The field of view too: a slow browser may have sent its previous one in between.
             if (camera.aspect, camera.fov) != last:
                 last = (camera.aspect, camera.fov)
                 self._jobs.put(lambda: self._fit(session_id, client.client_id))
@@ -231,11 +231,11 @@ class ViewerStage:
 
     def _fit(self, session_id: str, client_id: int) -> None:
         _, view = self._views.get(client_id, ("", None))
-        if view is not None and ViewerGate.is_open(view.client):
+        if view is not None and ViewerServer.is_open(view.client):
             view.fit_camera(self._state_of(session_id))
 
     def _add_view(self, session_id: str, client: viser.ClientHandle) -> None:
-        if self._kit is None or not ViewerGate.is_open(client):
+        if self._kit is None or not ViewerServer.is_open(client):
             return
         state = self._state_of(session_id)
         view = ClientView(client, self._kit, state, shadows=self._shadows)

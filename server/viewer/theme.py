@@ -12,7 +12,7 @@ CameraPreset = Literal["3d", "top", "side"]
 
 @dataclass(frozen=True)
 class Theme:
-    """sRGB 0..255; `server/viewer_door/page.css` repeats `haze` as the page's background."""
+    """sRGB 0..255; `server/viewer_proxy/page.css` repeats `haze` as the page's background."""
 
     is_dark: bool
     haze: Rgb
@@ -90,7 +90,7 @@ class Viewpoint:
     fov_rad: float
     """From top to bottom, of a picture at least `whole_aspect_ratio` times as wide as high."""
     whole_aspect_ratio: float
-    """Width over height at which machine and reach, by eye, are still in the picture."""
+    """Smallest width over height at which machine and reach rings fit into the picture."""
 
     def fov_of(self, aspect_ratio: float) -> float:
         """Angle from top to bottom, rad, with which a narrower picture shows as much from left to right.

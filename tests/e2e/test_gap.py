@@ -16,7 +16,7 @@ from challenge.healthy_machines import HealthyMachine, healthy_machine
 from challenge.make import make_reference, make_set
 from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from machine.spec import load_spec
-from server.services import assemble, prepare_database
+from server.composition import assemble, prepare_database
 from server.settings import load_settings
 from server.viewer.scene import ViewerScene
 from sim_twin.twin.profile import save_profile
@@ -62,9 +62,9 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
     (machines / "m001.calibration.json").write_text(calibration.model_dump_json())
     settings = load_settings({}, data_dir=data, policies_dir=ROOT / "policies")
     database = prepare_database(settings)
-    services, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
-    services.registry.provision(settings.machine_slot_count)
-    add_throws(services, len(logs), logs=logs)
+    parts, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
+    parts.registry.provision(settings.machine_slot_count)
+    add_throws(parts, len(logs), logs=logs)
     database.close()
     with running_demo(data) as stack:
         yield stack

@@ -13,7 +13,7 @@ from machine.telemetry import CONTROL_ROW, POLICY_ROW
 from tests.source_tree import packages
 
 FOREIGN = {
-    "server.viewer_door.frames",  # the 3D view's own protocol
+    "server.viewer_proxy.frames",  # the 3D view's own protocol
     "diagnosis.verdict",  # a published shape: the unit stands beside the value or in the name around it
     "diagnosis.identification.quantity",  # likewise
     "evaluation.measures",  # the published names of `downrange evaluate --json`, with intervals

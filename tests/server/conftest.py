@@ -18,11 +18,11 @@ from argon2 import PasswordHasher
 from sqlalchemy import make_url
 
 from machine.spec import load_spec
-from server.accounts import auth
-from server.accounts.auth import FIRST_LOGIN_FILE, Session
+from server.accounts import accounts
+from server.accounts.accounts import FIRST_LOGIN_FILE, Session
 from server.clock import new_id, utc_now
+from server.composition import Parts, assemble, prepare_database
 from server.schemas.console import Role
-from server.services import Services, assemble, prepare_database
 from server.store.database import upgrade
 from server.viewer.scene import ViewerScene
 from tests.server.fake_machine import FakeMachine
@@ -34,7 +34,7 @@ def quick_passwords() -> Iterator[None]:
     """Argon2 with little memory and one pass: the suite signs in hundreds of times."""
     with pytest.MonkeyPatch.context() as patch:
         quick = functools.partial(PasswordHasher, time_cost=1, memory_cost=8, parallelism=1)
-        patch.setattr(auth, "PasswordHasher", quick)
+        patch.setattr(accounts, "PasswordHasher", quick)
         yield
 
 
@@ -118,25 +118,25 @@ def running(swing_policies: Path) -> Iterator[Running]:
     ):
         settings = found.settings
         assert (settings.data_dir / FIRST_LOGIN_FILE).exists()
-        add_people(found.services)
+        add_people(found.parts)
         yield found
 
 
 @pytest.fixture
 def machine(running: Running) -> Iterator[FakeMachine]:
     """Machine m001, connected, disarmed, nothing going wrong."""
-    assert not running.services.stops.is_pending("m001"), "an earlier test left a STOP unconfirmed"
+    assert not running.parts.stops.is_pending("m001"), "an earlier test left a STOP unconfirmed"
     with running.machine() as fake:
         # Connected is not enough: what the registry knows may still be the last test's machine.
         wait_for(
             lambda: (
-                (state := running.services.registry.get("m001").state) is not None
+                (state := running.parts.registry.get("m001").state) is not None
                 and state.boot_id == fake.boot_id
-                and running.services.registry.is_connected("m001")
+                and running.parts.registry.is_connected("m001")
             )
         )
         yield fake
-    wait_for(lambda: not running.services.registry.is_connected("m001"))
+    wait_for(lambda: not running.parts.registry.is_connected("m001"))
 
 
 @pytest.fixture
@@ -148,9 +148,9 @@ def ada(running: Running) -> Iterator[httpx.Client]:
 
 @dataclass
 class Parts:
-    """All parts on a database of its own, put together but not opened: no link, no processes."""
+    """All assembled on a database of its own, put together but not opened: no link, no processes."""
 
-    services: Services
+    parts: Parts
     url: str
 
     def session(self, username: str = "ada", role: Role = Role.OPERATOR) -> Session:
@@ -158,11 +158,11 @@ class Parts:
 
 
 @pytest.fixture
-def parts(schema_url: str, tmp_path: Path, swing_policies: Path) -> Iterator[Parts]:
+def assembled(schema_url: str, tmp_path: Path, swing_policies: Path) -> Iterator[Parts]:
     settings = make_settings(tmp_path / "data", swing_policies, database_url=schema_url)
     database = prepare_database(settings)
-    services, notices = assemble(settings, database, ViewerScene(load_spec(), lambda *_: None))
-    services.registry.provision(2)
-    yield Parts(services, schema_url)
+    parts, notices = assemble(settings, database, ViewerScene(load_spec(), lambda *_: None))
+    parts.registry.provision(2)
+    yield Parts(parts, schema_url)
     notices.close()
     database.close()

@@ -13,12 +13,12 @@ from sqlalchemy import delete
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
-from server.accounts.auth import Session
+from server.accounts.accounts import Session
 from server.clock import new_id, utc_now
-from server.gap.runs import GapDesk
-from server.gap.worker import Diagnose, GapProcess
+from server.composition import Parts
+from server.gap.gap_service import GapService
+from server.gap.gap_worker import Diagnose, GapProcess
 from server.schemas.console import Role
-from server.services import Services
 from server.store.models import Throw
 from tests.server.server_bench import wait_for
 
@@ -26,7 +26,7 @@ RUNS = "/machines/m001/gap-runs"
 
 
 def add_throws(
-    services: Services,
+    parts: Parts,
     count: int,
     *,
     machine_id: str = "m001",
@@ -50,38 +50,38 @@ def add_throws(
             predicted_impact_m=(9.0, 0.0, 0.0),
         )
         throw_id = new_id()
-        row = services.throws.new_row(throw_id, plan, session, 1)
+        row = parts.throws.new_row(throw_id, plan, session, 1)
         row.outcome, row.phase = outcome, "ended"
-        with services.database.write() as database:
+        with parts.database.write() as database:
             database.add(row)
         if has_log:
             content = b"no log at all" + throw_id.encode()
             if logs is not None:
                 content = logs[number].read_bytes()
-            keep_log(services, machine_id, throw_id, content)
+            keep_log(parts, machine_id, throw_id, content)
         throw_ids.append(throw_id)
     return throw_ids
 
 
-def forget_throws(services: Services) -> None:
+def forget_throws(parts: Parts) -> None:
     """Begin with none: how many throws there are, and which are the newest, is then one file's alone."""
-    with services.database.write() as database:
+    with parts.database.write() as database:
         database.execute(delete(Throw))
 
 
-def keep_log(services: Services, machine_id: str, throw_id: str, content: bytes) -> None:
-    folder = services.settings.data_dir / "throws"
+def keep_log(parts: Parts, machine_id: str, throw_id: str, content: bytes) -> None:
+    folder = parts.settings.data_dir / "throws"
     folder.mkdir(parents=True, exist_ok=True)
     scratch = folder / f".{secrets.token_hex(8)}.part"
     scratch.write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
-    services.logs.keep(scratch, machine_id, throw_id, digest, len(content))
+    parts.logs.keep(scratch, machine_id, throw_id, digest, len(content))
 
 
 @contextmanager
-def diagnosing(services: Services, diagnose: Diagnose) -> Generator[GapDesk]:
+def diagnosing(parts: Parts, diagnose: Diagnose) -> Generator[GapService]:
     """The server's runs use another diagnosis; what is open is cancelled at the end."""
-    desk = services.gap
+    desk = parts.gap
     before, desk._process = desk._process, GapProcess(diagnose)
     try:
         yield desk

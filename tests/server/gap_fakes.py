@@ -15,7 +15,7 @@ from diagnosis.verdict import (
     VerdictKind,
 )
 from machine.errors import UsageError
-from server.gap.worker import GapJob, Progress
+from server.gap.gap_worker import GapJob, Progress
 
 EXTRA_S = 0.06
 

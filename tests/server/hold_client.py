@@ -7,7 +7,7 @@ import time
 import httpx
 from websockets.sync.client import connect
 
-from server.accounts.auth import COOKIE
+from server.accounts.accounts import COOKIE
 
 
 class Hold:

@@ -13,9 +13,9 @@ import httpx
 from machine.conventions import Mode
 from machine.policy_card import load_card
 from server.clock import utc_now
+from server.composition import Parts
 from server.schemas.console import Role
 from server.serve import make_server, open_socket
-from server.services import Services
 from server.settings import Settings
 from server.store.models import LoginSession
 from tests.ports import free_port
@@ -44,7 +44,7 @@ class Running:
 
     url: str
     settings: Settings
-    services: Services
+    parts: Parts
 
     @contextlib.contextmanager
     def client(self, username: str = "", password: str = PASSWORD) -> Iterator[httpx.Client]:
@@ -64,7 +64,7 @@ class Running:
         return FakeMachine(
             self.settings.link_listen,
             machine_id,
-            self.services.registry.secret_path(machine_id).read_text().strip(),
+            self.parts.registry.secret_path(machine_id).read_text().strip(),
             {
                 mode.value: load_card(
                     self.settings.policies_dir / f"swing-{mode.value}"
@@ -86,7 +86,7 @@ def running_server(settings: Settings) -> Iterator[Running]:
             while not ready.wait(0.05):
                 assert thread.is_alive(), getattr(app.state, "startup_error", "server died")
             url = f"http://{settings.host}:{settings.port_count}"
-            yield Running(url, settings, app.state.services)
+            yield Running(url, settings, app.state.parts)
         finally:
             server.should_exit = True
             thread.join(timeout=60.0)
@@ -107,16 +107,16 @@ def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settin
     return Settings.model_validate(values | overrides)
 
 
-def run_out(services: Services, client: httpx.Client) -> None:
+def run_out(parts: Parts, client: httpx.Client) -> None:
     """Let the session of a client reach its end, without a logout."""
     session_id = client.get("/auth/me").json()["session_id"]
-    with services.database.write() as database:
+    with parts.database.write() as database:
         row = database.get(LoginSession, session_id)
         assert row is not None
         row.expires_utc = utc_now() - timedelta(seconds=1.0)
 
 
-def add_people(services: Services) -> None:
+def add_people(parts: Parts) -> None:
     for name, role in (
         ("ada", Role.OPERATOR),
         ("bob", Role.OPERATOR),
@@ -125,4 +125,4 @@ def add_people(services: Services) -> None:
         ("eve", Role.ENGINEER),
         ("root", Role.ADMIN),
     ):
-        services.accounts.create_user(name, PASSWORD, role)
+        parts.accounts.create_user(name, PASSWORD, role)

@@ -249,7 +249,7 @@ def test_enrolled_machines_are_listed_before_they_are_seen(running):
         assert names["m002"] == "North pile"
         new = root.post("/machines", json={"machine_id": "loader-7"})
         assert new.status_code == 201
-        path = running.services.registry.secret_path("loader-7")
+        path = running.parts.registry.secret_path("loader-7")
         assert path.stat().st_mode & 0o777 == 0o600
         for bad in ("UPPER", "a/b", "x" * 40, "-a"):
             assert assert_error(root.post("/machines", json={"machine_id": bad}), 422)
@@ -270,7 +270,7 @@ def test_view_settings_reach_the_scene(running, ada):
     body = {"machine_id": "m001", "mode": "2d", "theme": "dark", "camera": "top"}
     assert ada.put("/view", json=body).status_code == 204
     session_id = ada.get("/auth/me").json()["session_id"]
-    scene, seen = running.services.scene, []
+    scene, seen = running.parts.scene, []
     # Jobs of the drawing thread run in order: by the time this one runs the others have.
     scene._stage.apply(session_id, seen.append, None)
     state = wait_for(lambda: seen)[0]
@@ -282,7 +282,7 @@ def test_view_settings_reach_the_scene(running, ada):
 def test_a_pick_in_the_view_becomes_the_target(running, ada):
     ada.put("/view", json={"machine_id": "m001"})
     session_id = ada.get("/auth/me").json()["session_id"]
-    running.services.targets.take_pick(session_id, (8.0, 1.0, 0.0))
+    running.parts.targets.take_pick(session_id, (8.0, 1.0, 0.0))
     assert ada.get("/machines/m001").json()["target"]["y_m"] == 1.0
 
 

@@ -1,7 +1,7 @@
 import httpx
 import pytest
 
-from server.accounts.auth import COOKIE
+from server.accounts.accounts import COOKIE
 from tests.server.server_bench import add_people, make_settings, running_server
 
 PAGE = "<!doctype html><title>Console</title>"
@@ -15,7 +15,7 @@ def with_console(tmp_path_factory, swing_policies):
     (web / "assets" / "app.js").write_text("1")
     settings = make_settings(tmp_path_factory.mktemp("data"), swing_policies, web_dir=web)
     with running_server(settings) as running:
-        add_people(running.services)
+        add_people(running.parts)
         yield running
 
 
@@ -56,7 +56,7 @@ def test_health_names_the_parts(with_console):
 
 
 def test_a_closed_link_is_degraded(with_console, monkeypatch):
-    monkeypatch.setattr(type(with_console.services.link), "is_open", False)
+    monkeypatch.setattr(type(with_console.parts.link), "is_open", False)
     reply = httpx.get(f"{with_console.url}/api/v1/health")
     assert reply.status_code == 503
     assert reply.json()["link"] == "closed"

@@ -8,8 +8,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from server.accounts.auth import COOKIE
-from server.events import QUEUE_LENGTH, EventHub
+from server.accounts.accounts import COOKIE
+from server.event_hub import QUEUE_LENGTH, EventHub
 from server.schemas.events import AlertEvent, ServerEvent
 from tests.server.server_bench import run_out, wait_for
 
@@ -80,7 +80,7 @@ def test_private_events_stay_private(running, ada):
     with running.client("bob") as bob, Listener(ada) as mine, Listener(bob) as other:
         ada.put("/machines/m001/target", json={"x_m": 9.0, "y_m": 0.0})
         wait_for(lambda: mine.of("target.proposed"))
-        running.services.hub.alert("test", "for everybody")
+        running.parts.hub.alert("test", "for everybody")
         wait_for(lambda: other.of("alert"))
         assert not other.of("target.proposed")
 
@@ -94,7 +94,7 @@ def test_logout_ends_the_stream(running):
 def test_a_session_that_runs_out_ends_the_stream_although_states_leave_no_pause(running, machine):
     with running.client("bob") as bob, Listener(bob, machine_id="m001") as listener:
         wait_for(lambda: len(listener.of("machine.state")) > 3)
-        run_out(running.services, bob)
+        run_out(running.parts, bob)
         wait_for(lambda: not listener.is_open, 20.0)
 
 
@@ -136,11 +136,11 @@ def test_a_client_that_does_not_read_is_closed_and_costs_a_bounded_queue():
 
 
 @pytest.fixture
-def state_event(parts):
+def state_event(assembled):
     from server.schemas.events import MachineStateEvent
 
-    parts.services.registry.enrol("m001", "", parts.session().actor)
-    return MachineStateEvent(machine=parts.services.views.view("m001"))
+    assembled.parts.registry.enrol("m001", "", assembled.session().actor)
+    return MachineStateEvent(machine=assembled.parts.views.view("m001"))
 
 
 def test_states_replace_each_other_and_are_made_only_when_due(state_event):
@@ -214,7 +214,7 @@ def test_a_socket_ends_with_its_session(running):
 
 def test_a_socket_ends_when_its_session_runs_out(running):
     with running.client("bob") as bob, open_events(running, bob) as socket:
-        run_out(running.services, bob)
+        run_out(running.parts, bob)
         with pytest.raises(ConnectionClosed) as caught:
             while True:
                 socket.recv(timeout=30.0)
@@ -222,10 +222,10 @@ def test_a_socket_ends_when_its_session_runs_out(running):
 
 
 def test_a_browser_that_talks_loses_its_socket_and_leaves_nothing(running, ada):
-    listening_count = running.services.hub.client_count
+    listening_count = running.parts.hub.client_count
     with open_events(running, ada) as socket:
         socket.send("hello")
         with pytest.raises(ConnectionClosed):
             while True:
                 socket.recv(timeout=30.0)
-    wait_for(lambda: running.services.hub.client_count == listening_count)
+    wait_for(lambda: running.parts.hub.client_count == listening_count)

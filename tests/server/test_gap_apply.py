@@ -8,13 +8,13 @@ from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.errors import UsageError
 from machine.spec import load_spec
-from server.gap.worker import GapProcess
-from server.machines.twins import TwinFiles, content_sha256
+from server.gap.gap_worker import GapProcess
+from server.machines.twin_files import TwinFiles, content_sha256
 from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
 from tests.server import gap_fakes
 from tests.server.gap_bench import add_throws
 from tests.server.gap_fakes import EXTRA_S, explained
-from tests.server.plans.test_plans import NEAR, create, finished
+from tests.server.plans.test_planner import NEAR, create, finished
 from tests.server.server_bench import wait_for
 from tests.server.test_events import Listener
 
@@ -31,9 +31,9 @@ def eve(running):
 @pytest.fixture
 def found(running, ada):
     """Makes runs that explain the gap; m001 has no twin profile before and after."""
-    desk = running.services.gap
+    desk = running.parts.gap
     before, desk._process = desk._process, GapProcess(gap_fakes.quick)
-    throw_ids = add_throws(running.services, 6)
+    throw_ids = add_throws(running.parts, 6)
 
     def make():
         run = ada.post(RUNS, json={"throw_ids": throw_ids}).json()
@@ -48,7 +48,7 @@ def found(running, ada):
 
 
 def profile_of(running):
-    return running.services.twin_versions._twins.profile("m001")
+    return running.parts.twin_versions._twins.profile("m001")
 
 
 def test_apply_and_undo_are_versions_of_their_own(running, eve, found):
@@ -124,15 +124,15 @@ def test_previews_use_the_new_profile_at_once(running, machine, ada, eve, found)
 
 def test_few_comparisons_are_previewed_at_once(running, ada, found, monkeypatch):
     path = found()
-    monkeypatch.setattr(running.services.gap_previews, "_places", threading.BoundedSemaphore(1))
-    with running.services.gap_previews._places:
+    monkeypatch.setattr(running.parts.gap_previews, "_places", threading.BoundedSemaphore(1))
+    with running.parts.gap_previews._places:
         busy = ada.get(f"{path}/preview", params={"mode": "2d", "range_m": 6.03})
     assert (busy.status_code, busy.json()["error"]["code"]) == (429, "previews_busy")
     assert ada.get(f"{path}/preview", params={"mode": "2d", "range_m": 6.03}).status_code == 200
 
 
 def test_a_lost_machine_is_compared_from_the_pose_for_throwing(running, ada, found):
-    wait_for(lambda: not running.services.registry.is_connected("m001"))
+    wait_for(lambda: not running.parts.registry.is_connected("m001"))
     path = found()
     compared = ada.get(f"{path}/preview", params={"mode": "2d", "range_m": 6.03}).json()
     assert not compared["is_machine_pose"]
@@ -174,7 +174,7 @@ def test_only_engineers_change_the_twin(running, ada, eve, found):
 
 
 def test_a_run_without_effects_cannot_be_applied(running, ada, eve, found):
-    running.services.gap._process = GapProcess(gap_fakes.nothing_found)
+    running.parts.gap._process = GapProcess(gap_fakes.nothing_found)
     path = found()
     for reply in (
         eve.post(f"{path}/apply"),

@@ -14,8 +14,8 @@ from sqlalchemy import text
 from machine.errors import UsageError
 from machine.messages import ThrowState
 from machine.spec import load_spec
+from server.composition import LinkError, open_parts
 from server.serve import open_socket, serve
-from server.services import LinkError, open_services
 from server.store.database import Database, DatabaseError, upgrade
 from server.store.instance_lock import instance_lock
 from server.viewer.scene import ViewerScene
@@ -28,10 +28,10 @@ PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
 def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, swing_policies):
     settings = make_settings(tmp_path / "data", swing_policies)
     with running_server(settings) as first:
-        add_people(first.services)
+        add_people(first.parts)
         machine = first.machine()
         machine.__enter__()
-        wait_for(lambda: first.services.registry.is_connected("m001"))
+        wait_for(lambda: first.parts.registry.is_connected("m001"))
         with first.client("ada") as ada:
             cookies = dict(ada.cookies)
             epoch = ada.post("/machines/m001/lease").json()["epoch_count"]
@@ -52,7 +52,7 @@ def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, 
                 assert reply.json()["error"]["code"] == "no_lease"
                 ada.post("/machines/m001/lease")
                 assert ada.post(f"{path}/fire").json()["error"]["code"] == "not_armed"
-                rows = second.services.audit.verify()
+                rows = second.parts.audit.verify()
                 assert rows.is_intact
         assert not machine.executed
     finally:
@@ -61,7 +61,7 @@ def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, 
 
 def test_loss_is_seen_within_a_second(running, monkeypatch):
     with running.machine() as machine:
-        registry = running.services.registry
+        registry = running.parts.registry
         wait_for(lambda: registry.is_connected("m001"))
         machine.publishes_state = False  # frozen: the token stands, the state does not come
         frozen_s = time.monotonic()
@@ -77,7 +77,7 @@ def test_loss_is_seen_within_a_second(running, monkeypatch):
         machine.publishes_state = True
         wait_for(lambda: machine.stop_latched)
         # Until it is confirmed it is repeated, also to the next machine of this name.
-        wait_for(lambda: not running.services.stops.is_pending("m001"))
+        wait_for(lambda: not running.parts.stops.is_pending("m001"))
 
 
 def test_a_second_server_on_the_same_folder_is_refused(tmp_path):
@@ -118,7 +118,7 @@ def test_a_used_link_endpoint_is_a_clear_error(running, tmp_path):
         tmp_path, running.settings.policies_dir, link_listen=running.settings.link_listen
     )
     scene = ViewerScene(load_spec(), lambda *_: None)
-    with pytest.raises(LinkError, match="DOWNRANGE_LINK_LISTEN"), open_services(settings, scene):
+    with pytest.raises(LinkError, match="DOWNRANGE_LINK_LISTEN"), open_parts(settings, scene):
         pass
 
 

@@ -17,9 +17,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from machine.spec import load_spec
+from server.viewer.pick import PickRefusedError
 from server.viewer.scene import ViewerScene
-from server.viewer_door.pick import PickRefusedError
-from server.viewer_door.proxy import ViewerProxy
+from server.viewer_proxy.proxy import ViewerProxy
 
 PROTOCOL = f"viser-v{viser.__version__}"
 PARENT = """<!doctype html><html><head><link rel="icon" href="data:,"></head>

@@ -6,7 +6,7 @@ import pytest
 from alembic import command
 from sqlalchemy import create_engine, text
 
-from server.gap.store import GapStore
+from server.gap.gap_store import GapStore
 from server.store.database import Database, alembic_config, upgrade
 from tests.server import gap_fakes
 from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
@@ -15,13 +15,13 @@ from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_t
 @pytest.fixture(scope="module")
 def throws(running):
     """Twelve throws of m001, oldest first: four while it was healthy, eight after."""
-    forget_throws(running.services)
-    return add_throws(running.services, 12)
+    forget_throws(running.parts)
+    return add_throws(running.parts, 12)
 
 
 def test_a_run_keeps_what_it_was_compared_with(running, ada, throws):
     healthy, later = throws[:4], throws[4:]
-    with diagnosing(running.services, gap_fakes.quick):
+    with diagnosing(running.parts, gap_fakes.quick):
         asked = start(ada, throw_ids=later, reference_throw_ids=list(reversed(healthy)))
         assert (asked["throw_count"], asked["reference_throw_count"]) == (8, 4)
         view = ended(ada, asked)
@@ -40,7 +40,7 @@ def test_a_run_keeps_what_it_was_compared_with(running, ada, throws):
 
 
 def test_without_any_it_is_compared_with_the_type(running, ada, throws):
-    with diagnosing(running.services, gap_fakes.quick):
+    with diagnosing(running.parts, gap_fakes.quick):
         view = ended(ada, start(ada, throw_ids=throws[4:]))
     assert view["row"]["reference_throw_count"] == 0
     assert view["reference_throw_ids"] == []
@@ -48,7 +48,7 @@ def test_without_any_it_is_compared_with_the_type(running, ada, throws):
 
 
 def test_the_newest_are_taken_beside_the_healthy_ones(running, ada, throws):
-    with diagnosing(running.services, gap_fakes.quick):
+    with diagnosing(running.parts, gap_fakes.quick):
         view = ended(ada, start(ada, newest_count=8, reference_throw_ids=throws[-4:]))
     assert view["throw_ids"] == throws[:8]
 
@@ -73,10 +73,10 @@ def test_the_newest_are_taken_beside_the_healthy_ones(running, ada, throws):
 def test_throws_that_cannot_be_compared_with_are_refused(
     running, ada, throws, change, status, said
 ):
-    services = running.services
+    parts = running.parts
     named = {
-        "other machine": lambda: add_throws(services, 1, machine_id="m002")[0],
-        "no log": lambda: add_throws(services, 1, has_log=False)[0],
+        "other machine": lambda: add_throws(parts, 1, machine_id="m002")[0],
+        "no log": lambda: add_throws(parts, 1, has_log=False)[0],
     }
 
     def throw_id(place):
@@ -91,7 +91,7 @@ def test_throws_that_cannot_be_compared_with_are_refused(
 
 def test_a_healthy_set_that_cannot_be_read_fails_with_its_reason(running, ada, throws):
     """The message of a refusal reaches people without the name of its class."""
-    with diagnosing(running.services, gap_fakes.refusing):
+    with diagnosing(running.parts, gap_fakes.refusing):
         row = ended(ada, start(ada, throw_ids=throws[4:], reference_throw_ids=throws[:3]))["row"]
     assert (row["state"], row["detail"]) == ("failed", "0 usable healthy throws to compare with")
 

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from server.limits.connections import ConnectionLimits, WaitingRoom, patient_protocol
+from server.limits.connections import ConnectionLimits, IdleConnectionLimit, timed_http_protocol
 from tests.server.server_bench import wait_for
 
 HEADERS_S, SILENCE_S = 0.4, 0.4
@@ -26,19 +26,19 @@ async def count_body(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 @pytest.fixture
-def room() -> WaitingRoom:
-    return WaitingRoom(ConnectionLimits(headers_s=HEADERS_S, silence_s=SILENCE_S))
+def idle_limit() -> IdleConnectionLimit:
+    return IdleConnectionLimit(ConnectionLimits(headers_s=HEADERS_S, silence_s=SILENCE_S))
 
 
 @pytest.fixture
-def opened(room: WaitingRoom) -> Iterator[socket.socket]:
+def opened(idle_limit: IdleConnectionLimit) -> Iterator[socket.socket]:
     config = uvicorn.Config(
         count_body,
         port=0,
         lifespan="off",
         log_config=None,
         timeout_keep_alive=60,
-        http=patient_protocol(room),
+        http=timed_http_protocol(idle_limit),
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
@@ -77,29 +77,33 @@ def read_to_the_end(opened: socket.socket) -> bytes:
     ],
 )
 def test_a_request_that_does_not_come_is_not_waited_for(
-    opened: socket.socket, room: WaitingRoom, begun: bytes
+    opened: socket.socket, idle_limit: IdleConnectionLimit, begun: bytes
 ) -> None:
     if begun.startswith(WHOLE_GET):
         opened.sendall(WHOLE_GET)
         assert b"0 bytes" in read_answer(opened)
     opened.sendall(begun.removeprefix(WHOLE_GET))
     assert read_to_the_end(opened) == b""
-    wait_for(lambda: room.count == 0)
-    assert room.closed_count == 1
+    wait_for(lambda: idle_limit.count == 0)
+    assert idle_limit.closed_count == 1
 
 
-def test_a_body_that_comes_slowly_is_waited_for(opened: socket.socket, room: WaitingRoom) -> None:
+def test_a_body_that_comes_slowly_is_waited_for(
+    opened: socket.socket, idle_limit: IdleConnectionLimit
+) -> None:
     opened.sendall(BEGUN_POST)
     for _ in range(12):
         time.sleep((HEADERS_S + SILENCE_S) / 8.0)
         opened.sendall(b"x")
     assert b"12 bytes" in read_answer(opened)
-    assert (room.count, room.closed_count) == (0, 0)
+    assert (idle_limit.count, idle_limit.closed_count) == (0, 0)
 
 
-def test_an_answered_connection_may_rest(opened: socket.socket, room: WaitingRoom) -> None:
+def test_an_answered_connection_may_rest(
+    opened: socket.socket, idle_limit: IdleConnectionLimit
+) -> None:
     for _ in range(3):
         opened.sendall(WHOLE_GET)
         assert b"0 bytes" in read_answer(opened)
         time.sleep(HEADERS_S + SILENCE_S)
-    assert (room.count, room.closed_count) == (0, 0)
+    assert (idle_limit.count, idle_limit.closed_count) == (0, 0)

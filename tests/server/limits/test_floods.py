@@ -9,7 +9,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from server.accounts.auth import COOKIE
+from server.accounts.accounts import COOKIE
 from server.limits.streams import StreamKind
 from tests.server.hold_client import Hold
 from tests.server.server_bench import wait_for
@@ -55,7 +55,7 @@ def flood(stack, running, client, open_one, kind):
     ("open_one", "kind"), [(open_hold, StreamKind.HOLD), (open_view, StreamKind.VIEW)]
 )
 def test_one_person_opens_so_many_sockets_and_no_more(running, ada, open_one, kind):
-    streams = running.services.streams
+    streams = running.parts.streams
     with contextlib.ExitStack() as stack:
         count, status, error = flood(stack, running, ada, open_one, kind)
         assert (status, error["code"]) == (429, "too_many_streams")
@@ -70,7 +70,7 @@ def test_one_person_opens_so_many_sockets_and_no_more(running, ada, open_one, ki
 
 
 def test_one_person_opens_so_many_event_streams_and_no_more(running, ada):
-    streams, hub = running.services.streams, running.services.hub
+    streams, hub = running.parts.streams, running.parts.hub
     listening_count = hub.client_count
     with contextlib.ExitStack() as stack:
         for _ in range(streams.limits.per_person_count):
@@ -84,7 +84,7 @@ def test_one_person_opens_so_many_event_streams_and_no_more(running, ada):
 
 
 def test_a_page_is_told_why_it_gets_no_events(running, ada):
-    streams, hub = running.services.streams, running.services.hub
+    streams, hub = running.parts.streams, running.parts.hub
     listening_count = hub.client_count
     with contextlib.ExitStack() as stack:
         for _ in range(streams.limits.per_person_count):
@@ -100,7 +100,7 @@ def test_a_page_is_told_why_it_gets_no_events(running, ada):
 
 
 def test_streams_whose_browser_is_gone_at_once_leave_nothing(running, ada):
-    streams, hub = running.services.streams, running.services.hub
+    streams, hub = running.parts.streams, running.parts.hub
     listening_count = hub.client_count
     request = (
         f"GET /api/v1/events HTTP/1.1\r\nHost: h\r\nCookie: {COOKIE}={ada.cookies.get(COOKIE)}\r\n\r\n"
@@ -130,7 +130,7 @@ def test_a_throw_and_stop_go_on_in_a_flood(running, machine, ada):
         with running.client("vic") as viewer:
             assert viewer.post("/machines/m001/stop").status_code == 200
         wait_for(lambda: machine.stop_latched)
-    wait_for(lambda: running.services.streams.count(StreamKind.HOLD) == 0)
+    wait_for(lambda: running.parts.streams.count(StreamKind.HOLD) == 0)
 
 
 # Connections that ask for nothing -----------------------------------------------------------------

@@ -20,7 +20,7 @@ def load(machine_id="m001"):
 def refusal(running):
     """What the link says of a command now; nothing if it is answered."""
     try:
-        running.services.link.send(load())
+        running.parts.link.send(load())
     except NoAnswerError as error:
         return str(error)
     return ""
@@ -28,23 +28,23 @@ def refusal(running):
 
 def test_a_command_reaches_the_machine_and_its_answer_us(running, machine):
     command = load()
-    reply = running.services.link.send(command)
+    reply = running.parts.link.send(command)
     assert (reply.command_id, reply.accepted) == (command.command_id, True)
     assert command in machine.commands
-    assert 0.0 < running.services.registry.get("m001").round_trip_s < COMMAND_TIMEOUT_S + 0.5
+    assert 0.0 < running.parts.registry.get("m001").round_trip_s < COMMAND_TIMEOUT_S + 0.5
 
 
 def test_nothing_is_sent_to_a_machine_that_is_away(running):
-    wait_for(lambda: not running.services.registry.is_connected("m001"))
+    wait_for(lambda: not running.parts.registry.is_connected("m001"))
     with pytest.raises(MachineLostError):
-        running.services.link.send(load())
+        running.parts.link.send(load())
 
 
 def test_silence_is_no_answer(running, machine):
     machine.ignores.add("load")
     began_s = time.monotonic()
     with pytest.raises(NoAnswerError, match="0 answers"):
-        running.services.link.send(load())
+        running.parts.link.send(load())
     assert time.monotonic() - began_s >= 0.4
     assert [c.kind for c in machine.commands].count("load") == 1
 
@@ -86,7 +86,7 @@ def test_two_answers_are_no_answer(running, machine):
 
 
 def test_a_machine_cannot_speak_for_another(running, machine):
-    registry = running.services.registry
+    registry = running.parts.registry
     machine.session.put(
         machine_key("yard", "m002", "state"),
         machine.state_message().model_copy(update={"machine_id": "m002"}).model_dump_json(),
@@ -102,7 +102,7 @@ def test_a_machine_cannot_speak_for_another(running, machine):
     assert machine.deliver([foreign]) is None
     time.sleep(0.3)
     assert registry.get("m002").state is None
-    with running.services.database.read() as database:
+    with running.parts.database.read() as database:
         assert database.query(Event).filter_by(machine_id="m002").count() == 0
 
 
@@ -115,7 +115,7 @@ def test_wrong_password_does_not_get_in(running):
 
 
 def test_unreadable_messages_are_counted_and_harm_nothing(running, machine):
-    counter = running.services.metrics.unreadable_count
+    counter = running.parts.metrics.unreadable_count
     before = counter._value.get()
     for payload in (b"", b"{}", b"\xff\x00", b'{"machine_id": "m001"}'):
         machine.session.put(machine._key("state"), payload)
@@ -123,7 +123,7 @@ def test_unreadable_messages_are_counted_and_harm_nothing(running, machine):
         machine.session.put(machine._key("joints"), payload)
         time.sleep(0.05)
     wait_for(lambda: counter._value.get() > before)
-    wait_for(lambda: running.services.registry.is_connected("m001"))
+    wait_for(lambda: running.parts.registry.is_connected("m001"))
 
 
 def test_an_unreadable_batch_is_answered_not_swallowed(running, machine):
@@ -138,7 +138,7 @@ def test_events_come_through_and_are_acknowledged(running, machine):
     events = [machine.event(EventKind.COMMAND_REFUSED, n=n) for n in range(5)]
     ack = machine.deliver(events)
     assert (ack.boot_id, ack.sequence_count) == (machine.boot_id, events[-1].sequence_count)
-    with running.services.database.read() as database:
+    with running.parts.database.read() as database:
         stored = database.query(Event).filter_by(boot_id=machine.boot_id).all()
     assert {e.sequence_count for e in events} <= {e.sequence_count for e in stored}
 
@@ -151,14 +151,14 @@ def test_a_database_that_fails_gives_no_acknowledgement(running, machine, monkey
     def fail(_batch):
         raise OSError("disk full")
 
-    monkeypatch.setattr(running.services.link, "_take_events", fail)
+    monkeypatch.setattr(running.parts.link, "_take_events", fail)
     assert machine.deliver([event]) is None
     monkeypatch.undo()
     assert machine.deliver([event]) is not None
 
 
 def test_the_newest_machine_time_is_known_for_the_echo(running, machine):
-    registry = running.services.registry
+    registry = running.parts.registry
     first = registry.seen_t_mono_ns("m001")
     wait_for(lambda: registry.seen_t_mono_ns("m001") > first)
     assert time.monotonic_ns() - registry.seen_t_mono_ns("m001") < 15_000_000_000

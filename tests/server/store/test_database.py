@@ -7,7 +7,7 @@ from sqlalchemy import create_engine, inspect, text
 from sqlalchemy.exc import IntegrityError
 
 from server.clock import utc_now
-from server.services import prepare_database
+from server.composition import prepare_database
 from server.store import database as module
 from server.store.database import Database, DatabaseError, DatabaseStanding, alembic_config, upgrade
 from server.store.models import Base, Machine, User

@@ -4,7 +4,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from machine.messages import Target
-from server.throws.impacts import errors_of, point_of
+from server.plans.landing_errors import errors_of, point_of
 
 METRES = st.floats(-12.0, 12.0)
 

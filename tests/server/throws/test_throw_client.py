@@ -3,8 +3,8 @@ import json
 import pytest
 
 from cli.throw import parse_target, run
+from cli.throw_client import ServerError, ThrowClient, login_from_file
 from machine.errors import UsageError
-from server.throws.throw_client import ServerError, ThrowClient, login_from_file
 from tests.server.server_bench import wait_for
 
 PASSWORD = "correct horse battery"
@@ -23,7 +23,7 @@ def throw(running, login, **arguments):
 
 def test_one_command_throws_and_reports(running, machine, login, capsys):
     machine.payload_held = False  # the client asks for a load by itself
-    wait_for(lambda: not running.services.registry.get("m001").state.payload_held)
+    wait_for(lambda: not running.parts.registry.get("m001").state.payload_held)
     assert throw(running, login, target="6.03", as_json=True) == 0
     report = json.loads(capsys.readouterr().out)
     assert set(report) >= {"throw_id", "state", "predicted", "impact", "seconds"}
@@ -34,7 +34,7 @@ def test_one_command_throws_and_reports(running, machine, login, capsys):
     assert abs(report["predicted"]["downrange_error_m"]) < 0.5
     assert machine.executed == [report["throw_id"]]
     assert all(beat.is_holding for _, beat in machine.heartbeats[:-1])
-    assert running.services.leases.view("m001").holder is None
+    assert running.parts.leases.view("m001").holder is None
 
 
 def test_words_for_people(running, machine, login, capsys):
@@ -45,7 +45,7 @@ def test_words_for_people(running, machine, login, capsys):
 
 def test_an_aborted_throw_has_its_own_exit_code(running, machine, login, monkeypatch):
     machine.swing_s = 60.0
-    monkeypatch.setattr("server.throws.throw_client.Holding._run", lambda self: None)
+    monkeypatch.setattr("cli.throw_client.Holding._run", lambda self: None)
     assert throw(running, login, target="6.03") == 3
 
 
@@ -54,7 +54,7 @@ def test_refusals_are_passed_on(running, machine, login):
         throw(running, login, target="11.4")
     with pytest.raises(ServerError, match="no machine"):
         throw(running, login, target="9", machine="nobody")
-    assert running.services.leases.view("m001").holder is None
+    assert running.parts.leases.view("m001").holder is None
 
 
 def test_who_and_where_are_checked(running, login, tmp_path):

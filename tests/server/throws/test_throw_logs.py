@@ -11,13 +11,13 @@ from machine.starts import safe_pose
 from machine.telemetry import BALL_ROW, CONTROL_ROW
 from runtime.records.log_writer import write_throw_log
 from runtime.records.throw_log import ThrowLog
-from server.accounts.auth import Session
+from server.accounts.accounts import Session
 from server.clock import new_id, utc_now
+from server.display.replay_control import ReplayControl
 from server.errors import NotFoundError
 from server.schemas.console import Role
 from server.schemas.history import ReplayRequest
 from server.store.models import Plan
-from server.throws.replays import Replays
 from server.throws.throw_series import motion_of, series_of
 from tests.server.server_bench import wait_for
 
@@ -54,7 +54,7 @@ def content(tmp_path):
 
 @pytest.fixture
 def throw_id(running):
-    services = running.services
+    parts = running.parts
     plan = ThrowPlan(
         plan_id="none",
         machine_id="m001",
@@ -67,13 +67,13 @@ def throw_id(running):
     )
     session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
     throw_id = new_id()
-    with services.database.write() as database:
-        database.add(services.throws.new_row(throw_id, plan, session, 1))
+    with parts.database.write() as database:
+        database.add(parts.throws.new_row(throw_id, plan, session, 1))
     return throw_id
 
 
 def put(running, throw_id, content, *, machine_id="m001", token=None, sha256=None, chunked=False):
-    token = token or running.services.registry.secret_path("m001").read_text().strip()
+    token = token or running.parts.registry.secret_path("m001").read_text().strip()
     return httpx.put(
         f"{running.url}/api/v1/machines/{machine_id}/throw-logs/{throw_id}",
         content=iter([content[:1000], content[1000:]]) if chunked else content,
@@ -104,14 +104,14 @@ def test_an_upload_is_kept_once_and_can_be_read(running, ada, content, throw_id,
 
 
 def test_wrong_tokens_are_refused(running, content, throw_id):
-    other = running.services.registry.secret_path("m002").read_text().strip()
+    other = running.parts.registry.secret_path("m002").read_text().strip()
     for token in ("x", other, ""):
         reply = put(running, throw_id, content, token=token or "Bearer")
         assert (reply.status_code, reply.json()["error"]["code"]) == (401, "wrong_token")
 
 
 def test_another_machines_throw_is_refused(running, content, throw_id):
-    token = running.services.registry.secret_path("m002").read_text().strip()
+    token = running.parts.registry.secret_path("m002").read_text().strip()
     reply = put(running, throw_id, content, machine_id="m002", token=token)
     assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
 
@@ -120,7 +120,7 @@ def test_a_log_cannot_be_put_in_place_of_another_machines(running, content):
     """Also for a throw that the server does not know (yet): its log may be there before its events."""
     throw_id = new_id()
     assert put(running, throw_id, content).status_code == 204
-    token = running.services.registry.secret_path("m002").read_text().strip()
+    token = running.parts.registry.secret_path("m002").read_text().strip()
     reply = put(running, throw_id, content + b"x", machine_id="m002", token=token)
     assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
 
@@ -161,9 +161,9 @@ def test_series_and_replay_over_http(running, ada, content, throw_id):
     paused = ada.post(f"/throws/{throw_id}/replay", json={"at_s": 1.5, "playing": False}).json()
     assert (paused["at_s"], paused["is_playing"]) == (1.5, False)
     session_id = ada.get("/auth/me").json()["session_id"]
-    wait_for(lambda: running.services.scene.replay_state(session_id))
+    wait_for(lambda: running.parts.scene.replay_state(session_id))
     assert ada.post(f"/throws/{throw_id}/replay", json={"close": True}).status_code == 200
-    wait_for(lambda: running.services.scene.replay_state(session_id) is None)
+    wait_for(lambda: running.parts.scene.replay_state(session_id) is None)
 
 
 class Seen:
@@ -208,7 +208,7 @@ BED = {"name": "bed", "kind": "box", "x_m": 9.0, "y_m": 0.0, "length_m": 2.0, "w
 def test_a_replay_is_given_the_site_of_its_plan(kept, names):
     scene, store = Seen(), Kept(kept)
     session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
-    Replays(store, store, scene).control("t", "p", ReplayRequest(playing=True), session)
+    ReplayControl(store, store, scene).control("t", "p", ReplayRequest(playing=True), session)
     site = scene.kwargs["site"]
     assert (None if site is None else [item.name for item in site]) == names
 

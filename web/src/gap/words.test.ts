@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
-import { chainOf } from "./chain";
-import { overlaysOf } from "./plots";
-import { refusedOf, ruledOutOf } from "./ruledOut";
+import { chainOf } from "./result/chain";
+import { overlaysOf } from "./result/plots";
+import { refusedOf, ruledOutOf } from "./result/ruledOut";
 import {
   additionWords,
   causeWords,

@@ -2,9 +2,9 @@ import { Button } from "@mantine/core";
 import type { Machine } from "../session/live";
 import { GateFooter } from "./GateFooter";
 import type { Gate } from "./gate";
-import { HoldButton } from "./HoldButton";
+import { HoldButton } from "./hold/HoldButton";
 import classes from "./Panel.module.css";
-import type { HoldControl } from "./useHold";
+import type { HoldControl } from "./hold/useHold";
 
 type Props = {
   machine: Machine;

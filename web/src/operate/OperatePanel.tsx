@@ -2,13 +2,13 @@ import { useEffect, useState } from "react";
 import { fixed } from "../words/format";
 import { ActionFooter } from "./ActionFooter";
 import classes from "./Panel.module.css";
-import { PreviewStep } from "./PreviewStep";
+import { PreviewStep } from "./preview/PreviewStep";
 import { ResultStep } from "./ResultStep";
 import { Step } from "./Step";
 import { STEPS, type StepName } from "./steps";
-import { TargetStep } from "./TargetStep";
+import { TargetStep } from "./target/TargetStep";
 import { ThrowStep } from "./ThrowStep";
-import { targetSummary } from "./targetSummary";
+import { targetSummary } from "./target/targetSummary";
 import type { Operate } from "./useOperate";
 
 /** Target, Preview, Throw, Result: the present step open, the others as one line. */

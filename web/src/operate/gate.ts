@@ -4,11 +4,11 @@
  */
 
 import { isMoving } from "../machine/phase";
+import type { Schema } from "../session/client";
 import type { Machine, Plan } from "../session/live";
 import type { Permission } from "../session/useSession";
 import { age, metres } from "../words/format";
-import type { Target } from "./target";
-import { checkSentence } from "./told";
+import type { Target } from "./target/target";
 
 export type GateAction =
   | "take_control"
@@ -33,6 +33,10 @@ export type GateFacts = {
   plan: Plan | null;
   planError: string | null;
 };
+
+/** A failed check with its remedy, as one sentence. */
+export const checkSentence = ({ text, remedy }: Schema["CheckResult"]) =>
+  `${text} ${remedy}`.trim();
 
 type Rule = (facts: GateFacts) => Gate | null;
 

@@ -2,8 +2,8 @@
 
 import { isMoving } from "../machine/phase";
 import type { Machine, Plan, Throw } from "../session/live";
-import type { Hold } from "./hold";
-import type { Target } from "./target";
+import type { Hold } from "./hold/hold";
+import type { Target } from "./target/target";
 
 export type StepName = "target" | "preview" | "throw" | "result";
 

@@ -10,13 +10,13 @@ import { useLive } from "../session/liveStore";
 import { useNow } from "../session/useNow";
 import { useSession } from "../session/useSession";
 import { operateGate } from "./gate";
-import { isAbortable } from "./hold";
-import { DEFAULT_PACE_RATIO } from "./pace";
+import { isAbortable } from "./hold/hold";
+import { DEFAULT_PACE_RATIO } from "./target/pace";
 import { presentStep } from "./steps";
-import { pointKey } from "./target";
-import { useHold } from "./useHold";
-import { usePlan } from "./usePlan";
-import { useTarget } from "./useTarget";
+import { pointKey } from "./target/target";
+import { useHold } from "./hold/useHold";
+import { usePlan } from "./preview/usePlan";
+import { useTarget } from "./target/useTarget";
 
 export function useOperate() {
   const machine = useMachine();

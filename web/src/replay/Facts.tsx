@@ -1,6 +1,6 @@
 import { Anchor, Button } from "@mantine/core";
 import { IconDownload } from "@tabler/icons-react";
-import { paceWords } from "../operate/pace";
+import { paceWords } from "../operate/target/pace";
 import type { Schema } from "../session/client";
 import { outcomeSentence } from "../throws/outcome";
 import {

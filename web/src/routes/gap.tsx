@@ -1,9 +1,9 @@
 import { useNavigate, useSearch } from "@tanstack/react-router";
 import { useEffect, useState } from "react";
-import { RunHead } from "../gap/RunHead";
+import { RunHead } from "../gap/result/RunHead";
 import { RunList } from "../gap/RunList";
-import { RunResult } from "../gap/RunResult";
-import { StartPanel } from "../gap/StartPanel";
+import { RunResult } from "../gap/result/RunResult";
+import { StartPanel } from "../gap/start/StartPanel";
 import { useGapRun, useGapRuns } from "../gap/useGap";
 import type { Run } from "../gap/words";
 import { useMachineId } from "../machine/useMachine";

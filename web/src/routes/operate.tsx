@@ -1,6 +1,6 @@
 import { GateSentence } from "../operate/GateSentence";
 import { OperatePanel } from "../operate/OperatePanel";
-import { useNudge } from "../operate/useNudge";
+import { useNudge } from "../operate/target/useNudge";
 import { useOperate } from "../operate/useOperate";
 import { CameraButtons } from "../view/CameraButtons";
 import { useViewSlot } from "../view/slot";

@@ -119,8 +119,8 @@ describe("target.proposed", () => {
     const echo = { ...proposed("me"), source: "fields" } as const;
     expect(event(asked, echo).machines.m001?.target).toEqual(typed);
     expect(event(asked, proposed("me")).machines.m001?.target).toEqual(target);
-    const told = reduceLive(asked, { kind: "target_told", machineId: "m001" });
-    expect(event(told, echo).machines.m001?.target).toEqual(target);
+    const sent = reduceLive(asked, { kind: "target_sent", machineId: "m001" });
+    expect(event(sent, echo).machines.m001?.target).toEqual(target);
   });
 
   it("of another session is none of ours", () => {

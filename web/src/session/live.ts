@@ -43,7 +43,7 @@ export type LiveAction =
   | { kind: "event"; event: ServerEvent; sessionId: string | null }
   | { kind: "plan"; plan: Plan }
   | { kind: "target"; machineId: string; target: Schema["TargetView"] | null; isProposing: boolean }
-  | { kind: "target_told"; machineId: string }
+  | { kind: "target_sent"; machineId: string }
   | { kind: "dismiss"; id: number };
 
 export const EMPTY_LIVE: Live = {
@@ -101,7 +101,7 @@ export function reduceLive(live: Live, action: LiveAction): Live {
         action.machineId,
         (machine) => ({ ...machine, target: action.target }),
       );
-    case "target_told":
+    case "target_sent":
       return { ...live, proposing: { ...live.proposing, [action.machineId]: false } };
     case "dismiss":
       return { ...live, alerts: live.alerts.filter((alert) => alert.id !== action.id) };

@@ -14,7 +14,7 @@ async function resync(): Promise<void> {
   dispatchLive({ kind: "resync", machines: await take(api.GET("/api/v1/machines")) });
 }
 
-/** The watched machine is told to the server: it sends that one's state at its full rate. */
+/** Name the watched machine to the server, which then sends its state at the full rate. */
 function eventsUrl(machineId: string | null): string {
   const url = socketUrl("/api/v1/events/socket");
   return machineId === null ? url : `${url}?machine_id=${encodeURIComponent(machineId)}`;

@@ -26,7 +26,7 @@ describe("filters in the address", () => {
       until: "2026-99-99",
       group: "colour",
       machine: "",
-      stranger: "x",
+      unrelated: "x",
     };
     expect(parseSearch(search)).toEqual({});
   });

@@ -1,0 +1,282 @@
+"""A client of the HTTP interface that makes one throw: lease, plan, arm, fire, hold, wait for the impact.
+
+It uses the same interface as the console and never talks to a machine directly.
+"""
+
+import json
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import httpx
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+
+from machine.conventions import DEFAULT_PACE_RATIO
+from machine.errors import DownrangeError, UsageError
+from server.accounts.access_control import WRITE_HEADER_VALUE
+from server.accounts.accounts import COOKIE
+
+HOLD_PERIOD_S = 0.05
+RENEW_PERIOD_S = 5.0
+POLL_PERIOD_S = 0.1
+PREVIEW_TIMEOUT_S = 30.0
+IMPACT_GRACE_S = 3.0
+"""A survey may reach the server a little after the end of the throw."""
+
+
+class ServerError(DownrangeError):
+    """The server refused, or cannot be reached."""
+
+    code = "server"
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowReport:
+    """What became of a throw; errors in frame `throw`, m."""
+
+    throw_id: str
+    state: str
+    """Outcome of the throw: landed, aborted, stopped, ..."""
+    predicted: dict[str, float | None]
+    impact: dict[str, float | None]
+    seconds: float
+    detail: str = field(default="")
+
+
+def login_from_file(path: Path, username: str) -> str:
+    """The password of an account, from a file with it alone or with lines `name password`.
+
+    Raises:
+        UsageError: the file is missing or does not name the account.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"password file {path} cannot be read ({error.strerror}); name one with --password-file"
+        ) from error
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    for line in lines:
+        if line.split()[0] == username and len(line.split()) == 2:
+            return line.split()[1]
+    if len(lines) == 1:
+        return lines[0]
+    raise UsageError(f"{path} holds no password for '{username}'; name another --user")
+
+
+class ThrowClient:
+    """A signed-in session; use as a context manager."""
+
+    def __init__(self, server: str, username: str, password: str) -> None:
+        self._server = server.rstrip("/")
+        if not self._server.startswith(("http://", "https://")):
+            raise UsageError(f"--server {server!r} is no address; as in http://127.0.0.1:8000")
+        self._http = httpx.Client(
+            base_url=f"{self._server}/api/v1",
+            headers={"Origin": self._server, "X-Requested-With": WRITE_HEADER_VALUE},
+            timeout=15.0,
+        )
+        self._login = {"username": username, "password": password}
+
+    def __enter__(self) -> Self:
+        try:
+            self._call("POST", "/auth/login", self._login)
+        except BaseException:
+            self._http.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._http.post("/auth/logout")
+        except httpx.HTTPError:
+            pass  # the throw is reported; the session runs out by itself
+        finally:
+            self._http.close()
+
+    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
+        try:
+            reply = self._http.request(method, path, json=body)
+        except httpx.HTTPError as error:
+            raise ServerError(
+                f"{self._server} cannot be reached ({error}); start it with `make demo` or "
+                "`downrange server`, or name another --server"
+            ) from error
+        if reply.is_success:
+            return reply.json() if reply.content else None
+        try:
+            error_body = reply.json()["error"]
+            text = f"{error_body['message']} [{error_body['code']}]"
+        except (ValueError, KeyError, TypeError):
+            text = f"HTTP {reply.status_code}; is this a Downrange server?"
+        raise ServerError(text)
+
+    def throw(
+        self,
+        machine_id: str,
+        mode: str,
+        target_m: tuple[float, float, float],
+        timeout_s: float,
+        pace_ratio: float = DEFAULT_PACE_RATIO,
+    ) -> ThrowReport:
+        """Make one throw at a point in frame `machine`, 0 careful .. 1 fast.
+
+        Raises:
+            ServerError: refused at any step, with the server's reason.
+        """
+        began_s = time.monotonic()
+        self._call("POST", f"/machines/{machine_id}/lease")
+        try:
+            with Renewal(self._call, machine_id):
+                plan = self._plan(machine_id, mode, target_m, pace_ratio)
+                row = self._fire_and_hold(machine_id, plan["plan_id"], timeout_s)
+        finally:
+            self._call("DELETE", f"/machines/{machine_id}/lease")
+        prediction = plan["prediction"]
+        return ThrowReport(
+            throw_id=row["throw_id"],
+            state=row["outcome"] or row["phase"],
+            predicted={
+                "downrange_error_m": prediction["downrange_error_m"],
+                "crossrange_error_m": prediction["crossrange_error_m"],
+            },
+            impact={
+                "downrange_error_m": row["measured_downrange_error_m"],
+                "crossrange_error_m": row["measured_crossrange_error_m"],
+            },
+            seconds=time.monotonic() - began_s,
+            detail=row["detail"],
+        )
+
+    def _plan(
+        self,
+        machine_id: str,
+        mode: str,
+        target_m: tuple[float, float, float],
+        pace_ratio: float,
+    ) -> dict[str, Any]:
+        machine = self._call("GET", f"/machines/{machine_id}")
+        if machine["state"] is not None and not machine["state"]["payload_held"]:
+            self._call("POST", f"/machines/{machine_id}/load")
+            self._wait_for_load(machine_id)
+        plan = self._call(
+            "POST",
+            f"/machines/{machine_id}/plans",
+            {
+                "mode": mode,
+                "target": dict(zip(("x_m", "y_m", "z_m"), target_m, strict=True)),
+                "pace_ratio": pace_ratio,
+                "rollout_count": 0,
+            },
+        )
+        end_s = time.monotonic() + PREVIEW_TIMEOUT_S
+        while plan["state"] == "previewing" and time.monotonic() < end_s:
+            time.sleep(POLL_PERIOD_S)
+            plan = self._call("GET", f"/plans/{plan['plan_id']}")
+        if plan["state"] != "ready":
+            reasons = " ".join(item["detail"] for item in plan["refusals"])
+            raise ServerError(
+                reasons or f"no preview within {PREVIEW_TIMEOUT_S:.0f} s (state {plan['state']})"
+            )
+        return plan
+
+    def _wait_for_load(self, machine_id: str) -> None:
+        end_s = time.monotonic() + 10.0
+        while time.monotonic() < end_s:
+            state = self._call("GET", f"/machines/{machine_id}")["state"]
+            if state is not None and state["payload_held"]:
+                return
+            time.sleep(POLL_PERIOD_S)
+        raise ServerError(f"{machine_id} took up no load within 10 s; put one into its gripper")
+
+    def _fire_and_hold(self, machine_id: str, plan_id: str, timeout_s: float) -> dict[str, Any]:
+        cookie = self._http.cookies.get(COOKIE)
+        address = f"ws{self._server.removeprefix('http')}/api/v1/machines/{machine_id}/hold"
+        try:
+            with connect(
+                address,
+                additional_headers={"Cookie": f"{COOKIE}={cookie}", "Origin": self._server},
+                proxy=None,
+            ) as socket:
+                self._call("POST", f"/plans/{plan_id}/arm", {})
+                fired = self._call("POST", f"/plans/{plan_id}/fire")
+                with Holding(socket, fired["throw_id"]):
+                    return self._wait_for_end(fired["throw_id"], timeout_s)
+        except (OSError, WebSocketException) as error:
+            raise ServerError(f"the hold connection failed: {error}") from error
+
+    def _wait_for_end(self, throw_id: str, timeout_s: float) -> dict[str, Any]:
+        end_s = time.monotonic() + timeout_s
+        row: dict[str, Any] = {}
+        while time.monotonic() < end_s:
+            row = self._call("GET", f"/throws/{throw_id}")["row"]
+            if row["phase"] == "ended":
+                if row["outcome"] != "landed" or row["measured_downrange_error_m"] is not None:
+                    return row
+                end_s = min(end_s, time.monotonic() + IMPACT_GRACE_S)
+            time.sleep(POLL_PERIOD_S)
+        if row.get("phase") == "ended":
+            return row
+        raise ServerError(
+            f"throw {throw_id} did not end within {timeout_s:.0f} s (phase {row.get('phase')}); "
+            "it was let go; look at the machine"
+        )
+
+
+class Renewal:
+    """Renews the lease while the block runs."""
+
+    def __init__(self, call: Any, machine_id: str) -> None:
+        self._call = call
+        self._path = f"/machines/{machine_id}/lease"
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._done.wait(RENEW_PERIOD_S):
+            try:
+                self._call("POST", self._path)
+            except ServerError:
+                return  # the next step of the throw is refused and says why
+
+
+class Holding:
+    """Sends the hold 20 times a second while the block runs, then lets go."""
+
+    def __init__(self, socket: Connection, throw_id: str) -> None:
+        self._socket = socket
+        self._throw_id = throw_id
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _send(self, *, is_holding: bool) -> None:
+        self._socket.send(json.dumps({"throw_id": self._throw_id, "holding": is_holding}))
+
+    def _run(self) -> None:
+        try:
+            while not self._done.is_set():
+                self._send(is_holding=True)
+                self._done.wait(HOLD_PERIOD_S)
+            self._send(is_holding=False)
+        except WebSocketException:
+            return  # without messages the machine releases by itself

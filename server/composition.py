@@ -1,0 +1,273 @@
+"""Composition root: builds the long-lived parts of the service, opens them and closes them."""
+
+import logging
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields
+from typing import TypeVar
+
+import zenoh
+
+from machine.errors import DownrangeError
+from machine.spec import load_spec
+from runtime.link.zenoh_config import RouterTls, router_config
+from server.accounts.access_control import AccessControl
+from server.accounts.accounts import Accounts
+from server.accounts.audit_chain import AuditChain
+from server.display.impact_display import ImpactDisplay
+from server.display.machine_views import MachineViews
+from server.display.replay_control import ReplayControl
+from server.display.target_proposals import TargetProposals
+from server.event_hub import EventHub
+from server.gap.gap_previews import GapPreviews
+from server.gap.gap_service import GapService
+from server.gap.twin_versions import TwinVersions
+from server.limits.streams import StreamLimiter
+from server.machines.lease_notices import LeaseNotices
+from server.machines.lease_service import LeaseService
+from server.machines.machine_commands import MachineCommands
+from server.machines.machine_link import MachineLink
+from server.machines.machine_registry import MachineRegistry
+from server.machines.stop_service import StopService
+from server.machines.twin_files import TwinFiles
+from server.metrics import ServiceMetrics
+from server.plans.plan_store import PlanStore
+from server.plans.planner import Planner
+from server.plans.policy_store import PolicyStore
+from server.plans.preview_pool import PreviewPool
+from server.plans.site_store import SiteStore
+from server.settings import Settings
+from server.store.database import Database, DatabaseStanding, upgrade
+from server.throws.event_ingest import EventIngest
+from server.throws.hold_relay import HoldRelay
+from server.throws.throw_history import ThrowHistory
+from server.throws.throw_logs import LogStore
+from server.throws.throw_service import ThrowService
+from server.throws.throw_statistics import ThrowStatistics
+from server.throws.throw_store import ThrowStore
+from server.viewer.scene import ViewerScene
+
+logger = logging.getLogger(__name__)
+
+PartT = TypeVar("PartT")
+
+
+class LinkError(DownrangeError):
+    """The machines' endpoint cannot be opened."""
+
+    code = "link"
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The parts of one running service; routes name those they need (server/dependencies.py)."""
+
+    settings: Settings
+    database: Database
+    audit: AuditChain
+    accounts: Accounts
+    access: AccessControl
+    metrics: ServiceMetrics
+    hub: EventHub
+    streams: StreamLimiter
+    registry: MachineRegistry
+    link: MachineLink
+    commands: MachineCommands
+    leases: LeaseService
+    policies: PolicyStore
+    throws: ThrowStore
+    stops: StopService
+    plans: PlanStore
+    pool: PreviewPool
+    planner: Planner
+    holds: HoldRelay
+    throw_service: ThrowService
+    history: ThrowHistory
+    statistics: ThrowStatistics
+    logs: LogStore
+    replays: ReplayControl
+    gap: GapService
+    twin_versions: TwinVersions
+    gap_previews: GapPreviews
+    views: MachineViews
+    sites: SiteStore
+    targets: TargetProposals
+    scene: ViewerScene
+
+    def get(self, kind: type[PartT]) -> PartT:
+        """The part of a type.
+
+        Raises:
+            LookupError: there is none.
+        """
+        for field in fields(self):
+            part = getattr(self, field.name)
+            if isinstance(part, kind):
+                return part
+        raise LookupError(f"the service has no {kind.__name__}")
+
+
+def prepare_database(settings: Settings) -> Database:
+    """Open the database; an empty one gets its schema, an older one only if the settings say so.
+
+    Raises:
+        DatabaseError: not reachable, older or newer than this software.
+    """
+    database = Database(settings.resolved_database_url)
+    try:
+        standing = database.standing()
+        is_upgrade = standing is DatabaseStanding.EMPTY or (
+            standing is DatabaseStanding.OLDER and settings.database_upgrade
+        )
+        if is_upgrade:
+            logger.info("bringing %s to the newest schema", database.shown_url)
+            upgrade(database.url)
+        database.require_current()
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def link_config(settings: Settings, registry: MachineRegistry) -> zenoh.Config:
+    """The router's configuration for all machine accounts of the site."""
+    passwords = registry.passwords()
+    tls = None
+    if settings.link_certificate is not None and settings.link_private_key is not None:
+        tls = RouterTls(settings.link_certificate, settings.link_private_key)
+    if settings.is_link_in_the_clear:
+        logger.warning(
+            "machines call in at %s without encryption: whoever is on that network can read and change "
+            "commands; use tls/... with a certificate (docs/operations.md)",
+            settings.link_listen,
+        )
+    return router_config(
+        listen=(settings.link_listen,),
+        users=passwords,
+        machines=sorted(passwords),
+        site=settings.site,
+        dictionary_file=settings.data_dir / "link" / "users.txt",
+        tls=tls,
+    )
+
+
+@contextmanager
+def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
+    """Open all parts in order of dependency; close them in reverse.
+
+    Raises:
+        DownrangeError: what cannot be opened, and what to do.
+    """
+    with ExitStack() as stack:
+        database = prepare_database(settings)
+        stack.callback(database.close)
+        parts, notices = assemble(settings, database, scene)
+        parts.accounts.create_first_users(settings.data_dir)
+        parts.registry.provision(settings.machine_slot_count)
+        parts.plans.start()
+        parts.sites.start()
+        parts.throws.start()
+        parts.leases.free_all()
+        parts.audit.anchor()
+        stack.callback(parts.audit.anchor)
+        scene.start()
+        stack.callback(scene.close)
+        parts.pool.start()
+        stack.callback(parts.pool.close)
+        parts.gap.start()
+        stack.callback(parts.gap.close)
+        stack.callback(parts.hub.close)
+        stack.callback(notices.close)
+        stack.callback(parts.link.close)
+        try:
+            parts.link.open(link_config(settings, parts.registry))
+        except zenoh.ZError as error:
+            raise LinkError(
+                f"machines cannot call in at {settings.link_listen} ({error}); is another server "
+                "running? Set DOWNRANGE_LINK_LISTEN to a free endpoint"
+            ) from error
+        parts.stops.start()
+        stack.callback(parts.stops.close)
+        yield parts
+
+
+def assemble(
+    settings: Settings, database: Database, scene: ViewerScene
+) -> tuple[Parts, LeaseNotices]:
+    """Build all parts; nothing is opened or started yet."""
+    spec = load_spec()
+    metrics, hub = ServiceMetrics(), EventHub()
+    audit = AuditChain(database, settings.data_dir / "audit-anchors.jsonl")
+    accounts = Accounts(database, audit, settings.session_s)
+    registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
+    policies = PolicyStore(database, settings.policies_dir, spec)
+    throws = ThrowStore(database, audit, registry, policies, hub)
+    ingest = EventIngest(database, throws, hub, metrics)
+    link = MachineLink(settings.site, registry, ingest.take, metrics)
+    commands = MachineCommands(database, audit, link, registry, metrics)
+    leases = LeaseService(
+        database, audit, registry, hub, ttl_s=settings.lease_ttl_s, idle_s=settings.lease_idle_s
+    )
+    notices = LeaseNotices(leases, registry, commands)
+    stops = StopService(database, audit, link, registry, hub)
+    plans = PlanStore(database)
+    pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
+    twins = TwinFiles(settings.data_dir, spec)
+    sites = SiteStore(database, audit, registry, hub, settings.data_dir)
+    planner = Planner(
+        plans, registry, policies, pool, twins, sites, hub, scene, spec, settings.plan_ttl_s
+    )
+    holds = HoldRelay(link, registry, metrics)
+    throw_service = ThrowService(database, registry, leases, plans, sites, throws, commands, holds)
+    logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
+    replays = ReplayControl(logs, plans, scene)
+    gap = GapService(database, audit, registry, logs, twins, hub)
+    twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
+    gap_previews = GapPreviews(registry, policies, pool, twins, twin_versions, settings.data_dir)
+    views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
+    impacts = ImpactDisplay(database, scene)
+    throws.on_change.append(impacts.refresh)
+    targets = TargetProposals(scene, policies, sites, hub, impacts)
+    sites.on_change.append(targets.show_site)
+    leases.on_new_epoch.append(lambda machine_id, _: holds.revoke(machine_id))
+    leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
+    ingest.on_throw_end.append(holds.end)
+    stops.on_stop.append(throw_service.forget)
+
+    accounts.on_session_end(leases.end_session)
+    for part in (hub, targets, replays):
+        accounts.on_session_end(lambda session, part=part: part.end_session(session.session_id))
+    parts = Parts(
+        settings=settings,
+        database=database,
+        audit=audit,
+        accounts=accounts,
+        access=AccessControl(accounts, audit, settings),
+        metrics=metrics,
+        hub=hub,
+        streams=StreamLimiter(metrics),
+        registry=registry,
+        link=link,
+        commands=commands,
+        leases=leases,
+        policies=policies,
+        throws=throws,
+        stops=stops,
+        plans=plans,
+        pool=pool,
+        planner=planner,
+        holds=holds,
+        throw_service=throw_service,
+        history=ThrowHistory(database),
+        statistics=ThrowStatistics(database),
+        logs=logs,
+        replays=replays,
+        gap=gap,
+        twin_versions=twin_versions,
+        gap_previews=gap_previews,
+        views=views,
+        sites=sites,
+        targets=targets,
+        scene=scene,
+    )
+    return parts, notices

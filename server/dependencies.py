@@ -1,0 +1,131 @@
+"""FastAPI dependencies: the parts of the service that a route needs, and who may call it.
+
+Those that hand out a part are coroutines: a plain function would wait for one of the framework's threads.
+"""
+
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Protocol, TypeVar
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from server.accounts.access_control import AccessControl
+from server.accounts.accounts import Accounts, Session
+from server.accounts.audit_chain import AuditChain
+from server.display.machine_views import MachineViews
+from server.display.replay_control import ReplayControl
+from server.display.target_proposals import TargetProposals
+from server.event_hub import EventHub
+from server.gap.gap_previews import GapPreviews
+from server.gap.gap_service import GapService
+from server.gap.twin_versions import TwinVersions
+from server.limits.streams import StreamLimiter
+from server.machines.lease_service import LeaseService
+from server.machines.machine_commands import MachineCommands
+from server.machines.machine_link import MachineLink
+from server.machines.machine_registry import MachineRegistry
+from server.machines.stop_service import StopService
+from server.metrics import ServiceMetrics
+from server.plans.plan_store import PlanStore
+from server.plans.planner import Planner
+from server.plans.policy_store import PolicyStore
+from server.plans.preview_pool import PreviewPool
+from server.plans.site_store import SiteStore
+from server.schemas.console import Permission
+from server.settings import Settings
+from server.store.database import Database
+from server.throws.hold_relay import HoldRelay
+from server.throws.throw_history import ThrowHistory
+from server.throws.throw_logs import LogStore
+from server.throws.throw_service import ThrowService
+from server.throws.throw_statistics import ThrowStatistics
+from server.throws.throw_store import ThrowStore
+
+PartT = TypeVar("PartT")
+
+
+class _Parts(Protocol):
+    """What the composition root puts into the application's state."""
+
+    def get(self, kind: type[PartT]) -> PartT: ...
+
+
+def _get(kind: type[PartT]) -> Callable[[HTTPConnection], Awaitable[PartT]]:
+    async def get(connection: HTTPConnection) -> PartT:
+        parts: _Parts = connection.app.state.parts
+        return parts.get(kind)
+
+    return get
+
+
+AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
+AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
+AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
+CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
+DatabaseDep = Annotated[Database, Depends(_get(Database))]
+GapDep = Annotated[GapService, Depends(_get(GapService))]
+GapPreviewsDep = Annotated[GapPreviews, Depends(_get(GapPreviews))]
+HistoryDep = Annotated[ThrowHistory, Depends(_get(ThrowHistory))]
+HoldsDep = Annotated[HoldRelay, Depends(_get(HoldRelay))]
+HubDep = Annotated[EventHub, Depends(_get(EventHub))]
+LeasesDep = Annotated[LeaseService, Depends(_get(LeaseService))]
+LinkDep = Annotated[MachineLink, Depends(_get(MachineLink))]
+LogsDep = Annotated[LogStore, Depends(_get(LogStore))]
+MetricsDep = Annotated[ServiceMetrics, Depends(_get(ServiceMetrics))]
+PlannerDep = Annotated[Planner, Depends(_get(Planner))]
+PlansDep = Annotated[PlanStore, Depends(_get(PlanStore))]
+PoliciesDep = Annotated[PolicyStore, Depends(_get(PolicyStore))]
+PreviewPoolDep = Annotated[PreviewPool, Depends(_get(PreviewPool))]
+RegistryDep = Annotated[MachineRegistry, Depends(_get(MachineRegistry))]
+ReplaysDep = Annotated[ReplayControl, Depends(_get(ReplayControl))]
+SettingsDep = Annotated[Settings, Depends(_get(Settings))]
+SitesDep = Annotated[SiteStore, Depends(_get(SiteStore))]
+StatisticsDep = Annotated[ThrowStatistics, Depends(_get(ThrowStatistics))]
+StopsDep = Annotated[StopService, Depends(_get(StopService))]
+StreamsDep = Annotated[StreamLimiter, Depends(_get(StreamLimiter))]
+TargetsDep = Annotated[TargetProposals, Depends(_get(TargetProposals))]
+ThrowServiceDep = Annotated[ThrowService, Depends(_get(ThrowService))]
+ThrowsDep = Annotated[ThrowStore, Depends(_get(ThrowStore))]
+TwinVersionsDep = Annotated[TwinVersions, Depends(_get(TwinVersions))]
+ViewsDep = Annotated[MachineViews, Depends(_get(MachineViews))]
+
+
+def check_write(connection: HTTPConnection, access: AccessDep) -> None:
+    """Refuse writes from other pages before the body is read."""
+    access.check_write(connection)
+
+
+def current_session(connection: HTTPConnection, access: AccessDep) -> Session:
+    """The caller's session.
+
+    Raises:
+        NotSignedInError: none, or it has ended.
+    """
+    return access.session_of(connection)
+
+
+SessionDep = Annotated[Session, Depends(current_session)]
+
+
+def requires(
+    permission: Permission,
+) -> Callable[[HTTPConnection, AccessDep, SessionDep], Session]:
+    """A dependency that admits only holders of a permission."""
+
+    def check(connection: HTTPConnection, access: AccessDep, session: SessionDep) -> Session:
+        return access.require(connection, session, permission)
+
+    return check
+
+
+Viewer = Annotated[Session, Depends(requires(Permission.VIEW))]
+Lessee = Annotated[Session, Depends(requires(Permission.LEASE))]
+Thrower = Annotated[Session, Depends(requires(Permission.THROW))]
+ImpactMarker = Annotated[Session, Depends(requires(Permission.IMPACT_MARK))]
+LeaseTaker = Annotated[Session, Depends(requires(Permission.LEASE_TAKE))]
+StopClearer = Annotated[Session, Depends(requires(Permission.STOP_CLEAR))]
+GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
+TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
+SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
+Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
+Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]

@@ -1,0 +1,1 @@
+"""What each browser session sees: machine views, targets, impact marks, replays."""

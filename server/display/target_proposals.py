@@ -1,0 +1,196 @@
+"""Proposed targets: each session's target point, from a click in the 3D view or from the fields."""
+
+import threading
+from dataclasses import dataclass, field
+from typing import Literal
+
+from machine.conventions import Mode
+from machine.errors import RefusedError
+from machine.messages import Target
+from machine.reach import check_target
+from server.display.impact_display import ImpactDisplay
+from server.errors import ApiError
+from server.event_hub import EventHub
+from server.plans.policy_store import PolicyStore
+from server.plans.site_store import SiteStore
+from server.schemas.console import TargetView, ViewRequest
+from server.schemas.events import TargetProposedEvent
+from server.viewer.pick import PickRefusedError
+from server.viewer.scene import ViewerScene
+from server.viewer.state import Reach
+
+Source = Literal["pick", "fields"]
+SAME_REACH_M = 0.05
+"""Reach rings closer to each other than this are drawn as one; labels have a resolution of 0.1 m."""
+
+
+@dataclass(slots=True)
+class ViewContext:
+    """Machine, mode and targets of a session's 3D view."""
+
+    machine_id: str | None = None
+    mode: Mode | None = None
+    targets: dict[str, Target] = field(default_factory=dict[str, Target])
+    reach: Reach | None = None
+    """As last drawn."""
+
+
+class TargetProposals:
+    """Targets and 3D view settings of all sessions."""
+
+    def __init__(
+        self,
+        scene: ViewerScene,
+        policies: PolicyStore,
+        sites: SiteStore,
+        hub: EventHub,
+        impacts: ImpactDisplay,
+    ) -> None:
+        self._scene = scene
+        self._sites = sites
+        self._impacts = impacts
+        self._policies = policies
+        self._hub = hub
+        self._lock = threading.Lock()
+        self._outlooks: dict[str, ViewContext] = {}
+
+    def _outlook(self, session_id: str) -> ViewContext:
+        with self._lock:
+            return self._outlooks.setdefault(session_id, ViewContext())
+
+    def target_of(self, session_id: str, machine_id: str) -> TargetView | None:
+        """The proposed target of a session for a machine."""
+        target = self._outlook(session_id).targets.get(machine_id)
+        return None if target is None else TargetView.of(target)
+
+    def propose(
+        self, session_id: str, machine_id: str, target: Target, mode: Mode | None, source: Source
+    ) -> TargetView:
+        """Set a session's target and show it."""
+        outlook = self._outlook(session_id)
+        outlook.targets[machine_id] = target
+        outlook.mode = mode or outlook.mode
+        if source == "fields" and outlook.machine_id == machine_id:
+            self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
+        self._draw_reach(session_id)
+        view = TargetView.of(target)
+        self._tell(session_id, machine_id, view, source, self._refusal(target, outlook.mode))
+        return view
+
+    def remove(self, session_id: str, machine_id: str) -> None:
+        """Remove a session's target and its preview."""
+        self._outlook(session_id).targets.pop(machine_id, None)
+        self._scene.set_target(session_id, None)
+        self._scene.clear_plan(session_id)
+        self._draw_reach(session_id)
+        self._tell(session_id, machine_id, None, "fields", "")
+
+    def take_pick(self, session_id: str, point_m: tuple[float, float, float]) -> None:
+        """A click in the 3D view."""
+        outlook = self._outlook(session_id)
+        if outlook.machine_id is None:
+            return
+        target = Target(x_m=point_m[0], y_m=point_m[1], z_m=point_m[2])
+        self.propose(session_id, outlook.machine_id, target, None, "pick")
+
+    def take_refused_pick(self, session_id: str, error: PickRefusedError) -> None:
+        """A click that gave no target."""
+        outlook = self._outlook(session_id)
+        if outlook.machine_id is not None:
+            self._tell(session_id, outlook.machine_id, None, "pick", str(error))
+
+    def set_view(self, session_id: str, request: ViewRequest) -> None:
+        """Change what a session's 3D view shows."""
+        outlook = self._outlook(session_id)
+        if request.machine_id is not None:
+            outlook.machine_id = request.machine_id
+            self._scene.show_machine(session_id, request.machine_id)
+            self._impacts.watch(session_id, request.machine_id)
+            self._scene.set_site(session_id, self._sites.objects(request.machine_id))
+        if request.mode is not None:
+            outlook.mode = request.mode
+        if request.machine_id is not None or request.mode is not None:
+            self._draw_reach(session_id)
+        if request.theme is not None:
+            self._scene.set_theme(session_id, request.theme)
+        if request.camera is not None:
+            self._scene.set_camera(session_id, request.camera)
+        if request.is_picking is not None:
+            self._scene.set_picking(session_id, request.is_picking)
+        if request.play_preview:
+            self._scene.play_preview(session_id)
+
+    def show_site(self, machine_id: str) -> None:
+        """Redraw a changed site in all sessions that watch its machine."""
+        with self._lock:
+            watching = [
+                session_id
+                for session_id, outlook in self._outlooks.items()
+                if outlook.machine_id == machine_id
+            ]
+        for session_id in watching:
+            self._scene.set_site(session_id, self._sites.objects(machine_id))
+
+    def end_session(self, session_id: str) -> None:
+        """Forget a session."""
+        self._impacts.end_session(session_id)
+        with self._lock:
+            self._outlooks.pop(session_id, None)
+
+    def _draw_reach(self, session_id: str) -> None:
+        """Draw the rings where mode, policies or the height of the session's target have changed."""
+        outlook = self._outlook(session_id)
+        reach = self._reach(outlook.mode, outlook.targets.get(outlook.machine_id or ""))
+        if reach != outlook.reach:
+            outlook.reach = reach
+            self._scene.set_reach(session_id, reach)
+
+    def _reach(self, mode: Mode | None, target: Target | None) -> Reach:
+        reach = self._policies.reach()
+        by_mode = {item.mode: item for item in reach.modes}
+        chosen = [by_mode[mode]] if mode is not None and mode in by_mode else list(by_mode.values())
+        planar, spatial = by_mode.get(Mode.PLANAR), by_mode.get(Mode.SPATIAL)
+        height_m = 0.0 if target is None else target.z_m
+        modes = [item.mode for item in chosen]
+        on_ground_m, raised_m = (self._policies.farthest_m(modes, h) for h in (0.0, height_m))
+        is_flat = on_ground_m - raised_m < SAME_REACH_M
+        return Reach(
+            static_m=reach.static_reach_m,
+            planar_m=None if planar is None else planar.range_max_m,
+            spatial_m=None if spatial is None else spatial.range_max_m,
+            min_m=min((item.range_min_m for item in chosen), default=0.0),
+            mode=mode if mode in by_mode else None,
+            raised_m=None if is_flat else raised_m,
+            height_m=0.0 if is_flat else height_m,
+        )
+
+    def _refusal(self, target: Target, mode: Mode | None) -> str:
+        """Why no throw (of this mode) can reach the target; empty if one can."""
+        texts: list[str] = []
+        for candidate in Mode if mode is None else (mode,):
+            try:
+                check_target(self._policies.active(candidate).card, target)
+            except RefusedError as error:
+                texts.append(error.detail)
+            except ApiError as error:
+                texts.append(error.message)
+            else:
+                return ""
+        return texts[-1] if texts else ""
+
+    def _tell(
+        self,
+        session_id: str,
+        machine_id: str,
+        target: TargetView | None,
+        source: Source,
+        refusal: str,
+    ) -> None:
+        event = TargetProposedEvent(
+            machine_id=machine_id,
+            session_id=session_id,
+            target=target,
+            source=source,
+            refusal=refusal,
+        )
+        self._hub.publish(event, session_id)

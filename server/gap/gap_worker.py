@@ -1,0 +1,219 @@
+"""Runs a diagnosis in a separate process at low priority; the parent receives its progress and may kill it.
+
+The process reads log files and answers with JSON and an HTML page. It is spawned, not forked, because the
+server holds Zenoh's threads, and it exits when the server is gone.
+"""
+
+import logging
+import math
+import multiprocessing
+import os
+import threading
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any, cast
+
+from diagnosis.correction import found_effects
+from diagnosis.report.diagnosis_page import diagnosis_html
+from diagnosis.verdict import Diagnosis
+from machine.errors import DownrangeError
+from sim_twin.twin.profile import TwinProfile
+
+if TYPE_CHECKING:
+    from diagnosis.loading.throw_data import LoadedSet
+
+logger = logging.getLogger(__name__)
+
+NICENESS = 15
+"""Below previews (5): a diagnosis takes a minute and may wait."""
+POLL_S = 0.2
+END_WAIT_S = 2.0
+PROGRESS_PERIOD_S = 0.25
+
+Diagnose = Callable[["GapJob", Callable[[float, str], None]], Diagnosis]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class GapJob:
+    """One diagnosis, as it travels to the process."""
+
+    title: str
+    log_paths: tuple[Path, ...]
+    profile: TwinProfile
+    reference_paths: tuple[Path, ...] = ()
+    """Logs of the machine while it was healthy; none: it is compared with its type."""
+    names: Mapping[str, str] = field(default_factory=dict[str, str])
+    """What people call a log, by its file's name, which is a hash."""
+
+
+@dataclass(frozen=True, slots=True)
+class GapAnswer:
+    """Result of a diagnosis; `result` is finite JSON of a Diagnosis, `report` a compressed page."""
+
+    verdict: str
+    sentence: str
+    effect_count: int
+    result: Mapping[str, Any]
+    report: bytes
+
+
+class GapFailedError(Exception):
+    """The process ended without an answer."""
+
+
+class GapKilledError(Exception):
+    """The run was cancelled."""
+
+
+def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
+    """Load the logs and diagnose them."""
+    # Imported here: the server's own process does not need the simulator.
+    from diagnosis.diagnose import diagnose_throws
+    from diagnosis.loading.logs import load_throws
+
+    progress(0.0, "reading logs")
+    loaded = _named(load_throws(job.log_paths), job.names)
+    reference = _named(load_throws(job.reference_paths), job.names) if job.reference_paths else None
+    return diagnose_throws(loaded, job.profile, progress, reference=reference)
+
+
+def _named(loaded: "LoadedSet", names: Mapping[str, str]) -> "LoadedSet":
+    """The loaded logs, with refused ones named by their throw instead of their path."""
+
+    def renamed(path: Path, reason: str) -> tuple[Path, str]:
+        name = names.get(path.name, path.name)
+        return Path(name), reason.replace(f"{path} ", "it ").replace(str(path), name)
+
+    return replace(loaded, refused=tuple(renamed(*entry) for entry in loaded.refused))
+
+
+class GapProcess:
+    """Runs one diagnosis at a time; `run` blocks until it ended."""
+
+    def __init__(self, diagnose: Diagnose = diagnose_logs) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._diagnose = diagnose
+
+    def run(self, job: GapJob, progress: Progress, is_cancelled: Callable[[], bool]) -> GapAnswer:
+        """Diagnose.
+
+        Args:
+            job: what to diagnose.
+            progress: called with the share done and the name of the step.
+            is_cancelled: polled several times a second; True kills the process.
+
+        Raises:
+            GapKilledError: `is_cancelled` returned True.
+            GapFailedError: the process failed, with the reason.
+        """
+        ours, theirs = self._context.Pipe(duplex=False)
+        process = self._context.Process(
+            target=run_job, args=(job, self._diagnose, theirs), name="gap", daemon=True
+        )
+        process.start()
+        theirs.close()
+        try:
+            while True:
+                if is_cancelled():
+                    raise GapKilledError
+                if not ours.poll(POLL_S):
+                    continue
+                try:
+                    kind, content = ours.recv()
+                except EOFError:
+                    process.join(END_WAIT_S)
+                    raise GapFailedError(
+                        f"the diagnosis ended without an answer (exit code {process.exitcode}); "
+                        "killed for memory? The server's log may say more"
+                    ) from None
+                if kind == "progress":
+                    progress(*content)
+                elif kind == "failed":
+                    raise GapFailedError(content)
+                else:
+                    return cast("GapAnswer", content)
+        finally:
+            ours.close()
+            _end(process)
+
+
+def _end(process: Any) -> None:
+    process.join(0.5)
+    if process.is_alive():
+        process.terminate()
+        process.join(END_WAIT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    process.close()
+
+
+# In the process --------------------------------------------------------------------------------------
+
+
+def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
+    """Entry point of the process."""
+    os.nice(NICENESS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    told_s = -1e9
+
+    def tell(share: float, text: str) -> None:
+        nonlocal told_s
+        if monotonic() - told_s >= PROGRESS_PERIOD_S:
+            told_s = monotonic()
+            answers.send(("progress", (share, text)))
+
+    try:
+        found = diagnose(job, tell)
+        answers.send(("done", answer_of(found, job.title)))
+    except DownrangeError as error:
+        answers.send(("failed", str(error)))
+    except (ValueError, MemoryError) as error:
+        logger.exception("diagnosis failed")
+        answers.send(("failed", f"{type(error).__name__}: {error}"))
+    except Exception as error:
+        logger.exception("diagnosis failed")
+        answers.send(
+            ("failed", f"the diagnosis made a mistake ({type(error).__name__}: {error}); report it")
+        )
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def answer_of(found: Diagnosis, title: str) -> GapAnswer:
+    """A diagnosis as it is stored.
+
+    Raises:
+        ValueError: a number of the verdict itself is not finite.
+    """
+    result = cast("dict[str, Any]", finite(found.model_dump(mode="json")))
+    # Validated as the console reads it: evidence may lack a number, the verdict may not.
+    Diagnosis.model_validate(result)
+    return GapAnswer(
+        verdict=found.verdict.value,
+        sentence=found.sentence,
+        effect_count=len(found_effects(found)),
+        result=result,
+        report=zlib.compress(diagnosis_html(found, title).encode()),
+    )
+
+
+def finite(value: Any) -> Any:
+    """The same tree with None for numbers that JSON does not have."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in cast("Mapping[Any, Any]", value).items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [finite(item) for item in cast("Sequence[Any]", value)]
+    return value

@@ -1,0 +1,295 @@
+"""What the server knows about its machines: accounts in the database, the last state in memory.
+
+A machine that was ever seen stays in the list; a lost one is shown with when it was last seen.
+"""
+
+import hashlib
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import select, update
+
+from machine.messages import JointStream, MachineState
+from server.accounts.audit_chain import Actor, AuditChain, Entry
+from server.clock import utc_now
+from server.errors import NotFoundError
+from server.secret_files import write_secret
+from server.store.database import Database
+from server.store.models import Lease, Machine
+
+FRESH_S = 1.0
+"""A state older than this is not the present (targets: loss seen within 1 s)."""
+SECRETS_FOLDER = "machines"
+_RATE_SMOOTHING_RATIO = 0.1
+_SEEN_PERIOD_S = 10.0
+"""How often `last_seen_utc` is written while a machine is there."""
+
+
+@dataclass(slots=True)
+class KnownMachine:
+    """One machine in memory."""
+
+    machine_id: str
+    site: str
+    name: str
+    is_listed: bool
+    has_token: bool = False
+    state: MachineState | None = None
+    received_s: float = -1e9
+    """Server's monotonic time of the last state."""
+    last_seen_utc: datetime | None = None
+    written_s: float = -1e9
+    round_trip_s: float | None = None
+    state_rate_hz: float | None = None
+    is_marked_lost: bool = True
+    seen_t_mono_ns: int | None = None
+    """Newest time of the machine's own clock in its messages; echoed so that it can tell a stale command."""
+
+    @property
+    def age_s(self) -> float:
+        """Since the last state."""
+        return time.monotonic() - self.received_s
+
+    @property
+    def is_connected(self) -> bool:
+        """Its liveliness token stands and its state is fresh."""
+        return self.has_token and self.state is not None and self.age_s <= FRESH_S
+
+
+StateListener = Callable[[KnownMachine, MachineState], None]
+LinkListener = Callable[[str], None]
+
+
+class MachineRegistry:
+    """All machines of the site; thread-safe."""
+
+    def __init__(self, database: Database, audit: AuditChain, site: str, data_dir: Path) -> None:
+        self._database = database
+        self._audit = audit
+        self._site = site
+        self._folder = data_dir / SECRETS_FOLDER
+        self._lock = threading.RLock()
+        self._known: dict[str, KnownMachine] = {}
+        self._tokens: dict[str, str] = {}
+        self.on_state: list[StateListener] = []
+        self.on_joints: list[Callable[[JointStream], None]] = []
+        self.on_found: list[LinkListener] = []
+        self.on_lost: list[LinkListener] = []
+        self._load()
+
+    def _load(self) -> None:
+        with self._database.read() as session:
+            for row in session.scalars(select(Machine).order_by(Machine.machine_id)):
+                self._tokens[row.machine_id] = row.token_sha256
+                self._known[row.machine_id] = KnownMachine(
+                    row.machine_id,
+                    row.site,
+                    row.name,
+                    row.is_listed,
+                    last_seen_utc=row.last_seen_utc,
+                )
+
+    # Accounts -------------------------------------------------------------------------------------
+
+    def provision(self, count: int) -> None:
+        """Make machine accounts m001.. up to this number; each gets a secret file of its own."""
+        for index in range(1, count + 1):
+            machine_id = f"m{index:03d}"
+            if machine_id not in self._known:
+                self._create(machine_id)
+            elif not self.secret_path(machine_id).exists():
+                self._renew_secret(machine_id)
+
+    def enrol(self, machine_id: str, name: str, actor: Actor) -> None:
+        """List a machine, with an account if it has none; the link knows it after a restart."""
+        if machine_id not in self._known:
+            self._create(machine_id)
+        with self._database.write() as session:
+            session.execute(
+                update(Machine)
+                .where(Machine.machine_id == machine_id)
+                .values(is_listed=True, name=name)
+            )
+            self._audit.append(
+                session,
+                Entry(actor, "machine.enrol", "fact", machine_id=machine_id, detail={"name": name}),
+            )
+        with self._lock:
+            self._known[machine_id].is_listed = True
+            self._known[machine_id].name = name
+
+    def secret_path(self, machine_id: str) -> Path:
+        """File with the password of a machine, for `downrange machine --password-file`."""
+        return self._folder / f"{machine_id}.password"
+
+    def passwords(self) -> dict[str, str]:
+        """Passwords of all machines, for the link's router."""
+        return {
+            machine_id: self.secret_path(machine_id).read_text(encoding="utf-8").strip()
+            for machine_id in self._known
+            if self.secret_path(machine_id).exists()
+        }
+
+    def is_token_of(self, machine_id: str, token: str) -> bool:
+        """Whether a bearer token is this machine's password."""
+        expected = self._tokens.get(machine_id, "")
+        return secrets.compare_digest(hashlib.sha256(token.encode()).hexdigest(), expected)
+
+    def _create(self, machine_id: str) -> None:
+        password = secrets.token_urlsafe(24)
+        write_secret(self.secret_path(machine_id), password + "\n")
+        digest = hashlib.sha256(password.encode()).hexdigest()
+        with self._database.write() as session:
+            session.add(
+                Machine(
+                    machine_id=machine_id,
+                    site=self._site,
+                    name="",
+                    token_sha256=digest,
+                    is_listed=False,
+                    enrolled_utc=utc_now(),
+                    last_seen_utc=None,
+                    stop_requested_utc=None,
+                )
+            )
+            session.flush()
+            session.add(Lease(machine_id=machine_id, epoch_count=0))
+        with self._lock:
+            self._tokens[machine_id] = digest
+            self._known[machine_id] = KnownMachine(machine_id, self._site, "", is_listed=False)
+
+    def _renew_secret(self, machine_id: str) -> None:
+        password = secrets.token_urlsafe(24)
+        write_secret(self.secret_path(machine_id), password + "\n")
+        digest = hashlib.sha256(password.encode()).hexdigest()
+        with self._database.write() as session:
+            session.execute(
+                update(Machine).where(Machine.machine_id == machine_id).values(token_sha256=digest)
+            )
+        self._tokens[machine_id] = digest
+
+    # From the link --------------------------------------------------------------------------------
+
+    def set_token(self, machine_id: str, is_alive: bool) -> None:
+        """The liveliness token of a machine came or went."""
+        with self._lock:
+            known = self._known.get(machine_id)
+            if known is None:
+                return
+            known.has_token = is_alive
+        if not is_alive:
+            self._mark_lost(known)
+
+    def take_state(self, state: MachineState) -> None:
+        """A machine's state arrived."""
+        with self._lock:
+            known = self._known.get(state.machine_id)
+            if known is None:
+                return
+            now_s = time.monotonic()
+            gap_s = now_s - known.received_s
+            if 0.0 < gap_s < FRESH_S:
+                rate_hz = 1.0 / gap_s
+                old_hz = known.state_rate_hz or rate_hz
+                known.state_rate_hz = old_hz + _RATE_SMOOTHING_RATIO * (rate_hz - old_hz)
+            known.state, known.received_s = state, now_s
+            known.seen_t_mono_ns = state.t_mono_ns
+            known.last_seen_utc = utc_now()
+            is_found = known.is_marked_lost and known.has_token
+            if is_found:
+                known.is_marked_lost = False
+            is_write_due = is_found or now_s - known.written_s > _SEEN_PERIOD_S
+            if is_write_due:
+                known.written_s, known.is_listed = now_s, True
+        if is_write_due:
+            self._write_seen(known)
+        if is_found:
+            for listener in self.on_found:
+                listener(state.machine_id)
+        for state_listener in self.on_state:
+            state_listener(known, state)
+
+    def take_joints(self, joints: JointStream) -> None:
+        """Joint positions for the 3D view arrived."""
+        with self._lock:
+            known = self._known.get(joints.machine_id)
+            if known is None:
+                return
+            # A state of another boot resets the clock; joints only move it on.
+            if known.seen_t_mono_ns is not None:
+                known.seen_t_mono_ns = max(known.seen_t_mono_ns, joints.t_mono_ns)
+        for listener in self.on_joints:
+            listener(joints)
+
+    def note_round_trip(self, machine_id: str, seconds: float) -> None:
+        """A command was answered after this time."""
+        with self._lock:
+            known = self._known.get(machine_id)
+            if known is not None:
+                known.round_trip_s = seconds
+
+    def sweep(self) -> None:
+        """Mark machines whose state went stale; call a few times a second."""
+        for known in self.all():
+            if not known.is_marked_lost and not known.is_connected:
+                self._mark_lost(known)
+
+    def _mark_lost(self, known: KnownMachine) -> None:
+        with self._lock:
+            if known.is_marked_lost:
+                return
+            known.is_marked_lost = True
+            known.state_rate_hz = None
+        self._write_seen(known)
+        for listener in self.on_lost:
+            listener(known.machine_id)
+
+    def _write_seen(self, known: KnownMachine) -> None:
+        with self._database.write() as session:
+            session.execute(
+                update(Machine)
+                .where(Machine.machine_id == known.machine_id)
+                .values(last_seen_utc=known.last_seen_utc, is_listed=True)
+            )
+
+    # Queries --------------------------------------------------------------------------------------
+
+    def all(self) -> list[KnownMachine]:
+        """Every machine, spare accounts included."""
+        with self._lock:
+            return list(self._known.values())
+
+    def listed(self) -> list[KnownMachine]:
+        """Machines that people see."""
+        return [known for known in self.all() if known.is_listed]
+
+    def get(self, machine_id: str) -> KnownMachine:
+        """One machine.
+
+        Raises:
+            NotFoundError: there is none of this name.
+        """
+        with self._lock:
+            known = self._known.get(machine_id)
+        if known is None:
+            raise NotFoundError(
+                "no_machine", f"There is no machine '{machine_id[:40]}' at site '{self._site}'."
+            )
+        return known
+
+    def seen_t_mono_ns(self, machine_id: str) -> int | None:
+        """Newest time of the machine's own clock that has been seen."""
+        with self._lock:
+            known = self._known.get(machine_id)
+        return None if known is None else known.seen_t_mono_ns
+
+    def is_connected(self, machine_id: str) -> bool:
+        """Whether a command can be sent now."""
+        with self._lock:
+            known = self._known.get(machine_id)
+        return known is not None and known.is_connected

@@ -1,0 +1,213 @@
+"""Policy versions: the files in the policies folder, the active ones, and all versions ever seen.
+
+A policy whose file does not match its card is shown with its problem and never used.
+"""
+
+import threading
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import func, select
+
+from machine.conventions import Mode
+from machine.errors import PolicyError
+from machine.messages import RejectReason
+from machine.policy_card import CARD_FILE, PolicyCard, load_card
+from machine.reach import MIN_RANGE_M, reach_m
+from machine.spec import MachineSpec
+from runtime.control.observation import PACE_NAME
+from runtime.control.policy import ACTIVE_FILE, find_policy
+from server.clock import utc_now
+from server.errors import ApiError, NotFoundError, from_reason
+from server.schemas.console import ModeReach, ReachView
+from server.schemas.history import PolicyView
+from server.store.database import Database
+from server.store.models import Policy, Throw
+
+LOOK_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPolicy:
+    """A usable policy version."""
+
+    folder: Path
+    card: PolicyCard
+
+
+class PolicyStore:
+    """The policies folder, read again when it changed."""
+
+    def __init__(self, database: Database, folder: Path, spec: MachineSpec) -> None:
+        self._database = database
+        self._folder = folder
+        self._spec = spec
+        self._lock = threading.Lock()
+        self._looked_s = -1e9
+        self._stamp: tuple[tuple[str, int], ...] | None = None
+        self._present: dict[str, StoredPolicy] = {}
+        self._active: dict[Mode, StoredPolicy] = {}
+        self._problems: dict[str, str] = {}
+
+    def refresh(self) -> None:
+        """Read the folder if a file of it changed; looks at most once in `LOOK_PERIOD_S`."""
+        with self._lock:
+            now_s = time.monotonic()
+            if now_s - self._looked_s < LOOK_PERIOD_S:
+                return
+            self._looked_s = now_s
+            stamp = self._read_stamp()
+            if stamp == self._stamp:
+                return
+            self._stamp = stamp
+            self._present, self._problems, self._active = {}, {}, {}
+            for folder in self._folders():
+                try:
+                    card = load_card(folder)
+                except PolicyError as error:
+                    self._problems[folder.name] = str(error)
+                else:
+                    self._present[card.policy_sha256] = StoredPolicy(folder, card)
+            for mode in Mode:
+                self._read_active(mode)
+            self._remember()
+
+    def _read_active(self, mode: Mode) -> None:
+        try:
+            folder = find_policy(self._folder, mode)
+        except PolicyError as error:
+            self._problems[mode.value] = str(error)
+            return
+        found = [p for p in self._present.values() if p.folder == folder and p.card.mode is mode]
+        if not found:
+            cause = self._problems.get(folder.name, f"its card is not for mode {mode.value}")
+            self._problems[mode.value] = f"active policy {folder.name} cannot be used: {cause}"
+        elif found[0].card.model_sha256 != self._spec.sha256:
+            self._problems[mode.value] = (
+                f"active policy {folder.name} is for machine model "
+                f"{found[0].card.model_sha256[:12]}..., this server's is {self._spec.sha256[:12]}..."
+            )
+        else:
+            self._active[mode] = found[0]
+
+    def _folders(self) -> list[Path]:
+        if not self._folder.is_dir():
+            return []
+        return sorted(path for path in self._folder.iterdir() if (path / CARD_FILE).is_file())
+
+    def _read_stamp(self) -> tuple[tuple[str, int], ...]:
+        files = [self._folder / ACTIVE_FILE]
+        files += [file for folder in self._folders() for file in folder.iterdir()]
+        return tuple((str(f), f.stat().st_mtime_ns) for f in files if f.is_file())
+
+    def _remember(self) -> None:
+        with self._database.write() as session:
+            for sha256, policy in self._present.items():
+                if session.get(Policy, sha256) is None:
+                    session.add(
+                        Policy(
+                            policy_sha256=sha256,
+                            policy_id=policy.card.policy_id,
+                            mode=policy.card.mode.value,
+                            card=policy.card.model_dump(mode="json"),
+                            first_seen_utc=utc_now(),
+                        )
+                    )
+
+    def active(self, mode: Mode) -> StoredPolicy:
+        """The policy to throw with.
+
+        Raises:
+            ApiError: none that can be used, with the cause.
+        """
+        self.refresh()
+        policy = self._active.get(mode)
+        if policy is None:
+            raise self._unusable(mode)
+        return policy
+
+    def name_of(self, policy_sha256: str) -> str:
+        """Id of a version; the start of its hash if its files are gone."""
+        found = self._present.get(policy_sha256)
+        return policy_sha256[:12] if found is None else found.card.policy_id
+
+    def active_folders(self) -> tuple[Path, ...]:
+        """Folders of the active policies."""
+        self.refresh()
+        return tuple(policy.folder for policy in self._active.values())
+
+    def _unusable(self, mode: Mode) -> ApiError:
+        cause = self._problems.get(mode.value, "none is active")
+        return from_reason(
+            RejectReason.POLICY_UNUSABLE, f"No usable policy for mode {mode.value}: {cause}."
+        )
+
+    def reach(self) -> ReachView:
+        """Where the active policies reach."""
+        self.refresh()
+        return ReachView(
+            static_reach_m=self._spec.static_reach_m,
+            modes=tuple(
+                ModeReach(
+                    mode=mode,
+                    policy_id=policy.card.policy_id,
+                    policy_sha256=policy.card.policy_sha256,
+                    range_min_m=max(policy.card.target_range_min_m, MIN_RANGE_M[mode]),
+                    range_max_m=policy.card.target_range_max_m,
+                    raised_range_max_m=reach_m(policy.card, policy.card.target_height_max_m),
+                    height_min_m=policy.card.target_height_min_m,
+                    height_max_m=policy.card.target_height_max_m,
+                    has_pace=PACE_NAME in policy.card.observation_names,
+                )
+                for mode, policy in sorted(self._active.items())
+            ),
+        )
+
+    def farthest_m(self, modes: Collection[Mode], height_m: float) -> float:
+        """As far as any active policy of these modes reaches at a height; 0 where there is none."""
+        cards = [policy.card for mode, policy in self._active.items() if mode in modes]
+        return max((reach_m(card, height_m) for card in cards), default=0.0)
+
+    def views(self) -> list[PolicyView]:
+        """All versions ever seen, the active ones first."""
+        self.refresh()
+        with self._database.read() as session:
+            rows = session.scalars(select(Policy)).all()
+            counted = session.execute(
+                select(Throw.policy_sha256, func.count()).group_by(Throw.policy_sha256)
+            )
+            counts = {row[0]: row[1] for row in counted}
+        views = [self._view(row, counts.get(row.policy_sha256, 0)) for row in rows]
+        return sorted(views, key=lambda v: (not v.is_active, not v.is_present, v.policy_id))
+
+    def view(self, policy_sha256: str) -> PolicyView:
+        """One version.
+
+        Raises:
+            NotFoundError: never seen.
+        """
+        self.refresh()
+        with self._database.read() as session:
+            row = session.get(Policy, policy_sha256)
+            if row is None:
+                raise NotFoundError("no_policy", f"No policy has sha256 {policy_sha256[:16]}...")
+            count = session.scalar(select(func.count()).where(Throw.policy_sha256 == policy_sha256))
+        return self._view(row, count or 0)
+
+    def _view(self, row: Policy, throw_count: int) -> PolicyView:
+        mode = Mode(row.mode)
+        active = self._active.get(mode)
+        is_present = row.policy_sha256 in self._present
+        return PolicyView(
+            policy_id=row.policy_id,
+            policy_sha256=row.policy_sha256,
+            mode=mode,
+            is_active=active is not None and active.card.policy_sha256 == row.policy_sha256,
+            is_present=is_present,
+            problem=None if is_present else self._problems.get(row.policy_id, "its files are gone"),
+            first_seen_utc=row.first_seen_utc,
+            throw_count=throw_count,
+            card=PolicyCard.model_validate(row.card),
+        )

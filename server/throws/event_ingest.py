@@ -1,0 +1,179 @@
+"""Stores machine events, each exactly once, and applies them to throws.
+
+The whole batch is one transaction; only after it is on disk the machine gets its acknowledgement and
+deletes what it had kept.
+"""
+
+import logging
+import math
+from collections.abc import Callable
+
+from pydantic import JsonValue, ValidationError
+from sqlalchemy import select
+from sqlalchemy.orm import Session as DatabaseSession
+
+from machine.messages import EventAck, EventBatch, EventKind, ImpactSurvey, MachineEvent, ThrowEnd
+from server.clock import utc_now
+from server.event_hub import EventHub
+from server.metrics import ServiceMetrics
+from server.schemas.history import Outcome, ThrowPhase
+from server.store.database import Database
+from server.store.models import Event, Throw
+from server.throws.impacts import add_impact
+from server.throws.throw_store import ThrowStore, move_row
+
+logger = logging.getLogger(__name__)
+
+_PHASES = {
+    EventKind.THROW_ACCEPTED: ThrowPhase.ACCEPTED,
+    EventKind.THROW_STARTED: ThrowPhase.THROWING,
+    EventKind.RELEASE_COMMANDED: ThrowPhase.COMMITTED,
+}
+_ALERTS = {
+    EventKind.BOOTED: ("info", "has started"),
+    EventKind.STOP_LATCHED: ("error", "is stopped"),
+    EventKind.FAULT: ("error", "has a fault"),
+    EventKind.STOP_CLEARED: ("info", "is released from stop"),
+}
+EndListener = Callable[[str], None]
+
+
+class EventIngest:
+    """Takes batches of events."""
+
+    def __init__(
+        self, database: Database, throws: ThrowStore, hub: EventHub, metrics: ServiceMetrics
+    ) -> None:
+        self._database = database
+        self._throws = throws
+        self._hub = hub
+        self._metrics = metrics
+        self.on_throw_end: list[EndListener] = []
+
+    def take(self, batch: EventBatch) -> EventAck:
+        """Store a batch; returns what the machine may delete."""
+        with self._database.write() as database:
+            fresh = self._fresh(database, batch)
+            for event in fresh:
+                database.add(_row(event))
+                self._apply(database, event)
+        for event in fresh:
+            self._metrics.events_count.labels(kind=event.kind.value).inc()
+            self._follow(event)
+        self._metrics.event_repeats_count.inc(len(batch.events) - len(fresh))
+        last = max((event.sequence_count for event in batch.events), default=-1)
+        return EventAck(boot_id=batch.boot_id, sequence_count=last)
+
+    @staticmethod
+    def _fresh(database: DatabaseSession, batch: EventBatch) -> list[MachineEvent]:
+        by_boot: dict[str, list[int]] = {}
+        for event in batch.events:
+            by_boot.setdefault(event.boot_id, []).append(event.sequence_count)
+        stored: set[tuple[str, int]] = set()
+        for boot_id, sequences in by_boot.items():
+            stored |= {
+                (boot_id, sequence)
+                for sequence in database.scalars(
+                    select(Event.sequence_count).where(
+                        Event.machine_id == batch.machine_id,
+                        Event.boot_id == boot_id,
+                        Event.sequence_count.in_(sequences),
+                    )
+                )
+            }
+        fresh: list[MachineEvent] = []
+        for event in batch.events:
+            key = (event.boot_id, event.sequence_count)
+            if key not in stored:
+                stored.add(key)
+                fresh.append(event)
+        return fresh
+
+    def _apply(self, database: DatabaseSession, event: MachineEvent) -> None:
+        if event.throw_id is None:
+            return
+        database.flush()
+        throw = database.get(Throw, event.throw_id)
+        if throw is None or throw.machine_id != event.machine_id:
+            logger.warning("event %s of unknown throw %s", event.kind, event.throw_id)
+            return
+        try:
+            self._apply_to(database, throw, event)
+        except ValidationError as error:
+            # The event itself is kept as it came; what it says about the throw cannot be used.
+            logger.warning("data of %s of throw %s: %s", event.kind, throw.throw_id, error)
+
+    @staticmethod
+    def _apply_to(database: DatabaseSession, throw: Throw, event: MachineEvent) -> None:
+        if event.kind in _PHASES:
+            move_row(throw, _PHASES[event.kind])
+        elif event.kind is EventKind.IMPACT:
+            survey = ImpactSurvey.model_validate(event.data)
+            if all(math.isfinite(value) for value in survey.position_m):
+                add_impact(
+                    database,
+                    throw,
+                    survey.position_m,
+                    survey.source,
+                    sd_m=survey.sd_m if math.isfinite(survey.sd_m) else None,
+                    recorded_by=event.machine_id,
+                )
+        elif event.kind is EventKind.THROW_ENDED:
+            end = ThrowEnd.model_validate(event.data)
+            throw.phase = ThrowPhase.ENDED.value
+            throw.outcome = Outcome(end.outcome).value
+            throw.detail = end.detail
+            throw.release_speed_m_per_s = _finite(end.release_speed_m_per_s)
+            throw.throw_duration_s = _finite(end.throw_duration_s)
+
+    def _follow(self, event: MachineEvent) -> None:
+        """What happens after the events are on disk."""
+        if event.kind in _ALERTS:
+            severity, text = _ALERTS[event.kind]
+            detail = event.data.get("detail") or event.data.get("fault") or ""
+            self._hub.alert(
+                event.kind.value,
+                f"{event.machine_id} {text}{f': {detail}' if detail else ''}.",
+                severity=severity,
+                machine_id=event.machine_id,
+            )
+        if event.throw_id is None:
+            return
+        if event.kind in _PHASES or event.kind is EventKind.THROW_ENDED:
+            self._throws.resolve(event.throw_id)
+        if event.kind is EventKind.THROW_ENDED:
+            for listener in self.on_throw_end:
+                listener(event.throw_id)
+        self._throws.publish(event.throw_id)
+
+
+def _row(event: MachineEvent) -> Event:
+    return Event(
+        machine_id=event.machine_id,
+        boot_id=event.boot_id,
+        sequence_count=event.sequence_count,
+        t_mono_ns=event.t_mono_ns,
+        t_utc=event.t_utc[:40],
+        kind=event.kind.value,
+        throw_id=event.throw_id,
+        plan_id=event.plan_id,
+        data=_storable(event.data),
+        received_utc=utc_now(),
+    )
+
+
+def _storable(value: JsonValue) -> JsonValue:
+    """JSON that every database takes: no NaN, no NUL characters."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str):
+        return value.replace("\x00", "")
+    if isinstance(value, list):
+        return [_storable(item) for item in value]
+    if isinstance(value, dict):
+        return {key.replace("\x00", ""): _storable(item) for key, item in value.items()}
+    return value
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

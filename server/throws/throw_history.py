@@ -1,0 +1,205 @@
+"""The history of throws: filters, pages, export. Every page walks an index that ends with the throw's id.
+
+Ids are ordered in time, so bounds of time are bounds of ids, and a page costs the same at any depth.
+"""
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, func, select
+from sqlalchemy.orm import InstrumentedAttribute
+from sqlalchemy.orm import Session as DatabaseSession
+
+from machine.conventions import Mode
+from server.clock import first_id_at
+from server.schemas.history import Outcome, ThrowPage, ThrowRow
+from server.store.database import Database
+from server.store.models import Throw
+from server.throws.throw_store import throw_row
+
+PROBE_COUNT = 10_000
+"""Newest throws that are looked through for a range of distances before anything else is tried."""
+SORT_COUNT = 20_000
+"""So many throws of a range of distances are fetched by their distance and sorted by time; more are common
+enough to be met soon when walking back in time."""
+_EXPORT_CHUNK = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowFilter:
+    """Which throws are meant; None means any."""
+
+    machine_id: str | None = None
+    mode: Mode | None = None
+    policy_sha256: str | None = None
+    operator: str | None = None
+    outcome: Outcome | None = None
+    min_range_m: float | None = None
+    max_range_m: float | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+
+    def conditions(
+        self, before: str | None = None, *, is_plain: bool = False
+    ) -> list[ColumnElement[bool]]:
+        """Everything but the distance; `is_plain` keeps the database from using an index for it."""
+        pairs = (
+            (Throw.machine_id, self.machine_id),
+            (Throw.mode, None if self.mode is None else self.mode.value),
+            (Throw.policy_sha256, self.policy_sha256),
+            (Throw.operator, self.operator),
+            (Throw.outcome, None if self.outcome is None else self.outcome.value),
+        )
+        conditions: list[ColumnElement[bool]] = [
+            (column.concat("") if is_plain else column) == value
+            for column, value in pairs
+            if value is not None
+        ]
+        throw_id = _plain_id() if is_plain else Throw.throw_id
+        if self.since is not None:
+            conditions.append(throw_id >= first_id_at(self.since))
+        if self.until is not None:
+            conditions.append(throw_id < first_id_at(self.until))
+        if before is not None:
+            conditions.append(throw_id < before)
+        return conditions
+
+    def within(
+        self, distance_m: ColumnElement[float] | InstrumentedAttribute[float]
+    ) -> list[ColumnElement[bool]]:
+        """Conditions on the distance of the target."""
+        conditions: list[ColumnElement[bool]] = []
+        if self.min_range_m is not None:
+            conditions.append(distance_m >= self.min_range_m)
+        if self.max_range_m is not None:
+            conditions.append(distance_m <= self.max_range_m)
+        return conditions
+
+
+class ThrowHistory:
+    """Reads throws, newest first."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def page(self, wanted: ThrowFilter, cursor: str | None, limit: int) -> ThrowPage:
+        """One page.
+
+        Args:
+            wanted: which throws.
+            cursor: `next_cursor` of the page before; None begins.
+            limit: rows a page.
+        """
+        with self._database.read() as database:
+            rows = newest(database, wanted, limit + 1, before=cursor)
+        return ThrowPage(
+            rows=tuple(throw_row(row) for row in rows[:limit]),
+            next_cursor=rows[limit - 1].throw_id if len(rows) > limit else None,
+        )
+
+    def export(self, wanted: ThrowFilter) -> Iterator[str]:
+        """All throws that match as CSV, newest first, in parts."""
+        names = [name for name in ThrowRow.model_fields if name != "target"]
+        target_names = ["target_x_m", "target_y_m", "target_z_m", "range_m", "azimuth_rad"]
+        yield _csv_line([*names, *target_names])
+        before: str | None = None
+        while True:
+            with self._database.read() as database:
+                rows = newest(database, wanted, _EXPORT_CHUNK, before=before)
+            yield "".join(_csv_row(throw_row(row), names) for row in rows)
+            if len(rows) < _EXPORT_CHUNK:
+                return
+            before = rows[-1].throw_id
+
+
+def newest(
+    database: DatabaseSession, wanted: ThrowFilter, limit: int, *, before: str | None = None
+) -> list[Throw]:
+    """The newest throws that match, newest first."""
+    ids = newest_ids(database, wanted, limit, before=before)
+    rows = database.scalars(select(Throw).where(Throw.throw_id.in_(ids)))
+    return sorted(rows, key=lambda row: row.throw_id, reverse=True)
+
+
+def newest_ids(
+    database: DatabaseSession,
+    wanted: ThrowFilter,
+    limit: int,
+    *,
+    before: str | None = None,
+    extra: tuple[ColumnElement[bool], ...] = (),
+) -> list[str]:
+    """Ids of the newest throws that match, newest first.
+
+    One index cannot serve a filter on distance in order of time. The newest few thousand throws are looked
+    through first; if they do not fill the page, a distance that is rare is served by the index of
+    distances, and a common one by walking on.
+    """
+    walk = (
+        select(Throw.throw_id)
+        .where(*wanted.conditions(before), *extra)
+        .order_by(Throw.throw_id.desc())
+    )
+    if not wanted.within(_plain_range()):
+        return list(database.scalars(walk.limit(limit)))
+    recent = walk.add_columns(Throw.range_m).limit(PROBE_COUNT).subquery()
+    near = (
+        select(recent.c.throw_id)
+        .where(*wanted.within(recent.c.range_m))
+        .order_by(recent.c.throw_id.desc())
+    )
+    found = list(database.scalars(near.limit(limit)))
+    if len(found) >= limit:
+        return found
+    if _is_rare(database, wanted):
+        matching = (
+            select(Throw.throw_id)
+            .where(*wanted.within(Throw.range_m), *wanted.conditions(before, is_plain=True), *extra)
+            .order_by(_plain_id().desc())
+        )
+    else:
+        matching = walk.where(*wanted.within(_plain_range()))
+    return list(database.scalars(matching.limit(limit)))
+
+
+def _is_rare(database: DatabaseSession, wanted: ThrowFilter) -> bool:
+    """Whether few throws have these distances; counts in the index of distances alone."""
+    some = select(Throw.range_m).where(*wanted.within(Throw.range_m)).limit(SORT_COUNT + 1)
+    count = database.scalar(select(func.count()).select_from(some.subquery())) or 0
+    return count <= SORT_COUNT
+
+
+def _plain_id() -> ColumnElement[str]:
+    """The id as an expression that no index serves."""
+    return Throw.throw_id.concat("")
+
+
+def _plain_range() -> ColumnElement[float]:
+    """The distance as an expression that no index serves."""
+    return Throw.range_m + 0.0
+
+
+def _csv_row(row: ThrowRow, names: list[str]) -> str:
+    values = row.model_dump(mode="json")
+    target = values["target"]
+    return _csv_line(
+        [_csv_safe(values[name]) for name in names]
+        + [target[name] for name in ("x_m", "y_m", "z_m", "range_m", "azimuth_rad")]
+    )
+
+
+def _csv_safe(value: Any) -> Any:
+    # A spreadsheet runs text that begins with these as a formula.
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return value
+
+
+def _csv_line(values: list[Any]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\r\n").writerow(values)
+    return buffer.getvalue()

@@ -1,0 +1,93 @@
+"""Rings follow the height of what is aimed at, and are drawn anew only where they change."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import pytest
+
+from machine.conventions import Mode
+from machine.messages import Target
+from machine.reach import reach_m
+from server.display.target_proposals import TargetProposals
+from server.schemas.console import ModeReach, ReachView, ViewRequest
+from server.viewer.state import Reach
+
+CARD = SimpleNamespace(
+    target_range_max_m=10.9, reach_at_height_m=((-1.0, 10.9), (0.0, 10.9), (2.0, 9.0))
+)
+
+
+class Shelf:
+    """2D alone, which knows heights."""
+
+    def reach(self) -> ReachView:
+        known = ModeReach(
+            mode=Mode.PLANAR, policy_id="p", policy_sha256="0" * 64, range_min_m=5.5,
+            range_max_m=10.9, raised_range_max_m=9.0, height_min_m=-1.0, height_max_m=2.0,
+            has_pace=False,
+        )  # fmt: skip
+        return ReachView(static_reach_m=7.5, modes=(known,))
+
+    def farthest_m(self, modes: list[Mode], height_m: float) -> float:
+        return reach_m(CARD, height_m) if Mode.PLANAR in modes else 0.0
+
+    def active(self, mode: Mode) -> object:
+        card = SimpleNamespace(**vars(CARD), mode=mode, target_range_min_m=5.5)
+        return SimpleNamespace(
+            card=SimpleNamespace(**vars(card), target_height_min_m=-1.0, target_height_max_m=2.0)
+        )
+
+
+@dataclass
+class Scene:
+    """Notes the rings, takes everything else."""
+
+    rings: list[Reach] = field(default_factory=list)
+
+    def set_reach(self, session_id: str, reach: Reach) -> None:
+        self.rings.append(reach)
+
+    def __getattr__(self, name: str):
+        return lambda *_: None
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene()
+
+
+@pytest.fixture
+def desk(scene: Scene) -> TargetProposals:
+    quiet = SimpleNamespace(
+        objects=lambda _: (), watch=lambda *_: None, publish=lambda *_: None, end_session=print
+    )
+    found = TargetProposals(scene, Shelf(), quiet, quiet, quiet)
+    found.set_view("s", ViewRequest(machine_id="m001", mode=Mode.PLANAR))
+    return found
+
+
+def test_a_raised_target_has_a_ring_of_its_own(desk: TargetProposals, scene: Scene):
+    assert [(ring.planar_m, ring.raised_m) for ring in scene.rings] == [(10.9, None)]
+    desk.take_pick("s", (8.0, 0.0, 1.0))
+    assert scene.rings[-1].raised_m == pytest.approx(9.95)
+    assert (scene.rings[-1].height_m, scene.rings[-1].dimmed_beyond_m) == (1.0, 10.9)
+    desk.remove("s", "m001")
+    assert scene.rings[-1].raised_m is None
+    assert len(scene.rings) == 3
+
+
+def test_pits_and_slight_heights_keep_the_ring_of_the_ground(desk: TargetProposals, scene: Scene):
+    desk.propose("s", "m001", Target(x_m=8.0, y_m=0.0, z_m=-0.8), Mode.PLANAR, "fields")
+    desk.propose("s", "m001", Target(x_m=8.0, y_m=0.0, z_m=0.04), Mode.PLANAR, "fields")
+    assert len(scene.rings) == 1
+
+
+def test_moving_at_one_height_draws_no_ring_anew(desk: TargetProposals, scene: Scene):
+    for x_m in (7.0, 8.0, 9.0):
+        desk.propose("s", "m001", Target(x_m=x_m, y_m=0.0, z_m=2.0), Mode.PLANAR, "fields")
+    assert [ring.raised_m for ring in scene.rings] == [None, 9.0]
+
+
+def test_a_mode_without_a_policy_shows_what_the_others_reach(desk: TargetProposals, scene: Scene):
+    desk.propose("s", "m001", Target(x_m=8.0, y_m=0.0, z_m=2.0), Mode.SPATIAL, "fields")
+    assert (scene.rings[-1].mode, scene.rings[-1].raised_m) == (None, 9.0)

@@ -1,0 +1,158 @@
+import threading
+import time
+
+import pytest
+
+from machine.messages import RejectReason, ThrowState
+from server.store.models import Audit, Machine
+from tests.server.server_bench import add_people, make_settings, running_server, wait_for
+
+
+def stop_rows(running):
+    with running.parts.database.read() as database:
+        rows = database.query(Audit).filter_by(action="stop").order_by(Audit.sequence_count).all()
+        return [(row.actor, row.phase) for row in rows]
+
+
+@pytest.fixture
+def clear(running):
+    def _clear():
+        with running.client("sue") as sue:
+            reply = sue.post("/machines/m001/stop/clear")
+            assert reply.status_code == 200, reply.text
+
+    return _clear
+
+
+def test_anyone_may_stop_without_lease_and_only_the_privileged_clear(running, machine, clear):
+    with running.client("vic") as viewer, running.client("bob") as operator:
+        reply = viewer.post("/machines/m001/stop").json()
+        assert (reply["is_latched"], reply["is_pending"]) == (True, False)
+        assert machine.stop_latched
+        assert operator.post("/machines/m001/stop/clear").status_code == 403
+    assert stop_rows(running)[-2:] == [("vic", "intent"), ("vic", "outcome")]
+    clear()
+    assert not machine.stop_latched
+    wait_for(lambda: not running.parts.stops.is_pending("m001"))
+    time.sleep(0.3)
+    assert not machine.stop_latched  # nothing goes on stopping it
+
+
+def test_stop_all(running, machine, clear):
+    with running.client("vic") as viewer:
+        replies = viewer.post("/stop").json()
+    assert {r["machine_id"]: r["is_latched"] for r in replies}["m001"]
+    assert machine.stop_latched
+    clear()
+    for known in running.parts.registry.listed():
+        running.parts.stops._pending.pop(known.machine_id, None)
+
+
+def test_stop_reaches_a_machine_whose_answers_are_lost(running, machine, clear):
+    machine.drops_replies_of.add("stop")
+    with running.client("vic") as viewer:
+        reply = viewer.post("/machines/m001/stop").json()
+    assert machine.stop_latched
+    # Its own state confirms what the lost answer could not.
+    wait_for(lambda: not running.parts.stops.is_pending("m001"))
+    assert reply["detail"]
+    clear()
+
+
+def test_stop_is_repeated_until_confirmed(running, machine, clear):
+    machine.ignores |= {"stop", "stop_put"}
+    with running.client("vic") as viewer:
+        reply = viewer.post("/machines/m001/stop").json()
+        assert (reply["is_latched"], reply["is_pending"]) == (False, True)
+        assert viewer.get("/machines/m001").json()["is_stop_pending"]
+    received = machine.stops_received
+    wait_for(lambda: machine.stops_received > received + 4)
+    machine.ignores.clear()
+    wait_for(lambda: machine.stop_latched)
+    wait_for(lambda: not running.parts.stops.is_pending("m001"))
+    clear()
+
+
+def test_a_failed_clear_does_not_end_the_repetition(running, machine, clear):
+    machine.ignores |= {"stop", "stop_put"}
+    machine.refuses["stop_clear"] = RejectReason.FAULT
+    with running.client("vic") as viewer, running.client("sue") as sue:
+        viewer.post("/machines/m001/stop")
+        assert sue.post("/machines/m001/stop/clear").status_code == 409
+    assert running.parts.stops.is_pending("m001")
+    machine.ignores.clear()
+    wait_for(lambda: machine.stop_latched)
+    machine.refuses.clear()
+    clear()
+
+
+def test_stop_is_sent_even_if_the_audit_cannot_be_written(running, machine, clear, monkeypatch):
+    def fail(*_args, **_kwargs):
+        raise OSError("disk full")
+
+    with running.client("vic") as viewer:
+        monkeypatch.setattr(running.parts.audit, "append", fail)
+        assert viewer.post("/machines/m001/stop").json()["is_latched"]
+    assert machine.stop_latched
+    monkeypatch.undo()
+    clear()
+
+
+def test_stop_is_sent_even_if_the_database_is_busy(running, machine, clear):
+    with running.client("vic") as viewer, running.parts.database.write():
+        # Not over HTTP: the check of rights reads, but records a denial only if there is one.
+        assert viewer.post("/machines/m001/stop").json()["is_latched"]
+        assert machine.stop_latched
+    clear()
+
+
+def test_stop_is_sent_although_every_thread_of_the_server_waits(
+    running, machine, clear, monkeypatch
+):
+    is_over, waiting = threading.Event(), []
+
+    def wait(*_):
+        waiting.append(1)
+        is_over.wait(60.0)
+        return True
+
+    # Forty threads serve all that is not STOP; more readers than that wait for something slow.
+    monkeypatch.setattr(running.parts.statistics, "of", wait)
+    threads = []
+    with running.client("ada") as reader, running.client("vic") as viewer:
+        try:
+            for _ in range(50):
+                thread = threading.Thread(target=reader.get, args=("/throws/stats",))
+                thread.start()
+                threads.append(thread)
+            wait_for(lambda: len(waiting) >= 40)
+            assert viewer.post("/machines/m001/stop", timeout=20.0).json()["is_latched"]
+            assert machine.stop_latched
+        finally:
+            is_over.set()
+            for thread in threads:
+                thread.join()
+    clear()
+
+
+def test_stop_for_a_lost_machine_is_delivered_when_it_returns_even_after_a_restart(
+    tmp_path, swing_policies
+):
+    settings = make_settings(tmp_path / "data", swing_policies)
+    with running_server(settings) as first:
+        add_people(first.parts)
+        with first.machine():
+            wait_for(lambda: first.parts.registry.is_connected("m001"))
+        wait_for(lambda: not first.parts.registry.is_connected("m001"))
+        with first.client("vic") as viewer:
+            assert viewer.post("/machines/m001/stop").json()["is_pending"]
+
+        def persisted():
+            with first.parts.database.read() as database:
+                return database.get(Machine, "m001").stop_requested_utc
+
+        wait_for(persisted)
+    with running_server(settings) as second, second.machine() as machine:
+        wait_for(lambda: machine.stop_latched)
+        wait_for(lambda: not second.parts.stops.is_pending("m001"))
+        assert machine.state is ThrowState.STOPPED

@@ -1,0 +1,101 @@
+import json
+import shutil
+
+import pytest
+
+from machine.conventions import Mode
+from machine.policy_card import CARD_FILE, POLICY_FILE, load_card
+from machine.spec import load_spec
+from server.errors import ApiError
+from server.plans.policy_store import PolicyStore
+
+
+@pytest.fixture
+def folder(tmp_path, swing_policies):
+    return shutil.copytree(swing_policies, tmp_path / "policies")
+
+
+@pytest.fixture
+def policies(assembled, folder):
+    return PolicyStore(assembled.parts.database, folder, load_spec())
+
+
+def look_again(policies):
+    policies._looked_s = -1e9
+    policies.refresh()
+
+
+def by_id(policies):
+    return {view.policy_id: view for view in policies.views()}
+
+
+def test_active_policies_and_their_reach(policies):
+    assert policies.active(Mode.PLANAR).card.policy_id == "swing-2d"
+    reach = policies.reach()
+    assert [(item.mode, item.range_min_m, item.range_max_m) for item in reach.modes] == [
+        (Mode.PLANAR, 5.5, 10.9),
+        (Mode.SPATIAL, 5.5, 10.9),
+    ]
+    assert len(policies.active_folders()) == 2
+
+
+def test_versions_that_are_gone_stay_in_the_history(policies, folder):
+    policies.views()
+    shutil.rmtree(folder / "waits-2d")
+    look_again(policies)
+    view = by_id(policies)["waits-2d"]
+    assert (view.is_present, view.is_active, view.problem) == (False, False, "its files are gone")
+    assert policies.view(view.policy_sha256).card.policy_id == "waits-2d"
+
+
+def test_a_changed_file_is_never_used(policies, folder):
+    policies.views()
+    path = folder / "swing-2d" / POLICY_FILE
+    path.write_bytes(path.read_bytes() + b"x")
+    look_again(policies)
+    with pytest.raises(ApiError, match="changed or cut off") as caught:
+        policies.active(Mode.PLANAR)
+    assert caught.value.code == "policy_unusable"
+    assert "sha256" in by_id(policies)["swing-2d"].problem
+    assert [item.mode for item in policies.reach().modes] == [Mode.SPATIAL]
+
+
+def test_a_policy_for_another_machine_is_not_used(policies, folder):
+    path = folder / "swing-3d" / CARD_FILE
+    card = json.loads(path.read_text()) | {"model_sha256": "0" * 64}
+    path.write_text(json.dumps(card))
+    look_again(policies)
+    with pytest.raises(ApiError, match="machine model"):
+        policies.active(Mode.SPATIAL)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "cannot be read"),
+        ("[]", "names no policy"),
+        ('{"2d": "../../etc"}', "no policy folder"),
+        ('{"2d": "swing-3d"}', "not for mode 2d"),
+    ],
+)
+def test_a_strange_active_file_is_told(policies, folder, text, words):
+    (folder / "active.json").write_text(text)
+    look_again(policies)
+    with pytest.raises(ApiError, match=words):
+        policies.active(Mode.PLANAR)
+
+
+def test_no_folder_at_all(assembled, tmp_path):
+    policies = PolicyStore(assembled.parts.database, tmp_path / "none", load_spec())
+    assert not any(view.is_present or view.is_active for view in policies.views())
+    with pytest.raises(ApiError):
+        policies.active(Mode.PLANAR)
+
+
+def test_switching_the_active_policy_is_seen(policies, folder):
+    assert policies.active(Mode.PLANAR).card.policy_id == "swing-2d"
+    (folder / "active.json").write_text('{"2d": "waits-2d", "3d": "swing-3d"}')
+    look_again(policies)
+    assert policies.active(Mode.PLANAR).card.policy_id == "waits-2d"
+    assert policies.name_of(load_card(folder / "waits-2d").policy_sha256) == "waits-2d"
+    assert policies.name_of("f" * 64) == "ffffffffffff"

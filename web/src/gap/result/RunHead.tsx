@@ -1,0 +1,129 @@
+import { Button, Progress } from "@mantine/core";
+import type { Schema } from "../../session/client";
+import { useMay } from "../../session/useSession";
+import { errorWords } from "../../words/errors";
+import { count, metres, percent, unbroken } from "../../words/format";
+import { zonedStamp } from "../../words/time";
+import classes from "./RunHead.module.css";
+import { reportHref, useGapActions } from "../useGap";
+import {
+  comparedWords,
+  type Diagnosis,
+  isLook,
+  isOpen,
+  type Run,
+  runTitle,
+  SENTENCES,
+} from "../words";
+
+type Props = {
+  run: Run;
+  found: Diagnosis | null;
+  /** The same throws once more. */
+  again: Schema["GapRunRequest"];
+  onStarted: (runId: string) => void;
+};
+
+/** What a run says: its verdict as a sentence, or how far it is and a way to stop it. */
+export function RunHead({ run, found, again, onStarted }: Props) {
+  const { cancel, start } = useGapActions(run.machine_id);
+  const mayRun = useMay("gap.run");
+  return (
+    <header className={classes.head}>
+      <div className={classes.line}>
+        <span className={classes.kind} data-look={isLook(run.verdict) || undefined}>
+          {runTitle(run)}
+        </span>
+        <div className={classes.actions}>
+          {!isOpen(run) && mayRun && (
+            <Button
+              size="xs"
+              variant="default"
+              loading={start.isPending}
+              onClick={() =>
+                start.mutate(again, { onSuccess: (next) => onStarted(next.gap_run_id) })
+              }
+            >
+              Diagnose again
+            </Button>
+          )}
+          {run.state === "done" && (
+            <Button
+              component="a"
+              size="xs"
+              variant="default"
+              href={reportHref(run.machine_id, run.gap_run_id)}
+              target="_blank"
+              rel="noreferrer"
+            >
+              Report
+            </Button>
+          )}
+        </div>
+        <span className={`${classes.dim} ${classes.about}`}>
+          {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
+          {run.profile_version_count}, compared with {comparedWords(run)},{" "}
+          {zonedStamp(run.created_utc)}, {run.created_by}
+        </span>
+      </div>
+      {start.isError && (
+        <p className={classes.detail} role="alert">
+          {errorWords(start.error)}
+        </p>
+      )}
+      {run.sentence && <p className={classes.sentence}>{unbroken(run.sentence)}</p>}
+      {run.detail && (
+        <p className={classes.detail} role="alert">
+          {run.detail}
+        </p>
+      )}
+      {isOpen(run) && (
+        <div className={classes.progress}>
+          <Progress
+            value={100 * run.progress_ratio}
+            size="lg"
+            aria-label="Progress of the diagnosis"
+          />
+          <span aria-live="polite">
+            {run.state === "queued" ? "Waiting for its turn" : run.step},{" "}
+            {percent(run.progress_ratio)}
+          </span>
+          <Button
+            variant="default"
+            disabled={!mayRun}
+            loading={cancel.isPending}
+            onClick={() => cancel.mutate(run.gap_run_id)}
+          >
+            Cancel
+          </Button>
+          {cancel.isError && (
+            <p className={classes.detail} role="alert">
+              {errorWords(cancel.error)}
+            </p>
+          )}
+        </div>
+      )}
+      {found && <Facts found={found} />}
+    </header>
+  );
+}
+
+function Facts({ found }: { found: Diagnosis }) {
+  const { gap } = found;
+  const facts: [string, string][] = [];
+  if (typeof gap.impact_rms_m === "number")
+    facts.push([SENTENCES.impact_rms, metres(gap.impact_rms_m)]);
+  if (typeof gap.trajectory_rms_ratio === "number")
+    facts.push([SENTENCES.residual, gap.trajectory_rms_ratio.toFixed(2)]);
+  if (facts.length === 0) return null;
+  return (
+    <dl className={classes.facts}>
+      {facts.map(([name, value]) => (
+        <div key={name}>
+          <dt>{name}</dt>
+          <dd>{value}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}

@@ -1,0 +1,32 @@
+/** What the data speak against, and which logs were refused, read out of a diagnosis's evidence. */
+
+import { effectWords, ruledOutWords } from "../words";
+
+export type Reason = { name: string; why: string };
+
+export function ruledOutOf(evidence: Record<string, unknown>): Reason[] {
+  return records(evidence.ruled_out).map((entry) => {
+    const joint = typeof entry.joint === "string" ? entry.joint : null;
+    return {
+      name: effectWords(String(entry.effect ?? ""), joint),
+      why: ruledOutWords(entry.why, entry.log_odds),
+    };
+  });
+}
+
+export function refusedOf(evidence: Record<string, unknown>): Reason[] {
+  return records(evidence.refused).map((entry) => ({
+    name:
+      String(entry.path ?? "")
+        .split("/")
+        .at(-1) ?? "",
+    why: String(entry.reason ?? ""),
+  }));
+}
+
+function records(value: unknown): Record<string, unknown>[] {
+  if (!Array.isArray(value)) return [];
+  return value.filter((item): item is Record<string, unknown> => {
+    return typeof item === "object" && item !== null && !Array.isArray(item);
+  });
+}

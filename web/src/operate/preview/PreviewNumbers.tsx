@@ -1,0 +1,72 @@
+import type { Schema } from "../../session/client";
+import {
+  crossrangeWords,
+  degrees,
+  downrangeWords,
+  fixed,
+  metres,
+  percent,
+  seconds,
+  signed,
+  speed,
+} from "../../words/format";
+import { nearestClearance } from "./clearance";
+import classes from "../Panel.module.css";
+
+type Prediction = Schema["PredictionView"];
+
+/** Predicted numbers; the spread grows more certain while the rollouts come in. */
+export function PreviewNumbers({
+  prediction,
+  isComplete,
+}: {
+  prediction: Prediction;
+  isComplete: boolean;
+}) {
+  const { ellipse } = prediction;
+  const nearest = nearestClearance(prediction.clearances);
+  return (
+    <dl className={classes.numbers} data-testid="preview-numbers">
+      <dt>Lands on</dt>
+      <dd>
+        {prediction.lands_on}, {signed(prediction.impact_m[2])} m
+      </dd>
+      <dt>Error</dt>
+      <dd>{downrangeWords(prediction.downrange_error_m)}</dd>
+      <dt />
+      <dd>{crossrangeWords(prediction.crossrange_error_m)}</dd>
+      <dt>Spread, 1σ</dt>
+      <dd>
+        {ellipse
+          ? `${fixed(ellipse.sd_downrange_m)} × ${fixed(ellipse.sd_crossrange_m)} m`
+          : "computing"}
+      </dd>
+      {ellipse && (
+        <>
+          <dt>Rollouts landed{isComplete ? "" : " so far"}</dt>
+          <dd>
+            {ellipse.landed_count} of {ellipse.rollout_count},{" "}
+            {percent(ellipse.landed_count / Math.max(1, ellipse.rollout_count))}
+          </dd>
+        </>
+      )}
+      <dt>Release speed</dt>
+      <dd>{speed(prediction.release_speed_m_per_s)}</dd>
+      <dt>Time to release</dt>
+      <dd>{seconds(prediction.release_s, 1)}</dd>
+      <dt>Duration</dt>
+      <dd>
+        {seconds(prediction.duration_s, 1)}, flight {seconds(prediction.flight_s)}
+      </dd>
+      {nearest && (
+        <>
+          <dt>Nearest limit</dt>
+          <dd>
+            {nearest.name},{" "}
+            {nearest.margin_m !== null ? metres(nearest.margin_m) : degrees(nearest.margin_rad)}
+          </dd>
+        </>
+      )}
+    </dl>
+  );
+}

@@ -1,0 +1,27 @@
+/** Messages that the footer of the panel shows already, so that the Preview step leaves them out. */
+
+import type { Schema } from "../../session/client";
+import { checkSentence, type Gate } from "../gate";
+
+type Check = Schema["CheckResult"];
+type Refusal = Schema["RefusalView"];
+
+/** An empty gripper appears as a check of the machine, a refusal of the preview and a gate. */
+const EMPTY = { gate: "no_payload", reason: "no_payload", check_id: "payload" };
+
+export function refusalsWithoutRepeats(
+  refusals: readonly Refusal[],
+  checks: readonly Check[],
+  gate: Gate | null,
+): Refusal[] {
+  const isEmptyShown =
+    gate?.id === EMPTY.gate || checks.some((c) => c.check_id === EMPTY.check_id && !c.passed);
+  return refusals.filter(
+    ({ detail, reason }) => detail !== gate?.sentence && !(isEmptyShown && reason === EMPTY.reason),
+  );
+}
+
+export function isRepeatedCheck(check: Check, gate: Gate | null): boolean {
+  if (gate?.id === EMPTY.gate) return check.check_id === EMPTY.check_id;
+  return gate?.id === "check" && gate.sentence === checkSentence(check);
+}
