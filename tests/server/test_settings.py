@@ -2,6 +2,7 @@ import pytest
 
 from machine.errors import UsageError
 from server.settings import load_settings
+from tests.server.cases import each_case
 
 
 def test_environment_sets_fields(monkeypatch):
@@ -30,7 +31,7 @@ def test_client_variables_do_not_disturb(monkeypatch):
     load_settings()
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("name", "value"),
     [
         ("PORT", "70000"),
@@ -46,7 +47,7 @@ def test_values_out_of_range_are_refused(monkeypatch, name, value):
         load_settings()
 
 
-@pytest.mark.parametrize(
+@each_case(
     "changes",
     [
         {"link_listen": "tls/0.0.0.0:7447"},
@@ -59,7 +60,7 @@ def test_a_certificate_goes_with_a_tls_endpoint(changes):
         load_settings(**changes)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("listen", "in_the_clear"),
     [
         ("tcp/127.0.0.1:7447", False),

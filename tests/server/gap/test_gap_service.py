@@ -19,6 +19,7 @@ from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.units import nominal_unit
 from tests.server import gap_fakes
+from tests.server.cases import each_case
 from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
 from tests.server.server_bench import PASSWORD, make_settings, running_server, wait_for
 from tests.server.test_events import Listener
@@ -78,7 +79,7 @@ def test_throws_by_name_or_the_newest_of_a_mode(running, ada, throws):
         assert view["throw_ids"] == throws[:6]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("body", "status", "text"),
     [
         ({}, 422, "either throw_ids or newest_count"),
@@ -140,7 +141,7 @@ def test_a_full_queue_is_refused(running, ada, throws):
         assert (reply.status_code, reply.json()["error"]["code"]) == (429, "gap_queue_full")
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("diagnose", "text"),
     [
         (gap_fakes.dying, "exit code 7"),

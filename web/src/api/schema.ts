@@ -956,7 +956,7 @@ export interface components {
         };
         /**
          * Ambiguity
-         * @description Causes that these data cannot tell apart.
+         * @description Causes that these data cannot separate.
          */
         Ambiguity: {
             /** Members */
@@ -1161,7 +1161,7 @@ export interface components {
         };
         /**
          * Effect
-         * @description An effect of the library at a size; parameters left out are 0.
+         * @description An effect of the table at a size; parameters left out are 0.
          */
         Effect: {
             /** Effect */
@@ -1216,7 +1216,7 @@ export interface components {
         };
         /**
          * FittedEffect
-         * @description An effect of the library at its fitted size.
+         * @description An effect of the library with its fitted parameters.
          */
         FittedEffect: {
             /** Effect */
@@ -1230,7 +1230,7 @@ export interface components {
         };
         /**
          * FittedParameter
-         * @description A magnitude with its interval.
+         * @description A parameter with its interval.
          */
         FittedParameter: {
             /** Ci90 */
@@ -1245,7 +1245,7 @@ export interface components {
         };
         /**
          * Gap
-         * @description Twin against measured, before anything is added. None where it was not measured.
+         * @description Twin against measurement, before anything is added. None where it was not measured.
          */
         Gap: {
             /** Crossrange Bias M */
@@ -1804,7 +1804,7 @@ export interface components {
         Outcome: "landed" | "aborted" | "stopped" | "fault" | "interrupted" | "refused" | "not_executed";
         /**
          * Permission
-         * @description One right; roles are sets of these (server/accounts/auth.py).
+         * @description One right; roles are sets of these (server/accounts/accounts.py).
          * @enum {string}
          */
         Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "site.edit" | "machine.enrol" | "admin";
@@ -2174,7 +2174,7 @@ export interface components {
         };
         /**
          * Shrink
-         * @description How far the gap shrinks on throws that were not used to find the cause.
+         * @description Reduction of the gap on throws that were not used to estimate the cause.
          */
         Shrink: {
             /** After M */
@@ -2283,7 +2283,7 @@ export interface components {
         Stage: "actuation" | "swing" | "release" | "flight" | "aim";
         /**
          * StageGap
-         * @description What one stage contributes to the miss; the terms of all stages sum to measured minus twin.
+         * @description Contribution of one stage to the miss; the terms of all stages sum to measured minus twin.
          */
         StageGap: {
             /** Ci90 M */

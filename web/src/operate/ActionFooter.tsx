@@ -3,8 +3,8 @@ import type { Machine } from "../session/live";
 import { GateFooter } from "./GateFooter";
 import type { Gate } from "./gate";
 import { HoldButton } from "./hold/HoldButton";
-import classes from "./Panel.module.css";
 import type { HoldControl } from "./hold/useHold";
+import classes from "./Panel.module.css";
 
 type Props = {
   machine: Machine;

@@ -6,8 +6,8 @@ import { PreviewStep } from "./preview/PreviewStep";
 import { ResultStep } from "./ResultStep";
 import { Step } from "./Step";
 import { STEPS, type StepName } from "./steps";
-import { TargetStep } from "./target/TargetStep";
 import { ThrowStep } from "./ThrowStep";
+import { TargetStep } from "./target/TargetStep";
 import { targetSummary } from "./target/targetSummary";
 import type { Operate } from "./useOperate";
 

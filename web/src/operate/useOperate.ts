@@ -11,11 +11,11 @@ import { useNow } from "../session/useNow";
 import { useSession } from "../session/useSession";
 import { operateGate } from "./gate";
 import { isAbortable } from "./hold/hold";
-import { DEFAULT_PACE_RATIO } from "./target/pace";
-import { presentStep } from "./steps";
-import { pointKey } from "./target/target";
 import { useHold } from "./hold/useHold";
 import { usePlan } from "./preview/usePlan";
+import { presentStep } from "./steps";
+import { DEFAULT_PACE_RATIO } from "./target/pace";
+import { pointKey } from "./target/target";
 import { useTarget } from "./target/useTarget";
 
 export function useOperate() {

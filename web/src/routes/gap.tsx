@@ -1,7 +1,7 @@
 import { useNavigate, useSearch } from "@tanstack/react-router";
 import { useEffect, useState } from "react";
-import { RunHead } from "../gap/result/RunHead";
 import { RunList } from "../gap/RunList";
+import { RunHead } from "../gap/result/RunHead";
 import { RunResult } from "../gap/result/RunResult";
 import { StartPanel } from "../gap/start/StartPanel";
 import { useGapRun, useGapRuns } from "../gap/useGap";

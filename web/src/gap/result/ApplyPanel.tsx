@@ -2,11 +2,11 @@ import { Button, Popover } from "@mantine/core";
 import { useState } from "react";
 import { useMay } from "../../session/useSession";
 import { errorWords } from "../../words/errors";
-import classes from "./ApplyPanel.module.css";
-import { PreviewCompare } from "./PreviewCompare";
 import { useFocusKept } from "../useFocusKept";
 import { useGapActions, useTwinProfile } from "../useGap";
 import { additionWords, type Diagnosis, doubtWords, type Run } from "../words";
+import classes from "./ApplyPanel.module.css";
+import { PreviewCompare } from "./PreviewCompare";
 
 type Props = { run: Run; found: Diagnosis };
 

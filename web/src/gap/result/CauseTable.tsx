@@ -1,6 +1,7 @@
 import type { Schema } from "../../session/client";
-import classes from "./CauseTable.module.css";
+
 import { causeWords, fittedWords, probabilityWords, SENTENCES, sizesOf } from "../words";
+import classes from "./CauseTable.module.css";
 
 /** Which effect: hypotheses by probability, sizes with their 90 % intervals. */
 export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {

@@ -3,9 +3,9 @@ import { useState } from "react";
 import type { Schema } from "../../session/client";
 import { errorWords } from "../../words/errors";
 import { crossrangeWords, downrangeWords, metres, speed } from "../../words/format";
-import classes from "./PreviewCompare.module.css";
 import { useFocusKept } from "../useFocusKept";
 import { useGapPreview } from "../useGap";
+import classes from "./PreviewCompare.module.css";
 
 type Props = { machineId: string; runId: string; isInUse: boolean };
 

@@ -4,8 +4,8 @@ import { useMay } from "../../session/useSession";
 import { errorWords } from "../../words/errors";
 import { count, metres, percent, unbroken } from "../../words/format";
 import { zonedStamp } from "../../words/time";
-import classes from "./RunHead.module.css";
 import { reportHref, useGapActions } from "../useGap";
+
 import {
   comparedWords,
   type Diagnosis,

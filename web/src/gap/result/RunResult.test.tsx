@@ -1,10 +1,10 @@
 import { cleanup, render, screen, within } from "@testing-library/react";
 import { afterEach, describe, expect, it } from "vitest";
+import type { Diagnosis } from "../words";
 import { CauseTable } from "./CauseTable";
 import { ChainFlow } from "./ChainFlow";
 import { chainOf } from "./chain";
 import { ReasonList } from "./ReasonList";
-import type { Diagnosis } from "../words";
 
 const HOSTILE = "<img src=x onerror=alert(1)>";
 

@@ -1,4 +1,6 @@
 import { useMemo } from "react";
+import type { Diagnosis, Run } from "../words";
+import { type Diagnosis, type Run, SENTENCES, undecidedWords } from "../words";
 import { ApplyPanel } from "./ApplyPanel";
 import { CauseTable } from "./CauseTable";
 import { ChainFlow } from "./ChainFlow";
@@ -8,7 +10,6 @@ import { ReasonList } from "./ReasonList";
 import classes from "./RunResult.module.css";
 import { refusedOf, ruledOutOf } from "./ruledOut";
 import { ShrinkBars } from "./ShrinkBars";
-import { type Diagnosis, type Run, SENTENCES, undecidedWords } from "../words";
 
 type Props = { run: Run; found: Diagnosis };
 

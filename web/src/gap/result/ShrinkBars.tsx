@@ -1,6 +1,7 @@
 import { fixed, unbroken } from "../../words/format";
-import classes from "./ShrinkBars.module.css";
+
 import { type Diagnosis, SENTENCES, shrinkWords } from "../words";
+import classes from "./ShrinkBars.module.css";
 
 /** How far the gap shrinks on throws that did not choose the cause. */
 export function ShrinkBars({ found }: { found: Diagnosis }) {

@@ -2,9 +2,9 @@ import { SegmentedControl, TextInput } from "@mantine/core";
 import { useState } from "react";
 import { errorWords } from "../../words/errors";
 import { count } from "../../words/format";
+import { useThrowsToDiagnose } from "../useGap";
 import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
-import { useThrowsToDiagnose } from "../useGap";
 import type { Wish } from "./wish";
 
 type Props = {

@@ -4,11 +4,11 @@ import type { Schema } from "../../session/client";
 import { useMay } from "../../session/useSession";
 import { errorWords } from "../../words/errors";
 import { count } from "../../words/format";
+import { useFocusKept } from "../useFocusKept";
+import { useGapActions, useThrowsToDiagnose } from "../useGap";
 import { ReferenceChoice } from "./ReferenceChoice";
 import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
-import { useFocusKept } from "../useFocusKept";
-import { useGapActions, useThrowsToDiagnose } from "../useGap";
 import { diagnosedOf, fittingOf, MIN_THROWS, type Wish, wishOf } from "./wish";
 
 const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "type" };

@@ -10,8 +10,8 @@ import {
   signed,
   speed,
 } from "../../words/format";
-import { nearestClearance } from "./clearance";
 import classes from "../Panel.module.css";
+import { nearestClearance } from "./clearance";
 
 type Prediction = Schema["PredictionView"];
 

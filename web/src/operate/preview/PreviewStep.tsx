@@ -1,9 +1,9 @@
 import { Loader } from "@mantine/core";
 import { LandingPlot } from "../../charts/LandingPlot";
 import type { Machine, Plan } from "../../session/live";
-import { CheckList } from "./CheckList";
 import type { Gate } from "../gate";
 import classes from "../Panel.module.css";
+import { CheckList } from "./CheckList";
 import { PreviewNumbers } from "./PreviewNumbers";
 import { isRepeatedCheck, refusalsWithoutRepeats } from "./repeatedMessages";
 

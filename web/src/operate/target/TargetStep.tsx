@@ -2,8 +2,8 @@ import { NumberInput, SegmentedControl } from "@mantine/core";
 import type { Schema } from "../../session/client";
 import type { Machine } from "../../session/live";
 import { metres, signed } from "../../words/format";
-import { PaceSlider } from "./PaceSlider";
 import classes from "../Panel.module.css";
+import { PaceSlider } from "./PaceSlider";
 import { fromPolar, NUDGE_M, type Target } from "./target";
 
 type Props = {
