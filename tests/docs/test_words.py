@@ -43,7 +43,6 @@ WHERE = (
 NOT_YET = (
     "cli/",
     "diagnosis/",
-    "docs/",
     "evaluation/",
     "runtime/",
     "server/",
@@ -52,9 +51,6 @@ NOT_YET = (
     "sim_twin/throws/",
     "machine/",
     "web/src/",
-    "CHANGELOG.md",
-    "CONTRIBUTING.md",
-    "README.md",
 )
 """Where they are still found, by the start of the path."""
 
