@@ -16,16 +16,16 @@ import numpy as np
 
 from challenge.healthy_machines import healthy_machine
 from challenge.make import make_reference
-from diagnosis.causes.evidence import inform_gram
-from diagnosis.causes.parameters import Parameter, layout, library, scatter_names
-from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.whitening import slope_count
 from diagnosis.healthy.health import load_health
 from diagnosis.healthy.noise import whiten
-from diagnosis.healthy.reference import of_reference
+from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
+from diagnosis.inference.evidence import inform_gram
+from diagnosis.linearisation.parameters import Parameter, layout, library, scatter_names
+from diagnosis.linearisation.sensitivities import relinearise
+from diagnosis.linearisation.whitening import slope_count
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.prepared import prepare
+from diagnosis.reference_throws import health_from_reference
 from machine.conventions import Array
 from machine.spec import load_spec
 
@@ -48,7 +48,7 @@ class Shown(NamedTuple):
     """(K,) of a drift from nothing to that size over the set."""
 
 
-def observe(policies: Path) -> Problem:
+def observe(policies: Path) -> GapProblem:
     """The problem of healthy throws of the nominal machine, with what 12 other throws say of it."""
     machine = healthy_machine(load_spec(), UNIT_SEED)
     with TemporaryDirectory() as folder:
@@ -58,12 +58,14 @@ def observe(policies: Path) -> Problem:
             )
             for seed in SEEDS
         )
-    health = of_reference(known, machine.profile, load_health())
+    health = health_from_reference(known, machine.profile, load_health())
     prepared = prepare(seen.throws, machine.profile)
-    return pose(prepared, machine.profile, machine.calibration, health, layout(health.noise))
+    return pose_problem(
+        prepared, machine.profile, machine.calibration, health, layout(health.noise)
+    )
 
 
-def limit_sizes(problem: Problem) -> dict[str, tuple[float, float]]:
+def limit_sizes(problem: GapProblem) -> dict[str, tuple[float, float]]:
     """Detection limits by parameter key, as a constant and as a drift; the bound if it is never detected."""
     parameters = library()
     bound = np.array([max(p.high, -p.low) for p in parameters])
@@ -81,7 +83,7 @@ def limit_sizes(problem: Problem) -> dict[str, tuple[float, float]]:
     }
 
 
-def discriminability(problem: Problem, parameters: Sequence[Parameter], size: Array) -> Shown:
+def discriminability(problem: GapProblem, parameters: Sequence[Parameter], size: Array) -> Shown:
     """D' of every parameter at its size (K,), in the direction that its bounds leave more room for."""
     sign = np.array([1.0 if p.high >= -p.low else -1.0 for p in parameters])
     requests = [((p.at(float(s)),), [p]) for p, s in zip(parameters, sign * size, strict=True)]
@@ -111,7 +113,7 @@ def discriminability(problem: Problem, parameters: Sequence[Parameter], size: Ar
     return Shown(d_prime[:count], d_prime[count:])
 
 
-def _precision_of(problem: Problem, throw: int, change: Array) -> Array:
+def _precision_of(problem: GapProblem, throw: int, change: Array) -> Array:
     """Precision (2 K + p, 2 K + p) of the changes (n, K), as constants and drifts, and of the parameters."""
     prepared, base = problem.prepared[throw], problem.whitened[throw]
     white = np.empty_like(change)

@@ -16,8 +16,8 @@ from challenge.baselines.tune_all import evolution, largest_z
 from challenge.make import MANIFEST, PROFILE_NAME, REFERENCE, spread
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.healthy.health import Health, load_health
-from diagnosis.healthy.reference import of_reference
 from diagnosis.loading.logs import load_throws
+from diagnosis.reference_throws import health_from_reference
 from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from machine.errors import UsageError
@@ -129,7 +129,7 @@ def _reference_health(reference: Path) -> Health:
     """Noise model of a machine from its healthy throws; cached, because many sets are of one machine."""
     profile = load_profile(reference / PROFILE_NAME)
     with one_blas_thread():
-        return of_reference(load_throws([reference]), profile, load_health())
+        return health_from_reference(load_throws([reference]), profile, load_health())
 
 
 def _small(evidence: dict[str, Any]) -> dict[str, Any]:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.evidence import screen, total, weigh
-from diagnosis.causes.problem import Problem
-from diagnosis.causes.ranking import Ranked
 from diagnosis.fitted_causes import causes_of, effect_names
-from diagnosis.healthy.reference import reference_evidence
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.hypotheses.ranking import Ranked
+from diagnosis.inference.evidence import screen, total, weigh
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.location import named, signature_of, where
+from diagnosis.reference_throws import reference_evidence
 from diagnosis.report.vocabulary import channel_words, size_words
 from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
@@ -41,7 +41,7 @@ class Findings:
     loaded: LoadedSet
     reference: LoadedSet | None
     """Throws of this machine while it was healthy, if it was compared with them."""
-    problem: Problem
+    problem: GapProblem
     ranked: Ranked
     terms: Terms
     shrink: tuple[Shrink, str] | None
@@ -54,12 +54,12 @@ def conclude(found: Findings) -> Diagnosis:
     stages = stage_gaps(found.terms)
     gap = _gap(found)
     causes = causes_of(found.problem, ranked)
-    shrunk = None if found.shrink is None else found.shrink[0]
-    demoted = _demoted(ranked, shrunk)
-    verdict = verdict_of(ranked, shrunk)
+    shrink_covariance = None if found.shrink is None else found.shrink[0]
+    demoted = _demoted(ranked, shrink_covariance)
+    verdict = verdict_of(ranked, shrink_covariance)
     ambiguity: Ambiguity | None = None
     if verdict is VerdictKind.AMBIGUOUS:
-        ambiguity = ambiguity_of(ranked, shrunk)
+        ambiguity = ambiguity_of(ranked, shrink_covariance)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity),
@@ -67,7 +67,9 @@ def conclude(found: Findings) -> Diagnosis:
         stages=stages,
         causes=causes,
         ambiguity=ambiguity,
-        shrink=shrunk if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
+        shrink=shrink_covariance
+        if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS)
+        else None,
         evidence={
             **found.loaded.evidence(),
             "reference": reference_evidence(found.reference),
@@ -155,7 +157,7 @@ def _gap(found: Findings) -> Gap:
 
 def ambiguity_of(ranked: Ranked, gain: Shrink | None) -> Ambiguity:
     """What the throws leave open: which of two causes, or whether there is a cause at all."""
-    # Jitter that is there either way is part of either cause.
+    # Jitter is part of either cause.
     more = (ranked.jitter.effect(),) if ranked.has_jitter else ()
     if ranked.is_doubtful:
         why = f"that there is nothing beside the jitter is {percent(ranked.none_probability)} probable"
@@ -210,7 +212,7 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
     base = screen(total(problem.information), problem.layout.priors)
     entries: list[dict[str, Any]] = []
     for group, name in enumerate(problem.layout.groups):
-        if problem.layout.is_unheard(group):
+        if problem.layout.is_unmodelled(group):
             continue
         weighed = weigh(base, problem.layout.priors, (group,))
         entries.append(

@@ -12,26 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.causes.elements import ALL
-from diagnosis.causes.evidence import members_index, screen, total, weigh
-from diagnosis.causes.hypotheses import Hypothesis
-from diagnosis.causes.leftovers import DEAF_BLOCKS, leftovers
-from diagnosis.causes.linear import Linear
-from diagnosis.causes.parameters import View, library
-from diagnosis.causes.problem import Problem
-from diagnosis.causes.residuals import relinearise
-from diagnosis.causes.shapes import unheard_names
-from diagnosis.causes.trials import fitted_effects
-from diagnosis.causes.whitening import whiten_throw
-from diagnosis.healthy.filters import HealthyModel, correction
-from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.simulate import joint_latency_s, late, sliced
+from diagnosis.hypotheses.candidates import fitted_effects
+from diagnosis.hypotheses.exploration import Hypothesis
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.inference.evidence import members_index, screen, total, weigh
+from diagnosis.linearisation.open_loop import impacts
+from diagnosis.linearisation.parameters import View, library
+from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, residual_power
+from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
+from diagnosis.linearisation.unmodelled_effects import unmodelled_names
+from diagnosis.linearisation.whitening import whiten_throw
 from diagnosis.verdict import Shrink
-from machine.calibration import ValveCalibration
-from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
+from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect
-from sim_twin.replay.drives import replay_drives
-from sim_twin.replay.replay import ReplayElement, ReplayInput, replay
 from sim_twin.twin.profile import TwinProfile, load_profile, save_profile
 
 PART_COUNT = 3
@@ -40,8 +33,6 @@ BOOTSTRAP_COUNT = 400
 """Bootstrap draws of the interval."""
 LEAST_GAP_RATIO = 0.02
 """The removable gap is at least this share of the gap."""
-AFTER_COMMAND_S = 1.0
-"""Simulated time after the opening command, s; the load has left by then, whatever delays its release."""
 CLEAR_RATIO = 1.6
 """An impact gap of more than this multiple of a healthy machine's is a measure of an effect."""
 
@@ -76,50 +67,7 @@ def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile
     )
 
 
-def impacts(
-    prepared: Sequence[PreparedThrow],
-    healthy: HealthyModel,
-    profile: TwinProfile,
-    calibration: ValveCalibration,
-) -> Array:
-    """Impacts (N, 2) from the valve commands alone, with the deviations that all healthy machines share.
-
-    The driven joints are simulated from their commands and corrected by the healthy filters. They then
-    drive swing, release and flight.
-    """
-    inputs = [p.input for p in prepared]
-    alone = replay_drives(
-        inputs, [ReplayElement(i) for i in range(len(inputs))], profile, calibration
-    )
-    moved = [
-        sliced(
-            corrected_input(p, healthy, alone[i], joint_latency_s(profile.effects, p.input)),
-            0,
-            p.input.release_t_s + AFTER_COMMAND_S,
-        )
-        for i, p in enumerate(prepared)
-    ]
-    elements = [ReplayElement(i, measured_joints=ALL) for i in range(len(inputs))]
-    return replay(moved, elements, profile, calibration).impact_m[:, :2]
-
-
-def corrected_input(
-    p: PreparedThrow, healthy: HealthyModel, velocity: Array, latency_s: Array
-) -> ReplayInput:
-    """The throw with simulated and corrected joint motion, as its sensors report it, for the measured one."""
-    rows = p.motion.t_s.size
-    corrected, motion = velocity[:rows].copy(), p.motion.early(latency_s)
-    for joint in range(ACTIVE_COUNT):
-        track = velocity[:rows, joint]
-        track = track + correction(healthy, motion, joint, track)
-        corrected[:, joint] = late(track, float(latency_s[joint]))
-    travelled = np.cumsum(corrected[1:] * CONTROL_PERIOD_S, axis=0)
-    start = p.input.position_rad_m[:1]
-    position = np.vstack([start, start + travelled])
-    return p.input._replace(position_rad_m=position, velocity_rad_m_per_s=corrected)
-
-
-def moved_blocks(problem: Problem, hypothesis: Hypothesis) -> list[set[str]]:
+def moved_blocks(problem: GapProblem, hypothesis: Hypothesis) -> list[set[str]]:
     """Channels of every throw that the effects move at their fitted sizes."""
     under = _under(problem, hypothesis, problem.profile, hypothesis.effects)
     return [
@@ -127,15 +75,15 @@ def moved_blocks(problem: Problem, hypothesis: Hypothesis) -> list[set[str]]:
             block.name
             for block in p.blocks
             if np.nan_to_num(linear.change[block.rows]).any()
-            and not block.name.startswith(DEAF_BLOCKS)
+            and not block.name.startswith(INSENSITIVE_BLOCKS)
         }
         for p, linear in zip(problem.prepared, under, strict=True)
     ]
 
 
 def _under(
-    problem: Problem, hypothesis: Hypothesis, profile: TwinProfile, effects: tuple[Effect, ...]
-) -> Sequence[Linear]:
+    problem: GapProblem, hypothesis: Hypothesis, profile: TwinProfile, effects: tuple[Effect, ...]
+) -> Sequence[LinearThrow]:
     """The throws under a profile and further effects, in the views that a hypothesis moves; no slopes."""
     columns = members_index(problem.layout.priors, hypothesis.members)
     columns = columns % problem.layout.parameter_count
@@ -154,19 +102,19 @@ def _under(
 
 
 def gaps(
-    problem: Problem, hypothesis: Hypothesis, moved: Sequence[set[str]], profile: TwinProfile
+    problem: GapProblem, hypothesis: Hypothesis, moved: Sequence[set[str]], profile: TwinProfile
 ) -> Gaps:
     """Gaps of all throws under a profile: of the impact, and of the channels that a hypothesis moves."""
     measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
     under = _under(problem, hypothesis, profile, ())
-    # The rest of the machine's scatter is not this effect's gap; shapes would take what the effect explains.
+    # Other scatter of the machine is not this effect's gap; unmodelled effects would absorb it.
     others = hypothesis.mean.copy()
     others[members_index(problem.layout.priors, hypothesis.members)] = 0.0
-    others[-len(unheard_names()) :] = 0.0
+    others[-len(unmodelled_names()) :] = 0.0
     power: list[tuple[float, float]] = []
     for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
         whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis[i])
-        left = leftovers(whitened, others)
+        left = residual_power(whitened, others)
         power.append(_power(left, moved[i] & left.keys(), problem.model.unknown_level))
     squares, floors = np.array(power).T
     found = impacts(problem.prepared, problem.healthy, profile, problem.calibration)
@@ -187,7 +135,7 @@ def _power(
     return square / count, float(floor / count)
 
 
-def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
+def held_out(problem: GapProblem, hypothesis: Hypothesis, folder: Path) -> Held:
     """Hold out every third of the throws once."""
     count = len(problem.prepared)
     everyone = np.arange(count)
@@ -197,7 +145,7 @@ def held_out(problem: Problem, hypothesis: Hypothesis, folder: Path) -> Held:
     trained: list[Gaps] = []
     rows: list[IntArray] = []
     for part in range(min(PART_COUNT, count)):
-        # Neighbours go to different parts: modes and targets are mixed in each.
+        # Consecutive throws go to different parts, which mixes modes and targets.
         left_out = everyone[everyone % PART_COUNT == part]
         used = np.setdiff1d(everyone, left_out)
         sizes = _sizes(problem, hypothesis, used)
@@ -222,7 +170,7 @@ def _rows(found: Gaps, rows: IntArray) -> Gaps:
     return Gaps(*(values[rows] for values in found))
 
 
-def _sizes(problem: Problem, hypothesis: Hypothesis, used: IntArray) -> Array:
+def _sizes(problem: GapProblem, hypothesis: Hypothesis, used: IntArray) -> Array:
     data = total([hypothesis.information[int(i)] for i in used])
     base = screen(data, problem.layout.priors)
     return weigh(base, problem.layout.priors, hypothesis.members).mean
@@ -261,13 +209,14 @@ def _closed(ends: Ends | None, least_seen: float) -> float:
     if ends is None:
         return 0.0
     floor = min(ends.floor, least_seen, ends.before)
-    # What lies below the floor is chance, not more than all of it; and where there was next to nothing to
-    # remove, nothing was removed.
+    # A gap below the floor is chance and counts as the floor; a tiny removable gap is bounded from below.
     removable = max(ends.before - floor, LEAST_GAP_RATIO * ends.before, 1e-12)
     return float(np.clip((ends.before - max(ends.after, floor)) / removable, -1.0, 1.0))
 
 
-def shrink(problem: Problem, hypothesis: Hypothesis, floor_m: float) -> tuple[Shrink, str] | None:
+def shrink(
+    problem: GapProblem, hypothesis: Hypothesis, floor_m: float
+) -> tuple[Shrink, str] | None:
     """The measured reduction with a paired bootstrap over throws, and its measure; None without impacts.
 
     The measure is the impact where the gap and its change exceed the scatter of healthy machines. Otherwise

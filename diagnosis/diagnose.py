@@ -6,18 +6,18 @@ from time import perf_counter
 
 import numpy as np
 
-from diagnosis.causes.hypotheses import explore
-from diagnosis.causes.jitter import fit_jitter
-from diagnosis.causes.parameters import layout
-from diagnosis.causes.problem import pose
-from diagnosis.causes.ranking import rank
 from diagnosis.conclusion import Findings, conclude
 from diagnosis.cross_validation import shrink
 from diagnosis.healthy.health import Health, load_health
-from diagnosis.healthy.reference import check_reference, of_reference
 from diagnosis.healthy.sensor_noise import with_measured_sensor_noise
+from diagnosis.hypotheses.exploration import explore
+from diagnosis.hypotheses.gap_problem import pose_problem
+from diagnosis.hypotheses.ranking import rank
+from diagnosis.hypotheses.release_jitter import fit_jitter
+from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet
+from diagnosis.reference_throws import check_reference, health_from_reference
 from diagnosis.report.overlay import overlay
 from diagnosis.stages import swap_stages
 from diagnosis.threads import one_blas_thread
@@ -92,7 +92,7 @@ def _diagnose(
 
     if reference is not None:
         report(0.0, "the machine while it was healthy")
-        health = of_reference(reference, profile, health)
+        health = health_from_reference(reference, profile, health)
     # From these throws alone: a sticking joint looks noisy, and did not while the machine was healthy.
     health = health._replace(noise=with_measured_sensor_noise(health.noise, loaded))
     report(0.02, "measured motion")
@@ -106,7 +106,7 @@ def _diagnose(
     plan = layout(model)
     if jitter.log_odds > 0.0:
         health = health._replace(noise=model.with_jitter(jitter.size_s))
-    problem = pose(prepared, profile, calibration, health, plan).shared_with(worker)
+    problem = pose_problem(prepared, profile, calibration, health, plan).shared_with(worker)
     report(0.35, "which: sets of effects")
     hypotheses = explore(problem, lambda s: report(0.35 + 0.5 * s, "which: sets of effects"))
     ranked = rank(problem, hypotheses, jitter)

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.causes.evidence import members_index
-from diagnosis.causes.hypotheses import Hypothesis
-from diagnosis.causes.jitter import JITTER, PARAMETER
-from diagnosis.causes.parameters import library
-from diagnosis.causes.problem import Problem
-from diagnosis.causes.ranking import Ranked
-from diagnosis.causes.selection import NORMAL_90
+from diagnosis.hypotheses.exploration import Hypothesis
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.hypotheses.ranking import Ranked
+from diagnosis.hypotheses.release_jitter import JITTER, PARAMETER
+from diagnosis.inference.evidence import members_index
+from diagnosis.inference.model_selection import NORMAL_90
+from diagnosis.linearisation.parameters import library
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter
 from sim_twin.effects.effect import Effect, acting_effect
 from sim_twin.effects.schema import parameter_unit
@@ -38,7 +38,7 @@ def effect_names(effects: Sequence[Effect]) -> str:
     return " and ".join(one(effect) for effect in effects)
 
 
-def causes_of(problem: Problem, ranked: Ranked) -> tuple[Cause, ...]:
+def causes_of(problem: GapProblem, ranked: Ranked) -> tuple[Cause, ...]:
     """Causes, most probable first, with and without jitter; "none" and "unknown" are always among them."""
     both: list[Cause] = []
     for hypothesis, of_hypothesis in zip(ranked.hypotheses, ranked.probability, strict=True):
@@ -72,7 +72,7 @@ def _jitter(ranked: Ranked) -> FittedEffect:
     )
 
 
-def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
+def _fitted(problem: GapProblem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
     """Fitted parameters with 90 % intervals, clipped to their bounds.
 
     The posterior excludes the machine's own scatter; the model error of the effect (`SIZE_ERROR_RATIO`)
@@ -105,7 +105,7 @@ def _fitted(problem: Problem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...
     return tuple(effects)
 
 
-def _ordered(effect: Effect, problem: Problem, group: int) -> list[str]:
+def _ordered(effect: Effect, problem: GapProblem, group: int) -> list[str]:
     """Parameter names of an effect in the order of the vector."""
     index = problem.layout.priors.groups[group]
     if int(index[0]) >= problem.layout.parameter_count:
@@ -113,5 +113,5 @@ def _ordered(effect: Effect, problem: Problem, group: int) -> list[str]:
     return [library()[int(i)].name for i in index]
 
 
-def _bounds(problem: Problem, place: int) -> tuple[float, float]:
+def _bounds(problem: GapProblem, place: int) -> tuple[float, float]:
     return float(problem.layout.priors.low[place]), float(problem.layout.priors.high[place])

@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.causes.ranking import Ranked, unknown_log_odds
-from diagnosis.causes.shapes import shape_of
 from diagnosis.fitted_causes import effect_names
+from diagnosis.hypotheses.ranking import Ranked, unknown_log_odds
+from diagnosis.linearisation.unmodelled_effects import unmodelled_effect_of
 from diagnosis.verdict import (
     Stage,
     StageGap,
@@ -79,7 +79,7 @@ def signature_of(ranked: Ranked) -> dict[str, Any]:
     joint = channel if stage == Stage.ACTUATION else None
     if _is_of_one_axis(name, ranked.levels):
         stage, joint = Stage.AIM.value, SIDEWAYS[name]
-    shape = None if ranked.shape is None else shape_of(ranked.shape[0])
+    shape = None if ranked.shape is None else unmodelled_effect_of(ranked.shape[0])
     if ranked.shape is not None and shape is not None:
         stage, joint = shape.stage, ranked.shape[1]
         name = stage if joint is None else f"{stage}.{joint}"
@@ -88,6 +88,6 @@ def signature_of(ranked: Ranked) -> dict[str, Any]:
         "joint": joint,
         "channel": name,
         "leftover_sd": round(ranked.levels.get(name, 0.0), 1),
-        "looks_like": None if shape is None else shape.said,
+        "looks_like": None if shape is None else shape.description,
         "nearest": effect_names(ranked.best.effects) or "none",
     }

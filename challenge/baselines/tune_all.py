@@ -19,10 +19,9 @@ from challenge.baselines.baseline_case import (
     run_twin,
     throw_errors,
 )
-from diagnosis.causes.linear import Linear
-from diagnosis.causes.parameters import Parameter, library
-from diagnosis.causes.residuals import linearise, relinearise
 from diagnosis.healthy.filters import nothing
+from diagnosis.linearisation.parameters import Parameter, library
+from diagnosis.linearisation.sensitivities import LinearThrow, linearise, relinearise
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, IntArray
@@ -63,7 +62,7 @@ def largest_z(loaded: LoadedSet, profile: TwinProfile) -> Diagnosis:
     return conclude(case, _candidates(theta, sd, score), _effects(theta))
 
 
-def _solve(case: Case, linear: Sequence[Linear], theta: Array) -> tuple[Array, Array]:
+def _solve(case: Case, linear: Sequence[LinearThrow], theta: Array) -> tuple[Array, Array]:
     """Ridge step and standard errors, with one pooled variance for each channel."""
     groups: dict[str, list[tuple[Array, Array]]] = {}
     for i, one in zip(case.train, linear, strict=True):

@@ -5,7 +5,7 @@ same on all machines of the type and would look like an effect. It is learned as
 regression) on throws of healthy machines. Inputs are the twin's own prediction, the other joints' motion
 and the swing, with delays up to 0.2 s. The joint's own measured motion is not an input, so that an effect
 at this joint is not learned. Valve commands are not inputs, so that the correction follows what an effect
-makes of the command. The weights are in filters.json; diagnosis/healthy/calibration.py estimates them.
+makes of the command. The weights are in filters.json; diagnosis/population/estimation.py estimates them.
 """
 
 from collections.abc import Sequence
@@ -133,7 +133,7 @@ def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicte
     function, factor = _inputs(motion, joint)
     functions = _functions(predicted)
     out = np.full(predicted.shape, found.offset - float(np.asarray(found.centre) @ weight))
-    # Summed by function first: a hundred inputs, but seven functions of every prediction.
+    # Sum by function first: there are a hundred inputs, but seven functions of the prediction.
     is_of = np.eye(functions.shape[0])[:, function]
     for ticks, own in zip(DELAYS_COUNT, weight.reshape(len(DELAYS_COUNT), -1), strict=True):
         share = (is_of * own) @ factor

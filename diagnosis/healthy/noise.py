@@ -3,7 +3,7 @@
 Behind the sensor noise the twin has a discrepancy that grows with motion and is correlated over about 0.2
 s. For a channel sampled at t with motion levels m1, m2 (speed and acceleration): cov = noise^2 I + D
 exp(-|t - t'| / tau) D, D = diag(floor + rate m1 + push m2). The values are in noise.json.
-diagnosis/healthy/calibration.py estimates them on throws of virtual machines without an effect, each
+diagnosis/population/estimation.py estimates them on throws of virtual machines without an effect, each
 against its own identified profile.
 """
 

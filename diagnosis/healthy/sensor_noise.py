@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.causes.parameters import joint_index
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.measured import (
     NOISE_WINDOW_COUNT,
@@ -26,9 +25,9 @@ USUAL_SPEED_SD_RAD_M_PER_S = (0.0050, 0.0059, 0.0067, 0.0060)
 """White noise of the joint velocity sensors of the type, one standard deviation."""
 NOISIER_RATIO = 1.1
 """Joint sensors and trackers of the type stay below this multiple of their usual noise."""
-SWINGS_MORE: Final[Mapping[str, float]] = {
+NOISE_LIKE_SD: Final[Mapping[str, float]] = {
     "joint_sensor_bias.telescope.bias_rad_m": 0.06,
-    **{f"unheard.scale.{joint}.scale_ratio": 0.01 for joint in ACTIVE_JOINTS},
+    **{f"unmodelled.scale.{joint}.scale_ratio": 0.01 for joint in ACTIVE_JOINTS},
     **{f"joint_sensor_latency.{joint}.extra_latency_s": 0.008 for joint in ACTIVE_JOINTS},
     "joint_sensor_latency.slew.extra_latency_s": 0.004,
     "joint_sensor_latency.telescope.extra_latency_s": 0.02,
@@ -48,7 +47,7 @@ def with_measured_sensor_noise(model: NoiseModel, loaded: LoadedSet) -> NoiseMod
         model: of the type.
         loaded: the throws, and their sampling rates.
     """
-    shaking = _shaking(loaded.throws)
+    shaking = _excitation(loaded.throws)
     channels = {
         name: channel.model_copy(
             update={
@@ -58,13 +57,13 @@ def with_measured_sensor_noise(model: NoiseModel, loaded: LoadedSet) -> NoiseMod
         )
         for name, channel in model.channels.items()
     }
-    # A command may have been held for a row, or have moved on within it.
+    # A command may have changed anywhere within a row.
     unsure_s = 0.5 * max(1.0 / loaded.rates["control"] - CONTROL_PERIOD_S, 0.0)
     unsure = {key.format(joint): unsure_s for key in LATE_KEYS for joint in ACTIVE_JOINTS}
     louder = shaking["swing.gyro"] ** 2 - 1.0
     set_scatter = model.set_scatter
-    for name in unsure | SWINGS_MORE:
-        more = np.hypot(unsure.get(name, 0.0), louder * SWINGS_MORE.get(name, 0.0))
+    for name in unsure | NOISE_LIKE_SD:
+        more = np.hypot(unsure.get(name, 0.0), louder * NOISE_LIKE_SD.get(name, 0.0))
         sd = float(np.hypot(set_scatter.sd_of(name), more))
         set_scatter = set_scatter.with_sd(name, sd)
     return model.model_copy(update={"channels": channels, "set_scatter": set_scatter})
@@ -80,7 +79,7 @@ def _noisier(block: str, usual_sd: float, throws: Sequence[ThrowData]) -> float:
     """Ratio of a block's noise to that of the type, at least 1."""
     stage, _, channel = block.partition(".")
     if stage == "actuation":
-        ratio = float(_shown_ratio(throws)[joint_index(channel)])
+        ratio = float(_shown_ratio(throws)[ACTIVE_JOINTS.index(channel)])
     elif block == "flight.ball":
         ratio = _track_noise_sd_m(throws) / usual_sd
     elif block == "flight.impact":
@@ -99,7 +98,7 @@ def _track_noise_sd_m(throws: Sequence[ThrowData]) -> float:
     return float(np.sqrt(np.mean(np.square([white_noise_sd(one) for one in tracks]))))
 
 
-def _shaking(throws: Sequence[ThrowData]) -> Mapping[str, float]:
+def _excitation(throws: Sequence[ThrowData]) -> Mapping[str, float]:
     """How much more than the type's the joint sensors' noise moves the simulated gripper, by IMU sensor.
 
     At least 1. A pin 6 m out that follows the residual noise of the joint sensors excites the gripper below

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.causes.elements import ALL
-from diagnosis.causes.problem import Problem
-from diagnosis.cross_validation import corrected_input
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.linearisation.open_loop import corrected_input
+from diagnosis.linearisation.simulation import joint_latency_s
+from diagnosis.linearisation.simulation_batch import ALL
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.simulate import joint_latency_s
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.effects.effect import Effect, acting_effect, effect_stage
 from sim_twin.effects.table import EFFECTS
@@ -36,7 +36,7 @@ FROM_MEASURED = {TURN_RATE: "turn rate from measured joints", HEIGHT: "height fr
 
 
 def overlay(
-    problem: Problem, effects: Sequence[Effect], where: tuple[str, str | None] | None = None
+    problem: GapProblem, effects: Sequence[Effect], where: tuple[str, str | None] | None = None
 ) -> dict[str, Any]:
     """Plots ``{name: {x, x_unit, unit, measured, twin_before, twin_after}}``; the last only with effects.
 
@@ -73,7 +73,7 @@ def _signal(stage: str, joint: str | None, effect: str) -> str:
 
 
 def _all(
-    problem: Problem, effects: Sequence[Effect], *, is_driven: bool
+    problem: GapProblem, effects: Sequence[Effect], *, is_driven: bool
 ) -> dict[str, dict[int, dict[str, Any]]]:
     """All plots by name of the signal and number of the throw."""
     shown = _shown(problem.prepared)
@@ -112,13 +112,15 @@ def _all(
     return plots
 
 
-def _plot(at_s: Array, unit: str, measured: Array, twins: Mapping[str, Array]) -> dict[str, Any]:
+def _plot(
+    at_s: Array, unit: str, measured: Array, lookalikes: Mapping[str, Array]
+) -> dict[str, Any]:
     return {
         "x": _listed(at_s),
         "x_unit": "s",
         "unit": unit,
         "measured": _listed(measured),
-        **{case: _listed(values) for case, values in twins.items()},
+        **{case: _listed(values) for case, values in lookalikes.items()},
     }
 
 
@@ -127,12 +129,12 @@ def _shown(prepared: Sequence[PreparedThrow]) -> list[PreparedThrow]:
     return [prepared[int(place)] for place in places]
 
 
-def _number(problem: Problem, p: PreparedThrow) -> int:
+def _number(problem: GapProblem, p: PreparedThrow) -> int:
     return next(i for i, other in enumerate(problem.prepared, start=1) if other is p)
 
 
 def _simulate(
-    problem: Problem,
+    problem: GapProblem,
     shown: Sequence[PreparedThrow],
     effects: tuple[Effect, ...],
     *,

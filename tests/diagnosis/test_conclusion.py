@@ -3,9 +3,8 @@
 from types import SimpleNamespace
 from typing import cast
 
-from diagnosis.causes.hypotheses import Hypothesis
-from diagnosis.causes.ranking import Ranked, unknown_log_odds
 from diagnosis.conclusion import ambiguity_of, sentence_of, verdict_of
+from diagnosis.hypotheses.ranking import Ranked
 from diagnosis.location import signature_of, where
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
@@ -23,61 +22,6 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
         "The twin misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
         "tracked flight of the load 12 standard deviations above a healthy machine."
     )
-
-
-def test_two_effects_at_a_joint_may_leave_less_there() -> None:
-    """Together they take most of what a foreign effect does."""
-    two = tuple(
-        Effect(effect=effect, joint="boom", parameters={name: 0.1})
-        for effect, name in (("valve_hysteresis", "half_width_ratio"), ("valve_lag", "extra_lag_s"))
-    )
-    left = {"flight.ball": 4.0, "actuation.boom": 3.6, "actuation.slew": 3.6}
-    for effects, block, is_foreign in (
-        (two, "actuation.boom", True),
-        (two, "actuation.slew", False),
-        (two[:1], "actuation.boom", False),
-    ):
-        best = cast("Hypothesis", SimpleNamespace(members=(1, 2), effects=effects))
-        assert (unknown_log_odds(best, 0.0, block, left[block]) > 0.0) is is_foreign
-    ranked = SimpleNamespace(
-        levels=left, shape=None, best=SimpleNamespace(members=(1, 2), effects=two), ahead=0.0
-    )
-    causes = (Cause(effects=(), probability=0.9, name="unknown"),)
-    gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
-    sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
-    assert "Something unknown in actuation of the boom" in sentence
-
-
-def test_a_joint_that_sticks_may_leave_more_than_a_neighbour() -> None:
-    """It rings as it breaks loose, and the twin's does not."""
-    stuck = Effect(effect="stiction", joint="dipper", parameters={"breakaway_rad_m_per_s": 0.1})
-    gain = Effect(effect="valve_gain", joint="dipper", parameters={"positive_ratio": 0.2})
-    for effects, block, level, is_foreign in (
-        ((stuck,), "actuation.dipper", 6.6, False),
-        ((stuck,), "actuation.dipper", 9.0, True),
-        ((stuck,), "actuation.boom", 6.6, True),
-        ((stuck, gain), "actuation.dipper", 5.5, False),
-        ((gain,), "actuation.dipper", 6.6, True),
-    ):
-        best = cast("Hypothesis", SimpleNamespace(members=(1,), effects=effects))
-        assert (unknown_log_odds(best, 0.0, block, level) > 0.0) is is_foreign
-
-
-def test_a_large_effect_may_leave_more() -> None:
-    """A pump 2000 ahead of no effect leaves 6 sd at a joint by its form alone."""
-    best = cast("Hypothesis", SimpleNamespace(members=(3,), effects=()))
-    block = "actuation.telescope"
-    for ahead, level, is_foreign in ((100.0, 6.0, True), (2000.0, 6.0, False), (9e4, 8.0, True)):
-        assert (unknown_log_odds(best, ahead, block, level) > 0.0) is is_foreign
-
-
-def test_where_no_effect_is_best_less_is_foreign() -> None:
-    """Nothing has a form there that could leave more: command drop-outs left 4.9 sd and were none."""
-    none = cast("Hypothesis", SimpleNamespace(members=(), effects=()))
-    pump = cast("Hypothesis", SimpleNamespace(members=(3,), effects=()))
-    block = "actuation.telescope"
-    for best, level, is_foreign in ((none, 4.9, True), (none, 3.8, False), (pump, 4.9, False)):
-        assert (unknown_log_odds(best, 0.0, block, level) > 0.0) is is_foreign
 
 
 def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> None:

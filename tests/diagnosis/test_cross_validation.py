@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from diagnosis.causes.evidence import SetEvidence
-from diagnosis.causes.hypotheses import Hypothesis
-from diagnosis.causes.parameters import layout
-from diagnosis.causes.problem import Problem, pose
-from diagnosis.cross_validation import Ends, _closed, impacts, shrink, with_effects
+from diagnosis.cross_validation import Ends, _closed, shrink, with_effects
+from diagnosis.hypotheses.exploration import Hypothesis
+from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
+from diagnosis.inference.evidence import SetEvidence
+from diagnosis.linearisation.open_loop import impacts
+from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import load_profile, save_profile
@@ -17,15 +18,15 @@ EFFECT = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.1
 
 
 @pytest.fixture(scope="module")
-def problem() -> Problem:
+def problem() -> GapProblem:
     known = health()
     loaded = throws((EFFECT,), 6)
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
-    return pose(prepared, profile(), loaded.throws[0].calibration, known, plan)
+    return pose_problem(prepared, profile(), loaded.throws[0].calibration, known, plan)
 
 
-def hypothesis(problem: Problem) -> Hypothesis:
+def hypothesis(problem: GapProblem) -> Hypothesis:
     members = (problem.layout.groups.index(("valve_lag", "boom")),)
     return Hypothesis(
         members=members,
@@ -38,7 +39,7 @@ def hypothesis(problem: Problem) -> Hypothesis:
     )
 
 
-def test_held_out_gap_closes_as_predicted(problem: Problem) -> None:
+def test_held_out_gap_closes_as_predicted(problem: GapProblem) -> None:
     shown = shrink(problem, hypothesis(problem), floor_m=0.03)
     assert shown is not None
     found, measure = shown
@@ -52,7 +53,7 @@ def test_held_out_gap_closes_as_predicted(problem: Problem) -> None:
 
 
 def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
-    problem: Problem, tmp_path_factory: pytest.TempPathFactory
+    problem: GapProblem, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("profile") / "next.json"
     save_profile(with_effects(problem.profile, (EFFECT,)), path)
@@ -66,7 +67,7 @@ def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
     assert np.abs(after).max() < 0.5 * np.abs(before).max()
 
 
-def test_gap_within_healthy_scatter_is_measured_on_the_channels(problem: Problem) -> None:
+def test_gap_within_healthy_scatter_is_measured_on_the_channels(problem: GapProblem) -> None:
     shown = shrink(problem, hypothesis(problem), floor_m=10.0)
     assert shown is not None
     found, measure = shown
@@ -90,7 +91,7 @@ def test_a_late_release_is_a_gap_that_closes() -> None:
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
-    one = pose(prepared, profile(), calibration, known, plan)
+    one = pose_problem(prepared, profile(), calibration, known, plan)
     members = (plan.groups.index(("release_delay", None)),)
     found = shrink(
         one,

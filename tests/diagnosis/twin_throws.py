@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.causes.nuisances import THROW_NUISANCES, throw_nuisances
-from diagnosis.causes.parameters import SET_NUISANCES, layout, library, scatter_names
-from diagnosis.causes.problem import Problem, pose
-from diagnosis.causes.shapes import unheard_least_sd
 from diagnosis.healthy.filters import nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
+from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
+from diagnosis.linearisation.nuisances import THROW_NUISANCES, throw_nuisances
+from diagnosis.linearisation.parameters import SET_NUISANCES, layout, library, scatter_names
+from diagnosis.linearisation.unmodelled_effects import unmodelled_least_sd
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.calibration import nominal_calibration
@@ -33,11 +33,13 @@ def profile() -> TwinProfile:
     return nominal_profile(load_spec())
 
 
-def posed(loaded: LoadedSet) -> Problem:
+def posed(loaded: LoadedSet) -> GapProblem:
     """Throws of the nominal machine as the diagnosis begins with them."""
     known = health()
     prepared = prepare(loaded.throws, profile())
-    return pose(prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise))
+    return pose_problem(
+        prepared, profile(), loaded.throws[0].calibration, known, layout(known.noise)
+    )
 
 
 def _commands(number: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -107,8 +109,8 @@ def _throw(
     velocity = output.joint_velocity_rad_m_per_s[number]
     joints = np.hstack([position, output.passive_position_rad[number]])
     rates = np.hstack([velocity, output.passive_velocity_rad_per_s[number]])
-    seen = np.flatnonzero(np.isfinite(output.ball_position_m[number, :, 0]))[::2]
-    ball = output.ball_position_m[number, seen]
+    evaluated = np.flatnonzero(np.isfinite(output.ball_position_m[number, :, 0]))[::2]
+    ball = output.ball_position_m[number, evaluated]
     impact = output.impact_m[number]
     release_s = float(output.release_t_s[number])
     target = np.array([impact[0], impact[1], 0.0])
@@ -131,7 +133,7 @@ def _throw(
         accel_m_per_s2=output.accel_m_per_s2[number] + 4e-3 * noise((TICKS, 3)),
         open_command_t_s=OPEN_TICK * 0.01,
         switch_open_t_s=release_s + SWITCH_LAG_S + 0.005,
-        ball_t_s=t_s[seen],
+        ball_t_s=t_s[evaluated],
         ball_m=ball + 0.02 * noise(ball.shape),
         impact_m=impact + np.array([0.02, 0.02, 0.0]) * noise(3),
         impact_sd_m=0.02,
@@ -168,7 +170,7 @@ def health() -> Health:
     tolerance = [p.tolerance for p in library()]
     of_throw = [THROW_SD.get(name, 0.003) for name in THROW_NUISANCES]
     of_throw += [0.2 * sd for sd in tolerance]
-    of_set = [*tolerance, *(0.003 for _ in SET_NUISANCES), *unheard_least_sd()]
+    of_set = [*tolerance, *(0.003 for _ in SET_NUISANCES), *unmodelled_least_sd()]
     return Health(
         nothing(),
         NoiseModel(

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.causes.jitter import fit_jitter
-from diagnosis.causes.nuisances import throw_nuisances
-from diagnosis.causes.parameters import layout, library, scatter_names
 from diagnosis.healthy.filters import HealthyModel, correction, inputs, learn, nothing
 from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, whiten, whitener
+from diagnosis.hypotheses.release_jitter import fit_jitter
+from diagnosis.linearisation.nuisances import throw_nuisances
+from diagnosis.linearisation.parameters import layout, library, scatter_names
 from diagnosis.loading.prepared import prepare
 from diagnosis.separating_motions import separating_motion
 from sim_twin.effects.effect import Effect

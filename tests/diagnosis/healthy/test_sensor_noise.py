@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.healthy.noise import load_noise
-from diagnosis.healthy.sensor_noise import SWINGS_MORE, with_measured_sensor_noise
+from diagnosis.healthy.sensor_noise import NOISE_LIKE_SD, with_measured_sensor_noise
 from diagnosis.loading.throw_data import LoadedSet
 from tests.diagnosis.twin_throws import throws
 
@@ -51,7 +51,7 @@ def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
     gyro = found.channels["swing.gyro.x"].floor_sd / model.channels["swing.gyro.x"].floor_sd
     assert 1.5 < gyro < 4.0, "what smoothing leaves grows less than noise"
     assert found.channels["flight.ball"] == model.channels["flight.ball"]
-    for name in SWINGS_MORE:
+    for name in NOISE_LIKE_SD:
         assert found.set_scatter.sd_of(name) > 2.0 * model.set_scatter.sd_of(name)
 
 
@@ -71,6 +71,6 @@ def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
 
 def test_a_survey_says_how_well_it_saw() -> None:
     loaded = throws()
-    rough = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
-    found = with_measured_sensor_noise(load_noise(), rough)
+    nonsmooth = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
+    found = with_measured_sensor_noise(load_noise(), nonsmooth)
     assert found.channels["flight.impact"].noise_sd == pytest.approx(0.1)

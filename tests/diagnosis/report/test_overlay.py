@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis.causes.parameters import layout
-from diagnosis.causes.problem import pose
+from diagnosis.hypotheses.gap_problem import pose
+from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
 from sim_twin.effects.effect import Effect

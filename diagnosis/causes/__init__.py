@@ -1,1 +1,0 @@
-"""From residuals to probable effects with intervals."""

@@ -1,0 +1,1 @@
+"""Bayesian evidence for sets of effects, and model selection by it."""

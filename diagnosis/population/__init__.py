@@ -1,0 +1,1 @@
+"""Population of healthy machines: estimation of the model from their throws, and its fit to one machine."""

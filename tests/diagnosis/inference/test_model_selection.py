@@ -1,0 +1,247 @@
+"""Selection on linear problems whose answer is known in closed form."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from diagnosis.inference.evidence import (
+    MIN_SLAB_OVER_SPIKE_RATIO,
+    PARTNER_LOG_PRIOR,
+    THIRD_LOG_PRIOR,
+    Information,
+    Priors,
+    SetEvidence,
+    inform,
+    inform_gram,
+    mean_with,
+    screen,
+    set_log_prior,
+    total,
+    weigh,
+    without_effect,
+)
+from diagnosis.inference.model_selection import (
+    COUNT_TEMPERATURE_RATIO,
+    FORM_TEMPERATURE_RATIO,
+    bagged_probability,
+    bootstrap_weights,
+    expected_log_odds,
+    search,
+)
+from machine.conventions import Array
+
+FREE = 1e9
+
+
+def priors(count: int, slab: float = 1.0, spike: float = 0.01) -> Priors:
+    return Priors(
+        scatter=spike**2 * np.eye(count),
+        slab_sd=np.full(count, slab),
+        low=np.full(count, -FREE),
+        high=np.full(count, FREE),
+        groups=tuple(np.array([i]) for i in range(count)),
+        log_prior=np.full(count, -4.0),
+    )
+
+
+@dataclass
+class GapProblem:
+    """Throws of a linear machine."""
+
+    information: list[Information]
+
+
+def throws(truth: Array, rng: np.random.Generator, count: int = 12, rows: int = 40) -> GapProblem:
+    found: list[Information] = []
+    for _ in range(count):
+        jacobian = rng.standard_normal((rows, truth.size))
+        nuisance = rng.standard_normal((rows, 2))
+        residual = jacobian @ truth + nuisance @ rng.standard_normal(2)
+        residual += rng.standard_normal(rows)
+        found.append(inform(residual, jacobian, nuisance))
+    return GapProblem(found)
+
+
+def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(0)
+    residual, jacobian, nuisance = (
+        rng.standard_normal(9),
+        rng.standard_normal((9, 3)),
+        rng.standard_normal((9, 2)),
+    )
+    inverse = np.linalg.inv(np.eye(9) + nuisance @ nuisance.T)
+    found = inform(residual, jacobian, nuisance)
+    np.testing.assert_allclose(found.precision, jacobian.T @ inverse @ jacobian, atol=1e-10)
+    np.testing.assert_allclose(found.gradient, jacobian.T @ inverse @ residual, atol=1e-10)
+    assert found.square == pytest.approx(float(residual @ inverse @ residual))
+
+
+def test_bare_information_is_that_of_the_residual_without_effects() -> None:
+    rng = np.random.default_rng(9)
+    extrapolated_to_none, plain, jacobian, nuisance = (
+        rng.standard_normal((12, 1)),
+        rng.standard_normal((12, 1)),
+        rng.standard_normal((12, 3)),
+        rng.standard_normal((12, 2)),
+    )
+    table = np.column_stack([extrapolated_to_none, plain, jacobian, nuisance])
+    both = inform_gram(table.T @ table, 3)
+    prior = priors(3, spike=0.5)
+    found = screen(without_effect(both), prior)
+    alone = screen(inform(plain[:, 0], jacobian, nuisance), prior)
+    assert found.log_evidence == pytest.approx(alone.log_evidence)
+    np.testing.assert_allclose(found.mean, alone.mean, atol=1e-12)
+    np.testing.assert_allclose(found.gradient, alone.gradient, atol=1e-10)
+
+
+def test_evidence_equals_the_dense_gaussian() -> None:
+    rng = np.random.default_rng(1)
+    jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
+    found = weigh(screen(inform(residual, jacobian, np.zeros((30, 1))), prior), prior, (0, 2))
+
+    def log_density(sd: Array) -> float:
+        covariance = np.eye(30) + jacobian @ np.diag(sd**2) @ jacobian.T
+        density: Any = multivariate_normal
+        return float(density.logpdf(residual, cov=covariance))
+
+    sd = np.sqrt(np.diag(prior.scatter))
+    none = log_density(sd)
+    # The mixture's smaller scales are lifted to the same least width here.
+    sd[[0, 2]] = np.hypot(MIN_SLAB_OVER_SPIKE_RATIO * 0.5, 0.5)
+    assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0 + PARTNER_LOG_PRIOR)
+
+
+def test_a_shape_also_moves_what_it_looks_like_as_the_dense_gaussian_does() -> None:
+    rng = np.random.default_rng(8)
+    jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
+    prior = prior._replace(looks_like=np.array([[0.7], [0.0], [-1.2]]))
+    data = inform(residual, jacobian, np.zeros((30, 1)))
+    base = screen(data, prior)
+    found = weigh(base, prior, (3,))
+
+    moved = np.array([0.7, 0.0, -1.2, 1.0])
+    slab = MIN_SLAB_OVER_SPIKE_RATIO * 0.5
+    spread = prior.scatter + slab**2 * np.outer(moved, moved)
+    density: Any = multivariate_normal
+    none, own = (np.eye(30) + jacobian @ c @ jacobian.T for c in (prior.scatter, spread))
+    ahead = density.logpdf(residual, cov=own) - density.logpdf(residual, cov=none)
+    assert found.log_odds == pytest.approx(float(ahead) - 4.0)
+    expected = spread @ jacobian.T @ np.linalg.solve(own, residual)
+    np.testing.assert_allclose(mean_with(base, data, prior, found), expected, atol=1e-10)
+
+
+def test_true_pair_is_found_and_nothing_else() -> None:
+    rng = np.random.default_rng(2)
+    truth = np.zeros(20)
+    truth[[3, 11]] = 0.5, -0.3
+    prior = priors(20)
+    base = screen(total(throws(truth, rng).information), prior)
+    best = search(base, prior, range(len(prior.groups)))[0]
+    assert best.members == (3, 11)
+    np.testing.assert_allclose(best.mean, [0.5, -0.3], atol=0.12)
+
+
+def test_scatter_within_the_spike_is_no_effect() -> None:
+    rng = np.random.default_rng(3)
+    prior = priors(20, spike=0.1)
+    truth = 0.1 * rng.standard_normal(20)
+    base = screen(total(throws(truth, rng).information), prior)
+    assert search(base, prior, range(len(prior.groups)))[0].members == ()
+
+
+def test_what_healthy_machines_do_together_is_no_effect() -> None:
+    rng = np.random.default_rng(6)
+    prior = priors(6)
+    scatter = prior.scatter.copy()
+    # Parameters 1 and 2 are off by 0.4, always together.
+    scatter[1:3, 1:3] += 0.16
+    correlated = prior._replace(scatter=scatter)
+    together, with_projection_subtracted = np.zeros(6), np.zeros(6)
+    together[1:3], with_projection_subtracted[1:3] = 0.4, (0.4, -0.4)
+    bases = [
+        screen(total(throws(truth, rng, rows=200).information), correlated)
+        for truth in (together, with_projection_subtracted)
+    ]
+    assert search(bases[0], correlated, range(len(correlated.groups)))[0].members == ()
+    # Either of them is off: the other is then scatter.
+    assert search(bases[1], correlated, range(len(correlated.groups)))[0].members in {(1,), (2,)}
+
+
+def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:
+    rng = np.random.default_rng(4)
+    truth = np.zeros(5)
+    truth[1] = -0.5
+    prior = priors(5)._replace(low=np.array([-FREE, 0.0, -FREE, -FREE, -FREE]))
+    base = screen(total(throws(truth, rng).information), prior)
+    assert weigh(base, prior, (1,)).log_odds < 0.0
+
+
+def test_equal_sensitivities_cannot_be_told_apart() -> None:
+    rng = np.random.default_rng(5)
+    jacobian = rng.standard_normal((400, 3))
+    jacobian[:, 1] = jacobian[:, 0] + 0.01 * rng.standard_normal(400)
+    residual = 0.5 * jacobian[:, 0] + rng.standard_normal(400)
+    information, prior = inform(residual, jacobian, np.zeros((400, 1))), priors(3)
+    truth: SetEvidence = weigh(screen(information, prior), prior, (0,))
+    assert abs(expected_log_odds(information, prior, truth, (1,))) < 1.0
+    assert expected_log_odds(information, prior, truth, (2,)) > 5.0
+
+
+def test_a_third_effect_is_rarer_than_a_second_but_not_a_shape_beside_two() -> None:
+    plain = priors(4)
+    unmodelled = plain._replace(looks_like=np.zeros((3, 1)))
+    alone = set_log_prior(plain, (0,))
+    assert set_log_prior(plain, (0, 1)) == 2.0 * alone + PARTNER_LOG_PRIOR
+    beside = 3.0 * alone + 3.0 * PARTNER_LOG_PRIOR
+    assert set_log_prior(plain, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
+    assert set_log_prior(unmodelled, (0, 1, 3)) == beside
+    assert set_log_prior(unmodelled, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
+
+
+def test_bagging_shares_probability_when_throws_disagree() -> None:
+    weights = bootstrap_weights(4, 50)
+    np.testing.assert_allclose(weights.sum(axis=1), 4.0)
+    assert (weights[0] == 1).all()
+    assert (weights > 0.0).all(), "what one throw tells is told in every bootstrap"
+    # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
+    speaks = np.array([30.0, 30.0, -30.0, -29.0])
+    log_odds = np.column_stack([weights @ speaks, np.zeros(50)])
+    probability = bagged_probability(log_odds, np.array([1, 0]))
+    assert 0.2 < probability[0] < 0.8
+    assert probability.sum() == pytest.approx(1.0)
+
+
+def test_which_effect_is_less_sure_than_that_there_is_one() -> None:
+    # "No effect" is out by 40; the two effects are 8 apart.
+    probability = bagged_probability(np.array([[40.0, 32.0, 0.0]]), np.array([1, 1, 0]))
+    assert probability[2] < 1e-10
+    assert probability[0] / probability[1] == pytest.approx(np.exp(8.0 / FORM_TEMPERATURE_RATIO))
+    np.testing.assert_allclose(bagged_probability(np.zeros((3, 1)), np.array([0])), [1.0])
+
+
+def test_how_many_effects_is_surer_than_which() -> None:
+    # The pair is 9 behind its single, another single as well.
+    probability = bagged_probability(np.array([[60.0, 51.0, 51.0, 0.0]]), np.array([1, 1, 2, 0]))
+    assert probability[2] < probability[1] < probability[0]
+    assert probability[2] == pytest.approx(
+        1.0 / (1.0 + np.exp(9.0 / COUNT_TEMPERATURE_RATIO)), rel=0.01
+    )
+
+
+def test_a_slab_is_no_wider_than_its_bound_allows_to_either_side() -> None:
+    """What may be 9 more and 0.5 less is not as likely to be 0.4 less as 0.4 more."""
+
+    def log_odds(size: float, low: float) -> float:
+        truth = np.array([size, 0.0, 0.0])
+        prior = priors(3)._replace(low=np.array([low, -FREE, -FREE]), high=np.full(3, 9.0))
+        exact = inform(np.eye(3) @ truth * 100.0, 100.0 * np.eye(3), np.zeros((3, 0)))
+        return weigh(screen(exact, prior), prior, (0,)).log_odds
+
+    assert log_odds(0.4, -FREE) == pytest.approx(log_odds(-0.4, -FREE))
+    assert log_odds(-0.4, -0.5) < log_odds(0.4, -0.5) - 0.3
+    assert log_odds(0.4, -0.5) == pytest.approx(log_odds(0.4, -FREE), abs=0.25)
