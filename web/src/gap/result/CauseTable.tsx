@@ -1,5 +1,4 @@
 import type { Schema } from "../../session/client";
-
 import { causeWords, fittedWords, probabilityWords, SENTENCES, sizesOf } from "../words";
 import classes from "./CauseTable.module.css";
 

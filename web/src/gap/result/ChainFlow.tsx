@@ -1,8 +1,8 @@
 import { crossrangeWords, downrangeWords, metres, percent } from "../../words/format";
+import { intervalWords, SENTENCES, shareWords } from "../words";
 import classes from "./ChainFlow.module.css";
 import type { Chain, Link, Term } from "./chain";
 import { IntervalBar } from "./IntervalBar";
-import { intervalWords, SENTENCES, shareWords } from "./words";
 
 /** Where the gap lies: the chain from command to impact, metres of miss a stage. */
 export function ChainFlow({ chain }: { chain: Chain }) {

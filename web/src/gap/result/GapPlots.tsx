@@ -1,9 +1,9 @@
 import { Select } from "@mantine/core";
 import { useMemo, useState } from "react";
 import { TimeSeries } from "../../charts/TimeSeries";
+import { SENTENCES } from "../words";
 import classes from "./GapPlots.module.css";
 import { overlaysOf } from "./plots";
-import { SENTENCES } from "./words";
 
 const NO_BANDS: readonly never[] = [];
 

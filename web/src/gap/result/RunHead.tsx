@@ -5,7 +5,6 @@ import { errorWords } from "../../words/errors";
 import { count, metres, percent, unbroken } from "../../words/format";
 import { zonedStamp } from "../../words/time";
 import { reportHref, useGapActions } from "../useGap";
-
 import {
   comparedWords,
   type Diagnosis,
@@ -15,6 +14,7 @@ import {
   runTitle,
   SENTENCES,
 } from "../words";
+import classes from "./RunHead.module.css";
 
 type Props = {
   run: Run;

@@ -1,5 +1,4 @@
 import { useMemo } from "react";
-import type { Diagnosis, Run } from "../words";
 import { type Diagnosis, type Run, SENTENCES, undecidedWords } from "../words";
 import { ApplyPanel } from "./ApplyPanel";
 import { CauseTable } from "./CauseTable";

@@ -1,5 +1,4 @@
 import { fixed, unbroken } from "../../words/format";
-
 import { type Diagnosis, SENTENCES, shrinkWords } from "../words";
 import classes from "./ShrinkBars.module.css";
 
