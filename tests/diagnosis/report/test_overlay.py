@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.hypotheses.gap_problem import pose
+from diagnosis.hypotheses.gap_problem import pose_problem
 from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.report.overlay import overlay
@@ -20,7 +20,7 @@ def problem():
     plan = layout(known.noise)
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
-    return pose(prepared, profile(), calibration, known, plan)
+    return pose_problem(prepared, profile(), calibration, known, plan)
 
 
 def rms(plot, name):
