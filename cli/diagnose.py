@@ -7,12 +7,16 @@ from typing import Literal
 
 import tyro
 
-from diagnosis.alone.diagnose import actuation_from_csv, flight_from_csv, swing_from_csv
-from diagnosis.alone.flight_problem import Ball
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.logs import load_throws
 from diagnosis.report.diagnosis_page import diagnosis_html
+from diagnosis.single_stage.csv_diagnosis import (
+    diagnose_actuation_csv,
+    diagnose_flight_csv,
+    diagnose_swing_csv,
+)
+from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
@@ -107,7 +111,7 @@ def actuation(
         json: file for the whole result.
         html: file for the report.
     """
-    found = actuation_from_csv(file, time, command, position, velocity, group, kind, _teller())
+    found = diagnose_actuation_csv(file, time, command, position, velocity, group, kind, _teller())
     return _finish(found, json, html, f"Actuation, {file.name}")
 
 
@@ -148,7 +152,7 @@ def swing(
         html: file for the report.
     """
     _check_positive(fps=fps, counts_per_turn=counts_per_turn)
-    found = swing_from_csv(
+    found = diagnose_swing_csv(
         file, time, angle, group, length_m, angle_unit, fps, counts_per_turn, _teller()
     )
     return _finish(found, json, html, f"Swing, {file.name}")
@@ -202,8 +206,12 @@ def flight(
     if z is None and (x is not None or y is not None):
         raise UsageError("give --z, the column that points up (for a film in x and y: --x x --z y)")
     axes = [name for name in (x, y, z) if name is not None]
-    ball = Ball() if mass_kg is None or diameter_m is None else Ball(mass_kg, diameter_m)
-    found = flight_from_csv(file, time, axes, group, ball, length_unit, fps, _teller())
+    ball = (
+        BallProperties()
+        if mass_kg is None or diameter_m is None
+        else BallProperties(mass_kg, diameter_m)
+    )
+    found = diagnose_flight_csv(file, time, axes, group, ball, length_unit, fps, _teller())
     return _finish(found, json, html, f"Flight, {file.name}")
 
 

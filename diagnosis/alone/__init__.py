@@ -1,1 +1,0 @@
-"""Diagnoses of one stage from its own data: actuation, swing, flight."""

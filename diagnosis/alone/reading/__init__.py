@@ -1,1 +1,0 @@
-"""Anybody's CSV: layout, columns, units and runs."""

@@ -1,0 +1,1 @@
+"""Diagnoses of a single stage from its own record: actuation, swing, flight."""

@@ -1,0 +1,259 @@
+"""Diagnose the actuation of one joint from its commands and its record, without a machine model.
+
+The ideal joint moves at a speed proportional to its command. Deviations are explained by the effects of
+`joint_response`, or reported as unknown. Sensor latency is not reported: one sensor cannot separate it from
+dead time.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from diagnosis.loading.clock_audit import ClockAudit
+from diagnosis.single_stage.actuation_problem import (
+    ActuationProblem,
+    make_actuation_problem,
+)
+from diagnosis.single_stage.stage_result import StageLabels, build_diagnosis
+from diagnosis.single_stage.structure_selection import Selection, select_structure
+from diagnosis.tables.joint_record import JointRecord, read_command_scale
+from diagnosis.tables.table import RefusedTableError
+from diagnosis.verdict import Diagnosis, Stage
+from machine.conventions import Array
+
+MIN_SPAN_S: Final = 2.0
+"""Shortest record, s."""
+RELEVANT_RATIO: Final = 0.015
+"""Share of the motion that an effect must explain to be named; covers errors of simulation and sampling."""
+MIN_EXPLAINED_RATIO: Final = 0.1
+"""Smallest explained share of the variance; noise alone can give about 0.02 in a short record."""
+MAX_POSITION_UNEXPLAINED_RATIO: Final = 0.25
+"""Largest unexplained share of the motion at which the command is taken for a position command."""
+MIN_UNEXPLAINED_RATIO: Final = 0.1
+"""Unexplained share of the motion below which clocks are not checked."""
+MAX_LEAD_S: Final = 2.0
+"""Longest time by which the motion may lead the command in the check of the clocks, s."""
+SHIFTS_COUNT: Final = 80
+"""Shifts of the command tried in either direction."""
+MIN_LEAD_PERIODS: Final = 3.0
+"""Shortest lead that is refused, in sample periods."""
+LEAD_RATIO: Final = 0.8
+"""Largest unexplained variance with a lead, relative to that with the best delay.
+
+Periodic commands also fit with a lead.
+"""
+MAX_SPAN_S: Final = 150.0
+"""Longest part of a record that is used, s; the tick is then 30 ms."""
+NOT_SEPARABLE: Final = [
+    "dead time of the valve and latency of the joint's sensor: with one sensor they are one number",
+    "load, pump flow and temperature: they need a machine model or other channels",
+]
+
+
+def diagnose_actuation(
+    record: JointRecord,
+    audit: ClockAudit,
+    joint: str | None = None,
+    kind: Literal["auto", "speed", "position"] = "auto",
+    progress: Callable[[str], None] | None = None,
+    command_words: tuple[str, ...] = (),
+) -> Diagnosis:
+    """Diagnose one joint.
+
+    Args:
+        record: the joint's record.
+        audit: audit of its clock.
+        joint: its name in the result.
+        kind: whether a constant command means a speed or a position; auto tries both.
+        progress: called with a line of text at each level of the search.
+        command_words: words of the command column's name and unit.
+
+    Raises:
+        RefusedTableError: the record is too short, does not follow its command, or leads it.
+    """
+    span_s = float(record.time_s[-1] - record.time_s[0])
+    if span_s < MIN_SPAN_S:
+        raise RefusedTableError(
+            f"the record lasts {span_s:.2f} s, at least {MIN_SPAN_S:g} s are needed; record several steps"
+        )
+    period_s = 1.0 / audit.rate_hz
+    scale = read_command_scale(record, command_words, period_s)
+    notes = [*scale.notes]
+    if span_s > MAX_SPAN_S:
+        record = select_busiest_part(record)
+        first = float(record.time_s[0])
+        notes.append(
+            f"of {span_s:.0f} s the {MAX_SPAN_S:g} s with the most commands are used, from "
+            f"{first:.0f} s on"
+        )
+    problem = make_actuation_problem(record, scale, "speed" if kind == "auto" else kind, period_s)
+    signal = float(np.sqrt(np.mean(problem.measured**2)))
+    selection = _select_structure(problem, signal, progress)
+    if kind == "auto" and not record.is_speed and selection.unexplained_ratio > 0.3:
+        servo_problem = make_actuation_problem(record, scale, "position", period_s)
+        signal = float(np.std(servo_problem.measured))
+        servo_selection = _select_structure(servo_problem, signal, progress)
+        if servo_selection.unexplained_ratio < min(
+            0.5 * selection.unexplained_ratio, MAX_POSITION_UNEXPLAINED_RATIO
+        ):
+            problem, selection = servo_problem, servo_selection
+            notes.append("the position follows the command: taken as a position command")
+    notes.extend(problem.notes)
+    unit = record.unit if problem.kind == "position" else f"{record.unit}/s"
+    _refuse_leading_motion(problem, selection, period_s)
+    _refuse_unrelated_motion(problem, selection, unit)
+    base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
+    evidence: dict[str, Any] = {
+        "rate_hz": audit.rate_hz,
+        "clock": audit.as_json(),
+        "samples": len(record.time_s),
+        "span_s": span_s,
+        "command_kind": problem.kind,
+        "command_rest": scale.rest,
+        "command_full": scale.full,
+        "gain_per_full_command": {"value": best["speed_per_command"], "unit": unit},
+        "window_s": len(problem.window) * problem.step_s,
+        "noise": {"value": problem.noise, "unit": unit},
+        "not_separable": NOT_SEPARABLE,
+        "notes": notes,
+    }
+    return build_diagnosis(
+        problem,
+        selection,
+        problem.noise,
+        StageLabels(Stage.ACTUATION, joint, unit, SEPARATING_RECORDS),
+        evidence,
+        _plots(problem, base, best, unit),
+    )
+
+
+def _select_structure(
+    problem: ActuationProblem, signal: float, progress: Callable[[str], None] | None
+) -> Selection:
+    return select_structure(problem, signal, problem.noise, progress, relevant_ratio=RELEVANT_RATIO)
+
+
+def _refuse_leading_motion(
+    problem: ActuationProblem, selection: Selection, period_s: float
+) -> None:
+    """Refuse a motion that precedes its command.
+
+    Raises:
+        RefusedTableError: an earlier command explains the motion clearly better than any delay.
+    """
+    if selection.unexplained_ratio < MIN_UNEXPLAINED_RATIO:
+        return
+    command, tick_s = problem.command, problem.step_s
+    max_shift = min(round(MAX_LEAD_S / tick_s), len(command) // 4)
+    shifts = np.unique(
+        np.round(np.linspace(-max_shift, max_shift, 2 * SHIFTS_COUNT + 1)).astype(int)
+    )
+    unexplained = np.array(
+        [_unexplained_by_line(problem, np.roll(command, int(-k))) for k in shifts]
+    )
+    ahead, behind = shifts > 0, shifts <= 0
+    best = int(shifts[ahead][np.argmin(unexplained[ahead])])
+    min_lead_s = max(MIN_LEAD_PERIODS * period_s, 2.0 * problem.command_period_s)
+    if best * tick_s < min_lead_s or np.min(unexplained[ahead]) > LEAD_RATIO * np.min(
+        unexplained[behind]
+    ):
+        return
+    raise RefusedTableError(
+        f"the motion leads the command by {best * tick_s:.2g} s or more: with the command that much earlier "
+        f"a line leaves {np.min(unexplained[ahead]):.0%} of the motion's variance, without or with a delay "
+        f"at least {np.min(unexplained[behind]):.0%}. The clocks of the two columns differ, or the command "
+        "was logged late: shift one column and run this again"
+    )
+
+
+def _unexplained_by_line(problem: ActuationProblem, command: Array) -> float:
+    """Share of the variance of the measured motion that a line through the command leaves."""
+    matrix = np.stack([np.ones(problem.sample.size), command[problem.sample]], axis=1)
+    line, *_ = np.linalg.lstsq(matrix, problem.measured, rcond=None)
+    unexplained_variance = np.var(problem.measured - matrix @ line)
+    return float(unexplained_variance) / max(float(np.var(problem.measured)), 1e-300)
+
+
+def _refuse_unrelated_motion(problem: ActuationProblem, selection: Selection, unit: str) -> None:
+    """Refuse a motion that no response to the command explains.
+
+    Raises:
+        RefusedTableError: the explained share is too small.
+    """
+    variance = float(np.var(problem.measured))
+    explained_ratio = 1.0 - selection.best.fit.mean_square / max(variance, 1e-300)
+    if explained_ratio >= MIN_EXPLAINED_RATIO:
+        return
+    what = "position" if problem.kind == "position" else "speed"
+    raise RefusedTableError(
+        f"the command explains {max(explained_ratio, 0.0):.0%} of how the {what} varies (standard deviation "
+        f"{math.sqrt(variance):.3g} {unit}, of which noise {problem.noise:.3g}): the joint does not "
+        "follow it. Choose the columns of one joint, check sensor and valve, or record larger steps"
+    )
+
+
+def select_busiest_part(record: JointRecord) -> JointRecord:
+    """The part of `MAX_SPAN_S` with the most command changes."""
+    change = np.concatenate([[0.0], np.abs(np.diff(record.command))])
+    total = np.cumsum(change)
+    end = np.searchsorted(record.time_s, record.time_s + MAX_SPAN_S) - 1
+    whole = record.time_s + MAX_SPAN_S <= record.time_s[-1]
+    start = int(np.argmax(np.where(whole, total[end] - total, -1.0)))
+    part = slice(start, int(end[start]) + 1)
+    return record._replace(
+        time_s=record.time_s[part],
+        command=record.command[part],
+        output=record.output[part],
+        run=record.run[part],
+    )
+
+
+def _plots(
+    problem: ActuationProblem, base: Mapping[str, float], best: Mapping[str, float], unit: str
+) -> dict[str, Any]:
+    """Measured, ideal and explained motion, at most 800 points."""
+    thin = problem.sample[:: max(1, len(problem.sample) // 800)]
+    keep = np.isin(problem.sample, thin)
+    return {
+        "response": {
+            "x": (thin * problem.step_s).tolist(),
+            "x_unit": "s",
+            "measured": problem.measured[keep].tolist(),
+            "ideal": problem.simulate(base)[thin].tolist(),
+            "explained": problem.simulate(best)[thin].tolist(),
+            "command_ratio": problem.command[thin].tolist(),
+            "unit": unit,
+        }
+    }
+
+
+SEPARATING_RECORDS: Final[Mapping[frozenset[str], str]] = {
+    frozenset(("valve_dead_time", "valve_lag")): (
+        "steps of at least three sizes in both directions with 3 s rests, logged at 50 Hz or more: dead time "
+        "delays the onset, lag rounds it"
+    ),
+    frozenset(("valve_dead_band", "valve_dead_time")): (
+        "command ramps of three slopes in both directions: the onset's delay over 1/slope has the dead time "
+        "as intercept and the dead band as slope"
+    ),
+    frozenset(("valve_dead_band", "stiction")): (
+        "slow ramps up and down through zero in both directions: a dead band is the same up and down, "
+        "stiction is not"
+    ),
+    frozenset(("valve_dead_band", "valve_curve")): (
+        "a staircase of small steady commands (2 % apart, 3 s each) around the onset of motion"
+    ),
+    frozenset(("valve_hysteresis", "valve_dead_band")): (
+        "a triangle of commands that reverses at half speed, away from zero"
+    ),
+    frozenset(("backlash", "valve_dead_time")): (
+        "reversals at two speeds: backlash costs a travel, dead time a time"
+    ),
+    frozenset(("speed_limit", "valve_curve")): "a staircase of large steady commands up to full",
+    frozenset(("acceleration_limit", "valve_lag")): (
+        "steps of two sizes: a lag takes the same time for both, an acceleration limit takes longer for the "
+        "larger one"
+    ),
+}

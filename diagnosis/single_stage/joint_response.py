@@ -1,0 +1,324 @@
+"""Response of a joint to its valve command, with one simulation step per effect.
+
+Order: hysteresis, dead band, curve, gain per direction, stiction, speed limit, dead time, lag, acceleration
+limit; then position and backlash. An effect whose parameter is absent is not simulated.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from scipy.signal import lfilter
+
+from diagnosis.single_stage.fit_problem import EffectOption, FreeParameter
+from machine.conventions import Array
+
+MIN_TIME_PERIODS: Final = 0.5
+"""Smallest dead time or lag worth naming, in sample periods."""
+MIN_BAND_RATIO: Final = 0.005
+"""Smallest dead band worth naming, as a share of full command."""
+
+
+def list_actuation_options(
+    period_s: float,
+    span_s: float,
+    top_speed: float,
+    travel: float,
+    unit: str,
+    has_position: bool,
+    is_speed: bool = True,
+) -> tuple[EffectOption, ...]:
+    """Effect options between a command and a joint's speed, or the position of a servo.
+
+    Lower bounds are the smallest magnitudes worth naming.
+
+    Args:
+        period_s: median sample period.
+        span_s: length of the record.
+        top_speed: largest measured speed, unit/s.
+        travel: range of the position, unit; 0 without one.
+        unit: of the position, ``rad``, ``deg``, ``m``...
+        has_position: whether a position was measured.
+        is_speed: whether a command means a speed; else a position, and `top_speed` is the largest one.
+    """
+    max_dead_time_s = min(max(0.1 * span_s, 0.3), 2.0)
+    step = max(period_s, 0.01)
+    min_time_s = MIN_TIME_PERIODS * period_s
+    dead_time = FreeParameter(
+        "extra_dead_time_s", "s", min_time_s, max_dead_time_s, (2 * step, 0.1, 0.3)
+    )
+    lag = FreeParameter(
+        "extra_lag_s", "s", min_time_s, max(5.0 * max_dead_time_s, 1.0), (0.05, 0.3, 1.0)
+    )
+    options = [
+        EffectOption("valve_dead_time", "valve_dead_time", (dead_time,)),
+        EffectOption("valve_lag", "valve_lag", (lag,)),
+        EffectOption(
+            "valve_lag_second",
+            "valve_lag",
+            (lag, FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3, 0.3, 0.2), True)),
+        ),
+        EffectOption(
+            "valve_lag_two_sided",
+            "valve_lag",
+            (lag, FreeParameter("stopping_lag_s", "s", min_time_s, 5.0, (0.05, 0.3, 1.0))),
+        ),
+        *_list_static_options(),
+        *(
+            _list_limit_options(period_s, top_speed, unit)
+            if is_speed
+            else (_servo_speed_option(top_speed, unit),)
+        ),
+    ]
+    if has_position:
+        gap = FreeParameter(
+            "gap_rad_m", unit, 0.002 * travel, 0.3 * travel, (0.01 * travel, 0.05 * travel)
+        )
+        options.append(EffectOption("backlash", "backlash", (gap,)))
+    return tuple(options)
+
+
+def _list_static_options() -> tuple[EffectOption, ...]:
+    """Memoryless effects and hysteresis of the valve, over the command as a share of full."""
+    band = (0.02, 0.1, 0.25)
+    bands = tuple(
+        FreeParameter(f"{way}_ratio", "1", 0.0, 0.7, band) for way in ("positive", "negative")
+    )
+    return (
+        EffectOption("valve_dead_band", "valve_dead_band", bands, MIN_BAND_RATIO),
+        EffectOption(
+            "valve_dead_band_even",
+            "valve_dead_band",
+            (FreeParameter("both_ratio", "1", MIN_BAND_RATIO, 0.7, band),),
+        ),
+        EffectOption("valve_dead_band_plain", "valve_dead_band", bands, MIN_BAND_RATIO),
+        EffectOption(
+            "valve_gain",
+            "valve_gain",
+            (FreeParameter("positive_ratio", "1", -0.9, 0.9, (0.02, 0.2, -0.2)),),
+        ),
+        EffectOption(
+            "valve_curve",
+            "valve_curve",
+            (FreeParameter("exponent_ratio", "1", 0.3, 3.0, (1.05, 1.5, 0.7)),),
+        ),
+        EffectOption(
+            "valve_hysteresis",
+            "valve_hysteresis",
+            (FreeParameter("half_width_ratio", "1", 0.005, 0.3, (0.02, 0.08)),),
+        ),
+    )
+
+
+def _list_limit_options(period_s: float, top_speed: float, unit: str) -> tuple[EffectOption, ...]:
+    """Effects whose parameters are speeds or accelerations."""
+    speed = f"{unit}/s"
+    return (
+        EffectOption(
+            "speed_limit",
+            "speed_limit",
+            (
+                FreeParameter(
+                    "limit_rad_m_per_s",
+                    speed,
+                    0.2 * top_speed,
+                    1.1 * top_speed,
+                    (0.95 * top_speed, 0.7 * top_speed),
+                ),
+            ),
+        ),
+        EffectOption(
+            "acceleration_limit",
+            "acceleration_limit",
+            (
+                FreeParameter(
+                    "limit_rad_m_per_s2",
+                    f"{unit}/s2",
+                    0.02 * top_speed,
+                    top_speed / max(period_s, 0.01),
+                    (4.0 * top_speed, top_speed, 0.4 * top_speed),
+                ),
+            ),
+        ),
+        EffectOption(
+            "stiction",
+            "stiction",
+            (
+                FreeParameter(
+                    "breakaway_rad_m_per_s",
+                    speed,
+                    0.005 * top_speed,
+                    0.5 * top_speed,
+                    (0.05 * top_speed, 0.15 * top_speed),
+                    is_threshold=True,
+                ),
+            ),
+        ),
+    )
+
+
+def _servo_speed_option(largest: float, unit: str) -> EffectOption:
+    """Speed limit of a position servo; `largest` is its largest position."""
+    limit = FreeParameter(
+        "limit_rad_m_per_s",
+        f"{unit}/s",
+        0.02 * largest,
+        200.0 * largest,
+        (10.0 * largest, 3.0 * largest, 0.5 * largest),
+    )
+    return EffectOption("servo_speed_limit", "speed_limit", (limit,))
+
+
+def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
+    """Speed of the joint, (ticks,) unit/s.
+
+    Args:
+        command: (ticks,) scaled to -1..1, rest at 0.
+        step_s: tick.
+        values: parameters by ``option.parameter``; ``speed_per_command`` is the gain.
+    """
+    u = command
+    if (width := values.get("valve_hysteresis.half_width_ratio", 0.0)) > 0.0:
+        u = apply_play(u, width)
+    x = _apply_static_curve(u, values)
+    r = values.get("valve_gain.positive_ratio", 0.0)
+    steady = values["speed_per_command"] * x * np.where(x > 0.0, 1.0 + r, 1.0 - r)
+    if (breakaway := values.get("stiction.breakaway_rad_m_per_s", 0.0)) > 0.0:
+        steady = _apply_stiction(steady, breakaway)
+    if (limit := values.get("speed_limit.limit_rad_m_per_s", 0.0)) > 0.0:
+        steady = np.clip(steady, -limit, limit)
+    # The delay commutes with the memoryless effects. Applied after them, its interpolation does not blur the
+    # edges at dead band and stiction.
+    steady = _apply_delay(steady, values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s)
+    speed_limit = values.get("servo_speed_limit.limit_rad_m_per_s", 0.0)
+    if speed_limit > 0.0 and "valve_lag.extra_lag_s" in values:
+        # The loop of a servo commands a speed in proportion to its error; this speed is limited.
+        rise = 1.0 - math.exp(-step_s / values["valve_lag.extra_lag_s"])
+        speed = _limit_rate(steady, speed_limit * step_s, rise)
+    else:
+        speed = _apply_lag(steady, step_s, values)
+        speed = _limit_rate(speed, speed_limit * step_s) if speed_limit > 0.0 else speed
+    if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
+        speed = _limit_rate(speed, limit * step_s)
+    # Lag and limits give the speed at the end of a tick, which is the start of the next.
+    return speed if speed is steady else np.concatenate([speed[:1], speed[:-1]])
+
+
+def simulate_position(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
+    """Position of the joint from 0, (ticks,), before backlash; ``offset`` in `values` is a constant speed."""
+    speed = simulate_speed(command, step_s, values) + values["offset"]
+    has_inertia = any(key.startswith(("valve_lag", "acceleration_limit")) for key in values)
+    # Without inertia the speed is constant over a tick; with it the speed is continuous.
+    moved = 0.5 * (speed[1:] + speed[:-1]) if has_inertia else speed[:-1]
+    return np.concatenate([[0.0], np.cumsum(moved) * step_s])
+
+
+def apply_play(signal: Array, half_width: float) -> Array:
+    """Play operator (backlash) with `half_width` to either side, (ticks,)."""
+    first = float(signal[0])
+    y = first - math.copysign(min(half_width, abs(first)), first)
+    h = half_width
+    return np.array(
+        [y := x - h if x - h > y else x + h if x + h < y else y for x in signal.tolist()]
+    )
+
+
+def _apply_delay(signal: Array, ticks: float) -> Array:
+    """Shift by a fractional number of ticks; the first value is held before it."""
+    if ticks <= 0.0:
+        return signal
+    index = np.arange(len(signal)) - ticks
+    return np.interp(index, np.arange(len(signal)), signal)
+
+
+def _apply_static_curve(u: Array, values: Mapping[str, float]) -> Array:
+    """Dead band per direction, then a power law.
+
+    With compensation full command stays full: the rest is stretched. Without compensation (``plain``) both
+    directions lose the dead band and keep the slope; two equal bands differ from that only in the gain.
+    """
+    both = values.get("valve_dead_band_even.both_ratio", 0.0)
+    is_uncompensated = "valve_dead_band_plain.positive_ratio" in values
+    name = "valve_dead_band_plain" if is_uncompensated else "valve_dead_band"
+    positive = values.get(f"{name}.positive_ratio", both)
+    negative = values.get(f"{name}.negative_ratio", both)
+    band = np.where(u > 0.0, positive, negative)
+    x = np.maximum(np.abs(u) - band, 0.0)
+    if not is_uncompensated:
+        x = x / (1.0 - band)
+    exponent = values.get("valve_curve.exponent_ratio", 1.0)
+    return np.sign(u) * (x if exponent == 1.0 else np.power(x, exponent))
+
+
+def _apply_stiction(steady: Array, breakaway: float) -> Array:
+    """Hold rest until the steady speed exceeds `breakaway`; a joint in motion keeps moving."""
+    state = np.full(len(steady), -1, dtype=np.int64)
+    state[np.abs(steady) > breakaway] = 1
+    turned = np.concatenate([[False], np.sign(steady[1:]) != np.sign(steady[:-1])])
+    state[(np.abs(steady) < 0.02 * breakaway) | (turned & (np.abs(steady) <= breakaway))] = 0
+    known = np.where(state >= 0, np.arange(len(state)), 0)
+    last = np.maximum.accumulate(known)
+    return np.where(state[last] == 1, steady, 0.0)
+
+
+def _apply_lag(steady: Array, step_s: float, values: Mapping[str, float]) -> Array:
+    first = values.get("valve_lag.extra_lag_s", 0.0)
+    if first > 0.0:
+        return _lag_first_order(steady, step_s, first)
+    second = values.get("valve_lag_second.extra_lag_s", 0.0)
+    if second > 0.0:
+        damping = values["valve_lag_second.damping_ratio"]
+        return _lag_second_order(steady, step_s, 2.0 * damping / second, damping)
+    rise = values.get("valve_lag_two_sided.extra_lag_s", 0.0)
+    if rise > 0.0:
+        return _lag_two_sided(steady, step_s, rise, values["valve_lag_two_sided.stopping_lag_s"])
+    return steady
+
+
+def _lag_first_order(steady: Array, step_s: float, lag_s: float) -> Array:
+    a = np.exp(-step_s / lag_s)
+    out, _ = lfilter([1.0 - a], [1.0, -a], steady, zi=[a * steady[0]])
+    return np.asarray(out)
+
+
+def _lag_second_order(steady: Array, step_s: float, frequency: float, damping: float) -> Array:
+    """Second-order lag y'' = w^2 (u - y) - 2 z w y' for a command held over each tick."""
+    w, z = frequency, damping
+    root = np.sqrt(complex(z * z - 1.0))
+    p1, p2 = np.exp(w * (-z + root) * step_s), np.exp(w * (-z - root) * step_s)
+    a1, a2 = float(np.real(-(p1 + p2))), float(np.real(p1 * p2))
+    gain = 1.0 + a1 + a2
+    # The zero of the sampled system only changes the phase within a tick; the gain must be 1.
+    b = [0.5 * gain, 0.5 * gain]
+    y0 = steady[0]
+    zi = [y0 * (1.0 - b[0]), y0 * (-a2)]
+    out, _ = lfilter(b, [1.0, a1, a2], steady, zi=zi)
+    return np.asarray(out)
+
+
+def _lag_two_sided(steady: Array, step_s: float, rise_s: float, stop_s: float) -> Array:
+    """First-order lag with one time constant while the speed grows and another while it falls."""
+    rise, stop = 1.0 - math.exp(-step_s / rise_s), 1.0 - math.exp(-step_s / stop_s)
+    y = float(steady[0])
+    return np.array(
+        [y := y + (rise if (u - y) * y >= 0.0 else stop) * (u - y) for u in steady.tolist()]
+    )
+
+
+def _limit_rate(speed: Array, max_change: float, rise: float = 1.0) -> Array:
+    """Move `rise` of the way to each tick's value, by at most `max_change` per tick."""
+    y = float(speed[0])
+    return np.array(
+        [
+            y := y
+            + (
+                max_change
+                if (d := rise * (u - y)) > max_change
+                else -max_change
+                if d < -max_change
+                else d
+            )
+            for u in speed.tolist()
+        ]
+    )

@@ -1,0 +1,1 @@
+"""Records from CSV tables: layout, columns, units, runs; joint records, free swings, flights."""

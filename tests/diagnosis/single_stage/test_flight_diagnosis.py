@@ -1,0 +1,289 @@
+"""Tracked balls: drag, wind, units, axes, launches and bounces, doubtful verdicts, refused records."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.single_stage.csv_diagnosis import diagnose_flight_csv
+from diagnosis.single_stage.flight_problem import BallProperties
+from diagnosis.verdict import VerdictKind
+from tests.diagnosis.single_stage.synthetic import (
+    Columns,
+    ball,
+    effects,
+    join_notes,
+    joined,
+    value,
+    write,
+)
+
+DROPS = Path(__file__).parents[1] / "data" / "ball_drops" / "ball_drops.csv"
+STEP_S = 0.001
+VELOCITIES = [(7.0, 0.5, 5.0), (9.0, -0.5, 4.0), (4.0, 0.0, 6.0)]
+AXES = ("x", "y", "z")
+DRAG = ("air_drag", "drag_per_m")
+
+
+def thrown(
+    velocity: tuple[float, float, float],
+    drag_per_m: float = 0.0,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    span_s: float = 1.2,
+) -> np.ndarray:
+    """Positions every millisecond, semi-implicit Euler, (ticks, 3)."""
+    p, v, rows = np.array([0.0, 0.0, 1.5]), np.array(velocity, dtype=float), []
+    for _ in range(round(span_s / STEP_S)):
+        rows.append(p.copy())
+        air = v - np.array(wind)
+        v = v + STEP_S * (np.array([0.0, 0.0, -9.81]) - drag_per_m * np.linalg.norm(air) * air)
+        p = p + STEP_S * v
+    return np.array(rows)
+
+
+def write_flights(
+    path: Path, flights: list[np.ndarray], rate_hz: float = 100.0, noise_m: float = 0.003
+) -> Path:
+    rng = np.random.default_rng(1)
+    lines = ["t,x,y,z"]
+    for flight in flights:
+        rows = flight[:: round(1.0 / rate_hz / STEP_S)]
+        rows = rows + rng.normal(0.0, noise_m, rows.shape)
+        lines += [f"{k / rate_hz:.5f},{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def real_drops(path: Path, *balls: str, columns: slice = slice(None)) -> Path:
+    """Rows of the measured drops of these balls."""
+    rows = [line.split(",") for line in DROPS.read_text().splitlines()]
+    chosen = [rows[0], *(row for row in rows[1:] if row[0] in balls)]
+    path.write_text("\n".join(",".join(row[columns]) for row in chosen) + "\n")
+    return path
+
+
+def test_gravity_alone_needs_no_effect(tmp_path: Path) -> None:
+    flights = [thrown(v) for v in VELOCITIES[:2]]
+    found = diagnose_flight_csv(write_flights(tmp_path / "a.csv", flights, 50.0))
+    assert found.verdict is VerdictKind.NONE
+    assert found.evidence["flights"] == 2
+
+
+def test_the_drag_coefficient_of_a_known_ball_is_found(tmp_path: Path) -> None:
+    known = BallProperties(mass_kg=0.05, diameter_m=0.1)
+    truth = 0.5 * 1.204 * 0.25 * np.pi * 0.1**2 * 0.47 / 0.05
+    path = write_flights(tmp_path / "a.csv", [thrown(v, truth) for v in VELOCITIES[:2]], 50.0)
+    found = diagnose_flight_csv(path, ball=known)
+    assert found.verdict is VerdictKind.EXPLAINED
+    assert effects(found) == {"air_drag"}
+    low, fitted, high = value(found, "air_drag", "extra_drag_coefficient_ratio")
+    assert fitted == pytest.approx(0.47, abs=0.03)
+    assert low < 0.47 < high or abs(fitted - 0.47) < 0.01
+    assert found.shrink is not None
+    assert found.shrink.ratio > 0.9
+
+
+def test_wind_is_separated_from_drag(tmp_path: Path) -> None:
+    flights = [thrown(v, 0.03, (3.0, -2.0, 0.0), 0.9) for v in VELOCITIES]
+    found = diagnose_flight_csv(write_flights(tmp_path / "a.csv", flights, 50.0))
+    assert effects(found) == {"air_drag", "wind"}
+    assert value(found, "wind", "x_m_per_s")[1] == pytest.approx(3.0, abs=0.4)
+    assert value(found, "wind", "y_m_per_s")[1] == pytest.approx(-2.0, abs=0.4)
+
+
+def test_a_bounce_ends_the_flight(tmp_path: Path) -> None:
+    down = thrown((2.0, 0.0, 0.0), span_s=0.5)
+    up = thrown((2.0, 0.0, 4.0), span_s=0.5) + down[-1] - [0.0, 0.0, 1.5]
+    found = diagnose_flight_csv(write_flights(tmp_path / "a.csv", [np.concatenate([down, up])]))
+    assert found.verdict is VerdictKind.NONE
+    assert found.evidence["samples"] <= 50
+
+
+def test_launch_and_rest_on_the_ground_are_cut_off(tmp_path: Path) -> None:
+    run = ball(np.random.default_rng(10), 0.06, rate_hz=100.0)
+    x, z, h = run["x"], run["z"], 0.01
+    vx, vz = (x[5] - x[0]) / (5 * h), (z[5] - z[0]) / (5 * h)
+    swung = np.arange(-40, 0) * h
+    hand = 0.5 * (swung + 0.4) ** 2 / 0.4
+    hand_x, hand_z = x[0] + vx * (hand - hand[-1] - h), z[0] + vz * (hand - hand[-1] - h)
+    whole_x = np.concatenate([hand_x, x, np.full(60, x[-1])])
+    whole_z = np.concatenate([hand_z, z, np.full(60, z[-1])])
+    columns = {"t": np.arange(len(whole_x)) * h, "x": whole_x, "z": whole_z}
+    low, drag, high = value(diagnose_flight_csv(write(tmp_path / "a.csv", columns)), *DRAG)
+    assert drag == pytest.approx(0.06, rel=0.15)
+    assert low < 0.06 < high
+
+
+def test_a_falling_paper_cone_shows_strong_drag(tmp_path: Path) -> None:
+    """A sonar above it measures the distance; x = ln cosh(sqrt(g k) t) / k."""
+    t = np.arange(0.0, 1.4, 0.05)
+    way = np.log(np.cosh(np.sqrt(9.81 * 3.2) * t)) / 3.2
+    way = 0.3 + way + np.random.default_rng(11).normal(0.0, 0.001, len(t))
+    path = write(tmp_path / "a.csv", {"t": t, "Position (m)": way})
+    found = diagnose_flight_csv(path, "t", ["Position (m)"])
+    assert found.verdict is VerdictKind.EXPLAINED
+    low, drag, high = value(found, *DRAG)
+    assert drag == pytest.approx(3.2, rel=0.05)
+    assert low < 3.2 < high
+
+
+def test_velocities_without_positions_suffice(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    runs = [ball(rng, drag_per_m=0.05, noise_m=0.0) for _ in range(2)]
+    for run in runs:
+        h = run["t"][1]
+        for axis in AXES:
+            run[f"v{axis}"] = np.gradient(run[axis], h)
+            run[f"v{axis}"][[0, -1]] = np.nan
+            run[f"v{axis}"] += rng.normal(0.0, 0.02, len(run["t"]))
+            del run[axis]
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", joined(runs)))
+    assert effects(found) == {"air_drag"}
+    assert "are speeds" in join_notes(found)
+
+
+def test_pixels_are_scaled_by_gravity_and_frames_need_their_rate(tmp_path: Path) -> None:
+    runs = [ball(np.random.default_rng(seed), 0.05, rate_hz=30.0) for seed in (7, 8)]
+    films = [
+        {
+            "frame": np.arange(len(run["t"])) + 143.0,
+            "x_px": 100.0 + 180.0 * run["x"],
+            "y_px": 900.0 - 180.0 * run["z"],
+        }
+        for run in runs
+    ]
+    path = write(tmp_path / "a.csv", joined(films, shot=["1", "2"]))
+    assert "--fps" in diagnose_flight_csv(path).sentence
+    found = diagnose_flight_csv(path, fps=30.0)
+    assert "points down" in join_notes(found)
+    assert "pixels: 1" in join_notes(found)
+    low, drag, high = value(found, *DRAG)
+    assert drag == pytest.approx(0.05, rel=0.15)
+    assert low < 0.05 < high
+
+
+def test_the_vertical_is_found_by_gravity_and_outliers_are_removed(tmp_path: Path) -> None:
+    run = ball(np.random.default_rng(9), drag_per_m=0.06)
+    run["y"], run["z"] = run["z"].copy(), -run["y"]
+    run["x"][20] += 0.7
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", run))
+    assert "things fall along axis y" in join_notes(found)
+    assert "1 stray values" in join_notes(found)
+    low, _, high = value(found, *DRAG)
+    assert low < 0.06 < high
+
+
+def test_millimetres_are_recognised_by_gravity(tmp_path: Path) -> None:
+    path = write_flights(tmp_path / "a.csv", [1000.0 * thrown(VELOCITIES[0])], noise_m=1.0)
+    found = diagnose_flight_csv(path)
+    assert found.verdict is VerdictKind.NONE
+    assert "taken as mm" in join_notes(found)
+    for options, words in (
+        ({"length_unit": "m"}, "--length-unit mm"),
+        ({"axes": ["z", "y", "x"], "length_unit": "mm"}, "wrong axis"),
+    ):
+        refused = diagnose_flight_csv(path, **options)
+        assert refused.verdict is VerdictKind.BAD_DATA
+        assert words in refused.sentence
+
+
+def test_unusable_flights_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    in_feet = []
+    for drag in (0.0, 0.022):
+        rng = np.random.default_rng(1)
+        one = joined([ball(rng, drag_per_m=drag, rate_hz=30.0) for _ in range(3)])
+        in_feet.append(one | {axis: one[axis] / 0.3048 for axis in AXES})
+    slow = ball(np.random.default_rng(2), rate_hz=240.0)
+    slow["t"] = 6.0 * slow["t"]
+    t = np.arange(0.0, 1.5, 1.0 / 30.0)
+    still = {"t": t, "x": np.full(len(t), 1.0), "y": np.full(len(t), 2.0)}
+    mixed = ball(np.random.default_rng(3))
+    late = mixed["t"] > 0.5 * mixed["t"][-1]
+    mixed |= {axis: np.where(late, 100.0, 1.0) * mixed[axis] for axis in AXES}
+    for columns, words in (
+        (in_feet[0], "feet"),
+        (in_feet[1], "feet"),
+        (slow, "runs 6 times too slowly"),
+        (still, "it rests"),
+        (mixed, "units are mixed"),
+    ):
+        found = diagnose_flight_csv(write(tmp_path / "a.csv", columns))
+        assert found.verdict is VerdictKind.BAD_DATA, words
+        assert words in found.sentence
+
+
+def test_balls_are_separated_by_label_and_mixed_flights_are_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    runs = [ball(rng, drag_per_m=k, is_drop=True) for k in (0.0, 0.12)]
+    labelled = joined([{"t": run["t"], "z": run["z"]} for run in runs], what=["steel", "foam"])
+    parts = diagnose_flight_csv(write(tmp_path / "a.csv", labelled)).evidence["parts"]
+    assert (parts["steel"]["verdict"], parts["foam"]["verdict"]) == ("none", "explained")
+    del labelled["what"]
+    mixed = diagnose_flight_csv(write(tmp_path / "a.csv", labelled))
+    assert mixed.verdict is VerdictKind.BAD_DATA
+    assert "disagree" in mixed.sentence
+    assert "--group" in mixed.sentence
+
+
+def test_measured_drops_show_drag_of_light_balls_only(tmp_path: Path) -> None:
+    light = ("Whiffle Ball 2", "Blue Basketball")
+    path = real_drops(tmp_path / "a.csv", *light, "Bowling Ball")
+    found = diagnose_flight_csv(path, "time_s", ["height_m"], "ball")
+    assert found.verdict is VerdictKind.EXPLAINED
+    dragged = {e.joint for e in found.causes[0].effects if e.effect == "air_drag"}
+    assert dragged == set(light)
+    parts = found.evidence["parts"]
+    assert parts["Bowling Ball"]["verdict"] == "none"
+    assert parts["Whiffle Ball 2"]["shrink"]["ratio"] > 0.6
+    # Basketballs pass the drag crisis: a constant coefficient does not suffice.
+    assert "drag_crisis" in parts["Blue Basketball"]["causes"][0]["name"]
+
+
+def test_the_upper_limit_of_drag_covers_that_of_a_baseball(tmp_path: Path) -> None:
+    path = real_drops(tmp_path / "a.csv", "Baseball", "Yellow Whiffle Ball")
+    baseball = diagnose_flight_csv(path, "time_s", ["height_m"]).evidence["parts"]["Baseball"]
+    assert "kg per square metre" in baseball["sentence"]
+    (drag,) = [one for one in baseball["evidence"]["limits"] if one["effect"] == "air_drag"]
+    # A sphere of its mass (5 oz) and circumference (22.25 cm) has 0.008 1/m.
+    assert 0.005 < drag["below"] < 0.012
+
+
+def test_doubtful_drag_is_ambiguous(tmp_path: Path) -> None:
+    """Short, coarse drops: drag is the best structure in some, and never certain."""
+    doubts = 0
+    for seed in range(6):
+        one = ball(np.random.default_rng(seed), 0.03, is_drop=True, rate_hz=25.0, noise_m=0.025)
+        path = write(tmp_path / "a.csv", {"t": one["t"][:22], "z": one["z"][:22]})
+        found = diagnose_flight_csv(path)
+        none = next(cause.probability for cause in found.causes if cause.name == "none")
+        if found.verdict is VerdictKind.EXPLAINED:
+            assert none < 0.25 * found.causes[0].probability
+            assert found.shrink is not None
+            assert found.shrink.ci90[0] >= 0.01
+        elif found.verdict is VerdictKind.AMBIGUOUS:
+            doubts += 1
+            assert "may as well be" in found.sentence
+    assert doubts > 0
+
+
+def rolled(roll_rad: float, wind: float, directions: tuple[float, ...]) -> Columns:
+    """Throws in these directions along x, in wind, filmed by a rolled camera."""
+    rng = np.random.default_rng(4)
+    throws = []
+    for direction in directions:
+        one = ball(rng, 0.04, (direction * wind, 0.0), tilt_rad=direction * roll_rad, noise_m=0.003)
+        throws.append({"t": one["t"], "x": direction * one["x"], "z": one["z"]})
+    return joined(throws, throw=[str(k) for k in range(len(throws))])
+
+
+def test_a_rolled_camera_is_named_unless_throws_in_both_directions_need_wind(
+    tmp_path: Path,
+) -> None:
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", rolled(0.045, 0.0, (1.0, 1.0, 1.0))))
+    assert "wind" in effects(found)
+    roll_deg = found.sentence.split("rolled by ")[1].split()[0]
+    assert float(roll_deg) == pytest.approx(np.degrees(0.045), abs=0.5)
+    in_wind = rolled(0.0, 3.0, (1.0, -1.0, 1.0, -1.0))
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", in_wind))
+    assert effects(found) == {"air_drag", "wind"}
+    assert "rolled" not in found.sentence
