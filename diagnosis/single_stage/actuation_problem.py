@@ -27,6 +27,7 @@ from diagnosis.single_stage.joint_response import (
 )
 from diagnosis.tables.joint_record import CommandScale, JointRecord
 from diagnosis.tables.table import RefusedTableError
+from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
 
 OutputKind = Literal["speed", "position"]
@@ -272,12 +273,8 @@ def _estimate_gain(command: Array, measured: Array, sample: IntArray, top: float
 
 
 def estimate_sample_noise(values: Array) -> float:
-    """Standard deviation of one sample's noise.
-
-    Third differences remove smooth motion; for white noise their standard deviation is sqrt(20) times it.
-    """
-    third = np.diff(values, n=3)
-    noise = 1.4826 * float(np.median(np.abs(third - np.median(third)))) / math.sqrt(20.0)
+    """Standard deviation of one sample's noise, with the quantisation of a coarse encoder."""
+    noise = estimate_noise([values])
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]
     if moved.size == 0 or moved.size > 0.8 * steps.size:

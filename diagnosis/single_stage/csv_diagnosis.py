@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from diagnosis.loading.clock_audit import audit_clock
 from diagnosis.single_stage.actuation_diagnosis import diagnose_actuation
@@ -24,7 +25,6 @@ from diagnosis.tables.columns import (
     find_output_columns,
     find_time_column,
     group_labels,
-    integrate_speed,
     is_velocity,
     pair_joint_columns,
     split_list,
@@ -242,7 +242,7 @@ def _make_positions(time_s: Array, columns: Sequence[Array], are_speeds: Sequenc
     """(rows, axes) positions; velocities are integrated from 0."""
     return np.stack(
         [
-            integrate_speed(time_s, column) if is_speed else column
+            cumulative_trapezoid(column, time_s, initial=0.0) if is_speed else column
             for column, is_speed in zip(columns, are_speeds, strict=True)
         ],
         axis=1,

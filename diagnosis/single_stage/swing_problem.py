@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
 from diagnosis.single_stage.fit_problem import (
@@ -428,12 +429,12 @@ def estimate_frictions_from_decay(
         if len(size) < MIN_AMPLITUDES_COUNT:
             continue
         columns = {
-            VISCOUS_PARAMETER: 0.5 * _cumulative_integral(time_s, size),
+            VISCOUS_PARAMETER: 0.5 * cumulative_trapezoid(size, time_s, initial=0.0),
             COULOMB_PARAMETER: 2.0 / (math.pi * frequency) * (time_s - time_s[0]),
             AIR_PARAMETER: 4.0
             * frequency
             / (3.0 * math.pi)
-            * _cumulative_integral(time_s, size**2),
+            * cumulative_trapezoid(size**2, time_s, initial=0.0),
         }
         losses.append(np.stack([columns[name] for name in fitted_names], axis=1))
         amplitude_columns.append(size)
@@ -455,9 +456,3 @@ def measure_amplitudes(swing: SwingRecord, noise: float) -> tuple[Array, Array]:
     square = np.array([np.var(swing.angle_rad[i:j]) for i, j in pairs]) - noise**2
     time_s = np.array([0.5 * (swing.time_s[i] + swing.time_s[j]) for i, j in pairs])
     return time_s, np.sqrt(2.0 * np.maximum(square, 0.0))
-
-
-def _cumulative_integral(time_s: Array, values: Array) -> Array:
-    """Integral from the first time on, trapezoidal, (times,)."""
-    steps = 0.5 * np.diff(time_s) * (values[1:] + values[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from diagnosis.tables.table import RefusedTableError, Table, says_degrees
+from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray
 
 AngleUnit = Literal["auto", "rad", "deg"]
@@ -62,8 +63,7 @@ def find_outliers(values: Array) -> BoolArray:
     if known.size < 20:
         return found
     x = values[known]
-    third = np.diff(x, n=3)
-    noise = 1.4826 * float(np.median(np.abs(third - np.median(third)))) / math.sqrt(20.0)
+    noise = estimate_noise([x])
     low, high = np.quantile(x, [0.05, 0.95])
     limit = max(10.0 * noise, OUTLIER_RATIO * float(high - low))
     is_candidate = np.abs(x - median_filter(x, 5, mode="nearest")) > limit

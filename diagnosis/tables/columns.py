@@ -373,8 +373,3 @@ def is_velocity(table: Table, name: str) -> bool:
         or (len(words) > 2 and words[-2:] in (["m", "s"], ["cm", "s"], ["mm", "s"]))
         or text.endswith(("mps", "ms1"))
     )
-
-
-def integrate_speed(time_s: Array, speed: Array) -> Array:
-    """Displacement since the first row, (rows,), by the trapezoidal rule."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))])

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
-from diagnosis.tables.columns import integrate_speed
 from diagnosis.tables.consistency import find_clipping
 from diagnosis.tables.table import RefusedTableError
+from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
 
 CLEAR_OF_NOISE_RATIO: Final = 3.0
@@ -297,14 +298,8 @@ def estimate_swing_noise(swings: Sequence[SwingRecord]) -> float:
 
     With few samples per period third differences still contain motion. At least 1e-9 is returned.
     """
-    return min(_noise_from_differences(swings, order) for order in (3, 6)) + 1e-9
-
-
-def _noise_from_differences(swings: Sequence[SwingRecord], order: int) -> float:
-    """Robust standard deviation of n-th differences over their noise gain sqrt(binomial(2n, n))."""
-    differences = np.concatenate([np.diff(swing.angle_rad, n=order) for swing in swings])
-    scatter = np.median(np.abs(differences - np.median(differences)))
-    return 1.4826 * float(scatter) / math.sqrt(math.comb(2 * order, order))
+    angles = [swing.angle_rad for swing in swings]
+    return min(estimate_noise(angles, order) for order in (3, 6)) + 1e-9
 
 
 def swing_from_rate(time_s: Array, rate: Array) -> SwingRecord:
@@ -325,7 +320,7 @@ def swing_from_rate(time_s: Array, rate: Array) -> SwingRecord:
     swing, rate = _extract_free_rate(SwingRecord(time_s, rate), noise)
     time_s = swing.time_s
     crossed = find_half_periods(rate - _estimate_rest(rate), noise)
-    angle = integrate_speed(time_s, rate)
+    angle = cumulative_trapezoid(rate, time_s, initial=0.0)
     if len(crossed) < 4:
         line = np.polyfit(time_s, angle, 1)
         return swing._replace(angle_rad=angle - np.polyval(line, time_s))

@@ -3,7 +3,8 @@
 Repairs are noted. What cannot be used is refused with numbers, cause and remedy.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -147,6 +148,17 @@ def clean_series(
     if not np.all(is_later):
         notes.append(f"{what}: {int(np.sum(~is_later))} rows with a repeated time dropped")
     return time_s[is_later], values[is_later]
+
+
+def estimate_noise(series: Sequence[Array], order: int = 3) -> float:
+    """Standard deviation of the white noise of one sample in smooth series, (rows, ...) each; robust.
+
+    Differences of n-th order along the rows remove smooth motion; the standard deviation of white noise grows
+    by sqrt(binomial(2n, n)).
+    """
+    differences = np.concatenate([np.diff(one, n=order, axis=0).ravel() for one in series])
+    scatter = float(np.median(np.abs(differences - np.median(differences))))
+    return 1.4826 * scatter / math.sqrt(math.comb(2 * order, order))
 
 
 def is_evenly_sampled(time_s: Array) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from diagnosis.tables.table import RefusedTableError
+from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import GRAVITY_M_PER_S2, Array
 
 MIN_FLIGHT_ROWS: Final = 10
@@ -282,9 +283,8 @@ def estimate_top_speed(flight: FlightRecord) -> float:
 
 
 def estimate_track_noise(flights: Sequence[FlightRecord]) -> float:
-    """Standard deviation of one coordinate's noise, m: robust third differences over sqrt(20)."""
-    thirds = np.concatenate([np.diff(f.position_m, n=3, axis=0).ravel() for f in flights])
-    return 1.4826 * float(np.median(np.abs(thirds - np.median(thirds)))) / math.sqrt(20.0)
+    """Standard deviation of one coordinate's noise, m."""
+    return estimate_noise([flight.position_m for flight in flights])
 
 
 def measure_curvature(flights: Sequence[FlightRecord]) -> float:
