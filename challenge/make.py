@@ -29,7 +29,7 @@ from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.records.throw_log import ThrowLog
-from sim_twin.throws.campaign import Outcome, run_throws
+from sim_twin.throws.campaign import ThrowOutcome, run_throws
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.twin.profile import save_profile
 from sim_twin.virtual.virtual_machine import STEP_NS, Condition, VirtualMachine
@@ -193,7 +193,7 @@ class _Thrower(NamedTuple):
             results = run_throws(
                 plant, params, plan.target_m, plan.start_rad_m, seed, record=recorder
             )
-            landed += sum(result.outcome is Outcome.LANDED for result in results)
+            landed += sum(result.outcome is ThrowOutcome.LANDED for result in results)
         return landed
 
 

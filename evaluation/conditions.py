@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from evaluation.campaigns import Campaign, progress_line, throw_campaign
 from sim_twin.throws.accuracy import landing_errors
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 PACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 PACE_RANGES_M = (7.5, 9.0, 10.0)
@@ -48,7 +48,7 @@ def condition_row(
 ) -> ConditionRow:
     """Summarise the throws at one target and one pace."""
     down, cross = landing_errors(results)
-    landed = [r for r in results if r.outcome is Outcome.LANDED]
+    landed = [r for r in results if r.outcome is ThrowOutcome.LANDED]
     numbers: dict[str, float] = {}
     if len(landed) >= 2:
         numbers = {

@@ -20,7 +20,7 @@ from sim_twin.confidence_intervals import (
     proportion_interval,
 )
 from sim_twin.throws.accuracy import landing_errors, outcome_counts
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 
 class Estimate(BaseModel):
@@ -189,7 +189,7 @@ def mode_evaluation(
         sensitivity: range, shifts, and a note on how they were measured.
     """
     every = [r for part in results for r in part]
-    landed = [r for r in every if r.outcome is Outcome.LANDED]
+    landed = [r for r in every if r.outcome is ThrowOutcome.LANDED]
     by_number = {int(path.stem.rsplit("-", 1)[-1]): path for path in logs}
     failures = tuple(
         Failure(
@@ -200,7 +200,7 @@ def mode_evaluation(
             log=str(by_number[number].relative_to(folder)) if number in by_number else None,
         )
         for number, r in enumerate(every)
-        if r.outcome is not Outcome.LANDED
+        if r.outcome is not ThrowOutcome.LANDED
     )
     return ModeEvaluation(
         **about,

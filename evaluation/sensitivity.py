@@ -15,7 +15,7 @@ from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
 from sim_twin.confidence_intervals import Interval, mean_interval
 from sim_twin.effects.effect import Effect
-from sim_twin.throws.campaign import Outcome, ThrowResult, run_throws
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult, run_throws
 
 CONFIDENCE_RATIO = 0.95
 EffectPlantMaker = Callable[[int, tuple[Effect, ...]], SimulatedDriver]
@@ -92,7 +92,7 @@ class PairedErrors(NamedTuple):
 
 def paired_errors(runs: Sequence[Sequence[ThrowResult]]) -> PairedErrors:
     """Pair runs of the same throws."""
-    landed = np.array([[r.outcome is Outcome.LANDED for r in run] for run in runs])
+    landed = np.array([[r.outcome is ThrowOutcome.LANDED for r in run] for run in runs])
     both = landed.all(axis=0)
     lost = landed[0] & ~landed
     return PairedErrors(

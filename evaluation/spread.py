@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from evaluation.campaigns import Campaign, campaign_starts
 from machine.conventions import Array
-from sim_twin.throws.campaign import Outcome, ThrowResult, run_throws
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult, run_throws
 
 START_COUNT, REPEAT_COUNT = 25, 4
 """Start poses, and throws from each of them."""
@@ -58,7 +58,7 @@ def spread_parts(range_m: float, by_start: Sequence[Sequence[ThrowResult]]) -> S
     Returns:
         None where fewer than two starts have two throws that landed.
     """
-    groups = [[r for r in part if r.outcome is Outcome.LANDED] for part in by_start]
+    groups = [[r for r in part if r.outcome is ThrowOutcome.LANDED] for part in by_start]
     groups = [part for part in groups if len(part) >= 2]
     if len(groups) < 2:
         return None

@@ -42,7 +42,7 @@ class ValveCalibration(BaseModel):
     machine_id: str
     tables: tuple[ValveTable, ValveTable, ValveTable, ValveTable]
     registrations: tuple[Registration, ...] = ()
-    """Empty: the policy is told the target itself."""
+    """Empty: the policy aims at the target itself."""
     twin_registrations: tuple[Registration, ...] = ()
     """Where the machine's twin came down in the same registration throws on the same day. The twin aims by
     them: then a preview shows what the machine's registration leaves, and what changed since."""

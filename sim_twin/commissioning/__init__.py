@@ -1,1 +1,1 @@
-"""What a machine's own motion says about it: valve tables, responses, registration."""
+"""Commissioning of a machine: valve tables, velocity responses, registration, identification tests."""

@@ -1,7 +1,7 @@
-"""Excite a machine's drives and fit their response: what turns a nominal twin profile into a machine's own.
+"""Excite a machine's drives and fit their velocity responses for its twin profile.
 
-Uses only what a real machine's sensors show. One joint moves at a time, so that the shared pump does not
-blur one joint's response with another's motion.
+Uses only signals that a real machine's sensors provide. One joint moves at a time, because joints that
+move together share the pump's flow.
 """
 
 import numpy as np
@@ -22,21 +22,21 @@ from sim_twin.commissioning.response_fit import ResponseFit, fit_response
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 
 RESPONSE_COPY_COUNT = 24
-"""Copies of a machine that move at random, six a joint."""
+"""Copies of a machine that run side by side, six per joint."""
 DURATION_S = 6.0
 HOLD_S = ((0.8, 2.0), (0.2, 0.9), (0.2, 0.9), (0.2, 0.9))
-"""Shortest and longest time a valve command is held, per joint: throws reverse joints this often."""
+"""Shortest and longest duration of a valve command, per joint, as between reversals in throws, s."""
 VALVE_RATIO = (0.15, 0.85)
-"""Smallest and largest command: outside the dead band, below what one joint's flow limit clips."""
+"""Smallest and largest valve command: outside the dead band, below a joint's flow limit."""
 START_RAD_M = (
     (0.0, 0.8, 0.0, 0.5),
     (0.0, 0.8, 0.3, 0.0),
     (0.0, 0.9, 0.0, 0.0),
     (0.0, 1.0, 0.1, 0.8),
 )
-"""Where each joint's motion starts: load clear of the ground throughout."""
+"""Start positions of the driven joints, by moved joint; the load stays clear of the ground."""
 WINDOW_RAD_M = ((-np.inf, np.inf), (0.55, 1.05), (-0.6, 0.7), (0.2, 1.5))
-"""Outside it the command turns back."""
+"""Range of the moved joint; outside it the command reverses."""
 
 
 def record_valve_response(
@@ -69,8 +69,8 @@ def record_valve_response(
     sample = plant.read()
     for tick in range(ticks):
         position = sample.joint_position_rad_m
-        own = position[rows, joint]
-        turn = np.where(own > high, -1.0, np.where(own < low, 1.0, 0.0))
+        moved = position[rows, joint]
+        turn = np.where(moved > high, -1.0, np.where(moved < low, 1.0, 0.0))
         due = (tick * CONTROL_PERIOD_S >= until) | (turn * level < 0.0)
         sign = np.where(turn != 0.0, turn, rng.choice([-1.0, 1.0], count))
         level = np.where(due, sign * rng.uniform(*VALVE_RATIO, count), level)
@@ -94,7 +94,7 @@ def identify_profile(
     machine_id: str,
     seed: int = 0,
 ) -> tuple[TwinProfile, tuple[ResponseFit, ...]]:
-    """Twin profile of a machine with the response of its own drives; the rest stays nominal.
+    """Twin profile of a machine with its identified response; everything else is nominal.
 
     Raises:
         ValueError: a joint did not move.

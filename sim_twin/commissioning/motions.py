@@ -1,7 +1,6 @@
-"""The tests by which a machine is identified: valve steps, openings at rest, free swings after a push.
+"""Identification tests: valve steps, gripper openings at rest, free swings after a push.
 
-Each is a program of valve commands and an opening at its end, as an engineer would run it on a machine;
-nothing here knows how the machine answers.
+Each is an open-loop program of valve commands with a gripper opening at its end.
 """
 
 from typing import Literal, NamedTuple
@@ -17,48 +16,54 @@ TestKind = Literal["response", "release", "swing"]
 RELEASE_COUNT = 39
 """Openings of a release test (paper, section III-F)."""
 RELEASE_AFTER_S = 1.0
+"""Earliest opening in a release test."""
 RESPONSE_REPEATS = 2
+"""Repetitions of each step."""
 LEVELS_RATIO = (0.15, 0.30, 0.50, 0.75, 1.0, 1.0)
-"""Valve steps of a response test, each in both directions; the last ones show the speed limit."""
+"""Valve steps of a response test, each in both directions; full steps reach the speed limit."""
 HOLD_S = (2.2, 0.55, 0.50, 0.80)
-"""How long a step lasts, per joint: to a steady speed, within the joint's range at full valve."""
+"""Duration of a step, per joint: long enough for a steady speed, within the joint's range at full valve."""
 REST_S = 0.5
-"""Before a step."""
+"""Rest before a step."""
 RESPONSE_S = 3.7
-"""Of the whole program: the longest step and its stop."""
+"""Duration of the program: the longest step and its stop."""
 RESPONSE_START_RAD_M = (
     (0.0, 0.80, 0.0, 0.50),
     (0.0, 0.80, 0.1, 0.40),
     (0.0, 0.85, -0.1, 0.30),
     (0.0, 0.95, 0.05, 0.80),
 )
-"""In the middle of each joint's range, load clear of the ground."""
+"""Start positions, by moved joint: the middle of its range, load clear of the ground."""
 START_SPREAD_RAD_M = (0.0, 0.08, 0.1, 0.1)
+"""Half width of the uniform scatter of start positions."""
 SWING_REPEATS = 4
+"""Repetitions of each kind of swing."""
 SWING_S = 22.0
-"""Dry friction of 0.1 rad/s2 (paper, III-F) takes 0.04 rad off the amplitude a period of 2 s."""
+"""Duration of a swing test. Dry friction of 0.1 rad/s2 (paper, III-F) reduces the amplitude by 0.04 rad per
+period of 2 s."""
 PUSH_S = 0.45
-"""About a quarter of the swing's period there, and the same back."""
+"""Duration of a push in each direction: about a quarter of the swing's period."""
 PUSH_RATIO = ((0.55, 0.90), (0.11, 0.17))
-"""Valve of the push: dipper for a swing in pitch, slew for one in roll; 0.3 to 0.8 rad."""
+"""Range of the push's valve command: dipper for a swing in pitch, slew for one in roll; 0.3 to 0.8 rad."""
 SLEW_PUSH_S = 0.9
+"""Duration of a push with the slew."""
 SETTLE_S = 1.2
-"""Arm and oil ring on after a push; the swing that is looked at begins later."""
+"""Time after a push in which arm and oil still oscillate; it is not evaluated."""
 
 
 class MotionProgram(NamedTuple):
-    """What N machines are told, side by side."""
+    """Commands of N machines side by side."""
 
     start_rad_m: Array
-    """(N, 6)"""
+    """(N, 6) start poses."""
     valve_ratio: Array
-    """(T, N, 4) per control tick."""
+    """(T, N, 4) valve commands per control tick."""
     open_s: Array
-    """(N,) when the gripper is told to open; the program ends later."""
+    """(N,) time of the opening command; the program ends later."""
 
 
 def motion_program(kind: TestKind, seed: int) -> MotionProgram:
-    """The program of a test; `seed` draws sizes, times and poses."""
+    """Program of a test; `seed` draws sizes, times and poses."""
     rng = np.random.default_rng((seed, 0x1D))
     return {"response": _steps, "release": _openings, "swing": _swings}[kind](rng)
 
@@ -76,7 +81,7 @@ def _scattered(middle: tuple[float, ...], count: int, rng: np.random.Generator) 
 
 
 def _steps(rng: np.random.Generator) -> MotionProgram:
-    """One step of one joint a log, from rest: a train of steps would shake the gripper round."""
+    """One step of one joint per log, from rest: a sequence of steps would excite the gripper's swing."""
     cases = [
         (joint, sign * level)
         for joint in range(ACTIVE_COUNT)
@@ -95,7 +100,7 @@ def _steps(rng: np.random.Generator) -> MotionProgram:
 
 
 def _openings(rng: np.random.Generator) -> MotionProgram:
-    """Nothing moves; the gripper opens at a time that no cycle of the machine knows."""
+    """No motion; the gripper opens at a random time, independent of the machine's control cycle."""
     starts = _poses(_scattered(tuple(safe_pose()[:4].tolist()), RELEASE_COUNT, rng))
     open_s = RELEASE_AFTER_S + rng.uniform(0.0, 0.2, RELEASE_COUNT)
     ticks = round(float(open_s.max()) / CONTROL_PERIOD_S) + 1
@@ -103,7 +108,7 @@ def _openings(rng: np.random.Generator) -> MotionProgram:
 
 
 def _swings(rng: np.random.Generator) -> MotionProgram:
-    """A push to and fro, then nothing; every other machine swings in pitch, the rest in roll."""
+    """A push forth and back, then no motion; machines alternate between pitch and roll."""
     count = 2 * SWING_REPEATS
     rest = round(0.5 / CONTROL_PERIOD_S)
     ticks = rest + round((2.0 * SLEW_PUSH_S + SETTLE_S + SWING_S) / CONTROL_PERIOD_S)

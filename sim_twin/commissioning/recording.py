@@ -1,6 +1,6 @@
-"""Runs the identification tests on a simulated machine and takes them down as ordinary throw logs.
+"""Run identification tests on a simulated machine and record them as throw logs.
 
-The runtime's control step runs beside the test for its estimates; the valves follow the test's program.
+The runtime's control step runs in parallel for its estimates; the valves follow the test's program.
 """
 
 from dataclasses import replace
@@ -14,10 +14,10 @@ from runtime.control import control_loop
 from runtime.control.control_loop import ControlInputs, ControlParams
 from runtime.driver import SimulatedDriver, ValveCommand
 from sim_twin.commissioning.motions import MotionProgram
-from sim_twin.throws.campaign import Outcome, ThrowResult, TickRecorder, throw_errors
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult, TickRecorder, throw_errors
 
 AFTER_OPENING_S = 2.5
-"""Delay, fall and survey."""
+"""Time after the opening command for delay, fall and survey."""
 
 
 def record_test(
@@ -27,14 +27,14 @@ def record_test(
     seed: int,
     record: TickRecorder,
 ) -> list[ThrowResult]:
-    """Run one program; the load that it drops at its end is the log's impact.
+    """Run one program; the load that it drops at its end gives the log's impact.
 
     Args:
-        plant: as many machines as the program has.
-        params: of the control step that runs beside the test; no policy needed.
-        program: what is done.
-        seed: of the plant's noise.
-        record: writes the logs.
+        plant: with as many machines as the program.
+        params: parameters of the control step that runs in parallel; no policy needed.
+        program: commands.
+        seed: seed of the plant's noise.
+        record: writer of the logs.
     """
     count, rows = plant.count, program.valve_ratio.shape[0]
     nothing = np.zeros_like(program.start_rad_m)
@@ -57,7 +57,7 @@ def record_test(
         plant.write(ValveCommand(valve, opens))
         plant.advance(now_ns + CONTROL_PERIOD_NS)
         sample = plant.read()
-        # The log's own words for "the program runs": readers start at the first row that throws.
+        # Readers of logs start at the first row whose motion is THROW.
         outputs.row["motion_code_count"] = int(Motion.THROW)
         outputs.row["valve_requested_ratio"] = outputs.row["valve_applied_ratio"] = valve
         outputs.row["velocity_request_rad_m_per_s"] = 0.0
@@ -69,7 +69,7 @@ def record_test(
     results = [
         ThrowResult(
             target_m=tuple(target_m[i].tolist()),
-            outcome=Outcome.LANDED if landed[i] else Outcome.TIMEOUT,
+            outcome=ThrowOutcome.LANDED if landed[i] else ThrowOutcome.TIMEOUT,
             impact_m=tuple(sample.impact_position_m[i].tolist()),
             downrange_error_m=float(down[i]),
             crossrange_error_m=float(cross[i]),

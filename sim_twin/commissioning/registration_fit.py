@@ -1,7 +1,7 @@
-"""From surveyed throws to a registration: smooth over range, height and turn, small where little is known.
+"""Registration from surveyed throws: mean miss over range, height and turn.
 
-Regression with Gaussian processes over the range, one for the ground and one for each term, so that an odd
-throw moves little, the ends of the range do not fly off, and heights without throws are taken as the ground.
+Gaussian process regression over the range: one process for ground level and one for each further term. The
+prior mean is zero, so that the correction is small where there are few throws.
 """
 
 from collections.abc import Sequence
@@ -13,37 +13,40 @@ from machine.conventions import Array
 from machine.registration import MAX_CORRECTION_M, Registration, Term, TermKind, features, too_much
 
 KNOT_STEP_M = 0.25
+"""Spacing of the tables."""
 RANGE_PER_HEIGHT_RATIO = 0.4
-"""How much farther on the ground a throw would have come down, a metre of height: loads come down at about
-68 degrees. 0.3 to 0.5 explain the misses of m545-2d-v5 and m545-3d-v4 alike, 0 worse (decision 5)."""
+"""Additional range at ground level per metre of height: loads descend at about 68 degrees. The likelihood is
+flat between 0.3 and 0.5 (docs/decisions/0005-registration.md)."""
 FIRST_NOISE_M = 0.1
-"""Standard deviation of a throw at 9 m before any was seen, as strong as `FIRST_NOISE_COUNT` throws."""
+"""Prior standard deviation of a throw at `NOISE_RANGE_M`."""
 FIRST_NOISE_COUNT = 10.0
+"""Weight of that prior, in throws."""
 NOISE_RANGE_M = 9.0
+"""Range at which the noise is stated."""
 FAULTY_QUANTILE_RATIO = 0.9
-"""A machine of whose throws a tenth miss by more than aiming may correct has a fault; at the last of its
-reach a few may."""
+"""Share of the throws whose mean miss must be correctable: beyond it the machine has a fault. The others
+allow for the end of the reach."""
 
 
 class _Smoothness(NamedTuple):
-    """Prior of one table: standard deviation of the miss, and over which range it changes."""
+    """Prior of one table: standard deviation and length scale over the range, m."""
 
     sd_m: float
     length_m: float
 
 
-class _Way(NamedTuple):
-    """Priors of one direction."""
+class _DirectionPrior(NamedTuple):
+    """Priors of one direction of the miss."""
 
     ground: _Smoothness
     terms: dict[TermKind, _Smoothness]
     noise_per_m: float
-    """Growth of the logarithm of the scatter over the range."""
+    """Growth of the logarithm of the noise over the range, 1/m."""
 
 
-# Most probable values for throws from the safe pose, 260 of each of five maps of misses (m545-2d-v5,
-# m545-3d-v3 and v4 on unit 0, m545-2d-v5 and m545-3d-v3 on unit 203), docs/decisions/0005-registration.md.
-DOWNRANGE = _Way(
+# Maximum likelihood over throws from the safe pose with five pairs of policy and machine, 260 throws each
+# (docs/decisions/0005-registration.md).
+DOWNRANGE = _DirectionPrior(
     _Smoothness(0.09, 0.65),
     {
         TermKind.NEAR: _Smoothness(0.08, 0.9),
@@ -53,7 +56,7 @@ DOWNRANGE = _Way(
     },
     0.27,
 )
-CROSSRANGE = _Way(
+CROSSRANGE = _DirectionPrior(
     _Smoothness(0.02, 0.95),
     {
         TermKind.NEAR: _Smoothness(0.067, 0.6),
@@ -66,26 +69,26 @@ CROSSRANGE = _Way(
 
 
 class Surveyed(NamedTuple):
-    """Throws that landed: what they were aimed at, and by how much they missed; all (N,)."""
+    """Landed throws: aim point and miss; all (N,)."""
 
     range_m: Array
     height_m: Array
     turn_rad: Array
-    """From where the cabin stood to the target, positive to the left."""
+    """Slew from the start of the throw to the target, positive to the left."""
     downrange_m: Array
     crossrange_m: Array
 
 
 def register(policy_sha256: str, throws: Surveyed, kinds: Sequence[TermKind] = ()) -> Registration:
-    """The mean miss every quarter of a metre, and its terms.
+    """Tables of the mean miss and of its terms.
 
     Args:
         policy_sha256: of the policy that threw.
-        throws: misses from the point aimed at.
-        kinds: what the miss may hang on besides the range.
+        throws: misses relative to the aim point.
+        kinds: terms besides the range.
 
     Raises:
-        ValueError: no throws, or a mean miss that aiming must not correct.
+        ValueError: no throws, or a mean miss beyond the largest correction.
     """
     if throws.range_m.size == 0:
         raise ValueError("a registration needs at least one throw that landed")
@@ -123,17 +126,22 @@ def _limited(table: Array) -> tuple[float, ...]:
 
 
 def _tables(
-    way: _Way, kinds: Sequence[TermKind], knots: Array, at: Array, weights: list[Array], miss: Array
+    prior: _DirectionPrior,
+    kinds: Sequence[TermKind],
+    knots: Array,
+    at: Array,
+    weights: list[Array],
+    miss: Array,
 ) -> list[Array]:
-    """Most probable tables (K,) of the ground and of each term, given misses (N,) at ranges `at` (N,)."""
-    priors = [way.ground, *(way.terms[kind] for kind in kinds)]
+    """Posterior mean tables (K,) of ground level and of each term, given misses (N,) at ranges `at` (N,)."""
+    priors = [prior.ground, *(prior.terms[kind] for kind in kinds)]
     kernel = np.zeros((at.size, at.size))
-    for prior, weight in zip(priors, weights, strict=True):
-        kernel += np.outer(weight, weight) * _similar(prior, at, at)
-    growth = np.exp(way.noise_per_m * (at - NOISE_RANGE_M))
+    for smoothness, weight in zip(priors, weights, strict=True):
+        kernel += np.outer(weight, weight) * _similar(smoothness, at, at)
+    growth = np.exp(prior.noise_per_m * (at - NOISE_RANGE_M))
     noise_m = FIRST_NOISE_M
     solved = np.zeros_like(miss)
-    # The scatter is that of the residuals, which hang on it in turn: a few rounds settle it.
+    # The noise is that of the residuals, which depend on it: iterate.
     for _ in range(4):
         variance = (noise_m * growth) ** 2
         solved = np.linalg.solve(kernel + np.diag(variance), miss)
@@ -141,11 +149,11 @@ def _tables(
         total = float(left @ left) + FIRST_NOISE_COUNT * FIRST_NOISE_M**2
         noise_m = float(np.sqrt(total / (at.size + FIRST_NOISE_COUNT)))
     return [
-        _similar(prior, knots, at) @ (weight * solved)
-        for prior, weight in zip(priors, weights, strict=True)
+        _similar(smoothness, knots, at) @ (weight * solved)
+        for smoothness, weight in zip(priors, weights, strict=True)
     ]
 
 
-def _similar(prior: _Smoothness, a: Array, b: Array) -> Array:
+def _similar(smoothness: _Smoothness, a: Array, b: Array) -> Array:
     """Covariance (A, B) of a table's values at ranges (A,) and (B,), m^2."""
-    return prior.sd_m**2 * np.exp(-0.5 * ((a[:, None] - b) / prior.length_m) ** 2)
+    return smoothness.sd_m**2 * np.exp(-0.5 * ((a[:, None] - b) / smoothness.length_m) ** 2)

@@ -1,4 +1,4 @@
-"""Registration throws: how far a simulated machine misses with a policy, by its own survey."""
+"""Registration throws of a simulated machine with a policy, and their surveyed misses."""
 
 from typing import NamedTuple
 
@@ -15,58 +15,58 @@ from machine.starts import safe_pose, sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
 from sim_twin.commissioning.registration_fit import Surveyed, register
-from sim_twin.throws.campaign import Outcome, run_throws
+from sim_twin.throws.campaign import ThrowOutcome, run_throws
 from sim_twin.throws.throw_start import scattered_starts
 from sim_twin.twin.profile import nominal_profile
 
 FLAT_THROW_COUNT = 160
-"""For a policy of the ground alone."""
+"""Throws with a policy for ground level only."""
 GROUND_THROW_COUNT, RAISED_THROW_COUNT = 120, 120
-"""For a policy that was trained for targets off the ground."""
+"""Throws at ground level with a policy that was trained for other heights too."""
 FIRST_RANGE_M = 6.0
 NEAR_TARGET_RAD = 0.1
 SPREAD_RATIO = 0.6180339887
-"""Golden section: its multiples, modulo 1, fill an interval evenly, whatever their number."""
+"""Golden ratio: its multiples, modulo 1, fill an interval evenly for any number of them."""
 
 
 class _Plan(NamedTuple):
-    """What is thrown."""
+    """Targets of the registration throws."""
 
     target_m: Array
     """(N, 3)"""
     kinds: tuple[TermKind, ...]
-    """What these throws can tell apart."""
+    """Terms that these throws can identify."""
 
 
 def registration_throw_count(card: PolicyCard) -> int:
-    """How many throws a registration of this policy takes."""
+    """Number of throws for a registration of this policy."""
     return GROUND_THROW_COUNT + RAISED_THROW_COUNT if _is_raised(card) else FLAT_THROW_COUNT
 
 
 def register_machine(
     plant: SimulatedDriver, params: ControlParams, spec: MachineSpec, seed: int = 0
 ) -> Registration:
-    """Throw at ranges over the whole reach, and at heights that the policy knows.
+    """Throw at ranges over the whole reach and at the policy's heights, and fit a registration.
 
     Args:
-        plant: the machine, copied; takes the throws `plant.count` at a time.
-        params: its control step with the policy; registrations in the calibration are left out.
+        plant: copies of the machine; `plant.count` throws run side by side.
+        params: parameters of the control step with the policy; registrations in the calibration are ignored.
         spec: machine type.
-        seed: of starts and of the plant's noise.
+        seed: seed of starts and of the plant's noise.
 
     Raises:
-        UsageError: no policy, no throw landed, or the misses are too large to aim away.
+        UsageError: no policy, no throw landed, or the misses are beyond the largest correction.
     """
     if params.policy is None:
         raise UsageError("a registration needs a policy")
     card = params.policy.card
     plan = _plan(card)
-    bare = ControlParams(
+    unregistered = ControlParams(
         spec, params.calibration.without_registrations(), params.mode, params.policy
     )
     starts = _starts(spec, params.mode, plan.target_m, np.random.default_rng((seed, 0x4E6)))
-    results = run_throws(plant, bare, plan.target_m, starts, seed)
-    landed = np.array([result.outcome is Outcome.LANDED for result in results])
+    results = run_throws(plant, unregistered, plan.target_m, starts, seed)
+    landed = np.array([result.outcome is ThrowOutcome.LANDED for result in results])
     miss_m = np.array([(r.downrange_error_m, r.crossrange_error_m) for r in results])[landed]
     turn = np.asarray(wrap_angle_rad(-starts[landed, 0]))
     throws = Surveyed(
@@ -86,7 +86,7 @@ def _is_raised(card: PolicyCard) -> bool:
 
 
 def _plan(card: PolicyCard) -> _Plan:
-    """Targets on the x axis, spread evenly over what the policy reaches."""
+    """Targets on the x axis, spread evenly over the policy's reach."""
     nearest = max(FIRST_RANGE_M, card.target_range_min_m, MIN_RANGE_M[card.mode])
     target_m = np.zeros((registration_throw_count(card), 3))
     ground = GROUND_THROW_COUNT if _is_raised(card) else FLAT_THROW_COUNT
@@ -104,10 +104,10 @@ def _plan(card: PolicyCard) -> _Plan:
 
 
 def _starts(spec: MachineSpec, mode: Mode, target_m: Array, rng: np.random.Generator) -> Array:
-    """Half of the throws begin in the safe pose, as operators' do, half anywhere, as an evaluation's do.
+    """Start poses (N, 6): half are the safe pose, as in operation, half are random, as in an evaluation.
 
-    In 3D the cabin stands near the target in the throws from the safe pose: operators mostly throw again
-    where they have just thrown, and the mean miss differs between that and a throw that turns first.
+    In 3D the cabin is near the target in starts from the safe pose: operators mostly throw repeatedly in one
+    direction, and the mean miss depends on whether the throw begins with a turn.
     """
     count = target_m.shape[0]
     starts = sample_starts(spec, mode, target_m, rng)

@@ -15,14 +15,14 @@ from scipy.signal import cont2discrete, lfilter
 from machine.conventions import CONTROL_PERIOD_S, Array
 
 DEAD_TIMES_S = np.arange(0.0, 0.41, 0.02)
-"""Dead times from which the search starts."""
+"""Initial dead times of the search."""
 LOWER = np.array([0.0, 0.5, 0.15, 0.3])
 UPPER = np.array([0.6, 60.0, 3.0, 2.0])
 
 
 @dataclass(frozen=True)
 class ResponseFit:
-    """One joint's response with standard errors; `r2_ratio` is the share of variance explained."""
+    """Fitted response of one joint; `r2_ratio` is the coefficient of determination."""
 
     dead_time_s: float
     natural_frequency_rad_per_s: float
@@ -30,7 +30,7 @@ class ResponseFit:
     gain_ratio: float
     r2_ratio: float
     residual_rad_m_per_s: float
-    """Root mean square of what the model does not explain."""
+    """Root mean square of the residual."""
 
 
 def simulate_response(
@@ -41,7 +41,7 @@ def simulate_response(
     gain_ratio: float,
     period_s: float = CONTROL_PERIOD_S,
 ) -> Array:
-    """Velocity (runs, ticks) that the model gives for commands (runs, ticks) from rest."""
+    """Velocity (runs, ticks) of the model for commands (runs, ticks), from rest."""
     whole, fraction = divmod(dead_time_s / period_s, 1.0)
     padded = np.pad(command, ((0, 0), (int(whole) + 1, 0)))[:, : command.shape[1] + 1]
     delayed = padded[:, 1:] + fraction * (padded[:, :-1] - padded[:, 1:])
@@ -59,7 +59,7 @@ def fit_response(
     """Least-squares fit over all runs; both arrays (runs, ticks), rad/s or m/s, each run from rest.
 
     Raises:
-        ValueError: the command never moves, so that nothing can be identified.
+        ValueError: the command is constant.
     """
     if float(np.std(command)) < 1e-4:
         raise ValueError("the commanded velocity is constant: nothing to identify, record a motion")

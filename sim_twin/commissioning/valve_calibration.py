@@ -1,6 +1,6 @@
-"""Measure the valve tables of a simulated machine: valve staircases, steady speeds, in actuator space.
+"""Measure the valve tables of a simulated machine: steady actuator speeds at steps of the valve command.
 
-The tables are what the runtime's feed-forward inverts. Only what a real machine's sensors show is used.
+The runtime's feed-forward inverts the tables. Uses only signals that a real machine's sensors provide.
 """
 
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from machine.spec import MachineSpec
 from runtime.driver import SimulatedDriver, ValveCommand
 
 LEVELS_RATIO = (0.03, 0.05, 0.07, 0.10, 0.15, 0.22, 0.32, 0.45, 0.60, 0.80, 1.00)
-"""Valve steps of each direction: close together where the dead band ends."""
+"""Valve steps of each direction, dense near the end of the dead band."""
 HOLD_S = (4.0, 1.5, 1.2, 1.6)
-"""How long a step lasts, per joint: the slew needs seconds to reach its speed."""
+"""Duration of a step, per joint: the slew takes seconds to reach a steady speed."""
 MEASURE_S = (1.0, 0.5, 0.4, 0.5)
-"""The last part of a step, over which the speed is averaged."""
+"""Last part of a step, over which the speed is averaged, per joint."""
 START_UP_RAD_M = (
     (0.0, 0.80, 0.0, 0.50),
     (0.0, 0.35, 0.6, 0.1),
@@ -32,10 +32,11 @@ START_DOWN_RAD_M = (
     (0.0, 0.85, 0.8, 0.2),
     (0.0, 1.0, 0.1, 1.5),
 )
-"""Start poses of a step, one a joint: room in the direction of the motion, load clear of the ground."""
+"""Start positions of steps, by moved joint: room in the direction of motion, load clear of the ground."""
 LIMIT_MARGIN_RAD_M = 0.05
+"""Distance from a position limit within which speeds are not averaged."""
 SLOWEST_RAD_M_PER_S = 2e-3
-"""Below this a joint counts as standing: inside the dead band."""
+"""Speed below which a joint counts as standing, inside the dead band."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,9 @@ def _measure(plant: SimulatedDriver, spec: MachineSpec, steps: list[_Step], seed
         sample = plant.read()
         position = sample.joint_position_rad_m
         speed = sample.joint_velocity_rad_m_per_s * np.abs(actuator_ratio(spec, position))
-        own = position[rows, joint]
-        free = (own > low[joint] + LIMIT_MARGIN_RAD_M) & (own < high[joint] - LIMIT_MARGIN_RAD_M)
+        moved = position[rows, joint]
+        low_end, high_end = low[joint] + LIMIT_MARGIN_RAD_M, high[joint] - LIMIT_MARGIN_RAD_M
+        free = (moved > low_end) & (moved < high_end)
         time_s = (tick + 1) * CONTROL_PERIOD_NS * 1e-9
         counts = free & (time_s > hold_s - measure_s) & (time_s <= hold_s)
         total += np.where(counts, speed[rows, joint], 0.0)
@@ -95,12 +97,12 @@ def _measure(plant: SimulatedDriver, spec: MachineSpec, steps: list[_Step], seed
 
 
 def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
-    """Increasing table from the measured points; the dead band stays as two points just off zero speed."""
+    """Increasing table from measured points; the dead band is represented by two points near zero speed."""
     order = np.argsort(valve)
     valve, speed = valve[order], speed[order]
-    # Within the dead band a joint may creep against its command: that is no speed of the valve's.
+    # Within the dead band a joint may creep against its command; that is not the valve's flow.
     moving = speed * np.sign(valve) > SLOWEST_RAD_M_PER_S
-    # Nor is a motion at a smaller valve than one that moved nothing: the dead band ends outside of both.
+    # Nor is motion at a smaller command than one without motion: the dead band ends beyond both.
     moving[valve < 0] = np.logical_and.accumulate(moving[valve < 0])
     moving[valve > 0] = np.logical_and.accumulate(moving[valve > 0][::-1])[::-1]
     speed = np.maximum.accumulate(np.where(moving, speed, 0.0))
@@ -125,7 +127,7 @@ def _table(joint: int, valve: Array, speed: Array) -> ValveTable:
             points_valve.append(a)
             points_speed.append(b)
     speeds = np.asarray(points_speed)
-    # Saturated steps (pump limit) repeat a speed: keep the table invertible.
+    # Steps at the pump limit have equal speeds; keep the table invertible.
     speeds += np.arange(speeds.size) * 1e-9
     return ValveTable(
         valve_ratio=tuple(points_valve), actuator_speed_rad_m_per_s=tuple(speeds.tolist())
@@ -138,9 +140,10 @@ def calibrate(
     """Run every valve step of every joint and return the tables.
 
     Args:
-        plant: any number of copies of the machine; steps run side by side on them.
+        plant: copies of the machine, on which steps run side by side.
+        spec: machine type.
         machine_id: written into the calibration.
-        seed: of the plant's per-test noise.
+        seed: seed of the plant's noise.
 
     Raises:
         PlantError: a joint does not move, or moves in the wrong direction.
@@ -161,4 +164,4 @@ def calibrate(
 
 
 CALIBRATION_STEP_COUNT = len(_steps())
-"""Copies with which the whole calibration runs in one go."""
+"""Number of copies with which all steps run side by side."""

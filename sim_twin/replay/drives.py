@@ -1,7 +1,7 @@
-"""Replays of the driven joints alone: from logged valve commands to joint velocities, without a body.
+"""Replays of the driven joints alone: from logged valve commands to joint velocities, without rigid bodies.
 
-The twin's drives are stiff: what the arm does to them changes their velocity by less than 1 mrad/s
-(tests/sim_twin/replay/test_short_replays.py measures it), and costs most of a replay's time.
+The twin's drives are stiff: the reaction of the arm changes their velocity by less than 1 mrad/s
+(tests/sim_twin/replay/test_short_replays.py), and its simulation takes most of a replay's time.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ from sim_twin.twin.profile import TwinProfile, exact_profile
 from sim_twin.twin.response import VelocityResponse
 
 STOP_RAD_M = 3e-3
-"""A joint that is measured to be nearer to its end is at its stop: twice what position sensors scatter."""
+"""Distance from the end of travel within which a joint is at its end stop: twice the position noise."""
 STEADYING_TICKS = 9
-"""A tenth of a second, over which it is judged whether a joint stands."""
+"""Ticks over which velocities are averaged to detect standstill: 0.1 s."""
 
 
 def replay_drives(
@@ -32,16 +32,16 @@ def replay_drives(
     *,
     as_measured: bool = False,
 ) -> Array:
-    """True velocities (M, T, 4) of the driven joints at every tick, rad/s and m/s; no sensor's latency.
+    """True velocities (M, T, 4) of the driven joints at every tick, rad/s and m/s, without sensor latency.
 
     Args:
-        inputs: recorded throws; T is the longest one's number of ticks.
-        elements: what to simulate; what they take as measured is not looked at.
-        profile: of the machine; its own effects act in every element.
-        calibration: of its valves.
-        as_measured: levers, loads and end stops are those of where the recorded joints were; joints that
-            stick come to rest when those did, and the slew's play begins where their motion says: whether a
-            slow joint just stops decides all that follows.
+        inputs: recorded throws; T is the number of ticks of the longest.
+        elements: simulations; their measured joints are ignored.
+        profile: profile of the machine; its effects act in every element.
+        calibration: valve tables of the machine.
+        as_measured: take lever arms, loads and end stops from the recorded joint positions, let sticking
+            joints stop when the recorded ones did, and take the initial state of the slew's backlash from
+            the recorded motion: whether a slow joint stops decides the rest of the simulation.
     """
     spec, exact, count = load_spec(), exact_profile(profile), len(elements)
     throws = [inputs[e.throw] for e in elements]
@@ -73,7 +73,7 @@ def replay_drives(
             place[tick] if as_measured else position,
             seen[tick + 1] if as_measured else None,
         )
-        # A cylinder at its end stop stands still, whatever its valve does.
+        # A cylinder at its end stop stands still for any valve command.
         least, most = (low - position) / CONTROL_PERIOD_S, (high - position) / CONTROL_PERIOD_S
         if as_measured:
             least = np.where(place[tick] < low + STOP_RAD_M, 0.0, -np.inf)

@@ -1,4 +1,4 @@
-"""Measured motion as true motion, under each element's hypothesis about the sensors that measured it."""
+"""True motion from measured motion, under each element's hypothesis about the sensors."""
 
 from collections.abc import Sequence
 
@@ -13,16 +13,15 @@ from sim_twin.twin.twin_effects import PrescribedMotion
 
 
 def padded(values: Array, ticks: int, *, hold: bool) -> Array:
-    """Values (T, C) with rows appended up to `ticks`: the last one held, or zeros."""
+    """Values (T, C) with rows appended up to `ticks`: the last row repeated, or zeros."""
     missing = ticks - values.shape[0]
     return np.pad(values, [(0, missing), (0, 0)], mode="edge" if hold else "constant")
 
 
 def shifted(values: Array, ticks: Array) -> Array:
-    """Values (T, ...) as they are `ticks` (...) rows further on; held beyond the ends.
+    """Values (T, ...) shifted by `ticks` (...) rows; constant beyond the ends.
 
-    Cubic through the four rows around: straight lines would smooth away part of the noise, and a sensor would
-    look late where the motion is rough.
+    Cubic interpolation: linear interpolation would smooth the noise and bias estimated latencies.
     """
     last = values.shape[0] - 1
     whole = np.floor(ticks + 1e-9).astype(np.int64)
@@ -43,7 +42,7 @@ def shifted(values: Array, ticks: Array) -> Array:
 class MeasuredMotion:
     """Starts and prescribed joints of M elements.
 
-    A late sensor saw the true motion earlier, a turned IMU another swing.
+    Corrects latencies of sensors and misalignment of the IMU.
     """
 
     def __init__(
@@ -53,18 +52,18 @@ class MeasuredMotion:
         elements: Sequence[ReplayElement],
         ticks: int,
     ) -> None:
-        """Turn reported into true motion.
+        """Compute true motion from reported motion.
 
         Args:
-            twin: has the elements' effects.
+            twin: twin with the elements' effects.
             throws: input of each element.
-            elements: M.
-            ticks: of the longest throw.
+            elements: M simulations.
+            ticks: number of ticks of the longest throw.
         """
         self._ticks = ticks
         count = len(elements)
         self.reported_start = np.zeros((count, JOINT_COUNT))
-        """(M, 6) where the machines say they start."""
+        """(M, 6) reported start positions."""
         rates = np.zeros((count, JOINT_COUNT))
         self._mask = np.zeros((count, JOINT_COUNT), dtype=np.bool_)
         for row, (throw, element) in enumerate(zip(throws, elements, strict=True)):
@@ -94,14 +93,14 @@ class MeasuredMotion:
         """True positions and velocities (M, 6) at row 0."""
 
     def after(self, tick: int) -> PrescribedMotion | None:
-        """The true motion at the end of a tick."""
+        """True motion at the end of a tick."""
         if not self._is_given:
             return None
         row = min(tick + 1, self._ticks - 1)
         return PrescribedMotion(self._mask, self._position[row], self._velocity[row])
 
     def _turn(self, throws: Sequence[ReplayInput], axes: Array, start: Array) -> None:
-        """Measure the swing anew, from starts (M, 6), with IMUs of these axes (M, 3, 3)."""
+        """Recompute the swing from starts (M, 6) for IMUs with axes (M, 3, 3)."""
         gyros = {i: t.gyro_rad_per_s for i, t in enumerate(throws)}
         known = {i: gyro for i, gyro in gyros.items() if gyro is not None}
         if not known:
@@ -124,7 +123,7 @@ class MeasuredMotion:
             return
         ticks = latency_s / CONTROL_PERIOD_S
         beyond = np.arange(self._ticks)[:, None, None] + ticks - (self._ticks - 1)
-        # Beyond the record a joint keeps its last speed.
+        # Beyond the end of the record a joint keeps its last speed.
         coasted = np.maximum(beyond, 0.0) * CONTROL_PERIOD_S * self._velocity[-1]
         self._position = shifted(self._position, ticks) + coasted
         self._velocity = shifted(self._velocity, ticks)
@@ -135,7 +134,7 @@ class MeasuredMotion:
 
 
 def _start_shift(throw: ReplayInput, axes: Array) -> Array:
-    """(6,) how much further the gripper began than reported, if the IMU has these axes (3, 3)."""
+    """(6,) true minus reported start position of the gripper for an IMU with axes (3, 3)."""
     shift = np.zeros(JOINT_COUNT)
     force = throw.start_force_m_per_s2
     if force is not None:
@@ -144,12 +143,12 @@ def _start_shift(throw: ReplayInput, axes: Array) -> Array:
 
 
 def _swing(pose: Array) -> Array:
-    """Swing from the machine's vertical and roll (N, 2) of reported joint positions (N, 6)."""
+    """Swing from the machine's vertical, and roll, (N, 2), for reported joint positions (N, 6)."""
     return np.stack([pose[:, 1] + pose[:, 2] + pose[:, 4], pose[:, 5]], axis=1)
 
 
 def _reported(throws: Sequence[ReplayInput], ticks: int) -> tuple[Array, Array]:
-    """Reported positions and velocities (ticks, M, 6); zeros for a swing that was not measured."""
+    """Reported positions and velocities (ticks, M, 6); zeros for an unmeasured swing."""
     cache: dict[int, tuple[Array, Array]] = {}
     count = len(throws)
     position = np.zeros((ticks, count, JOINT_COUNT))

@@ -1,7 +1,6 @@
 """Replays of recorded throws in the twin: open loop, from logged valve commands or measured motion.
 
-Nothing here decides anything: no policy, no controller, no randomness. It refuses inputs whose arrays do
-not fit together.
+Open loop: no policy, no controller, no random numbers.
 """
 
 from collections.abc import Sequence
@@ -45,17 +44,17 @@ def replay(
     profile: TwinProfile,
     calibration: ValveCalibration,
 ) -> ReplayOutput:
-    """Simulate all elements side by side, without anything random.
+    """Simulate all elements side by side.
 
     Args:
         inputs: recorded throws.
-        elements: what to simulate.
-        profile: of the machine; its own effects act in every element.
-        calibration: of its valves.
+        elements: simulations.
+        profile: profile of the machine; its effects act in every element.
+        calibration: valve tables of the machine.
 
     Raises:
-        UsageError: an element names no input or what it has not measured, or an input's arrays do not
-            fit together.
+        UsageError: an element refers to a missing input or measurement, or an input's arrays have
+            inconsistent shapes.
     """
     _check(inputs, elements)
     throws = [inputs[e.throw] for e in elements]
@@ -139,7 +138,7 @@ def _check(inputs: Sequence[ReplayInput], elements: Sequence[ReplayElement]) -> 
 def _openings(
     throws: Sequence[ReplayInput], elements: Sequence[ReplayElement], start_ns: int
 ) -> tuple[IntArray, IntArray]:
-    """When the openings are commanded and, where measured, the loads leave; ns, `NEVER_NS` for never."""
+    """Times of opening commands and of measured releases, ns; `NEVER_NS` for never."""
     command = np.full(len(throws), NEVER_NS)
     gone = np.full(len(throws), NEVER_NS)
     for row, (throw, element) in enumerate(zip(throws, elements, strict=True)):
@@ -155,7 +154,7 @@ def _openings(
 
 
 def _land(load: Payload, now_ns: int) -> None:
-    """Let the loads still in the air come down; nothing else moves."""
+    """Advance loads in flight until they land; nothing else moves."""
     for _ in range(MAX_FLIGHT_TICKS):
         if not load.flying.any():
             return
@@ -164,7 +163,7 @@ def _land(load: Payload, now_ns: int) -> None:
 
 
 class _Tape:
-    """What is kept of every tick."""
+    """Channels recorded at every tick."""
 
     def __init__(self, twin: Twin, ticks: int) -> None:
         self._twin = twin
@@ -193,7 +192,7 @@ class _Tape:
         self._accel[:, tick] = sample.imu_accel_m_per_s2
 
     def output(self, tick_count: IntArray, start_ns: int) -> ReplayOutput:
-        """Everything, NaN from each throw's own number of ticks (M,) on."""
+        """All channels, NaN from each throw's number of ticks (M,) on."""
         load = self._twin.payload
         beyond = np.arange(self._position.shape[1]) >= tick_count[:, None]
         for channel in (
@@ -234,17 +233,17 @@ def fly(
     surface_height_m: Array | float = 0.0,
     progress_ratio: Array | float = 0.0,
 ) -> Flight:
-    """Fly loads from known release states: the last stage alone.
+    """Simulate the flight of loads from given release states.
 
-    Only what acts in the air does anything: drag, wind, spin and the load's mass.
+    Only effects on the flight act: drag, wind, spin and the load's mass.
 
     Args:
         release_position_m: (M, 3) survey frame.
-        release_velocity_m_per_s: (M, 3) of the load as it leaves, survey frame.
+        release_velocity_m_per_s: (M, 3) survey frame.
         profile: drag, wind and effects of the machine.
-        effects: one set per load on top of the profile's.
-        surface_height_m: (M,) of the ground at the impact.
-        progress_ratio: (M,) place of each throw in its set.
+        effects: one set per load in addition to the profile's.
+        surface_height_m: (M,) height of the surface at the impact.
+        progress_ratio: (M,) position of each throw in its set.
     """
     count = release_position_m.shape[0]
     arrays = effect_arrays(count, profile.effects, effects, progress_ratio)

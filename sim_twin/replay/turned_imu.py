@@ -1,4 +1,4 @@
-"""The swing of a gripper from its gyro, and what it was if the IMU is mounted askew."""
+"""Swing of the gripper from its gyro, for an IMU with mounting misalignment."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What goes into a replay of recorded throws and what comes out of it."""
+"""Inputs and outputs of replays of recorded throws."""
 
 from typing import NamedTuple
 
@@ -11,62 +11,62 @@ FourFlags = tuple[bool, bool, bool, bool]
 class ReplayInput(NamedTuple):
     """One recorded throw on the grid of control ticks; t = 0 at row 0, row k at 0.01 k seconds.
 
-    All positions and angles as the machine's sensors and estimator report them: a hypothesis about a
-    sensor (bias, latency, tilt) turns them into true ones.
+    Positions and angles are as reported by sensors and estimator; an element's sensor effects (bias,
+    latency, tilt) convert them into true ones.
     """
 
     valve_ratio: Array
-    """(T, 4) applied during the tick that begins at row k."""
+    """(T, 4) valve command during the tick that begins at row k."""
     gripper_open: BoolArray
-    """(T,) commanded during the tick that begins at row k; used where `release_t_s` is NaN."""
+    """(T,) opening command during the tick that begins at row k; used if `release_t_s` is NaN."""
     position_rad_m: Array
-    """(T, 4) driven joints, measured and smoothed. Row 0 is where simulated joints start, at rest."""
+    """(T, 4) driven joints, measured and smoothed. Simulated joints start at row 0, at rest."""
     velocity_rad_m_per_s: Array
-    """(T, 4) of the same, smooth: its differences are the accelerations that a gripper feels."""
+    """(T, 4) smoothed velocities of the driven joints; their differences are the accelerations."""
     swing_start_rad: Array
     """(2,) pitch and roll joint angles at row 0. At rest: plumb for the measured boom and dipper."""
     swing_rate_start_rad_per_s: Array
     """(2,)"""
     release_t_s: float = float("nan")
-    """When the opening command was given."""
+    """Time of the opening command."""
     surface_height_m: float = 0.0
-    """Of the ground at the impact, survey frame."""
+    """Height of the surface at the impact, survey frame."""
     progress_ratio: float = 0.0
-    """Place in the set of throws, 0 for the first and 1 for the last; only drifts look at it."""
+    """Position in the set of throws: 0 for the first, 1 for the last; used by drifting effects."""
     hung_at_rest: bool = True
-    """Whether the gripper hung at rest before row 0: then it hangs with gravity, however the base leans.
-    False takes the swing's start as true against the machine's own vertical."""
+    """Whether the gripper hung at rest before row 0: it then starts plumb, for any tilt of the base. Else the
+    reported swing is taken relative to the machine's vertical."""
     opening_t_s: float = float("nan")
-    """When the load was measured to leave; for elements with `measured_opening`."""
+    """Measured release time; for elements with `measured_opening`."""
     swing_rad: Array | None = None
     """(T, 2) measured pitch and roll joint angles; for elements with `measured_swing`."""
     swing_rate_rad_per_s: Array | None = None
     """(T, 2)"""
     gyro_rad_per_s: Array | None = None
-    """(T, 3) reported by the IMU, its bias off; a swing was something else if the IMU is mounted askew."""
+    """(T, 3) angular rate reported by the IMU, bias removed."""
     start_force_m_per_s2: Array | None = None
-    """(3,) specific force reported by the IMU at row 0; None where the machine did not take the swing's
-    start from it."""
+    """(3,) specific force reported by the IMU at row 0; None if the swing's start was not estimated from
+    it."""
 
 
 class ReplayElement(NamedTuple):
-    """One simulation: a throw, what the machine has on top of its profile, and what is taken as measured."""
+    """One simulation: a throw, effects in addition to the profile's, and prescribed measurements."""
 
     throw: int
     """Index of the input."""
     effects: tuple[Effect, ...] = ()
     measured_joints: FourFlags = (False, False, False, False)
-    """Driven joints that move as measured instead of as their valves are commanded."""
+    """Driven joints whose motion is prescribed as measured instead of simulated from valve commands."""
     measured_swing: bool = False
-    """Both free joints move as measured."""
+    """Whether the motion of both free joints is prescribed as measured."""
     measured_opening: bool = False
-    """The load leaves at `opening_t_s`."""
+    """Whether the load is released at `opening_t_s`."""
 
 
 class ReplayOutput(NamedTuple):
-    """What M elements did; T is the longest throw's, later ticks of shorter ones are NaN.
+    """Simulated channels of M elements; T is the longest throw's, later ticks of shorter ones are NaN.
 
-    Row k of every channel is the state at tick k (the IMU too), as the sensors report it at that time.
+    Row k of every channel is the state at tick k as the sensors report it at that time.
     """
 
     joint_position_rad_m: Array
@@ -82,13 +82,13 @@ class ReplayOutput(NamedTuple):
     accel_m_per_s2: Array
     """(M, T, 3) specific force, frame of the IMU."""
     release_t_s: Array
-    """(M,) when the load left; NaN if it did not within the throw."""
+    """(M,) release time; NaN without a release."""
     release_position_m: Array
-    """(M, 3) survey frame: frame `machine` of a machine that stands where it was surveyed."""
+    """(M, 3) survey frame: frame `machine` at the surveyed pose of the base."""
     release_velocity_m_per_s: Array
-    """(M, 3) of the load as it leaves, survey frame."""
+    """(M, 3) velocity at the release, survey frame."""
     ball_position_m: Array
-    """(M, T, 3) in the air, survey frame; NaN otherwise."""
+    """(M, T, 3) position in flight, survey frame; NaN otherwise."""
     impact_m: Array
     """(M, 3) survey frame; may come after the last tick."""
     impact_t_s: Array
@@ -103,4 +103,4 @@ class Flight(NamedTuple):
     flight_s: Array
     """(M,) from release to impact."""
     track_m: Array
-    """(M, S, 3) every 0.01 s from the release on; NaN from the impact on."""
+    """(M, S, 3) position every 0.01 s from the release on; NaN from the impact on."""

@@ -1,4 +1,4 @@
-"""What a campaign says about accuracy: one row a target, as JSON and as a table for people."""
+"""Accuracy of a campaign: one row per target, as JSON and as a text table."""
 
 from collections.abc import Sequence
 from typing import TypedDict
@@ -6,15 +6,15 @@ from typing import TypedDict
 import numpy as np
 
 from machine.conventions import Array
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 
 class TargetAccuracy(TypedDict):
-    """Landings at one target. None where too few throws landed for the number."""
+    """Landings at one target; None for values that need more landed throws."""
 
     range_m: float
     height_m: float
-    """Of the target surface above ground."""
+    """Height of the target surface above ground."""
     throws: int
     landed: int
     success_ratio: float
@@ -31,18 +31,18 @@ class AccuracyReport(TypedDict):
     plant: str
     policy: str
     is_registered: bool
-    """Whether the machine aimed by a registration of this policy."""
+    """Whether aim points were corrected by a registration of this policy."""
     seed: int
     seconds: float
-    """Wall time of the throws, calibration not counted."""
+    """Wall time of the throws without calibration."""
     real_time_factor: float
-    """Simulated time of all throws, each to its own end, over wall time."""
+    """Simulated time of all throws, each up to its end, over wall time."""
     targets: list[TargetAccuracy]
 
 
 def landing_errors(results: Sequence[ThrowResult]) -> tuple[Array, Array]:
-    """Downrange and crossrange errors of the throws that landed."""
-    landed = [r for r in results if r.outcome is Outcome.LANDED]
+    """Downrange and crossrange errors of the landed throws."""
+    landed = [r for r in results if r.outcome is ThrowOutcome.LANDED]
     return (
         np.array([r.downrange_error_m for r in landed]),
         np.array([r.crossrange_error_m for r in landed]),
@@ -52,7 +52,7 @@ def landing_errors(results: Sequence[ThrowResult]) -> tuple[Array, Array]:
 def target_accuracy(
     range_m: float, results: Sequence[ThrowResult], height_m: float = 0.0
 ) -> TargetAccuracy:
-    """One target's row; standard deviations of the sample (n - 1)."""
+    """Row of one target; standard deviations of the sample (n - 1)."""
     down, cross = landing_errors(results)
     has_mean, has_spread = down.size >= 1, down.size >= 2
     return TargetAccuracy(
@@ -69,14 +69,14 @@ def target_accuracy(
 
 
 def outcome_counts(results: Sequence[ThrowResult]) -> dict[str, int]:
-    """How many throws ended how, only what occurred."""
-    counts = {kind.value: sum(r.outcome is kind for r in results) for kind in Outcome}
+    """Number of throws by outcome, without zeros."""
+    counts = {kind.value: sum(r.outcome is kind for r in results) for kind in ThrowOutcome}
     return {kind: count for kind, count in counts.items() if count}
 
 
 def bad_throws_text(results: Sequence[ThrowResult]) -> str:
-    """What became of the throws that did not land, for people; empty if all landed."""
-    bad = [r for r in results if r.outcome is not Outcome.LANDED]
+    """Outcomes of the throws that did not land, as text; empty if all landed."""
+    bad = [r for r in results if r.outcome is not ThrowOutcome.LANDED]
     if not bad:
         return ""
     kinds = ", ".join(f"{count} {kind}" for kind, count in outcome_counts(bad).items())

@@ -1,7 +1,7 @@
-"""Many throws on one plant, and what came of each: the evaluation protocol of the paper (section IV-A).
+"""Campaigns of throws on one plant and their outcomes: the evaluation protocol of the paper (section IV-A).
 
-The plant may be the twin, the virtual machine or anybody's `SimulatedDriver`; only what its sensors and
-its survey say is used.
+The plant is the twin, the virtual machine or another `SimulatedDriver`. Only its sensor samples and its
+survey of impacts are used.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,18 +20,19 @@ from sim_twin.throws.plant_abilities import Freezable, HasSurface, KnowsTruth, P
 from sim_twin.throws.rollout import Rollout
 
 RELEASE_TIMEOUT_S = 7.0
-"""A throw without a release by then has failed; training ends its episodes at the same time."""
+"""Time after which a throw without a release has failed, as in training."""
 END_TIMEOUT_S = 14.0
+"""Time after which a throw without an impact has failed."""
 LIMIT_REACHED_RAD_M = 0.004
-"""A joint nearer to its position limit than this has reached it (four times the position noise)."""
+"""Distance from a position limit within which it counts as reached: four times the position noise."""
 
-# Members of an enumeration cost half a microsecond a look-up, in every tick.
+# Plain integers, because access to members of an enumeration is slow and happens in every tick.
 _THROW = int(Motion.THROW)
 _BEYOND = int(Violation.SWING | Violation.SAFETY)
 _ABORTED = int(Violation.IMU | Violation.POLICY)
 
 
-class Outcome(StrEnum):
+class ThrowOutcome(StrEnum):
     """How a throw ended."""
 
     LANDED = "landed"
@@ -42,38 +43,38 @@ class Outcome(StrEnum):
 
 
 class ThrowResult(NamedTuple):
-    """One throw. Values that the throw did not reach are NaN; frame `machine` and frame `throw`."""
+    """Result of one throw; NaN for missing values. `impact_m` in frame `machine`, errors in `throw`."""
 
     target_m: tuple[float, float, float]
-    outcome: Outcome
+    outcome: ThrowOutcome
     impact_m: tuple[float, float, float]
     downrange_error_m: float
     crossrange_error_m: float
     release_speed_m_per_s: float
     throw_duration_s: float
-    """Start of the throw to the load leaving the gripper."""
+    """From the start of the throw to the release."""
     simulated_s: float
-    """Start of the throw to its end."""
+    """From the start of the throw to its end."""
 
 
 class TickRecorder(Protocol):
-    """Takes down what a throw log needs (sim_twin.throws.throw_logs)."""
+    """Recorder of the ticks of a campaign (sim_twin.throws.throw_logs)."""
 
     def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
-        """A batch starts: its machines carry out these throws."""
+        """Start a batch whose machines carry out these throws."""
         ...
 
     def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
-        """One control tick of the whole batch; `sample` is the one after it."""
+        """Record one control tick of the batch; `sample` is read after it."""
         ...
 
     def end(self, results: Sequence[ThrowResult]) -> None:
-        """The batch is over."""
+        """End the batch."""
         ...
 
 
 Progress = Callable[[int, int], None]
-"""Called with throws done and throws in all."""
+"""Called with the numbers of ended throws and of all throws."""
 
 
 def run_throws(
@@ -93,22 +94,22 @@ def run_throws(
     """Throw once at each target (N, 3) from each start (N, 6), `plant.count` at a time.
 
     Args:
-        plant: the machines.
+        plant: machines.
         params: policy, calibration and spec of the control step.
         targets_m: frame `machine`.
         starts_rad_m: joint order.
-        seed: of everything random in the plant.
-        record: takes down every tick.
-        progress: told about throws that have ended.
-        use_truth: score the true impacts where the plant knows them, not the surveyed ones.
-        ends_at_release: where the plant predicts impacts, score the prediction and spare the time after the
-            release (a gripper that hits something while it settles then goes unnoticed).
-        pace_ratio: of every throw, 0 careful .. 1 fast.
-        first_batch: number of the first batch, of a campaign whose batches are thrown one by one.
+        seed: seed of the plant's random numbers.
+        record: recorder of every tick.
+        progress: called when throws have ended.
+        use_truth: score true impacts instead of surveyed ones, if the plant provides them.
+        ends_at_release: end a throw at its release and score the predicted impact, if the plant predicts
+            impacts. Collisions after the release are not detected then.
+        pace_ratio: pace of every throw, 0 careful .. 1 fast.
+        first_batch: number of the first batch, for a campaign that is run in parts.
 
     Raises:
-        UsageError: no policy, unequal numbers of targets and starts, or a target off the ground on a
-            plant that has ground only.
+        UsageError: no policy, unequal numbers of targets and starts, or a target off ground level on a
+            plant without adjustable surface height.
     """
     if params.policy is None:
         raise UsageError("a campaign needs a policy: name one with --policy DIR or --policies DIR")
@@ -120,7 +121,7 @@ def run_throws(
     results: list[ThrowResult] = []
     for number, first in enumerate(range(0, count, plant.count)):
         taken = min(plant.count, count - first)
-        # The last batch is filled up with repeats, whose results are dropped.
+        # The last batch is filled with repetitions, whose results are dropped.
         rows = first + np.arange(plant.count) % taken
         batch_seed = int(np.random.SeedSequence((seed, first_batch + number)).generate_state(1)[0])
         batch = ThrowBatch(
@@ -130,14 +131,14 @@ def run_throws(
         batch.ends_at_release = ends_at_release and isinstance(plant, PredictsImpact)
         if record is not None:
             record.begin(plant, first, taken)
-        told = -1
+        reported = -1
         while batch.running.any():
             now_ns, outputs = plant.now_ns(), batch.tick()
             if record is not None:
                 record.tick(now_ns, batch.rollout.sample, outputs)
-            if progress is not None and batch.ended_count != told:
-                told = batch.ended_count
-                progress(first + told, count)
+            if progress is not None and batch.ended_count != reported:
+                reported = batch.ended_count
+                progress(first + reported, count)
         batch_results = batch.results()
         if record is not None:
             record.end(batch_results)
@@ -146,12 +147,12 @@ def run_throws(
 
 
 class ThrowBatch:
-    """Throws that run side by side, and how each of them ended."""
+    """Throws that run side by side, and their outcomes."""
 
     use_truth = False
-    """Score true impacts where the plant knows them."""
+    """Score true impacts if the plant provides them."""
     ends_at_release = False
-    """Count a throw as landed when its load has left; only on a plant that predicts impacts."""
+    """End throws at the release; only for a plant that predicts impacts."""
 
     def __init__(
         self,
@@ -163,7 +164,7 @@ class ThrowBatch:
         taken: int,
         pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> None:
-        """Start a throw on every machine; only the first `taken` of them count."""
+        """Start a throw on every machine; only the first `taken` are evaluated."""
         self._spec = params.spec
         if isinstance(plant, HasSurface):
             plant.set_surface_height(target_m[:, 2])
@@ -172,8 +173,8 @@ class ThrowBatch:
         low, high = params.spec.position_range_rad_m
         self._low, self._high = low[None] + LIMIT_REACHED_RAD_M, high[None] - LIMIT_REACHED_RAD_M
         self.outcome = np.full(plant.count, "", dtype="U16")
-        """(N,) `Outcome`; empty while the throw runs."""
-        self.outcome[taken:] = Outcome.TIMEOUT
+        """(N,) `ThrowOutcome`; empty while the throw runs."""
+        self.outcome[taken:] = ThrowOutcome.TIMEOUT
         self.running: BoolArray = self.outcome == ""
         """(N,) throws that have not ended."""
         if taken < plant.count and isinstance(plant, Freezable):
@@ -192,11 +193,11 @@ class ThrowBatch:
 
     @property
     def load_gone(self) -> BoolArray:
-        """(N,) whether the load has left the gripper."""
+        """(N,) whether the load is released."""
         return ~self._was_held
 
     def tick(self) -> ControlOutputs:
-        """One control tick of all machines, and what it ended."""
+        """Advance all machines by one control tick and evaluate which throws ended."""
         outputs = self.rollout.tick()
         self._note_release(self.rollout.sample, outputs)
         if self._note_ends(self.rollout.sample, outputs):
@@ -217,7 +218,7 @@ class ThrowBatch:
             self.release_s[left] = self.rollout.elapsed_s
 
     def _note_ends(self, sample: SensorSample, outputs: ControlOutputs) -> bool:
-        """Write down the outcome of throws that ended in this tick; whether there were any."""
+        """Set the outcome of throws that ended in this tick; return whether there were any."""
         rollout = self.rollout
         elapsed_s = rollout.elapsed_s
         position = sample.joint_position_rad_m
@@ -233,13 +234,13 @@ class ThrowBatch:
         beyond = at_limit.any(axis=-1) | ((violation & _BEYOND) != 0)
         fails = ~outputs.release_commanded & (late | ((violation & _ABORTED) != 0))
         ended = np.zeros(self._count, dtype=np.bool_)
-        # First match wins: a machine that broke something has not made a good throw.
+        # The first match counts: a throw with a collision is not a good one.
         for outcome, happened in (
-            (Outcome.COLLISION, collided),
-            (Outcome.LIMIT, beyond & holding & (rollout.motion == _THROW)),
-            (Outcome.LANDED, landed),
-            (Outcome.NO_RELEASE, fails & holding),
-            (Outcome.TIMEOUT, np.full(self._count, elapsed_s >= END_TIMEOUT_S)),
+            (ThrowOutcome.COLLISION, collided),
+            (ThrowOutcome.LIMIT, beyond & holding & (rollout.motion == _THROW)),
+            (ThrowOutcome.LANDED, landed),
+            (ThrowOutcome.NO_RELEASE, fails & holding),
+            (ThrowOutcome.TIMEOUT, np.full(self._count, elapsed_s >= END_TIMEOUT_S)),
         ):
             new = self.running & happened & ~ended
             if new.any():
@@ -252,12 +253,12 @@ class ThrowBatch:
         point = sample.impact_position_m
         if self.use_truth and isinstance(plant, KnowsTruth):
             point = plant.true_impact_m()
-        fell = ended & (self.outcome == Outcome.LANDED)
+        fell = ended & (self.outcome == ThrowOutcome.LANDED)
         self._impact[fell] = point[fell]
         return True
 
     def results(self) -> list[ThrowResult]:
-        """What came of the throws that count."""
+        """Results of the evaluated throws."""
         target = self.rollout.target_m
         plant = self.rollout.plant
         if self.ends_at_release and isinstance(plant, PredictsImpact):
@@ -266,7 +267,7 @@ class ThrowBatch:
         return [
             ThrowResult(
                 target_m=_point(target[i]),
-                outcome=Outcome(str(self.outcome[i])),
+                outcome=ThrowOutcome(str(self.outcome[i])),
                 impact_m=_point(self._impact[i]),
                 downrange_error_m=float(down[i]),
                 crossrange_error_m=float(cross[i]),
@@ -279,11 +280,11 @@ class ThrowBatch:
 
     def _score_predictions(self, plant: PredictsImpact) -> None:
         point, flight_s = plant.predicted_impact()
-        landed = self.outcome == Outcome.LANDED
+        landed = self.outcome == ThrowOutcome.LANDED
         falls = landed & np.isfinite(flight_s)
         self._impact[falls] = point[falls]
         self._flight_s[falls] = flight_s[falls]
-        self.outcome[landed & ~falls] = Outcome.TIMEOUT
+        self.outcome[landed & ~falls] = ThrowOutcome.TIMEOUT
 
 
 def _point(row: Array) -> tuple[float, float, float]:
@@ -297,8 +298,8 @@ def throw_errors(impact_m: Array, target_m: Array) -> tuple[Array, Array]:
 
 
 def landing_ellipse(results: Sequence[ThrowResult]) -> LandingEllipse | None:
-    """Mean and spread of the landed throws' errors; None when fewer than two landed."""
-    landed = [r for r in results if r.outcome is Outcome.LANDED]
+    """Mean and standard deviation of the landed throws' errors; None if fewer than two landed."""
+    landed = [r for r in results if r.outcome is ThrowOutcome.LANDED]
     if len(landed) < 2:
         return None
     down = np.array([r.downrange_error_m for r in landed])

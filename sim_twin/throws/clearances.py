@@ -1,4 +1,4 @@
-"""How close a predicted motion comes to ground, machine and joint limits; geometry only, no dynamics."""
+"""Clearances of a predicted motion from ground, machine, site and joint limits."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from machine.spec import MachineSpec
 from sim_twin.twin.model import twin_model
 
 FAR_M = 20.0
+"""Largest distance that is evaluated."""
 OBSTACLES: dict[str, tuple[str, ...]] = {
     "gripper to ground": ("ground",),
     "gripper to chassis": ("chassis_obstacle",),
@@ -20,28 +21,28 @@ OBSTACLES: dict[str, tuple[str, ...]] = {
     "gripper to upper carriage": ("upper_obstacle",),
     "gripper to arm": ("boom_obstacle", "dipper_obstacle", "telescope_obstacle"),
 }
-"""What the operator is told -> collision shapes of m545.xml."""
+"""Name of a clearance, as shown to operators, and its collision shapes in m545.xml."""
 GRIPPER_SHAPES = ("gripper_body_collision", "gripper_claw_collision")
 ARM_SHAPES = ("boom_obstacle", "dipper_obstacle", "telescope_obstacle", *GRIPPER_SHAPES)
-"""Everything that moves out over the yard; capsules and spheres, all of them."""
+"""Shapes of arm and gripper; all are capsules or spheres."""
 SITE_MARGIN_M = 0.2
-"""Kept from objects of the site. Chosen by eye: people say where things stand with a tape measure."""
+"""Required distance from objects of the site: allows for positions measured with a tape."""
 TO_SITE = "arm or gripper to "
-"""Begins the names of clearances from objects of the site."""
+"""Prefix of the names of clearances from objects of the site."""
 SAMPLE_SPACING_M = 0.15
-"""Of points on the axes of capsules; a corner between two of them is seen 15 mm too far off at most."""
+"""Spacing of points on the axes of capsules; distances from corners are overestimated by at most 15 mm."""
 
 
 class Clearance(NamedTuple):
-    """Smallest distance of one kind over a motion; metres, radians for the hinges' limits."""
+    """Smallest clearance of one kind over a motion; m, or rad for position limits of hinges."""
 
     name: str
     value_rad_m: float
-    """Negative where it overlaps."""
+    """Negative for penetration."""
     limit_rad_m: float
-    """Below this the motion is refused."""
+    """Smallest allowed clearance."""
     at_s: float
-    """When, from the start of the motion."""
+    """Time from the start of the motion."""
     unit: str
     """``m`` or ``rad``."""
 
@@ -53,14 +54,14 @@ def solid_clearances(
     known_count: int = 0,
     solids: Solids | None = None,
 ) -> list[Clearance]:
-    """Distances from everything solid, over frames (T, 6): gripper to machine and ground, arm to the site.
+    """Smallest distances over frames (T, 6): gripper to machine and ground, arm to objects of the site.
 
     Args:
         frames_rad_m: joint positions.
-        period_s: from frame to frame.
-        known: what this function returned for the first `known_count` frames; they are not looked at again.
-        known_count: how many.
-        solids: what stands around the machine.
+        period_s: time between frames.
+        known: result for the first `known_count` frames, which are not evaluated again.
+        known_count: number of these frames.
+        solids: objects around the machine.
     """
     model, _ = twin_model()
     data = mujoco.MjData(model)
@@ -101,10 +102,10 @@ def solid_clearances(
 def _note_site(
     smallest: dict[str, tuple[float, int]], solids: Solids, near_m: Array, first: int
 ) -> None:
-    """Take the smallest of distances (T, K) from the site's objects into `smallest`."""
+    """Merge the smallest of distances (T, K) from the site's objects into `smallest`."""
     for column, item in enumerate(solids.objects):
         if item.kind is SiteKind.PIT:
-            continue  # nothing of it stands in the way
+            continue  # A pit is no obstacle above ground.
         name, at = TO_SITE + item.name, int(near_m[:, column].argmin())
         distance = float(near_m[at, column])
         if distance < smallest.get(name, (FAR_M, 0))[0]:
@@ -112,7 +113,7 @@ def _note_site(
 
 
 class _ArmPoints:
-    """Points on the axes of the arm's collision shapes, which stand for spheres of the shapes' radii."""
+    """Points on the axes of the arm's collision shapes: centres of spheres with the shapes' radii."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         ids: list[int] = []
@@ -127,12 +128,12 @@ class _ArmPoints:
         self._radius_m: Array = model.geom_size[self._ids, 0]
 
     def places(self, data: mujoco.MjData) -> Array:
-        """Where the points (P, 3) are as the arm stands in `data`."""
+        """Positions (P, 3) of the points for the pose in `data`."""
         axes = data.geom_xmat[self._ids].reshape(-1, 3, 3)[:, :, 2]
         return data.geom_xpos[self._ids] + self._along * axes
 
     def distances(self, places_m: Array, solids: Solids) -> Array:
-        """Distances (T, K) of the arm at places (T, P, 3) from the objects of a site."""
+        """Distances (T, K) of points (T, P, 3) from the objects of a site."""
         return (solids.distances(places_m)[..., 1:] - self._radius_m[:, None]).min(axis=1)
 
 

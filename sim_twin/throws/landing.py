@@ -1,4 +1,4 @@
-"""Where a previewed load ought to land among the things around the machine, and what it meets instead."""
+"""Landings of a previewed throw on the objects around the machine."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,28 +6,28 @@ from typing import NamedTuple
 from machine.messages import RejectReason, Target
 from machine.site.objects import UNDESCRIBED, SiteObject
 from machine.site.solids import Contact, Solids
-from sim_twin.throws.refusals import Refusal
+from sim_twin.throws.refusals import PreviewRefusal
 
 BESIDE_M = 2.0
-"""Ground that nobody described is not believed in so near to something that somebody did. By eye: the half
-of a truck's bed, by which a click or an arrow key may miss it."""
+"""Distance from a described object within which a target must lie on a described surface. A target nearer
+than half the width of a truck's bed is more likely meant to lie on the object."""
 
 
-class Landing(NamedTuple):
-    """The site as one throw finds it."""
+class SiteLanding(NamedTuple):
+    """Objects of the site, and the one that a throw is aimed at."""
 
     solids: Solids
     wanted: str
-    """Name of what the target lies on."""
+    """Name of the surface under the target."""
 
     @classmethod
-    def of(cls, site: Sequence[SiteObject], target: Target) -> "Landing":
-        """The site around a throw at this target."""
+    def of(cls, site: Sequence[SiteObject], target: Target) -> "SiteLanding":
+        """The site around a throw at a target."""
         solids = Solids.around(site, target)
         return cls(solids, solids.name_at(target) or solids.names[0])
 
-    def target_refusal(self, target: Target) -> Refusal | None:
-        """Why nothing can lie at this target: it hangs in the air, or under the ground, beside an object."""
+    def target_refusal(self, target: Target) -> PreviewRefusal | None:
+        """Refusal of a target near an object that lies on no surface: in the air or below ground."""
         near = [(o.distance_m(target.x_m, target.y_m), o) for o in self.solids.objects]
         if self.solids.name_at(target) not in (None, UNDESCRIBED) or not near:
             return None
@@ -37,20 +37,20 @@ class Landing(NamedTuple):
         surface_m = item.surface_m(target.x_m, target.y_m)
         where = f"{away_m:.2f} m beside {item.name}" if surface_m is None else f"at {item.name}"
         there = f", whose surface there is at {surface_m:+.2f} m" if surface_m is not None else ""
-        return Refusal(
+        return PreviewRefusal(
             RejectReason.TARGET_INVALID,
             f"Refused: nothing is {target.z_m:+.2f} m high there, {where}{there}. Click on the surface "
             "that is meant, or give its height.",
         )
 
     def met(self, contact: Contact | None, row: int = 0) -> str | None:
-        """Name of what the load of a row touches first; None where it touches nothing."""
+        """Name of the surface that the load of a row touches first; None without contact."""
         if contact is None or contact.solid[row] < 0:
             return None
         return self.solids.names[int(contact.solid[row])]
 
-    def refusals(self, contact: Contact | None) -> tuple[Refusal, ...]:
-        """What speaks against the nominal throw."""
+    def refusals(self, contact: Contact | None) -> tuple[PreviewRefusal, ...]:
+        """Refusals of the nominal throw."""
         met = self.met(contact)
         if contact is None or met is None:
             return ()
@@ -65,17 +65,17 @@ class Landing(NamedTuple):
             text = f"the load lands on {met}, not on {self.wanted}. Choose another target."
         else:
             return ()
-        return (Refusal(RejectReason.PREVIEW_REFUSED, f"Refused: {text}"),)
+        return (PreviewRefusal(RejectReason.PREVIEW_REFUSED, f"Refused: {text}"),)
 
-    def bad_ends(self, contact: Contact | None) -> list[str]:
-        """How scattered throws end that meet something else than they should, one entry each."""
+    def wrong_contacts(self, contact: Contact | None) -> list[str]:
+        """Descriptions of scattered throws that touch another surface than intended, one per throw."""
         if contact is None:
             return []
         ends: list[str] = []
         for row, is_side in enumerate(contact.is_side.tolist()):
             met = self.met(contact, row)
             if met is None:
-                continue  # counted as a throw that does not come down
+                continue  # Counted as a throw without an impact.
             if is_side:
                 ends.append(f"hit the side of {met}")
             elif met != self.wanted:

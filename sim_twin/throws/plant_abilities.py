@@ -1,4 +1,4 @@
-"""What a simulated plant may be able to do beyond `SimulatedDriver`; campaigns use it where it is there."""
+"""Optional abilities of simulated plants beyond `SimulatedDriver`, which campaigns use."""
 
 from typing import Protocol, runtime_checkable
 
@@ -7,7 +7,7 @@ from machine.conventions import Array, BoolArray
 
 @runtime_checkable
 class Freezable(Protocol):
-    """A plant that can spare the work for machines (N,) whose throw is over."""
+    """A plant that can stop simulating machines (N,) whose throw has ended."""
 
     def freeze(self, frozen: BoolArray) -> None:
         """Stop moving these machines until the next reset."""
@@ -16,7 +16,7 @@ class Freezable(Protocol):
 
 @runtime_checkable
 class HasSurface(Protocol):
-    """A plant on which loads can land above or below the machine's ground."""
+    """A plant whose loads can land above or below ground level."""
 
     def set_surface_height(self, height_m: Array) -> None:
         """Height (N,) of the surface, from the next release on."""
@@ -25,7 +25,7 @@ class HasSurface(Protocol):
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """A plant that knows where loads really came down, apart from its survey."""
+    """A plant that provides true impacts besides surveyed ones."""
 
     def true_impact_m(self) -> Array:
         """True impact points (N, 3), NaN before the impact."""
@@ -34,8 +34,8 @@ class KnowsTruth(Protocol):
 
 @runtime_checkable
 class PredictsImpact(Protocol):
-    """A plant that can tell where a load comes down as soon as it has left the gripper."""
+    """A plant that predicts the impact at the release."""
 
     def predicted_impact(self) -> tuple[Array, Array]:
-        """True impact points (N, 3) and flight times (N,) of the loads that have left; NaN otherwise."""
+        """True impact points (N, 3) and flight times (N,) of released loads; NaN otherwise."""
         ...

@@ -1,7 +1,6 @@
-"""What ``--plant`` names: the twin, the virtual machine, or a class of somebody else's package.
+"""Plants by name (option ``--plant``): the twin, the virtual machine, or a class of another package.
 
-It also finds the valve calibration that the control step needs on a plant: given, measured, or measured
-before by the same code.
+Also finds a plant's valve calibration: from a file, from the cache, or measured.
 """
 
 import hashlib
@@ -24,7 +23,7 @@ VIRTUAL = "virtual"
 VIRTUAL_CLASS = "sim_twin.virtual.virtual_machine:VirtualMachine"
 
 PlantMaker = Callable[[int], SimulatedDriver]
-"""Makes a plant of that many machines."""
+"""Makes a plant with a given number of machines."""
 
 
 def plant_maker(
@@ -39,9 +38,9 @@ def plant_maker(
 
     Args:
         name: ``twin``, ``virtual`` or ``package.module:Class``.
-        unit_seed: number of the machine among its kind; 0 is the nominal one.
-        profile: of the twin; nominal if None.
-        calibration: steady valve curve of the twin; nominal if None.
+        unit_seed: seed of the unit's parameters; 0 is the nominal unit.
+        profile: profile of the twin; nominal if None.
+        calibration: valve tables of the twin; nominal if None.
         spec: machine type.
 
     Raises:
@@ -79,11 +78,11 @@ def _twin_maker(
     spec: MachineSpec,
 ) -> PlantMaker:
     if unit_seed != 0:
-        # The twin's own words: it differs by its profile.
+        # Raises the twin's error: twins differ by their profiles, not by a unit seed.
         Twin.for_plant(count=1, unit_seed=unit_seed)
-    own_profile = profile or nominal_profile(spec)
-    own_calibration = calibration or nominal_calibration(spec)
-    return lambda count: Twin(count=count, profile=own_profile, calibration=own_calibration)
+    chosen = profile or nominal_profile(spec)
+    valves = calibration or nominal_calibration(spec)
+    return lambda count: Twin(count=count, profile=chosen, calibration=valves)
 
 
 def _load(name: str) -> Callable[..., object]:
@@ -108,10 +107,10 @@ def _load(name: str) -> Callable[..., object]:
 def plant_calibration(
     name: str, make: PlantMaker, *, unit_seed: int, spec: MachineSpec, path: Path | None
 ) -> ValveCalibration:
-    """Valve calibration of a plant's machine: the file, or measured on the plant by valve staircases.
+    """Valve calibration of a plant's machine: read from a file, or measured on the plant.
 
-    A measurement on the virtual machine is kept in the user's cache folder under a name made of the
-    unit and a hash of the simulator's code, so that changed code measures again.
+    A measurement on the virtual machine is kept in the user's cache folder. Its name contains the unit and a
+    hash of the simulator's code, so that changed code measures again.
 
     Raises:
         UsageError: the file is not a calibration.
@@ -126,7 +125,7 @@ def plant_calibration(
         try:
             return load_calibration(cached)
         except UsageError:
-            cached.unlink(missing_ok=True)  # half-written by an interrupted run
+            cached.unlink(missing_ok=True)  # Incomplete, from an interrupted run.
     machine_id = f"{name}-{unit_seed}"
     calibration = calibrate(make(CALIBRATION_STEP_COUNT), spec, machine_id)
     if cached is not None:
@@ -137,7 +136,7 @@ def plant_calibration(
 def plant_profile(
     make: PlantMaker, *, unit_seed: int, spec: MachineSpec, calibration: ValveCalibration
 ) -> TwinProfile:
-    """Twin profile of a virtual machine, identified on it once and kept beside its calibration.
+    """Twin profile of a virtual machine, identified once and kept in the cache.
 
     Raises:
         PlantError: the plant's joints do not follow its valves.
@@ -147,7 +146,7 @@ def plant_profile(
         try:
             return load_profile(cached)
         except UsageError:
-            cached.unlink(missing_ok=True)  # half-written by an interrupted run
+            cached.unlink(missing_ok=True)  # Incomplete, from an interrupted run.
     machine_id = f"{VIRTUAL}-{unit_seed}"
     machine = make(RESPONSE_COPY_COUNT)
     try:
@@ -167,7 +166,7 @@ def _cache_path(unit_seed: int, spec: MachineSpec, kind: str, of: str = "") -> P
 
 
 def _keep(measured: ValveCalibration | TwinProfile, path: Path) -> None:
-    """Write to the cache; a folder that cannot be written costs the next run its time, nothing else."""
+    """Write to the cache; errors are ignored, because the next run measures again."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")

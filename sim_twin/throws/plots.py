@@ -1,6 +1,6 @@
-"""Accuracy plots written to files: the paper's range plot and the scatter of landings with 1 sigma ellipses.
+"""Accuracy plots in files: the paper's range plot, and landings with 1 sigma ellipses.
 
-Every plot names the number of throws and the seed; nothing is shown on a screen.
+Every plot names the number of throws and the seed.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def ellipse_points(x: Array, y: Array, sigma_ratio: float = 1.0) -> Array:
 
 
 def check_plot_path(path: Path) -> None:
-    """Refuse, before the work is done, a file that a plot cannot be written to.
+    """Check that a plot can be written to a file.
 
     Raises:
         UsageError: the suffix is not png, svg or pdf, or the folder does not exist.
@@ -69,7 +69,7 @@ def plot_accuracy(
     the arm's static reach. Right: landings of all targets about their target, frame `throw`, equal axes.
 
     Args:
-        path: file to write; its suffix chooses png, svg or pdf.
+        path: file; its suffix selects png, svg or pdf.
         targets: landings per target.
         title: first line of the figure; names plant, policy and seed.
         reach_m: static reach of the arm.
@@ -87,7 +87,7 @@ def plot_accuracy(
 
 def accuracy_figure(targets: Sequence[TargetScatter], *, title: str, reach_m: float) -> "Figure":
     """The figure that `plot_accuracy` writes."""
-    # Here: a report draws by itself and needs no matplotlib.
+    # Imported here: callers that do not plot need no matplotlib.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""Preview of one throw in the twin: what it looks like, where it lands, how far it scatters, why not.
+"""Preview of one throw in the twin: motion, landing, landing ellipse, refusals.
 
-The nominal throw comes first, the landing ellipse streams in afterwards. A preview never commands a
-machine; a plan made from it must still pass the machine's own checks.
+The nominal throw is reported first, the landing ellipse in parts afterwards. A preview never commands a
+machine, and a plan made from it must still pass the machine's checks.
 """
 
 from collections.abc import Callable
@@ -18,16 +18,16 @@ from machine.reach import check_target
 from machine.site.objects import SiteObject
 from runtime.control.control_loop import ControlParams
 from sim_twin.throws.campaign import (
-    Outcome,
     ThrowBatch,
+    ThrowOutcome,
     ThrowResult,
     landing_ellipse,
     run_throws,
     throw_errors,
 )
 from sim_twin.throws.clearances import Clearance, limit_clearances, solid_clearances
-from sim_twin.throws.landing import Landing
-from sim_twin.throws.refusals import Refusal, nominal_refusals, spread_refusals
+from sim_twin.throws.landing import SiteLanding
+from sim_twin.throws.refusals import PreviewRefusal, nominal_refusals, spread_refusals
 from sim_twin.throws.throw_start import scattered_starts, throw_start
 from sim_twin.twin.profile import TwinProfile, exact_profile
 from sim_twin.twin.twin import Twin
@@ -35,21 +35,21 @@ from sim_twin.twin.twin import Twin
 FRAME_TICKS = 2
 FRAME_PERIOD_S = FRAME_TICKS * CONTROL_PERIOD_S
 FIRST_CHUNK_COUNT = 50
-"""Throws of the first ellipse that is shown; the rest then run side by side, which is fastest."""
+"""Throws of the first ellipse; the others then run side by side, which is fastest."""
 
 
 @dataclass(frozen=True, slots=True)
 class PreviewRequest:
-    """One wish, and the machine as it stands."""
+    """A target and the present state of the machine."""
 
     params: ControlParams
     profile: TwinProfile
     target: Target
     joint_position_rad_m: tuple[float, float, float, float, float, float]
-    """The machine's pose now; the gripper is taken as plumb, whatever its two entries say."""
+    """Present pose; the gripper is assumed plumb, its two entries are ignored."""
     payload_held: bool = True
     site: tuple[SiteObject, ...] = ()
-    """What stands around the machine."""
+    """Objects around the machine."""
     rollout_count: int = 200
     """Throws of the landing ellipse; 0 for none."""
     seed: int = 0
@@ -59,27 +59,27 @@ class PreviewRequest:
 
 @dataclass(frozen=True, slots=True)
 class ThrowPreview:
-    """What a throw will do. Times from the first frame; frame `machine`; NaN where nothing came of it."""
+    """Predicted throw. Times from the first frame; frame `machine`; NaN for values that do not exist."""
 
-    refused: tuple[Refusal, ...]
+    refused: tuple[PreviewRefusal, ...]
     impact_m: tuple[float, float, float] | None
     ellipse: LandingEllipse | None
     frames_rad_m: Array
-    """(T, 6) joint positions, one every `frame_period_s`; a 2D throw begins with the cabin's turn."""
+    """(T, 6) joint positions every `frame_period_s`; a 2D throw begins with the turn of the cabin."""
     frame_period_s: float
     ball_path_m: Array
-    """(M, 3) flight from release to impact, one point every `frame_period_s` and the impact."""
+    """(M, 3) flight from release to impact: a point every `frame_period_s`, and the impact."""
     release_s: float
     flight_s: float
     duration_s: float
     release_speed_m_per_s: float
     lands_on: str | None
-    """Name of what the load touches first: the ground's or an object's; None where it touches nothing."""
+    """Name of the surface that the load touches first, ground or object; None without contact."""
     clearances: tuple[Clearance, ...]
     wall_s: float
-    """Time that the computation took so far."""
+    """Computing time so far."""
     is_final: bool
-    """Whether nothing more will come: motion to the impact, ellipse and all reasons are there."""
+    """Whether motion up to the impact, ellipse and all refusals are complete."""
 
 
 Progress = Callable[[ThrowPreview], None]
@@ -90,9 +90,9 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
 
     Args:
         request: target, machine, policy, twin.
-        on_progress: called as soon as the nominal throw has left the gripper (frames up to there, impact
-            and flight predicted), again when it has come down, then after every part of the ellipse, with
-            all that is known so far. Whatever it raises ends the preview.
+        on_progress: called at the release of the nominal throw (frames up to there, predicted impact and
+            flight), at its landing, and after every part of the ellipse, with all results so far. An
+            exception that it raises ends the preview.
 
     Raises:
         UsageError: no policy, a pose that is not finite, a negative number of throws.
@@ -109,13 +109,13 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
     try:
         check_target(policy.card, request.target)
     except RefusedError as error:
-        return _nothing(Refusal(error.reason, error.detail), perf_counter() - started)
+        return _nothing(PreviewRefusal(error.reason, error.detail), perf_counter() - started)
     if not request.payload_held:
-        refusal = Refusal(
+        refusal = PreviewRefusal(
             RejectReason.NO_PAYLOAD, "Refused: the gripper is empty. Take up a load first."
         )
         return _nothing(refusal, perf_counter() - started)
-    unlikely = Landing.of(request.site, request.target).target_refusal(request.target)
+    unlikely = SiteLanding.of(request.site, request.target).target_refusal(request.target)
     if unlikely is not None:
         return _nothing(unlikely, perf_counter() - started)
     nominal = _NominalThrow(request, started)
@@ -125,7 +125,7 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
     return _with_ellipse(request, nominal.start, shown, started, on_progress)
 
 
-def _nothing(refusal: Refusal, wall_s: float) -> ThrowPreview:
+def _nothing(refusal: PreviewRefusal, wall_s: float) -> ThrowPreview:
     nan = float("nan")
     return ThrowPreview(
         refused=(refusal,),
@@ -150,13 +150,13 @@ def _point(target: Target) -> Array:
 
 
 class _NominalThrow:
-    """The one throw that is drawn: the twin without anything random."""
+    """The throw that is shown: the twin without random scatter."""
 
     def __init__(self, request: PreviewRequest, started: float) -> None:
         params = request.params
         self._spec, self._started = params.spec, started
         self._target = _point(request.target)
-        self._landing = Landing.of(request.site, request.target)
+        self._landing = SiteLanding.of(request.site, request.target)
         pose = np.asarray(request.joint_position_rad_m)
         self.start, self._turn = throw_start(
             params.spec, params.mode, pose, self._target[0], FRAME_PERIOD_S
@@ -177,10 +177,10 @@ class _NominalThrow:
         self._film = [self.start]
         self._solids: list[Clearance] = []
         self._solids_count = 0
-        """Frames that the distances in `_solids` cover."""
+        """Number of frames that the distances in `_solids` cover."""
 
     def run(self, on_progress: Progress | None) -> ThrowPreview:
-        """Throw; tell about it when the load leaves and when it has come down."""
+        """Simulate the throw; report it at the release and at the landing."""
         self._roll(until_release=True)
         if self._twin.payload.flying[0]:
             predicted = self._shown(self._predicted_result())
@@ -201,13 +201,13 @@ class _NominalThrow:
                 self._film.append(self._twin.joint_position_rad_m[0])
 
     def _predicted_result(self) -> ThrowResult:
-        """The result of the throw whose load has just left, if nothing goes wrong after it."""
+        """Result of a throw just released, assuming that nothing fails afterwards."""
         point = self._batch
         impact, flight_s = self._twin.predicted_impact()
         down, cross = throw_errors(impact, self._target)
         return ThrowResult(
             target_m=tuple(self._target[0].tolist()),
-            outcome=Outcome.LANDED,
+            outcome=ThrowOutcome.LANDED,
             impact_m=tuple(impact[0].tolist()),
             downrange_error_m=float(down[0]),
             crossrange_error_m=float(cross[0]),
@@ -218,7 +218,7 @@ class _NominalThrow:
 
     def _shown(self, result: ThrowResult) -> ThrowPreview:
         frames = np.concatenate([self._turn, np.stack(self._film)])
-        landed = result.outcome is Outcome.LANDED
+        landed = result.outcome is ThrowOutcome.LANDED
         thrown = frames.shape[0]
         if not np.isnan(result.throw_duration_s):
             thrown = self._turn.shape[0] + 1 + round(result.throw_duration_s / FRAME_PERIOD_S)
@@ -228,7 +228,7 @@ class _NominalThrow:
         self._solids_count = frames.shape[0]
         clearances = (
             *self._solids,
-            # After the release the arm may come near a limit; the throw itself is what counts.
+            # Limits matter up to the release only.
             *limit_clearances(self._spec, frames[:thrown], FRAME_PERIOD_S),
         )
         path = self._flight_path(result) if landed else np.zeros((0, 3))
@@ -279,12 +279,12 @@ def _with_ellipse(
     started: float,
     on_progress: Progress | None,
 ) -> ThrowPreview:
-    """Run the scattered throws part by part, and report the ellipse of all so far after each."""
+    """Run the scattered throws in parts; report the ellipse of all throws so far after each."""
     total = request.rollout_count
     first = min(FIRST_CHUNK_COUNT, total)
     results: list[ThrowResult] = []
     astray: list[str] = []
-    landing = Landing.of(request.site, request.target)
+    landing = SiteLanding.of(request.site, request.target)
     for number, size in enumerate((first, total - first) if total > first else (first,)):
         twin = Twin(count=size, profile=request.profile, calibration=request.params.calibration)
         twin.set_solids(landing.solids)
@@ -304,7 +304,7 @@ def _with_ellipse(
             )
         )
         end = twin.payload.predicted
-        astray += landing.bad_ends(None if end is None else end.contact)
+        astray += landing.wrong_contacts(None if end is None else end.contact)
         shown = replace(shown, ellipse=landing_ellipse(results), wall_s=perf_counter() - started)
         if on_progress is not None and len(results) < total:
             on_progress(shown)

@@ -1,34 +1,36 @@
-"""Why a predicted throw is refused: each reason with its numbers and what to do about it."""
+"""Refusals of a predicted throw: each with reason, numbers and remedy."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from machine.messages import RejectReason
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.throws.clearances import Clearance
 
 MISS_LIMIT_M = 0.5
-"""A nominal throw that lands farther from its target than this is refused."""
+"""Largest miss of the nominal throw."""
 BAD_THROW_LIMIT_RATIO = 0.05
-"""Share of the ellipse's throws that may end badly."""
+"""Largest share of failed throws among the scattered ones."""
 OTHER_START = "Start from another arm pose or choose another target."
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why a throw is refused; `detail` has the numbers and the remedy, for people."""
+class PreviewRefusal:
+    """Reason for refusing a throw; `detail` is text with the numbers and the remedy."""
 
     reason: RejectReason
     detail: str
 
 
-def _refusal(text: str) -> Refusal:
-    return Refusal(RejectReason.PREVIEW_REFUSED, f"Refused: {text}")
+def _refusal(text: str) -> PreviewRefusal:
+    return PreviewRefusal(RejectReason.PREVIEW_REFUSED, f"Refused: {text}")
 
 
-def nominal_refusals(result: ThrowResult, clearances: Sequence[Clearance]) -> tuple[Refusal, ...]:
-    """What speaks against the nominal throw."""
+def nominal_refusals(
+    result: ThrowResult, clearances: Sequence[Clearance]
+) -> tuple[PreviewRefusal, ...]:
+    """Refusals of the nominal throw."""
     refused = [
         _refusal(
             f"{c.name} {c.value_rad_m:.2f} {c.unit} predicted {c.at_s:.1f} s after the start, at least "
@@ -38,7 +40,7 @@ def nominal_refusals(result: ThrowResult, clearances: Sequence[Clearance]) -> tu
         if c.value_rad_m < c.limit_rad_m
     ]
     match result.outcome:
-        case Outcome.LANDED:
+        case ThrowOutcome.LANDED:
             miss_m = math.hypot(result.downrange_error_m, result.crossrange_error_m)
             if miss_m > MISS_LIMIT_M:
                 refused.append(
@@ -48,23 +50,23 @@ def nominal_refusals(result: ThrowResult, clearances: Sequence[Clearance]) -> tu
                         "allowed. Start from another arm pose, or use another policy version."
                     )
                 )
-        case Outcome.NO_RELEASE:
+        case ThrowOutcome.NO_RELEASE:
             refused.append(
                 _refusal(
                     f"the policy does not release within {result.simulated_s:.1f} s from this pose. "
                     "Move the arm to the safe pose and preview again."
                 )
             )
-        case Outcome.TIMEOUT:
+        case ThrowOutcome.TIMEOUT:
             refused.append(_refusal("the load never comes down. Check the target's height."))
-        case Outcome.COLLISION if not refused:
+        case ThrowOutcome.COLLISION if not refused:
             refused.append(
                 _refusal(
                     "the gripper touches ground or machine "
                     f"{result.simulated_s:.1f} s after the start of the throw. {OTHER_START}"
                 )
             )
-        case Outcome.LIMIT if not refused:
+        case ThrowOutcome.LIMIT if not refused:
             refused.append(
                 _refusal(
                     f"a joint or the swing meets its limit {result.simulated_s:.1f} s after the start "
@@ -78,14 +80,16 @@ def nominal_refusals(result: ThrowResult, clearances: Sequence[Clearance]) -> tu
 
 def spread_refusals(
     results: Sequence[ThrowResult], astray: Sequence[str] = ()
-) -> tuple[Refusal, ...]:
-    """What speaks against the throw once it is repeated with everything that scatters.
+) -> tuple[PreviewRefusal, ...]:
+    """Refusals because of scattered throws that fail.
 
     Args:
-        results: the scattered throws.
-        astray: how those ended that landed, but on something else; one entry a throw.
+        results: scattered throws.
+        astray: descriptions of throws that landed on another surface, one per throw.
     """
-    bad = [r.outcome.value.replace("_", " ") for r in results if r.outcome is not Outcome.LANDED]
+    bad = [
+        r.outcome.value.replace("_", " ") for r in results if r.outcome is not ThrowOutcome.LANDED
+    ]
     bad += astray
     if len(bad) <= BAD_THROW_LIMIT_RATIO * len(results):
         return ()

@@ -1,6 +1,6 @@
-"""The loop of every simulation: plant, control step, next motion; N machines at once, no wall clock.
+"""Simulation loop of plant and control step for N machines, without a wall clock.
 
-The control step is the one that runs on the machine; nothing here decides what the machine does.
+The control step is the one that runs on the machine.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from runtime.driver import SensorSample, SimulatedDriver
 
 
 class Rollout:
-    """Machines of a plant on their way through one throw each; one `tick` is 10 ms of all of them."""
+    """One throw of each machine of a plant; a `tick` advances all of them by 10 ms."""
 
     def __init__(
         self,
@@ -25,19 +25,19 @@ class Rollout:
         motion: Motion = Motion.THROW,
         pace_ratio: float = DEFAULT_PACE_RATIO,
     ) -> None:
-        """Put the machines at their starts, loaded and at rest.
+        """Place the machines at their start poses, loaded and at rest.
 
         Args:
-            plant: the machines; its `count` is N.
-            params: what the control step needs.
+            plant: N = `count` machines.
+            params: parameters of the control step.
             target_m: (N, 3) frame `machine`.
             start_rad_m: (N, 6) poses.
-            seed: of the plant's per-throw noise.
-            motion: what the machines do first.
-            pace_ratio: of every throw, 0 careful .. 1 fast.
+            seed: seed of the plant's random numbers.
+            motion: first motion.
+            pace_ratio: pace of every throw, 0 careful .. 1 fast.
 
         Raises:
-            PlantError: targets and starts are not as many as the plant's machines.
+            PlantError: the number of targets or starts differs from that of the machines.
         """
         if target_m.shape != (plant.count, 3) or start_rad_m.shape != (plant.count, 6):
             raise PlantError(
@@ -58,7 +58,7 @@ class Rollout:
         return (self.plant.now_ns() - self.start_ns) * 1e-9
 
     def tick(self) -> ControlOutputs:
-        """Control with the present sample, move on by one period, read the next sample."""
+        """Run the control step on the present sample, advance one period, read the next sample."""
         now_ns = self.plant.now_ns()
         inputs = ControlInputs(self.sample, self.motion, self.target_m, self._pace_ratio)
         self._state, outputs = control_loop.step(self.params, self._state, inputs, now_ns)

@@ -1,7 +1,7 @@
-"""Takes down campaigns as throw logs: the same rows that a machine's recorder writes, and nothing else.
+"""Throw logs of campaigns, with the rows that a machine's recorder writes.
 
-What only a simulator knows (true positions, drawn parameters) stays out, so that a log of the virtual
-machine tells no more than a log of a real one.
+True states and random parameters of the simulator are not logged, so that a log of the virtual machine
+contains no more information than a log of a real one.
 """
 
 from collections.abc import Sequence
@@ -21,34 +21,34 @@ from runtime.driver import SensorSample, SimulatedDriver
 from runtime.records.log_writer import StoredLog, write_throw_log
 from runtime.records.recorder import log_path
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.twin.profile import TwinProfile
 
 
 @dataclass(frozen=True, slots=True)
 class LogContext:
-    """What every log of a campaign says about itself."""
+    """Metadata of every log of a campaign."""
 
     machine_id: str
     throw_prefix: str
-    """Throw ids are this, a dash, and a number."""
+    """Prefix of throw ids: this, a dash, and a number."""
     twin_profile_version_count: int
     out_dir: Path
     twin_profile: TwinProfile | None = None
-    """The machine's own, put into every log so that it can be diagnosed alone."""
+    """Twin profile of the machine, stored in every log so that a log can be diagnosed without other files."""
     throw_numbers: tuple[int, ...] = ()
-    """Numbers of the throws in the set that they belong to; counted from 0 if empty."""
+    """Numbers of the throws within their set; counted from 0 if empty."""
     pace_ratio: float = DEFAULT_PACE_RATIO
-    """What the campaign throws with."""
+    """Id of the campaign's policy."""
     test: str = ""
     """Kind of identification test (sim_twin.commissioning.motions); empty for throws."""
 
 
 class CampaignRecorder:
-    """Keeps the rows of the batch that runs, and writes one log a throw at its end."""
+    """Collects the rows of the running batch and writes one log per throw at its end."""
 
     def __init__(self, params: ControlParams, context: LogContext) -> None:
-        """Start with nothing recorded; `params` is what the campaign throws with."""
+        """Start an empty recording; `params` are those of the campaign."""
         self._params, self._context = params, context
         self.stored: list[StoredLog] = []
         self._first, self._count, self._start_ns = 0, 0, 0
@@ -57,14 +57,14 @@ class CampaignRecorder:
         self._samples: list[SensorSample] = []
 
     def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
-        """A batch starts: its first `throw_count` machines carry out throws from `first_throw_count` on."""
+        """Start a batch: its first `throw_count` machines carry out throws from `first_throw_count` on."""
         self._first, self._count = first_throw_count, throw_count
         self._start_ns = plant.now_ns()
         self._samples = [plant.read()]
         self._control, self._policy = [], []
 
     def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
-        """Keep one tick of the whole batch."""
+        """Collect one tick of the batch."""
         self._control.append(outputs.row)
         if outputs.policy_row is not None:
             self._policy.append(outputs.policy_row)
@@ -104,7 +104,7 @@ class CampaignRecorder:
         self._control, self._policy, self._samples = [], [], []
 
     def wants(self, result: ThrowResult) -> bool:
-        """Whether a throw's log is written; all of them here."""
+        """Whether to write a throw's log; here all."""
         del result
         return True
 
@@ -143,7 +143,7 @@ class CampaignRecorder:
         last: SensorSample,
         index: int,
     ) -> tuple[MachineEvent, ...]:
-        """The events that a machine would have sent, in order."""
+        """Events that a machine sends in such a throw, in order."""
         found = [(EventKind.THROW_STARTED, self._start_ns, {})]
         opened = np.flatnonzero(control["gripper_open_commanded"])
         if opened.size:
@@ -171,16 +171,16 @@ class CampaignRecorder:
 
 
 class FailureRecorder(CampaignRecorder):
-    """Writes the logs of throws that ended badly only, and no more than a few of them."""
+    """Writes a limited number of logs, of failed throws only."""
 
     def __init__(self, params: ControlParams, context: LogContext, most_count: int) -> None:
-        """Write at most `most_count` logs."""
+        """Start an empty recording that writes at most `most_count` logs."""
         super().__init__(params, context)
         self._left_count = most_count
 
     def wants(self, result: ThrowResult) -> bool:
-        """A throw that did not land, while there is room."""
-        if result.outcome is Outcome.LANDED or self._left_count == 0:
+        """Whether the throw failed and the limit is not reached."""
+        if result.outcome is ThrowOutcome.LANDED or self._left_count == 0:
             return False
         self._left_count -= 1
         return True
@@ -194,7 +194,7 @@ def _software() -> str:
 
 
 def _ended(result: ThrowResult) -> ThrowEnd:
-    landed = result.outcome is Outcome.LANDED
+    landed = result.outcome is ThrowOutcome.LANDED
     released = np.isfinite(result.throw_duration_s)
     return ThrowEnd(
         outcome="landed" if landed else "aborted",
@@ -205,19 +205,19 @@ def _ended(result: ThrowResult) -> ThrowEnd:
 
 
 def _survey(result: ThrowResult, last: SensorSample, index: int) -> ImpactSurvey | None:
-    if result.outcome is not Outcome.LANDED:
+    if result.outcome is not ThrowOutcome.LANDED:
         return None
     x, y, z = (float(v) for v in last.impact_position_m[index])
     return ImpactSurvey(position_m=(x, y, z), sd_m=float(last.impact_sd_m[index]), source="survey")
 
 
 def _stacked(samples: Sequence[SensorSample], *names: str) -> list[Array | IntArray]:
-    """Columns of the samples, each (ticks, N, ...), sample time first."""
+    """Columns of the samples, each (ticks, N, ...); the sample time is the first."""
     return [np.stack([getattr(sample, name) for sample in samples]) for name in names]
 
 
 def _rows(dtype: np.dtype[np.void], columns: Sequence[Array | IntArray]) -> NDArray[np.void]:
-    """Rows of the samples that are new: a sample time that is set and that the tick before did not have."""
+    """Whether samples are new: their time is set and differs from the previous tick's."""
     time_ns = columns[0]
     new = time_ns > 0
     new[1:] &= time_ns[1:] != time_ns[:-1]

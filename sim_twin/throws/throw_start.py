@@ -1,4 +1,4 @@
-"""Where a previewed throw begins: the pose, the cabin's turn before a 2D throw, and scattered starts."""
+"""Start of a previewed throw: pose, turn of the cabin before a 2D throw, scattered starts."""
 
 import math
 
@@ -22,7 +22,7 @@ def throw_start(
     Args:
         spec: geometry.
         mode: 2D aligns the arm plane with the target first.
-        pose_rad_m: (6,) as the machine stands.
+        pose_rad_m: (6,) present pose.
         target_m: (3,) frame `machine`.
         frame_period_s: time between frames.
     """
@@ -43,9 +43,9 @@ def throw_start(
 
 
 def turn_angles_rad(spec: MachineSpec, turn_rad: float, frame_period_s: float) -> Array:
-    """Angles (T,) of the turn that ALIGN plans, one a frame, from 0 towards `turn_rad`.
+    """Angles (T,) of the planned ALIGN motion, one per frame, from 0 towards `turn_rad`.
 
-    The turn is drawn, not simulated: it ends at rest, and the throw that follows is simulated.
+    The turn is not simulated, because it ends at rest.
     """
     # Ramps of one swing period leave the gripper plumb.
     ramp_s = 2.0 * math.pi / (0.5 * sum(swing_frequency_rad_per_s(spec)))
@@ -56,10 +56,10 @@ def turn_angles_rad(spec: MachineSpec, turn_rad: float, frame_period_s: float) -
 def scattered_starts(
     spec: MachineSpec, spread: Spread, start_rad_m: Array, count: int, rng: np.random.Generator
 ) -> Array:
-    """Poses (count, 6) about a start (6,): what the machine really does when it is asked to stand there."""
+    """Poses (count, 6) scattered about a start (6,), as a machine reaches it."""
     sd = np.array([*spread.start_position_sd_rad_m, *spread.start_swing_sd_rad])
     poses = start_rad_m + rng.standard_normal((count, JOINT_COUNT)) * sd
-    # The gripper hangs from the arm as it really stands.
+    # The gripper hangs plumb from the scattered arm pose.
     poses[:, 4] += hanging_pitch_rad(poses[:, :4]) - hanging_pitch_rad(start_rad_m[:4])
     low, high = spec.position_range_rad_m
     poses[:, :4] = np.clip(poses[:, :4], low, high)

@@ -18,10 +18,12 @@ from evaluation.conditions import (
     root_mean_square,
 )
 from machine.conventions import Mode
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 
-def throw(down: float, cross: float = 0.0, outcome: Outcome = Outcome.LANDED) -> ThrowResult:
+def throw(
+    down: float, cross: float = 0.0, outcome: ThrowOutcome = ThrowOutcome.LANDED
+) -> ThrowResult:
     return ThrowResult(
         (9.0, 0.0, 0.0), outcome, (9.0 + down, cross, 0.0), down, cross, 3.0, 1.5, 2.5
     )
@@ -36,7 +38,7 @@ def swing_campaign(policies: Path, **changes: object) -> Campaign:
 
 
 def test_a_row_holds_what_landed_and_how_fast():
-    thrown = [throw(0.1, 0.02), throw(-0.1, 0.04), throw(np.nan, np.nan, Outcome.COLLISION)]
+    thrown = [throw(0.1, 0.02), throw(-0.1, 0.04), throw(np.nan, np.nan, ThrowOutcome.COLLISION)]
     row = condition_row(9.0, 1.0, 0.5, thrown)
     assert (row.range_m, row.height_m, row.pace_ratio) == (9.0, 1.0, 0.5)
     assert (row.throw_count, row.landed_count) == (3, 2)

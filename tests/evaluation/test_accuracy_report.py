@@ -20,14 +20,14 @@ from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.records.log_reader import read_throw_log
 from sim_twin.confidence_intervals import deviation_interval, mean_interval, proportion_interval
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.twin.twin import Twin
 
 SPEC = load_spec()
 
 
-def throw(down: float, cross: float, outcome: Outcome = Outcome.LANDED) -> ThrowResult:
+def throw(down: float, cross: float, outcome: ThrowOutcome = ThrowOutcome.LANDED) -> ThrowResult:
     return ThrowResult((9.0, 0.0, 0.0), outcome, (0.0,) * 3, down, cross, 3.0, 1.5, 3.0)
 
 
@@ -53,7 +53,7 @@ def test_intervals_are_those_of_the_textbooks():
 
 
 def test_a_target_where_nothing_landed_has_no_numbers():
-    row = target_row(9.0, [throw(np.nan, np.nan, Outcome.COLLISION)] * 3)
+    row = target_row(9.0, [throw(np.nan, np.nan, ThrowOutcome.COLLISION)] * 3)
     assert (row.landed, row.success_ratio.value) == (0, 0.0)
     assert row.success_ratio.ci95[1] > 0.4
     assert row.mean_downrange_error_m.value is row.sd_downrange_m.value is None

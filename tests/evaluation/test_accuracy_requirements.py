@@ -21,10 +21,10 @@ from evaluation.requirements import (
 )
 from evaluation.sensitivity import FactorShift
 from evaluation.spread import spread_parts
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 
-def throw(down, cross=0.0, outcome=Outcome.LANDED):
+def throw(down, cross=0.0, outcome=ThrowOutcome.LANDED):
     return ThrowResult((9.0, 0.0, 0.0), outcome, (0.0,) * 3, down, cross, 3.0, 1.5, 3.0)
 
 
@@ -44,7 +44,7 @@ def test_a_planted_spread_is_split_into_its_parts():
 
 
 def test_throws_that_did_not_land_are_left_out_and_one_start_is_none():
-    bad = throw(np.nan, np.nan, Outcome.COLLISION)
+    bad = throw(np.nan, np.nan, ThrowOutcome.COLLISION)
     found = spread_parts(9.0, [[throw(0.1), throw(0.1), bad], [throw(0.3), throw(0.3)], [bad, bad]])
     assert (found.start_count, found.throw_count) == (2, 4)
     assert found.between_starts_downrange_m == pytest.approx(0.1 * 2**0.5)
@@ -66,7 +66,7 @@ def test_goals_grow_with_the_range_and_end():
         "mean_crossrange_error_m",
         "sd_downrange_m",
     ]
-    nothing = target_row(9.0, [throw(np.nan, np.nan, Outcome.COLLISION)])
+    nothing = target_row(9.0, [throw(np.nan, np.nan, ThrowOutcome.COLLISION)])
     assert len(list(unmet_fields("2d", nothing))) == 4
     assert list(unmet_fields("2d", target_row(12.0, [throw(1.0), throw(-1.0)]))) == []
 
@@ -117,7 +117,9 @@ def test_the_largest_cause_comes_first_and_the_page_names_it():
 
 def test_what_is_asked_is_judged_by_its_worst_figure():
     near = target_row(9.0, [throw(0.01, 0.1), throw(-0.01, -0.1), throw(0.0, 0.0)])
-    lost = target_row(10.87, [throw(0.3), throw(-0.1), throw(np.nan, np.nan, Outcome.COLLISION)])
+    lost = target_row(
+        10.87, [throw(0.3), throw(-0.1), throw(np.nan, np.nan, ThrowOutcome.COLLISION)]
+    )
     alone = evaluation(targets=(near, lost))
     words = {v.name: (v.is_met, v.where) for v in check_requirements(alone)}
     assert words == {

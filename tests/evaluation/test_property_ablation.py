@@ -13,7 +13,7 @@ from evaluation.property_ablation import WidestUnit, ablate_properties, property
 from evaluation.requirements import find_widest
 from machine.calibration import nominal_calibration
 from machine.spec import load_spec
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.twin.twin import Twin
 from sim_twin.virtual.properties import PROPERTIES, as_drawn
 from sim_twin.virtual.units import MachineUnit, make_unit, nominal_unit
@@ -25,7 +25,7 @@ CHOSEN = WidestUnit(44313, 8.5, "downrange", 0.08, 0.05)
 def throws(down, cross=None, lost=()):
     cross = np.zeros(len(down)) if cross is None else cross
     return [
-        ThrowResult((8.5, 0.0, 0.0), Outcome.COLLISION if i in lost else Outcome.LANDED, (0.0,) * 3,
+        ThrowResult((8.5, 0.0, 0.0), ThrowOutcome.COLLISION if i in lost else ThrowOutcome.LANDED, (0.0,) * 3,
                     float(d), float(c), 3.0, 1.5, 3.0)
         for i, (d, c) in enumerate(zip(down, cross, strict=True))
     ]  # fmt: skip

@@ -11,7 +11,7 @@ from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.throws.campaign import Outcome, run_throws
+from sim_twin.throws.campaign import ThrowOutcome, run_throws
 from sim_twin.virtual.virtual_machine import VirtualMachine
 from tests.cases import each
 
@@ -41,6 +41,6 @@ def test_ten_metres_on_a_machine_of_its_own(calibration, mode):
         results = run_throws(plant, params, targets, starts, seed=8)
     finally:
         plant.close()
-    assert [result.outcome for result in results] == [Outcome.LANDED] * THROW_COUNT
+    assert [result.outcome for result in results] == [ThrowOutcome.LANDED] * THROW_COUNT
     misses = [np.hypot(r.downrange_error_m, r.crossrange_error_m) for r in results]
     assert np.median(misses) < 1.0

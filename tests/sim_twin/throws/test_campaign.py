@@ -19,7 +19,13 @@ from sim_twin.throws.accuracy import (
     outcome_counts,
     target_accuracy,
 )
-from sim_twin.throws.campaign import Outcome, ThrowResult, landing_ellipse, run_throws, throw_errors
+from sim_twin.throws.campaign import (
+    ThrowOutcome,
+    ThrowResult,
+    landing_ellipse,
+    run_throws,
+    throw_errors,
+)
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.twin.twin import Twin
 
@@ -32,7 +38,7 @@ def params(folder: Path, name: str = "swing-2d") -> ControlParams:
     return ControlParams(spec=SPEC, calibration=CALIBRATION, mode=Mode.PLANAR, policy=runner)
 
 
-def result(down: float, cross: float, outcome: Outcome = Outcome.LANDED) -> ThrowResult:
+def result(down: float, cross: float, outcome: ThrowOutcome = ThrowOutcome.LANDED) -> ThrowResult:
     return ThrowResult(
         (9.0, 0.0, 0.0), outcome, (9.0 + down, cross, 0.0), down, cross, 3.0, 1.0, 2.0
     )
@@ -59,7 +65,7 @@ def test_throws_are_scored_and_repeat_with_their_seed(swing_policies: Path) -> N
         )
 
     first = throw(1)
-    assert [r.outcome for r in first] == [Outcome.LANDED] * 5
+    assert [r.outcome for r in first] == [ThrowOutcome.LANDED] * 5
     assert [r.target_m[0] for r in first] == target_m[:, 0].tolist()
     done = [d for d, _ in told]
     assert done == sorted(done)
@@ -86,7 +92,7 @@ def test_a_load_can_land_on_a_raised_surface(swing_policies: Path) -> None:
     target_m = np.array([[6.0, 0.0, 0.0], [6.0, 0.0, 0.5]])
     twin = Twin.for_plant(count=2, unit_seed=0)
     low, high = run_throws(twin, params(swing_policies), target_m, starts(target_m), 0)
-    assert high.outcome is Outcome.LANDED
+    assert high.outcome is ThrowOutcome.LANDED
     assert high.impact_m[2] == pytest.approx(0.5)
     assert high.downrange_error_m < low.downrange_error_m - 0.05
 
@@ -100,9 +106,9 @@ def test_a_start_in_the_ground_is_a_collision_and_a_policy_that_waits_no_release
     poses[1, 4] = hanging_pitch_rad(poses[1, :4])
     twin = Twin.for_plant(count=2, unit_seed=0)
     waits, hits = run_throws(twin, params(swing_policies, "waits-2d"), target_m, poses, 0)
-    assert hits.outcome is Outcome.COLLISION
+    assert hits.outcome is ThrowOutcome.COLLISION
     assert hits.simulated_s < 0.1
-    assert waits.outcome is Outcome.NO_RELEASE
+    assert waits.outcome is ThrowOutcome.NO_RELEASE
     assert waits.simulated_s == pytest.approx(7.0)
     for bad in (waits, hits):
         assert np.isnan([bad.downrange_error_m, bad.release_speed_m_per_s]).all()
@@ -125,7 +131,7 @@ def test_predicting_the_flight_gives_the_impacts_that_flying_gives(swing_policie
         )
 
     for flown, predicted in zip(throw(False), throw(True), strict=True):
-        assert predicted.outcome is flown.outcome is Outcome.LANDED
+        assert predicted.outcome is flown.outcome is ThrowOutcome.LANDED
         np.testing.assert_allclose(predicted.impact_m, flown.impact_m, atol=1e-3)
         assert predicted.simulated_s == pytest.approx(flown.simulated_s, abs=0.021)
         assert predicted.throw_duration_s == flown.throw_duration_s
@@ -173,7 +179,7 @@ def test_the_ellipse_is_that_of_the_landed_throws() -> None:
     down = 0.1 + 0.3 * rng.standard_normal(500)
     cross = -0.05 + 0.5 * down + 0.1 * rng.standard_normal(500)
     thrown = [result(float(d), float(c)) for d, c in zip(down, cross, strict=True)]
-    ellipse = landing_ellipse([*thrown, result(9.0, 9.0, Outcome.COLLISION)])
+    ellipse = landing_ellipse([*thrown, result(9.0, 9.0, ThrowOutcome.COLLISION)])
     assert ellipse is not None
     assert (ellipse.rollout_count, ellipse.landed_count) == (501, 500)
     assert ellipse.mean_downrange_error_m == pytest.approx(down.mean())
@@ -183,17 +189,19 @@ def test_the_ellipse_is_that_of_the_landed_throws() -> None:
 
 
 def test_accuracy_rows_count_everything_and_average_what_landed() -> None:
-    row = target_accuracy(9.0, [result(0.1, 0.0), result(0.3, -0.2), result(0, 0, Outcome.LIMIT)])
+    row = target_accuracy(
+        9.0, [result(0.1, 0.0), result(0.3, -0.2), result(0, 0, ThrowOutcome.LIMIT)]
+    )
     assert (row["throws"], row["landed"]) == (3, 2)
     assert row["success_ratio"] == pytest.approx(2 / 3)
     assert row["mean_downrange_error_m"] == pytest.approx(0.2)
     assert row["sd_crossrange_m"] == pytest.approx(np.std([0.0, -0.2], ddof=1))
-    none = target_accuracy(9.0, [result(0, 0, Outcome.TIMEOUT)])
+    none = target_accuracy(9.0, [result(0, 0, ThrowOutcome.TIMEOUT)])
     assert none["mean_downrange_error_m"] is None
     one = target_accuracy(9.0, [result(0.1, 0.0)])
     assert (one["mean_downrange_error_m"], one["sd_downrange_m"]) == (pytest.approx(0.1), None)
-    late = result(0, 0, Outcome.COLLISION)
-    early = result(0, 0, Outcome.LIMIT)._replace(throw_duration_s=float("nan"))
+    late = result(0, 0, ThrowOutcome.COLLISION)
+    early = result(0, 0, ThrowOutcome.LIMIT)._replace(throw_duration_s=float("nan"))
     assert bad_throws_text([late, early, result(0, 0)]) == (
         "2 of 3 throws ended badly: 1 collision, 1 limit (1 after the opening command)"
     )

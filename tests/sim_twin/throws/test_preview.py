@@ -14,7 +14,7 @@ from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner
 from sim_twin.effects.effect import Effect
-from sim_twin.throws.campaign import Outcome, ThrowResult
+from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.throws.clearances import Clearance, limit_clearances, solid_clearances
 from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.throws.refusals import nominal_refusals, spread_refusals
@@ -235,12 +235,12 @@ def test_wishes_that_are_no_wishes(swing_policies: Path) -> None:
 def test_refusals_of_scattered_throws_count_the_bad_ones() -> None:
     nan = float("nan")
 
-    def thrown(outcome: Outcome) -> ThrowResult:
+    def thrown(outcome: ThrowOutcome) -> ThrowResult:
         return ThrowResult((9, 0, 0), outcome, (nan,) * 3, nan, nan, nan, nan, 2.0)
 
-    good, bad = thrown(Outcome.LANDED), thrown(Outcome.COLLISION)
+    good, bad = thrown(ThrowOutcome.LANDED), thrown(ThrowOutcome.COLLISION)
     assert spread_refusals([good] * 95 + [bad] * 5) == ()
-    refused = spread_refusals([good] * 93 + [bad] * 5 + [thrown(Outcome.NO_RELEASE)] * 2)
+    refused = spread_refusals([good] * 93 + [bad] * 5 + [thrown(ThrowOutcome.NO_RELEASE)] * 2)
     assert "7 of 100 predicted throws end badly (5 collision, 2 no release)" in refused[0].detail
     clear = Clearance("gripper to ground", 0.4, 0.0, 1.0, "m")
     assert "touches ground or machine" in nominal_refusals(bad, [clear])[0].detail
