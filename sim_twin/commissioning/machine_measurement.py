@@ -23,7 +23,7 @@ from sim_twin.twin.profile import TwinProfile
 
 
 class MachineMeasurement(NamedTuple):
-    """What the runtime and the twin need of a machine."""
+    """Measured data of a machine for runtime and twin."""
 
     tables: ValveCalibration
     """With the registrations of the machine and of its twin."""
@@ -44,7 +44,7 @@ def measure_machine(
         machine_id: written into calibration and profile.
         policies: folder of policy versions with its active.json.
         seed: of motions, throws and the sensors' noise.
-        show: told what is measured next.
+        show: called with a line about the next measurement.
     """
     spec = load_spec()
     show(f"valve staircases: {CALIBRATION_STEP_COUNT} steps ...")
