@@ -1,4 +1,4 @@
-"""Generate machine/spec.json from machine/m545.xml; a value the MJCF lacks is an error."""
+"""Generate machine/spec.json from machine/m545.xml; a missing value is an error."""
 
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ def _collision_shapes(model: mujoco.MjModel) -> list[dict[str, Any]]:
 
 
 class _Source:
-    """The compiled MJCF and how the spec reads it."""
+    """Reads spec values from the compiled MJCF."""
 
     def __init__(self, path: Path) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(path))
@@ -127,10 +127,10 @@ def _passive(source: _Source) -> dict[str, Any]:
 
 
 def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
-    """Compile the MJCF and read every constant of the spec from the compiled model.
+    """Spec with all constants read from the compiled MJCF.
 
     Raises:
-        KeyError: a numeric, body or joint that the spec needs is missing in the MJCF.
+        KeyError: a numeric, body or joint is missing in the MJCF.
     """
     source = _Source(mjcf_path)
     number = source.number
@@ -161,5 +161,5 @@ def build_spec(mjcf_path: Path = MJCF_PATH) -> MachineSpec:
 
 
 def write_spec(path: Path = SPEC_PATH) -> None:
-    """Write the spec as indented JSON with a newline at its end, so that its diff reads well."""
+    """Write the spec as indented JSON with a newline at its end, which keeps its diff readable."""
     path.write_text(build_spec().model_dump_json(indent=2) + "\n", encoding="utf-8")

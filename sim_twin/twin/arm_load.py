@@ -1,6 +1,6 @@
-"""Gravity moments of the arm on its own drives, over their largest in the envelope; a hanging gripper.
+"""Gravity moments of the arm on its drives, relative to their largest values in the envelope.
 
-Static: accelerations and the swinging gripper do not enter. Masses are those of the machine's MJCF.
+Static, with a hanging gripper: accelerations and swing are neglected. Masses are those of the MJCF.
 """
 
 from functools import cache
@@ -17,7 +17,7 @@ GRID_POINT_COUNT = 25
 
 
 class _Masses(NamedTuple):
-    """Mass (kg) and centre of mass (x, z) in the frame of the pivot named."""
+    """Mass (kg) and centre of mass (x, z) in the frame of a pivot."""
 
     boom: tuple[float, float, float]
     """From the boom's pivot, boom frame."""
@@ -54,7 +54,7 @@ _BODIES = ("boom", "dipper", "telescope", "hanger", "gripper", "payload")
 
 
 def _moments(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """Moments over g (N, 4), kg m and kg, that push each joint towards smaller values."""
+    """Moments divided by g (N, 4), kg m and kg, that act on each joint in the negative direction."""
     m = _masses()
     boom = active_position_rad_m[:, 1]
     tube = boom + active_position_rad_m[:, 2]
@@ -73,13 +73,13 @@ def _moments(spec: MachineSpec, active_position_rad_m: Array) -> Array:
         + carried * spec.geometry.boom_length_m * cb
         + m.boom[0] * (m.boom[1] * cb - m.boom[2] * sb)
     )
-    # Weight along the tube helps a telescope that points down to extend.
+    # The weight along the tube extends a telescope that points down.
     result[:, 3] = -(m.telescope[0] + m.hanging[0]) * ct
     return result
 
 
 def _tipping_moment(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """Moment of the arm over g about the slew axis (N,), kg m: what its weight tips the machine with."""
+    """Tipping moment of the arm's weight about the slew axis's foot, divided by g (N,), kg m."""
     m = _masses()
     arm_kg = m.boom[0] + m.dipper[0] + m.telescope[0] + m.hanging[0]
     return _moments(spec, active_position_rad_m)[:, 1] + arm_kg * spec.geometry.boom_pivot_m[0]
@@ -87,7 +87,7 @@ def _tipping_moment(spec: MachineSpec, active_position_rad_m: Array) -> Array:
 
 @cache
 def _envelope(spec: MachineSpec) -> Array:
-    """Active positions (P, 4) all over the envelope."""
+    """Active positions (P, 4) on a grid over the envelope."""
     low, high = spec.position_range_rad_m
     axes = [np.linspace(low[j], high[j], GRID_POINT_COUNT) for j in range(1, ACTIVE_COUNT)]
     grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=-1)
@@ -102,19 +102,19 @@ def _largest(spec: MachineSpec) -> tuple[Array, float]:
 
 
 def largest_tipping_moment(spec: MachineSpec) -> float:
-    """Largest moment of the arm over g about the slew axis, kg m."""
+    """Largest tipping moment of the arm in the envelope, divided by g, kg m."""
     return _largest(spec)[1]
 
 
 def gravity_load_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """Gravity moment of each joint over its largest, (N, 4), positive against positive motion."""
+    """Gravity moment of each joint divided by its largest (N, 4); positive opposes positive motion."""
     return _moments(spec, active_position_rad_m) / _largest(spec)[0]
 
 
 def tipping_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """Moment of the arm's weight on the base over its largest, (N, 3), frame `machine`.
+    """Moment of the arm's weight on the base divided by its largest (N, 3), frame `machine`.
 
-    A weight W at (x, y) turns by (-y W, x W) about x and y.
+    A weight W at (x, y) has the moment (-y W, x W) about x and y.
     """
     m, largest = _masses(), _largest(spec)[1]
     arm_kg = m.boom[0] + m.dipper[0] + m.telescope[0] + m.hanging[0]

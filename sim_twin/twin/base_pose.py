@@ -1,7 +1,6 @@
-"""How the machine stands on the surveyed ground: tilt, yaw, height, and a chassis that gives way.
+"""Pose of the machine's base on the ground: tilt, yaw, height, and a compliant chassis.
 
-The survey frame is frame `machine` of a machine that stands level where it was surveyed. Nothing here moves
-the arm.
+The survey frame is frame `machine` at the level pose of the survey.
 """
 
 import numpy as np
@@ -15,14 +14,14 @@ from sim_twin.twin.grip_point import gripper_axes, rotation_zyx
 from sim_twin.twin.model import twin_model
 
 DIFFERENCE_S = 1e-4
-"""Half of the time step of derivatives along the motion."""
+"""Half of the time step of numerical derivatives."""
 
 
 class BasePose:
     """Base of N machines; rotations from frame `machine` to the survey frame."""
 
     def __init__(self, spec: MachineSpec, arrays: EffectArrays) -> None:
-        """Look up what any of the machines has."""
+        """Read the effects of the machines."""
         self._spec, self._count = spec, arrays.count
         roll, pitch = (
             arrays.filled("base_tilt", "roll_rad"),
@@ -30,18 +29,18 @@ class BasePose:
         )
         self._level = rotation_zyx(np.zeros(arrays.count), pitch, roll)
         """(N, 3, 3) Ry(pitch) Rx(roll)."""
-        # Legs and wheels tilt the chassis about its own middle; it gives way where it stands.
+        # Legs and wheels tilt the chassis about its middle; it yields at the ground.
         middle = np.asarray(twin_model()[0].body("chassis").pos)
         self._shift_m = middle - self._level @ middle
         self._yaw = arrays.filled("base_yaw_drift", "yaw_rad")
         self._height = arrays.filled("base_height", "extra_height_m")
         give = arrays.get("chassis_compliance", "pitch_rad")
         self.sway = None if give is None else ChassisSway(spec, give)
-        """Of a base that moves with the arm."""
+        """State of the sway of a compliant chassis."""
         self.arm_kg = np.zeros(arrays.count)
-        """(N,) mass of the arm with gripper and load; to be set where the base moves."""
+        """(N,) mass of the arm with gripper and load; required for a compliant chassis."""
         self.leans = self.sway is not None or arrays.has("base_tilt")
-        """Whether gravity in frame `machine` is other than straight down."""
+        """Whether gravity in frame `machine` is not along -z."""
 
     def to_survey(self, rows: IntArray, point: ToolState, ahead_s: float) -> ToolState:
         """State of a point of the machines `rows` in the survey frame.
@@ -49,7 +48,7 @@ class BasePose:
         Args:
             rows: (K,) indices of machines.
             point: (K, 3) frame `machine`.
-            ahead_s: how much later than the base's state that is.
+            ahead_s: time after the base's state.
         """
         where, speed = point.position_m, point.velocity_m_per_s
         if self.sway is not None:
@@ -64,7 +63,7 @@ class BasePose:
         return ToolState(where, speed)
 
     def plumb_shift(self, position: Array) -> Array:
-        """Pitch and roll (N, 2) by which a gripper that hangs at rest is off the machine's z axis."""
+        """Pitch and roll (N, 2) of a gripper that hangs at rest relative to the machine's z axis."""
         lean = None if self.sway is None else self.sway.settled(position)
         down = rotate_z(self._down(lean), -position[:, 0])
         outward, left, below = down[:, 0], down[:, 1], -down[:, 2]
@@ -78,14 +77,15 @@ class BasePose:
             self.sway.start(position)
 
     def move(self, sensed: Array) -> None:
-        """Follow the arm by one tick; MuJoCo's sensors of a model that sees momentum."""
+        """Advance by one tick; `sensed` are MuJoCo's sensors of a model with `sees_momentum`."""
         if self.sway is not None:
             self.sway.step(self.arm_kg, sensed[:, 6:9], sensed[:, 9:12], sensed[:, 12:15])
 
     def gravity(self, position: Array, velocity: Array) -> Array:
-        """Gravity (N, 3) felt in frame `machine`, m/s2, with what a moving base does at the tool pin.
+        """Gravity (N, 3) in frame `machine`, m/s2.
 
-        Euler and Coriolis acceleration a x p + 2 w x v; the centrifugal one is a thousandth of it.
+        Includes the inertial accelerations of a moving base at the tool pin:
+        Euler and Coriolis acceleration a x p + 2 w x v; the centrifugal term is a thousandth of it.
         """
         felt = GRAVITY_M_PER_S2 * self._down(None if self.sway is None else self.sway.lean_rad)
         if self.sway is not None:
@@ -96,7 +96,7 @@ class BasePose:
         return felt
 
     def free_joint_pull(self, position: Array) -> Array:
-        """Angular acceleration (N, 2) of the free joints against a base that turns ever faster."""
+        """Angular acceleration (N, 2) of the free joints due to the base's angular acceleration."""
         if self.sway is None:
             return np.zeros((self._count, 2))
         slew, axes, spin = position[:, 0], gripper_axes(position), self.sway.change_rad_per_s2
@@ -105,7 +105,7 @@ class BasePose:
         return np.stack([pitch, -np.einsum("ni,ni->n", axes[:, :, 0], spin)], axis=-1)
 
     def imu_turning(self, position: Array) -> Array | None:
-        """Turning rate (N, 3) of a moving base in the gripper's axes, rad/s."""
+        """Angular velocity (N, 3) of a moving base in the gripper's axes, rad/s."""
         if self.sway is None:
             return None
         return np.einsum("nji,nj->ni", gripper_axes(position), self.sway.rate_rad_per_s)
@@ -123,7 +123,7 @@ class BasePose:
 
 
 def _turned(vector: Array, rotation: Array) -> Array:
-    """Vectors (N, 3) turned by rotation vectors (N, 3); Rodrigues."""
+    """Rotate vectors (N, 3) by rotation vectors (N, 3); Rodrigues' formula."""
     angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
     safe = np.where(angle > 0.0, angle, 1.0)
     axis = rotation / safe

@@ -1,7 +1,7 @@
-"""A chassis that gives way: it leans under the arm's weight and inertia, and sways on springs.
+"""Compliant chassis: tilts under the arm's weight and inertia, on springs with damping.
 
-Two angles about the slew axis's foot, small; the counterweight is levelled out. The arm's own drives are
-stiff, so its motion against the machine is what it is, and the sway follows from it.
+Two small angles about the slew axis's foot; the counterweight is balanced by levelling. The arm's drives are
+stiff, so that its motion relative to the machine is independent of the sway.
 """
 
 import numpy as np
@@ -17,21 +17,21 @@ from sim_twin.twin.arm_load import largest_tipping_moment, tipping_ratio
 from sim_twin.twin.response import lag_matrices
 
 BASE_INERTIA_KG_M2 = (24_000.0, 36_000.0)
-"""Chassis and upper carriage about the ground line, roll and pitch: 5.3 t as a box of 4.6 x 2.6 x 1.1 m
-at 0.85 m and 4.7 t at 1.85 m (docs/machine.md, A)."""
+"""Moments of inertia of chassis and upper carriage about ground level, roll and pitch: 5.3 t as a box of
+4.6 x 2.6 x 1.1 m at 0.85 m, and 4.7 t at 1.85 m (docs/machine.md, A)."""
 ARM_INERTIA_SHARE_RATIO = 1.25
-"""Arm's moment of inertia over that of its whole mass at its centre of mass: links spread along a line."""
+"""Arm's moment of inertia relative to that of its mass at its centre of mass: links spread along a line."""
 DAMPING_RATIO = 0.3
-"""Of critical: legs on soil (assumed)."""
+"""Damping relative to critical: legs on soil (assumed)."""
 MIN_SIZE_RAD = 1e-5
-"""Stiffer chassis are this stiff; the size of the lean stays the given one."""
+"""Lower bound of the tilt from which the stiffness is computed; the static tilt is not affected."""
 
 
 class ChassisSway:
-    """Leans of N machines as rotation vectors (N, 3), frame `machine`, z always 0."""
+    """Tilts of N machines as rotation vectors (N, 3), frame `machine`; z is 0."""
 
     def __init__(self, spec: MachineSpec, pitch_rad: Array) -> None:
-        """`pitch_rad` (N,): the lean under the arm's largest gravity moment."""
+        """`pitch_rad` (N,): tilt under the arm's largest gravity moment."""
         self._spec, self._size = spec, pitch_rad
         self._largest = GRAVITY_M_PER_S2 * largest_tipping_moment(spec)
         none = np.zeros((pitch_rad.size, 3))
@@ -39,18 +39,18 @@ class ChassisSway:
         self._momentum: Array | None = None
 
     def settled(self, position: Array) -> Array:
-        """Leans (N, 3) of machines that stand still with joints (N, 6)."""
+        """Static tilts (N, 3) of machines with joints (N, 6) at rest."""
         return self._size[:, None] * tipping_ratio(self._spec, position[:, :ACTIVE_COUNT])
 
     def start(self, position: Array) -> None:
-        """Stand still, settled."""
+        """Start at rest in static equilibrium."""
         self.lean_rad = self.settled(position)
         self.rate_rad_per_s = np.zeros_like(self.lean_rad)
         self.change_rad_per_s2 = np.zeros_like(self.lean_rad)
         self._momentum = None
 
     def step(self, arm_kg: Array, centre: Array, velocity: Array, spin: Array) -> None:
-        """Sway on by one tick.
+        """Advance by one tick.
 
         Args:
             arm_kg: (N,) mass of the arm with gripper and load.

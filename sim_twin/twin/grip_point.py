@@ -1,4 +1,4 @@
-"""Points fixed to the gripper beside its nominal grip centre: where they are and how fast they go."""
+"""Position and velocity of points fixed to the gripper at an offset from the grip centre."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def gripper_rate(joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array)
     q, v = joint_position_rad_m, joint_velocity_rad_m_per_s
     swing_rate, swing = swing_rad(v), swing_rad(q)
     ca, sa = np.cos(q[:, 0]), np.sin(q[:, 0])
-    # The roll axis leans with the swing; the swing turns about -y of the arm plane.
+    # The roll axis tilts with the swing, which turns about -y of the arm plane.
     outward, up = v[:, 5] * np.cos(swing), v[:, 5] * np.sin(swing)
     return np.stack(
         [ca * outward + sa * swing_rate, sa * outward - ca * swing_rate, v[:, 0] + up], axis=-1
@@ -43,7 +43,7 @@ def grip_point(
     joint_velocity_rad_m_per_s: Array,
     offset_m: Array | None,
 ) -> ToolState:
-    """State of a point beside the grip centre, frame `machine`.
+    """State of a point at an offset from the grip centre, frame `machine`.
 
     Args:
         spec: geometry.

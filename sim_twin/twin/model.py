@@ -1,4 +1,4 @@
-"""The twin's MuJoCo model, made from machine/m545.xml; the file itself is never changed."""
+"""The twin's MuJoCo model, derived from machine/m545.xml."""
 
 from copy import copy
 from functools import cache
@@ -17,11 +17,11 @@ from machine.errors import PlantError
 from machine.spec import MJCF_PATH, load_spec
 
 DRIVE_INERTIA = 1e9
-"""Rotor inertia (kg m2, telescope kg) that makes a drive a velocity source: the arm's 70 kN m then moves
-the drive by 0.07 mrad/s2, and the accelerometer sees the accelerations that are really driven, which an
-implicit velocity servo of the same stiffness would hide from it."""
+"""Rotor inertia (kg m2, telescope kg) that makes a drive a velocity source: the arm's 70 kN m accelerate it
+by 0.07 mrad/s2 only. With an implicit velocity servo of the same stiffness, MuJoCo's accelerometer would
+not measure the driven accelerations."""
 DETECTION_DEPTH_M = 5.0
-"""Negative margin and positive gap of this size: contacts are found but never push."""
+"""Negative margin and positive gap of this size: contacts are detected but exert no force."""
 _MOMENTUM_SENSORS = (
     mujoco.mjtSensor.mjSENS_SUBTREECOM,
     mujoco.mjtSensor.mjSENS_SUBTREELINVEL,
@@ -37,12 +37,12 @@ def twin_model() -> tuple[mujoco.MjModel, Array]:
 
 @cache
 def model_variant(*, sees_contacts: bool, sees_momentum: bool) -> mujoco.MjModel:
-    """The twin's model with or without parts that only look; they all move alike.
+    """The twin's model with optional sensors, which do not affect its motion.
 
     Args:
-        sees_contacts: search for contacts, which never push.
-        sees_momentum: sensors of the arm's centre of mass, its velocity, and angular momentum about it,
-            after the IMU's.
+        sees_contacts: detect contacts, which exert no force.
+        sees_momentum: add sensors of the arm's centre of mass, its velocity, and angular momentum about
+            it, after those of the IMU.
     """
     model = copy(_compiled(sees_momentum=sees_momentum)[0])
     if not sees_contacts:
@@ -75,7 +75,7 @@ def _compiled(*, sees_momentum: bool) -> tuple[mujoco.MjModel, Array]:
         drive.name = drive.target = joint.name
         drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
         drive.set_to_motor()
-        # Force that takes a velocity error away within one step; ctrl is that error.
+        # Force that removes a velocity error within one step; ctrl is that error.
         drive.gainprm[0] = DRIVE_INERTIA / CONTROL_PERIOD_S
     for kind, name in (
         (mujoco.mjtSensor.mjSENS_GYRO, "imu_gyro"),

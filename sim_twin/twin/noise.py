@@ -1,4 +1,4 @@
-"""Sensor noise of the twin: one table of normal numbers that all machines read, each at its own place."""
+"""Sensor noise of the twin: one table of normal numbers, read by every machine at its own offset."""
 
 from functools import cache
 
@@ -13,13 +13,13 @@ NOISE_CHANNELS = 14
 
 @cache
 def _windows() -> Array:
-    """Every 14 numbers of the table that follow each other; a view."""
+    """All windows of 14 consecutive numbers of the table; a view."""
     table = np.random.default_rng(20_240_519).standard_normal(NOISE_TABLE_SIZE + NOISE_CHANNELS)
     return np.lib.stride_tricks.sliding_window_view(table, NOISE_CHANNELS)
 
 
 def noise_at(offset: IntArray, tick: int) -> Array:
-    """Standard normal numbers (N, 14) of a tick, for machines at these places (N,) of the table."""
+    """Standard normal numbers (N, 14) of a tick, for machines at offsets (N,) of the table."""
     return _windows()[(offset + tick * NOISE_CHANNELS) % NOISE_TABLE_SIZE]
 
 

@@ -1,6 +1,6 @@
-"""The load of N twin machines: held, released after the opening delay, flying, landed and surveyed.
+"""The load of N twin machines: held, released after the opening delay, in flight, landed and surveyed.
 
-The flight is integrated with machine.ballistics outside MuJoCo; this module moves no machine.
+The flight is integrated with machine.ballistics, outside MuJoCo.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ NEVER_NS = np.iinfo(np.int64).max
 class Payload:
     """Loads of N machines; times in ns of the driver's clock, positions (N, 3) in the survey frame.
 
-    That is frame `machine` of a machine that stands where it was surveyed (sim_twin.twin.base_pose).
+    The survey frame is frame `machine` at the surveyed pose of the base (sim_twin.twin.base_pose).
     """
 
     def __init__(
@@ -46,27 +46,26 @@ class Payload:
         )
         self._radius_m = spec.ball.radius_m
         self.spin: Spin | None = None
-        """From the release on; None where no load spins."""
+        """Spin from the release on; None if no load spins."""
         if self._effects is not None and self._effects.spins:
             self.spin = Spin(np.zeros((count, 3)), self._effects.air_per_m)
         self.surface_height_m = np.zeros(count)
-        """Height of the ground the load lands on; a target off the ground raises it. Not looked at where
-        there are solids."""
+        """Height of the surface that loads land on. Ignored if there are solids."""
         self.solids: Solids | None = None
-        """What stands around; None for nothing but endless ground."""
+        """Objects around the machine; None for a plane only."""
         self.predicted: Touchdown | None = None
-        """What released loads touch first, as of the last prediction; None without solids."""
+        """First contacts of released loads, from the last prediction; None without solids."""
         self.held = np.zeros(count, dtype=np.bool_)
         self.flying = np.zeros(count, dtype=np.bool_)
         self.release_t_ns = np.full(count, NEVER_NS)
-        """When the load leaves; `NEVER_NS` while no opening is under way."""
+        """Time of the release; `NEVER_NS` while no opening is in progress."""
         self.release_position_m = np.full((count, 3), np.nan)
         self.release_velocity_m_per_s = np.full((count, 3), np.nan)
         self.position_m = np.full((count, 3), np.nan)
-        """Of a load in the air; NaN otherwise."""
+        """State of a load in flight; NaN otherwise."""
         self.impact_t_ns: IntArray = np.zeros(count, dtype=np.int64)
         self.impact_m = np.full((count, 3), np.nan)
-        """True point of the surface that the load touched."""
+        """True contact point on the surface."""
         self._velocity = np.full((count, 3), np.nan)
         self._delay_ns: IntArray = np.zeros(count, dtype=np.int64)
         self.drag_per_m: Array = np.zeros(count) + self._drag_nominal_per_m
@@ -74,7 +73,7 @@ class Payload:
         self._survey_error = np.zeros((count, 2))
 
     def reset(self, normal: Array) -> None:
-        """Take up a load and new per-throw numbers: standard normal (N, 4): delay, drag, survey x and y."""
+        """Take up loads; `normal` (N, 4) are standard normal numbers for delay, drag, survey x and y."""
         p, mean_s, sd_s = (
             self._profile,
             self._profile.release_delay_s,
@@ -91,7 +90,7 @@ class Payload:
         self.load()
 
     def load(self) -> None:
-        """A load in every gripper; what flew or lay there before is forgotten."""
+        """Put a load into every gripper, replacing loads in flight or landed."""
         self.held[:] = True
         self.flying[:] = False
         self.release_t_ns[:] = NEVER_NS
@@ -106,7 +105,7 @@ class Payload:
         self._last_open[:] = False
 
     def command(self, gripper_open: BoolArray, now_ns: int) -> None:
-        """Open where commanded; taking the command back before the load has left keeps the load."""
+        """Open as commanded; a command withdrawn before the release keeps the load."""
         if not np.count_nonzero(gripper_open != self._last_open):
             return
         rising = gripper_open & ~self._last_open & self.held
@@ -115,11 +114,11 @@ class Payload:
         self._last_open = gripper_open.copy()
 
     def open_at(self, command_t_ns: IntArray, gone_t_ns: IntArray | None = None) -> None:
-        """Fix when the loads leave, in place of commands.
+        """Prescribe release times instead of commands.
 
         Args:
-            command_t_ns: (N,) when the openings are commanded, or `NEVER_NS`.
-            gone_t_ns: (N,) when the loads leave, where that is known; `NEVER_NS` elsewhere.
+            command_t_ns: (N,) times of the opening commands, or `NEVER_NS`.
+            gone_t_ns: (N,) known release times, `NEVER_NS` elsewhere.
         """
         commanded = command_t_ns != NEVER_NS
         self.release_t_ns[:] = NEVER_NS
@@ -129,15 +128,15 @@ class Payload:
             self.release_t_ns[known] = gone_t_ns[known]
 
     def due(self, until_ns: int) -> IntArray:
-        """Indices of the machines whose load leaves by `until_ns`."""
+        """Indices of the machines whose load is released by `until_ns`."""
         return (self.held & (self.release_t_ns <= until_ns)).nonzero()[0]
 
     def release(
         self, rows: IntArray, before: ToolState, after: ToolState, until_ns: int, tick_s: float
     ) -> None:
-        """Let go of the loads of `rows` within the tick that ends at `until_ns`.
+        """Release the loads of `rows` within the tick that ends at `until_ns`.
 
-        The grip centre's state in between: velocity linear, position the cubic through both ends.
+        Within the tick the grip centre's velocity is interpolated linearly, its position by a cubic.
         """
         late_s = (until_ns - self.release_t_ns[rows]) * 1e-9
         share = np.clip(1.0 - late_s / tick_s, 0.0, 1.0)[:, None]
@@ -156,7 +155,7 @@ class Payload:
         self._leave(rows, position, velocity)
 
     def launch(self, position_m: Array, velocity_m_per_s: Array) -> None:
-        """Let all loads fly from these states (N, 3) at time 0."""
+        """Start the flight of all loads from given states (N, 3) at time 0."""
         self.release_t_ns[:] = 0
         known = np.isfinite(position_m).all(axis=1) & np.isfinite(velocity_m_per_s).all(axis=1)
         rows = np.flatnonzero(known)
@@ -171,7 +170,7 @@ class Payload:
         self.position_m[rows], self._velocity[rows] = position, velocity
 
     def fly(self, now_ns: int, tick_s: float) -> None:
-        """Move the loads in the air to `now_ns`, one tick or what is left of it since their release."""
+        """Advance loads in flight to `now_ns`: one tick, or the part of it after their release."""
         if not np.count_nonzero(self.flying):
             return
         rows = np.flatnonzero(self.flying)
@@ -187,7 +186,7 @@ class Payload:
                 self._meet(rows[hits], p0[hits], v0[hits], begin_ns)
             return
         plane = self.surface_height_m[rows] + self._radius_m
-        # A load that never rose above a raised surface falls beside it, to the ground.
+        # A load that never rose above a raised surface falls to the ground beside it.
         plane = np.where(p0[:, 2] > plane, plane, np.minimum(plane, self._radius_m))
         down = (p1[:, 2] <= plane) & (v1[:, 2] < 0.0)
         if down.any():
@@ -197,24 +196,24 @@ class Payload:
     def _touch_down(
         self, rows: IntArray, position: Array, velocity: Array, plane: Array, begin_ns: IntArray
     ) -> None:
-        """End the flight of `rows`, which cross their plane within a tick of `begin_ns`."""
+        """End the flight of `rows`, which cross their plane within the tick from `begin_ns`."""
         spin = None if self.spin is None else self.spin.of(rows)
         end = landing(
             position, velocity, plane, self.drag_per_m[rows], self.wind_m_per_s[rows], spin
         )
         self.impact_m[rows] = end.position_m
-        # The survey measures the mark on the surface, not the ball's centre above it.
+        # The survey measures the contact point on the surface, not the ball's centre.
         self.impact_m[rows, 2] = plane - self._radius_m
         self._end_flight(rows, begin_ns, end.time_s)
 
     def _meet(self, rows: IntArray, position: Array, velocity: Array, begin_ns: IntArray) -> None:
-        """End the flight of `rows`, which touch a solid within a tick of `begin_ns`."""
+        """End the flight of `rows`, which touch a solid within the tick from `begin_ns`."""
         end = self._to_solids(rows, position, velocity)
         self.impact_m[rows] = end.contact.point_m
         self._end_flight(rows, begin_ns, end.time_s)
 
     def _end_flight(self, rows: IntArray, begin_ns: IntArray, time_s: Array) -> None:
-        # A load of no finite state, as hypotheses far off make some, has no time of its own either.
+        # A load whose state is not finite, as in simulations with extreme parameters, has no contact time.
         self.impact_t_ns[rows] = begin_ns + np.round(np.nan_to_num(time_s) * 1e9).astype(np.int64)
         self.flying[rows] = False
         self.position_m[rows] = np.nan
@@ -226,9 +225,9 @@ class Payload:
         return touchdown(self.solids, self._radius_m, position, velocity, drag, wind, spin)
 
     def predicted_impact(self) -> tuple[Array, Array]:
-        """Points (N, 3) where released loads come down and their flight times (N,); NaN while held.
+        """Predicted impact points (N, 3) and flight times (N,) of released loads; NaN while held.
 
-        Known as soon as the load has left; without solids a raised surface counts as endless.
+        Available at the release. Without solids a raised surface is an infinite plane.
         """
         if self.solids is not None:
             rows = np.arange(self._count)
@@ -249,7 +248,7 @@ class Payload:
         return point, end.time_s
 
     def survey(self) -> tuple[IntArray, Array]:
-        """Times (N,) and surveyed points (N, 3) of the impacts so far; 0 and NaN before."""
+        """Times (N,) and surveyed points (N, 3) of the impacts; 0 and NaN before the impact."""
         point = self.impact_m.copy()
         point[:, :2] += self._survey_error
         return self.impact_t_ns.copy(), point

@@ -1,7 +1,6 @@
-"""The twin profile: what is known about one machine beyond the nominal model, as one versioned JSON file.
+"""Twin profile: deviations of one machine from the nominal model, as one versioned JSON file.
 
-It never changes the MJCF or the spec; it refuses fields that it does not know, so that a typo in a file
-cannot quietly leave an effect out.
+Unknown fields are refused, so that a typo in a file is an error.
 """
 
 from collections.abc import Mapping
@@ -24,15 +23,15 @@ Interval = tuple[float, float]
 
 
 class Spread(BaseModel):
-    """Throw-to-throw standard deviations: what makes two throws with the same wish land apart.
+    """Standard deviations between throws with equal target and start.
 
-    Assumed until a machine's own history says better: a warm hydraulic loop repeats its steady speed to
-    one or two percent and its dead time to half a control tick.
+    Assumed unless identified: warm hydraulics repeat the steady speed to one or two percent and the dead
+    time to half a control tick.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     start_position_sd_rad_m: FourNonNegative = (0.0015, 0.005, 0.005, 0.005)
-    """Active joints at the start of a throw against the pose that was asked for; the cabin is aligned to
+    """Active joints at the start of a throw, relative to the commanded pose; the cabin is aligned to
     2.5 mrad (runtime.control.swing_control)."""
     start_swing_sd_rad: TwoNonNegative = (0.01, 0.01)
     """Pitch and roll from plumb at the start."""
@@ -53,25 +52,25 @@ class SensorNoise(BaseModel):
     """ASM330 class sensor in a 50 Hz band (docs/machine.md)."""
     accel_sd_m_per_s2: NonNegative = 4.2e-3
     survey_sd_m: NonNegative = 0.0
-    """Of the impact's position, each horizontal axis."""
+    """Survey of the impact, each horizontal axis."""
 
 
 class TwinProfile(BaseModel):
-    """Named effects of one machine. Tuples of four are in the order of the active joints.
+    """Parameters of one machine. Tuples of four are in the order of the active joints.
 
-    Response of an active joint, from the steady speed that the valve calibration gives to the joint's
-    velocity: y'' = w^2 (g u(t - d) - y) - 2 z w y', with dead time d, natural frequency w, damping
-    ratio z and gain g.
+    Response of an active joint, from the steady speed u of the valve calibration to the joint
+    velocity y: y'' = w^2 (g u(t - d) - y) - 2 z w y', with dead time d, natural frequency w, damping ratio z
+    and gain g.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     schema_version: Literal[2] = 2
-    """2 brought `effects`; files of version 1 are read as having none."""
+    """Version 2 has `effects`; files of version 1 have none."""
     machine_id: str
     version_count: int = Field(ge=0)
-    """0 is the nominal twin of the machine type; each published correction counts one up."""
+    """0: nominal twin of the machine type; increases by one with every applied correction."""
     note: str = ""
-    """Where the values come from, for people."""
+    """Source of the values, as text."""
     dead_time_s: tuple[DeadTime, DeadTime, DeadTime, DeadTime]
     natural_frequency_rad_per_s: FourPositive
     damping_ratio: FourPositive
@@ -85,12 +84,12 @@ class TwinProfile(BaseModel):
     wind_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Frame `machine`."""
     effects: tuple[Effect, ...] = ()
-    """What a diagnosis found on top of the values above (sim_twin.effects.table)."""
+    """Effects found by diagnoses, in addition to the values above (sim_twin.effects.table)."""
     noise: SensorNoise = SensorNoise()
     spread: Spread = Spread()
     intervals: Mapping[str, Interval] = {}
-    """90 % interval of a value, by field name (which has the unit) or ``field.joint``; of an effect's
-    parameter by ``effect.parameter`` or ``effect.joint.parameter``."""
+    """90 % intervals by name of the value: ``field``, ``field.joint``, ``effect.parameter`` or
+    ``effect.joint.parameter``."""
 
     @model_validator(mode="before")
     @classmethod
@@ -118,7 +117,7 @@ class TwinProfile(BaseModel):
 
 
 def nominal_profile(spec: MachineSpec) -> TwinProfile:
-    """Profile of a machine nobody has measured: the spec's response, friction, release and drag.
+    """Profile of an unmeasured machine: the spec's response, friction, release and drag.
 
     The spec's first-order lag T becomes the critically damped second order with the same mean delay:
     2 z / w = T with z = 1.
@@ -144,7 +143,7 @@ def nominal_profile(spec: MachineSpec) -> TwinProfile:
 
 
 def exact_profile(profile: TwinProfile) -> TwinProfile:
-    """The profile without anything random: the twin that the nominal throw runs on."""
+    """The profile without random scatter, for nominal throws."""
     nothing = (0.0, 0.0, 0.0, 0.0)
     return profile.model_copy(
         update={
@@ -195,10 +194,10 @@ def load_profile(path: Path) -> TwinProfile:
 
 
 def save_profile(profile: TwinProfile, path: Path) -> None:
-    """Write a profile as indented JSON, so that the difference between two versions reads well."""
+    """Write a profile as indented JSON, which keeps differences between versions readable."""
     path.write_text(profile_text(profile), encoding="utf-8")
 
 
 def profile_text(profile: TwinProfile) -> str:
-    """A profile as it is written into a file."""
+    """Text of a profile file."""
     return profile.model_dump_json(indent=2) + "\n"

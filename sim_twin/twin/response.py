@@ -1,8 +1,7 @@
-"""From valve command to joint velocity, for N machines at once: dead time, steady curve, second-order lag.
+"""Velocity response of N machines' drives: valve table, dead time, second-order lag.
 
-The response is linear behind the valve's steady curve, but for the effects that a diagnosis adds
-(sim_twin.effects.valve_effects). It knows no pressures: those belong to the virtual machine, so that a
-result in one simulator says something about the other.
+Linear behind the valve table, except for effects (sim_twin.effects.valve_effects). Pressures are not
+modelled: the virtual machine models them, so that the two simulators are independent.
 """
 
 import math
@@ -19,7 +18,7 @@ from sim_twin.twin.profile import TwinProfile
 RATIO_POINT_COUNT = 1000
 MIN_DEAD_TIME_S = 0.0
 MIN_FREQUENCY_SHARE_RATIO = 0.2
-"""Drawn frequencies and gains stay above this share of their mean."""
+"""Lower bound of random frequencies and gains, relative to their means."""
 
 
 def lag_matrices(
@@ -53,18 +52,18 @@ def lag_matrices(
 
 
 class _RatioTable:
-    """|actuator_ratio| of boom and dipper by interpolation: exact to 1e-6, four times as fast."""
+    """|actuator_ratio| of boom and dipper by interpolation with an error of 1e-6, for speed."""
 
     def __init__(self, spec: MachineSpec) -> None:
         low, high = spec.position_range_rad_m
         angle = np.zeros((RATIO_POINT_COUNT, ACTIVE_COUNT))
         angle[:, 1:3] = np.linspace(low[1:3] - 0.05, high[1:3] + 0.05, RATIO_POINT_COUNT)
         value = np.abs(actuator_ratio(spec, angle))
-        # Contiguous columns, which np.interp need not copy.
+        # Contiguous columns, which np.interp does not copy.
         self._tables = [(j, angle[:, j].copy(), value[:, j].copy()) for j in (1, 2)]
 
     def at(self, active_position_rad_m: Array) -> Array:
-        """Magnitudes (N, 4) at positions (N, 4)."""
+        """Actuator ratio magnitudes (N, 4) at positions (N, 4)."""
         ratio = np.ones_like(active_position_rad_m)
         for joint, angles, values in self._tables:
             ratio[:, joint] = np.interp(active_position_rad_m[:, joint], angles, values)
@@ -72,7 +71,7 @@ class _RatioTable:
 
 
 class VelocityResponse:
-    """State of the four drives of N machines; one `step` a control tick."""
+    """State of the four drives of N machines; one `step` per control tick."""
 
     def __init__(
         self,
@@ -105,10 +104,10 @@ class VelocityResponse:
         self._tick = 0
 
     def reset(self, normal: Array) -> None:
-        """Come to rest and take new per-throw parameters.
+        """Reset to rest with new random parameters.
 
         Args:
-            normal: standard normal numbers (N, 3, 4) that choose dead time, frequency and gain.
+            normal: standard normal numbers (N, 3, 4) for dead time, frequency and gain.
         """
         p, spread, effects = self._profile, self._profile.spread, self._effects
         dead_s = np.asarray(p.dead_time_s) + normal[:, 0] * np.asarray(spread.dead_time_sd_s)
@@ -144,11 +143,11 @@ class VelocityResponse:
     def step(
         self, valve_ratio: Array, active_position_rad_m: Array, seen: Array | None = None
     ) -> Array:
-        """Joint velocities (N, 4) at the end of a tick during which the valves stood at `valve_ratio`.
+        """Joint velocities (N, 4) at the end of a tick with valve commands `valve_ratio` (N, 4).
 
-        A dead time between two ticks takes the mean of the two delayed commands that act in the tick. Joints
-        that stick come to rest, and the slew's play begins, as measured velocities say, if there are any
-        (`seen`).
+        A dead time between two ticks averages the two delayed commands that act in the tick. Measured
+        velocities, if given (`seen`), determine when sticking joints stop and the initial state of the
+        slew's backlash.
         """
         depth, tick, effects = self._depth, self._tick, self._effects
         if effects is None:

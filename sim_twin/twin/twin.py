@@ -1,7 +1,6 @@
 """The twin: N machines in MuJoCo with velocity-response actuation and one machine's twin profile.
 
-It implements `runtime.driver.SimulatedDriver`; it knows no pressures (the virtual machine does) and never
-decides anything about a throw.
+Implements `runtime.driver.SimulatedDriver`.
 """
 
 from collections.abc import Sequence
@@ -36,15 +35,15 @@ from sim_twin.twin.response import VelocityResponse
 from sim_twin.twin.twin_effects import PrescribedMotion, Readings, TwinEffects
 
 FRICTION_WIDTH_RAD_PER_S = 0.004
-"""Width of the tanh that stands for the sign of a passive joint's speed; explicit steps of 10 ms are
-stable from 0.0005 on. Dry friction above 0.4 rad/s2 gets a wider one, which one step just stops."""
+"""Width of the tanh that replaces the sign of a passive joint's speed; explicit steps of 10 ms are stable
+from 0.0005 on. Dry friction above 0.4 rad/s2 has a larger width, for which one step stops the joint."""
 START_NS = 1_000_000_000
 THREADED_FROM_COUNT = 16
-"""Smaller batches are faster on one thread."""
+"""Batch size from which several threads are faster than one."""
 
 
 class Twin:
-    """N machines of one profile. Element i of a larger twin moves as element i of a smaller one."""
+    """N machines of one profile. The motion of machine i does not depend on N."""
 
     def __init__(
         self,
@@ -58,20 +57,20 @@ class Twin:
         progress_ratio: Array | float = 1.0,
         sees_contacts: bool = True,
     ) -> None:
-        """Build the machines and put them, loaded, into the model's zero pose; call `reset` to begin.
+        """Build the machines, loaded, in the model's zero pose; call `reset` to begin.
 
         Args:
             count: N.
-            profile: effects of the machine that this twin stands for.
-            calibration: its valves' steady curve (speed over command in actuator space).
-            seed: of the first per-throw draw; `reset` takes new ones.
+            profile: profile of the machine.
+            calibration: valve tables of the machine.
+            seed: seed of the first random parameters; `reset` takes others.
             thread_count: threads of the physics.
-            effects: one set for each machine, on top of the profile's own.
-            progress_ratio: (N,) how far drifts have gone; 1, what a set of throws ended with.
-            sees_contacts: look for collisions; `collided` says nothing without.
+            effects: one set per machine, in addition to the profile's.
+            progress_ratio: (N,) position in a set of throws, for drifting effects; 1 is the end of the set.
+            sees_contacts: detect collisions; required for `collided`.
 
         Raises:
-            UsageError: `count` is not positive, or there are not as many sets of effects.
+            UsageError: `count` is not positive, or the number of sets of effects differs from it.
         """
         if count < 1:
             raise UsageError(f"a twin needs at least 1 machine, not {count}")
@@ -102,7 +101,7 @@ class Twin:
         self._missed = np.zeros((count, ACTIVE_COUNT))
         self._noise_offset = np.zeros(count, dtype=np.int64)
         self._noise_sd = noise_sd(profile)[None]
-        # The same in every sample, and nobody's to change.
+        # Constant in all samples, and read-only.
         self._pressure = _constant(count, self.spec.hydraulics.supply_pressure_pa)
         self._survey_sd = _constant(count, profile.noise.survey_sd_m)
         self._enabled = np.ones(count, dtype=np.bool_)
@@ -117,7 +116,7 @@ class Twin:
         """The nominal twin, as ``--plant twin`` names it.
 
         Raises:
-            UsageError: `unit_seed` is not 0; a twin differs by its profile, not by a unit number.
+            UsageError: `unit_seed` is not 0; twins differ by their profiles.
         """
         if unit_seed != 0:
             raise UsageError(
@@ -150,7 +149,7 @@ class Twin:
 
     @property
     def payload(self) -> Payload:
-        """The loads' true state: release, flight, impact."""
+        """True state of the loads: release, flight, impact."""
         return self._payload
 
     def now_ns(self) -> int:
@@ -158,10 +157,9 @@ class Twin:
         return self._now_ns
 
     def reset(self, joint_position_rad_m: Array, seed: int) -> None:
-        """Start over at rest at these poses (N, 6), loaded, with the per-throw draws of `seed`.
+        """Restart at rest in poses (N, 6), loaded, with random parameters from `seed`.
 
-        The poses are those that the machines' own sensors report: a biased sensor or a tilted base makes
-        the true ones others.
+        The poses are as reported by the sensors; true poses differ with a biased sensor or a tilted base.
 
         Raises:
             PlantError: poses of the wrong shape or not finite.
@@ -171,10 +169,10 @@ class Twin:
             raise PlantError(
                 f"reset needs finite poses of shape ({self.count}, {JOINT_COUNT}), got {pose.shape}"
             )
-        # The clock goes on, the noise begins anew: a throw does not hang on those before it.
+        # The clock goes on, the noise restarts: a throw does not depend on earlier ones.
         self._reset_ns = self._now_ns
         rng = np.random.default_rng(seed)
-        # Row by row, so that machine i draws the same numbers however many machines follow it.
+        # Row by row, so that the numbers of machine i do not depend on N.
         normal = rng.standard_normal((self.count, 3 * ACTIVE_COUNT + 5))
         self._noise_offset = np.random.default_rng((seed, 1)).integers(
             0, NOISE_TABLE_SIZE, self.count
@@ -204,7 +202,7 @@ class Twin:
         )
 
     def start_moving(self, position_rad_m: Array, velocity_rad_m_per_s: Array) -> None:
-        """Go on from other true joint states (N, 6) than the reset's, before the first tick."""
+        """Set true joint states (N, 6) after a reset, before the first tick."""
         self._place(position_rad_m, velocity_rad_m_per_s)
 
     def _place(self, position: Array, velocity: Array) -> None:
@@ -221,19 +219,19 @@ class Twin:
         self._sample = None
 
     def freeze(self, frozen: BoolArray) -> None:
-        """Stop moving machines (N,) whose throw is over; their sensors keep their last values."""
+        """Stop simulating machines (N,) whose throw has ended; their sensors keep their last values."""
         self._frozen_rows = None if not frozen.any() else np.flatnonzero(~frozen).astype(np.int32)
 
     def prescribe(self, motion: PrescribedMotion | None) -> None:
-        """Make joints reach these true states in the next tick, whatever their valves do.
+        """Prescribe true joint states at the end of the next tick, independent of valve commands.
 
-        A driven joint feels the velocity's change as its acceleration; the position is then exactly the
-        one given.
+        The acceleration of a driven joint follows from the change of its velocity; its position is exactly
+        the given one.
         """
         self._prescribed = motion
 
     def true_pose(self, reported_rad_m: Array, hangs: BoolArray | bool = True) -> Array:
-        """True joint positions (N, 6) where the sensors report these at rest (sim_twin.twin.twin_effects)."""
+        """True joint positions (N, 6) for positions reported at rest (sim_twin.twin.twin_effects)."""
         return (
             reported_rad_m
             if self._effects is None
@@ -241,11 +239,11 @@ class Twin:
         )
 
     def sensor_latency_s(self) -> Array | None:
-        """How late (N, 6) sensors report joint motion; None where all are in time."""
+        """Latencies (N, 6) of the sensors of joint motion; None if all are zero."""
         return None if self._effects is None else self._effects.latency_s()
 
     def imu_axes(self) -> Array | None:
-        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None where they are the same."""
+        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None if all are aligned."""
         return None if self._effects is None else self._effects.imu_axes()
 
     def advance(self, until_ns: int) -> None:
@@ -259,11 +257,11 @@ class Twin:
         reference = self._response.step(self._valve, active)
         room_low = (self._low - active) / CONTROL_PERIOD_S
         room_high = (self._high - active) / CONTROL_PERIOD_S
-        # A cylinder at its end stop stands still, whatever its valve does.
+        # A cylinder at its end stop stands still for any valve command.
         reference = np.minimum(np.maximum(reference, room_low), room_high)
         given = self._prescribed
         if given is not None:
-            # The load moves a drive a little; by as much as in the last tick.
+            # The small velocity change of a drive due to the load is taken from the last tick.
             wanted = given.velocity_rad_m_per_s[:, :ACTIVE_COUNT] + self._missed
             reference = np.where(given.mask[:, :ACTIVE_COUNT], wanted, reference)
         self._control[:] = reference - v[:, :ACTIVE_COUNT]
@@ -289,7 +287,7 @@ class Twin:
         self._sample = None
 
     def _push_free_joints(self, q: Array, v: Array) -> None:
-        """Friction and hoses for the tick to come."""
+        """Apply friction and hose moments for the next tick."""
         swing = v[:, ACTIVE_COUNT:]
         viscous, coulomb = self._friction
         self._applied[:, ACTIVE_COUNT:] = -(
@@ -301,14 +299,14 @@ class Twin:
                 self._applied[:, ACTIVE_COUNT:] += pull * self._friction_moment
 
     def _load_state(self, rows: IntArray, ahead_s: float) -> ToolState:
-        """Where the held loads of `rows` are and how fast, so much after the tick's begin; survey frame."""
+        """States of the held loads of `rows` at a time after the tick's begin; survey frame."""
         q, v = self._position[rows], self._velocity[rows]
         if self._effects is None:
             return grip_centre(self.spec, q, v)
         return self._effects.load_state(rows, q, v, ahead_s)
 
     def read(self) -> SensorSample:
-        """Sensor values of the present tick; reading twice gives the same sample."""
+        """Sensor values of the present tick; repeated reads give the same sample."""
         if self._sample is None:
             self._sample = self._measure()
         return self._sample
@@ -361,7 +359,7 @@ class Twin:
         self._payload.command(command.gripper_open, self._now_ns)
 
     def load(self) -> None:
-        """A load in every gripper."""
+        """Put a load into every gripper."""
         self._payload.load()
         self._sample = None
 
@@ -374,7 +372,7 @@ class Twin:
         return self._payload.impact_m.copy()
 
     def predicted_impact(self) -> tuple[Array, Array]:
-        """True impact points (N, 3) and flight times (N,) of the loads that have left; NaN otherwise."""
+        """True impact points (N, 3) and flight times (N,) of released loads; NaN otherwise."""
         return self._payload.predicted_impact()
 
     def set_surface_height(self, height_m: Array) -> None:
@@ -382,7 +380,7 @@ class Twin:
         self._payload.surface_height_m[:] = height_m
 
     def set_solids(self, solids: Solids) -> None:
-        """What loads land on or hit instead of endless ground; for all machines, frame `machine`."""
+        """Set the objects that loads land on, for all machines, frame `machine`."""
         self._payload.solids = solids
 
     def close(self) -> None:
@@ -391,7 +389,7 @@ class Twin:
 
 
 def _constant(count: int, value: float) -> Array:
-    """A read-only array (N,) of one value."""
+    """A read-only array (N,) with one value."""
     array = np.full(count, value)
     array.flags.writeable = False
     return array

@@ -1,7 +1,4 @@
-"""The effects of a twin's machines by where in a tick they act, and motion that is prescribed to them.
-
-The twin asks here only when some machine has an effect; nothing here steps the physics.
-"""
+"""Effects of a twin's machines, grouped by where in a tick they act, and prescribed motion."""
 
 from typing import Any, NamedTuple
 
@@ -19,16 +16,16 @@ from sim_twin.twin.model import twin_model
 
 
 class PrescribedMotion(NamedTuple):
-    """Joint states (N, 6) at the end of the next tick, for joints that move as they were measured."""
+    """Joint states (N, 6) at the end of the next tick, for joints with prescribed motion."""
 
     mask: BoolArray
-    """(N, 6) joints that it holds for."""
+    """(N, 6) joints with prescribed motion."""
     position_rad_m: Array
     velocity_rad_m_per_s: Array
 
 
 class Readings(NamedTuple):
-    """What sensors report, before their noise."""
+    """Sensor values before noise."""
 
     position_rad_m: Array
     velocity_rad_m_per_s: Array
@@ -37,10 +34,10 @@ class Readings(NamedTuple):
 
 
 class TwinEffects:
-    """Body, base and sensors of N machines; a part in which no machine has an effect is None."""
+    """Effects on body, base and sensors of N machines; a part without effects is None."""
 
     def __init__(self, spec: MachineSpec, arrays: EffectArrays, batch: Any) -> None:
-        """Sort the effects by where they act, and change the models of a `mujoco.batch.Batch`."""
+        """Group the effects, and change the models of a `mujoco.batch.Batch`."""
         self._spec = spec
         self.body = BodyEffects(arrays) if arrays.acts_in("swing") else None
         self._base = BasePose(spec, arrays) if arrays.acts_on("base") else None
@@ -56,13 +53,13 @@ class TwinEffects:
         self._rest = np.zeros((arrays.count, 2))
 
     def true_pose(self, reported_rad_m: Array, hangs: BoolArray | bool = True) -> Array:
-        """True joint positions (N, 6) of machines whose sensors report these at rest.
+        """True joint positions (N, 6) for positions reported at rest.
 
-        The free joints are reported from plumb: by the IMU against gravity, through the joint sensors.
+        The free joints are reported relative to plumb, from the IMU's gravity and the joint sensors.
 
         Args:
             reported_rad_m: (N, 6).
-            hangs: (N,) whether plumb is where gravity points, or the machine's own vertical.
+            hangs: (N,) whether plumb is the direction of gravity; else it is the machine's vertical.
         """
         pose = reported_rad_m.copy()
         if self._sensors is not None and self._sensors.bias_rad_m is not None:
@@ -75,32 +72,32 @@ class TwinEffects:
         return pose
 
     def latency_s(self) -> Array | None:
-        """How late (N, 6) joint sensors and IMU report joint motion; None where all are in time."""
+        """Latencies (N, 6) of joint sensors and IMU; None if all are zero."""
         return None if self._sensors is None else self._sensors.latency_s
 
     def imu_axes(self) -> Array | None:
-        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None where they are the same."""
+        """Rotations (N, 3, 3) from the IMU's axes to the gripper's; None if all are aligned."""
         return None if self._sensors is None else self._sensors.axes
 
     def begin(self, position: Array, velocity: Array) -> None:
-        """Machines are put into these true states (N, 6); before the physics looks at them."""
+        """Start from true states (N, 6), before the first physics step."""
         self._rest = position[:, ACTIVE_COUNT:].copy()
         if self._base is not None:
             self._base.start(position)
             self._lean(self._base, position, velocity)
 
     def fill_sensors(self, imu: Array, position: Array, velocity: Array) -> None:
-        """The sensors have always seen this state and these IMU values (N, 6)."""
+        """Fill the sensors' delay lines with a state and IMU values (N, 6)."""
         if self._sensors is not None:
             self._sensors.start(np.concatenate([position, velocity], axis=1), self._felt(imu))
 
     def before_step(self, position: Array, velocity: Array, sensed: Array) -> Array | None:
-        """Let gravity follow the base; what base and hoses do to the free joints (N, 2), rad/s2.
+        """Set gravity for the base's pose; return accelerations (N, 2) by base and hoses, rad/s2.
 
         Args:
             position: (N, 6) true joint positions.
             velocity: (N, 6)
-            sensed: MuJoCo's sensors as of the step before.
+            sensed: MuJoCo's sensors of the previous step.
         """
         pull = None
         if self._base is not None and (self._base.sway is not None):
@@ -120,19 +117,19 @@ class TwinEffects:
             self._turning = base.imu_turning(position)
 
     def after_step(self, imu: Array, position: Array, velocity: Array) -> None:
-        """Show the sensors the states (N, 6) after a step, and the IMU values (N, 6) before it."""
+        """Pass the states (N, 6) after a step, and the IMU values (N, 6) before it, to the sensors."""
         if self._sensors is not None:
             joints = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT])
             self._sensors.push(np.concatenate(joints, axis=1), self._felt(imu))
 
     def _felt(self, imu: Array) -> Array:
-        """True IMU values (N, 6), with the turning of a moving base."""
+        """True IMU values (N, 6), including the rotation of a moving base."""
         if self._turning is None:
             return imu
         return np.concatenate([imu[:, :3] + self._turning, imu[:, 3:]], axis=1)
 
     def readings(self, imu: Array, position: Array, velocity: Array) -> Readings:
-        """What the sensors report of true joint states (N, 6) and IMU values (N, 6)."""
+        """Reported values for true joint states (N, 6) and IMU values (N, 6)."""
         true, felt = (position[:, :ACTIVE_COUNT], velocity[:, :ACTIVE_COUNT]), self._felt(imu)
         if self._sensors is None:
             return Readings(*true, felt[:, :3], felt[:, 3:])
@@ -143,13 +140,13 @@ class TwinEffects:
     def load_state(
         self, rows: IntArray, position: Array, velocity: Array, ahead_s: float
     ) -> ToolState:
-        """Where the held loads of machines `rows` (K,) are and how fast, survey frame.
+        """States of the held loads of machines `rows` (K,), survey frame.
 
         Args:
             rows: indices.
-            position: (K, 6) their true joint positions.
+            position: (K, 6) true joint positions.
             velocity: (K, 6)
-            ahead_s: how much later than the base's state these are.
+            ahead_s: time after the base's state.
         """
         offset = None if self.body is None else self.body.offset_m
         beside = None if offset is None else offset[rows]

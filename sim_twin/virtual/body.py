@@ -26,10 +26,10 @@ class PlantBody(NamedTuple):
 
 
 class BodyFaults(Protocol):
-    """What can be wrong with the body (sim_twin.faults.body_faults)."""
+    """Faults of the body (sim_twin.faults.body_faults)."""
 
     def build(self, tree: mujoco.MjSpec) -> None:
-        """Change the tree of one unit before it is compiled."""
+        """Change the MJCF tree of one unit before compilation."""
         ...
 
 
@@ -40,12 +40,12 @@ def build_body(
     integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER,
     faults: BodyFaults | None = None,
 ) -> PlantBody:
-    """Compile the model of one unit; drives, joint friction and end stops are not in it."""
+    """Compile the model of one unit, without drives, joint friction and end stops."""
     tree = mujoco.MjSpec.from_file(str(MJCF_PATH))
     tree.option.timestep = step_s
     tree.option.integrator = integrator
     off = mujoco.mjtDisableBit
-    # Without automatic resets a divergence stays visible instead of moving the machine to zero.
+    # Automatic resets would hide a divergence by moving the machine to zero.
     tree.option.disableflags |= int(off.mjDSBL_EULERDAMP) | int(off.mjDSBL_AUTORESET)
     for geom in list(tree.geoms):
         if not geom.contype and not geom.conaffinity:

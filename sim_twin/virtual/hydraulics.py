@@ -3,7 +3,7 @@
 Every actuator has two compressible chambers: [0] drives the joint positively, [1] negatively. All flows
 into a chamber are written as conductance times pressure difference, with the conductance of the turbulent
 orifice Q = K a sqrt(dp) taken at the last pressures; the chamber pressure then solves implicitly, so that
-500 Hz is stable at any opening. Nothing here is shared with the twin or the trainer.
+500 Hz is stable at any opening.
 """
 
 from typing import Protocol
@@ -17,34 +17,34 @@ from sim_twin.virtual.spools import Spools
 from sim_twin.virtual.units import MachineUnit, ThrowConditions
 
 LAMINAR_PRESSURE_PA = 2.0e5
-"""Pressure difference below which an orifice turns laminar: keeps sqrt(dp) smooth at zero."""
+"""Pressure difference below which orifice flow is laminar, which keeps it smooth at zero."""
 RAIL_VOLUME_M3 = 4.0e-3
 DEAD_VOLUME_M3 = np.array([3.0e-3, 1.2e-3, 1.0e-3, 1.2e-3])
-"""Hoses and ports on each side; for the slew half of the motor circuit."""
+"""Volume of hoses and ports on each side; for the slew half of the motor circuit."""
 CHECK_CONDUCTANCE_M3_PER_S_PA = 2.5e-9
 """Anti-cavitation check valve: 75 l/min at 5 bar."""
 RELIEF_CONDUCTANCE_M3_PER_S_PA = 1.8e-9
 """Port relief valve: 220 l/min at 20 bar above its setting."""
 PORT_RELIEF_PA = 38.0e6
 LEAK_CONDUCTANCE_M3_PER_S_PA = np.array([6.0e-12, 1.0e-13, 1.0e-13, 1.0e-13])
-"""Across the piston; for the slew the motor's internal leakage, 9 l/min at 240 bar."""
+"""Leakage across the piston; for the slew the motor's internal leakage, 9 l/min at 240 bar."""
 AIR_PRESSURES_PA = (3.0e5, 13.0e5)
 """Free air softens the oil at low pressure: beta (p + a) / (p + b)."""
 VISCOUS_PRESSURE_PA_S = np.array([6.0e5, 6.0e5, 6.0e5, 6.0e5])
-"""Friction pressure a unit of actuator speed (rad/s for the slew, m/s)."""
+"""Viscous friction as pressure per actuator speed (rad/s for the slew, m/s)."""
 FRICTION_SPEED = np.array([0.01, 0.008, 0.008, 0.015])
 """Actuator speed at which Coulomb friction is fully developed, rad/s and m/s."""
 CUSHION_STROKE_M = 0.05
 CUSHION_MIN_RATIO = 0.08
 STOP_STIFFNESS = np.array([0.0, 2.0e7, 1.0e7, 2.0e7])
-"""End stops, N m/rad and N/m."""
+"""Stiffness of end stops, N m/rad and N/m."""
 STOP_DAMPING = np.array([0.0, 2.0e5, 3.0e4, 6.0e4])
 START_PRESSURE_PA = 1.5e6
-"""The lesser loaded chamber of a machine that has stood for a while."""
+"""Pressure of the less loaded chamber of a machine at rest."""
 
 
 class DriveFaults(Protocol):
-    """What can be wrong between command and force (sim_twin.faults.drive_faults)."""
+    """Faults between command and force (sim_twin.faults.drive_faults)."""
 
     def drive_velocity(self, velocity_rad_m_per_s: Array, position_rad_m: Array) -> Array:
         """Joint velocities (N, 4) as the actuators have them."""
@@ -57,7 +57,7 @@ class DriveFaults(Protocol):
     def regulate(
         self, from_rail: Array, to_tank: Array, pressure_pa: Array, rail_pa: Array, width: Array
     ) -> None:
-        """Change conductances (2, N, 4) in place; `width` is the oil a unit of joint motion."""
+        """Change conductances (2, N, 4) in place; `width` is the oil volume per joint motion."""
         ...
 
     def hold(self, torque: Array, position_rad_m: Array, velocity_rad_m_per_s: Array) -> None:
@@ -66,7 +66,7 @@ class DriveFaults(Protocol):
 
 
 class Hydraulics:
-    """Pump, valves and actuators of N machines; one `step` a physics step.
+    """Pump, valves and actuators of N machines; one `step` per physics step.
 
     Attributes:
         pressure_pa: (2, N, 4) chamber pressures.
@@ -79,7 +79,7 @@ class Hydraulics:
         self._sizes = sizes = size_machine(spec)
         self._area = sizes.area_m2
         self._signed_area = sizes.area_m2[:, None, :] * np.array([1.0, -1.0])[:, None, None]
-        # The slew's circuit has no stroke: its volume is constant and it meets no cushion.
+        # The slew motor has no stroke: its volumes are constant and it has no end cushions.
         strokes = np.array([0.0, 1.0, 1.0, 1.0])
         self._volume_area = sizes.area_m2[:, None, :] * strokes
         self._per_cushion = strokes / CUSHION_STROKE_M
@@ -120,18 +120,18 @@ class Hydraulics:
         self._is_lower = np.zeros(both, dtype=np.bool_)
 
     def wear(self, faults: DriveFaults, gain_ratio: Array, flow_ratio: Array) -> None:
-        """Go on with these faults, orifices (2, N, 4) and pump flows (N,) times a ratio."""
+        """Install faults; scale orifices (2, N, 4) and pump flows (N,)."""
         self._faults = faults
         self._valve_gain = self._valve_gain * gain_ratio
         self._pump_m3_per_s = self._pump_m3_per_s * flow_ratio
         self._pump_slope = self._pump_slope * flow_ratio
 
     def reset(self, position_rad_m: Array, load_torque: Array, conditions: ThrowConditions) -> None:
-        """Stand still at active positions (N, 4) against loads (N, 4) that resist positive motion, N m, N."""
+        """Start at rest at active positions (N, 4) with loads (N, 4) against positive motion, N m and N."""
         self.spools.reset(conditions)
         flow = conditions.flow_ratio * self._valve_gain
         self._inlet = self._sizes.inlet[:, None, :] * flow
-        # The edge of chamber [0] to tank opens with negative motion, and has that direction's gain.
+        # The edge from chamber [0] to tank opens for negative motion and has that direction's gain.
         self._outlet = self._sizes.outlet[:, None, :] * flow[::-1]
         friction = np.asarray(self._unit.friction_pressure_pa) * self._area[0]
         self._friction = friction * conditions.friction_ratio
@@ -183,7 +183,7 @@ class Hydraulics:
         return force
 
     def _conduct(self, opening_ratio: Array) -> None:
-        """Conductances Q / dp of rail edges and of all ways to tank and relief at the last pressures."""
+        """Conductances Q / dp of rail edges, tank edges, checks and reliefs at the last pressures."""
         pressure, work, inlet, tank = self.pressure_pa, self._both, self._from_rail, self._to_tank
         np.subtract(self.rail_pa, pressure, out=work)
         np.greater(work, 0.0, out=self._is_lower)
@@ -192,7 +192,7 @@ class Hydraulics:
         np.sqrt(work, out=work)
         np.multiply(self._inlet, opening_ratio, out=inlet)
         inlet /= work
-        # Load-holding checks: oil does not flow back from a chamber to the rail.
+        # Load-holding checks prevent flow from a chamber to the rail.
         inlet *= self._is_lower
         np.subtract(pressure, TANK_PRESSURE_PA, out=work)
         np.less(work, 0.0, out=self._is_lower)
@@ -235,12 +235,12 @@ class Hydraulics:
         np.maximum(pressure, 0.0, out=pressure)
 
     def pump_flow_m3_per_s(self) -> Array:
-        """What the pump delivers now (N,)."""
+        """Pump flow (N,), m3/s."""
         wanted = self._pump_slope * (self._set_pa - self.rail_pa[:, 0])
         return np.minimum(wanted, self._pump_m3_per_s)
 
     def _step_rail(self) -> None:
-        """Implicit rail pressure; the pump gives min(full flow, slope (set - rail)), so the lesser wins."""
+        """Implicit rail pressure; the pump delivers min(full flow, slope (set - rail))."""
         gain, slope = self._rail_gain, self._pump_slope
         taken = gain * np.einsum("snj->n", self._from_rail)
         back = gain * np.einsum("snj,snj->n", self._from_rail, self.pressure_pa)
@@ -252,7 +252,7 @@ class Hydraulics:
         np.minimum(back, limited, out=self.rail_pa[:, 0])
 
     def _geometry(self, position_rad_m: Array) -> None:
-        """Levers, chamber volumes and end cushions at active positions (N, 4)."""
+        """Lever arms, chamber volumes and end cushions at active positions (N, 4)."""
         length, lever = self._triangle.length_and_lever(position_rad_m[:, 1:3])
         np.abs(lever, out=self._lever[:, 1:3])
         extension, stroke, volume = self._extension, self._sizes.stroke_m, self._volume

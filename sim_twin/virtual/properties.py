@@ -1,6 +1,6 @@
-"""What can be said of a virtual machine in a workshop's words, and machines with one of these as drawn.
+"""Properties of a virtual machine by name, and machines with one of them set to nominal.
 
-For reports on simulated machines; as with `MachineUnit`, no controller, twin or trainer may read it.
+For reports on simulated machines. Controllers, twin and training must not read it, as with `MachineUnit`.
 """
 
 from collections.abc import Iterable
@@ -41,11 +41,11 @@ PROPERTIES: dict[str, tuple[str, ...]] = {
         "base_height_error_m", "base_tilt_rad",
     ),
 }  # fmt: skip
-"""Words and the fields of `MachineUnit` behind them; every field that machines differ in, once."""
+"""Name of each property and its fields of `MachineUnit`; every field in which units differ occurs once."""
 
 
 def as_drawn(spec: MachineSpec, unit: MachineUnit, properties: Iterable[str]) -> MachineUnit:
-    """The machine with these properties as the drawing's machine has them; it keeps its number."""
+    """The machine with the given properties of the nominal unit; its unit seed is kept."""
     nominal = nominal_unit(spec)
     values: dict[str, Any] = {
         name: getattr(nominal, name) for words in properties for name in PROPERTIES[words]

@@ -1,7 +1,6 @@
 """Sensors of the virtual machine: joint sensors, wireless gripper IMU, ball tracker, impact survey; batched.
 
-They turn true motion into what a control computer receives: noise, bias, quantisation, filtering, delay
-and loss. None of them sees anything but the true values it is handed.
+They model noise, bias, quantisation, filtering, delay and loss of samples.
 """
 
 from typing import Protocol
@@ -18,7 +17,7 @@ POSITION_SD_RAD_M = np.array([1.2e-3, 1.0e-3, 1.0e-3, 1.2e-3])
 POSITION_STEP_RAD_M = np.array([3.83e-4, 3.83e-4, 3.83e-4, 5.0e-4])
 """14-bit encoders; 0.5 mm draw wire at the telescope."""
 VELOCITY_SD_RAD_M_PER_S = np.array([6.0e-3, 7.0e-3, 8.0e-3, 7.0e-3])
-"""After the filter (training facts: 5-10 mrad/s)."""
+"""White noise of filtered velocities."""
 VELOCITY_FILTER_S = 0.008
 PRESSURE_SD_PA = 1.0e5
 
@@ -37,21 +36,21 @@ SURVEY_DELAY_S = 0.5
 
 
 class SensingFaults(Protocol):
-    """What can be wrong with joint sensors and IMU (sim_twin.faults.sensing_faults)."""
+    """Faults of joint sensors and IMU (sim_twin.faults.sensing_faults)."""
 
     bias_rad_m: Array
 
     def joints(self) -> tuple[Array, Array]:
-        """Positions and filtered velocities (N, 4) that the joint sensors see."""
+        """Positions and filtered velocities (N, 4) at the joint sensors."""
         ...
 
     def imu(self) -> tuple[Array, Array]:
-        """Rates and specific forces (N, 3) that the IMU sees."""
+        """Angular rates and specific forces (N, 3) at the IMU."""
         ...
 
 
 class DelayedSamples:
-    """Samples under way from N sensors: each arrives later, or never; readers get the newest arrived."""
+    """Samples in transit from N sensors: each arrives late or is lost; readers get the newest arrived one."""
 
     def __init__(self, count: int, width: int, depth: int) -> None:
         self._sample_ns = np.zeros((depth, count), dtype=np.int64)
@@ -61,13 +60,13 @@ class DelayedSamples:
         self._head = np.zeros(count, dtype=np.int64)
 
     def clear(self, which: BoolArray | slice = slice(None)) -> None:
-        """Forget everything of these sensors."""
+        """Discard all samples of these sensors."""
         self._sample_ns[:, which] = 0
         self._arrival_ns[:, which] = NEVER_NS
         self._values[:, which] = np.nan
 
     def push(self, sample_ns: int, arrival_ns: IntArray, values: Array) -> None:
-        """Send values (N, width) sampled at one time; they arrive at (N,) times, NEVER_NS = not sent."""
+        """Send values (N, width) sampled at one time, with arrival times (N,); NEVER_NS: lost."""
         sent = np.flatnonzero(arrival_ns != NEVER_NS)
         self._head[sent] = (self._head[sent] + 1) % self._sample_ns.shape[0]
         row = self._head[sent]
@@ -76,7 +75,7 @@ class DelayedSamples:
         self._values[row, sent] = values[sent]
 
     def newest(self, now_ns: int) -> tuple[IntArray, Array]:
-        """Sample times (N,), 0 = none yet, and values (N, width), NaN = none yet."""
+        """Sample times (N,) and values (N, width) of the newest arrived samples; 0 and NaN: none."""
         arrived_ns = np.where(self._arrival_ns <= now_ns, self._sample_ns, 0)
         row = arrived_ns.argmax(0)
         time_ns = arrived_ns[row, self._rows]
@@ -86,7 +85,7 @@ class DelayedSamples:
 
 
 class JointSensors:
-    """Encoders of slew, boom and dipper, draw wire of the telescope, rail pressure."""
+    """Encoders of slew, boom and dipper, draw-wire sensor of the telescope, rail pressure sensor."""
 
     def __init__(
         self, unit: MachineUnit, count: int, step_s: float, faults: SensingFaults | None = None
@@ -97,7 +96,7 @@ class JointSensors:
             self._bias = self._bias + faults.bias_rad_m
         self._share = 1.0 - np.exp(-step_s / VELOCITY_FILTER_S)
         self.filtered_rad_m_per_s = np.zeros((count, 4))
-        """True velocities through the sensors' filter."""
+        """Filtered true velocities."""
         self._change = np.zeros((count, 4))
         self.sample_ns = 0
         self.position_rad_m = np.zeros((count, 4))
@@ -105,11 +104,11 @@ class JointSensors:
         self.supply_pressure_pa = np.zeros(count)
 
     def reset(self) -> None:
-        """The machines stand still."""
+        """Reset the filters to standstill."""
         self.filtered_rad_m_per_s[:] = 0.0
 
     def follow(self, velocity_rad_m_per_s: Array) -> None:
-        """Run the velocity filters one physics step on true velocities (N, 4)."""
+        """Advance the velocity filters by one physics step with true velocities (N, 4)."""
         filtered = self.filtered_rad_m_per_s
         np.subtract(velocity_rad_m_per_s, filtered, out=self._change)
         np.multiply(self._change, self._share, out=self._change)
@@ -132,19 +131,19 @@ class JointSensors:
 
 
 class GripperImu:
-    """Six-axis IMU on the gripper, sent by radio: late, sometimes never."""
+    """Six-axis IMU on the gripper with a radio link: samples are delayed and sometimes lost."""
 
     def __init__(self, unit: MachineUnit, count: int, faults: SensingFaults | None = None) -> None:
         self._count, self._faults = count, faults
         x, y, z = unit.imu_misalignment_rad
-        # Small rotation of the mounting: seen = R^T true.
+        # Small mounting rotation: measured = R^T true.
         self._mounting = np.eye(3) - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         self._gyro_bias = np.asarray(unit.gyro_bias_rad_per_s)
         self._accel_bias = np.asarray(unit.accel_bias_m_per_s2)
         self._samples = DelayedSamples(count, 6, depth=6)
 
     def reset(self) -> None:
-        """Nothing has been received."""
+        """Discard all samples."""
         self._samples.clear()
 
     def sample(
@@ -158,7 +157,7 @@ class GripperImu:
     ) -> None:
         """Send true rates (N, 3), rad/s, and specific forces (N, 3), m/s2, gripper frame.
 
-        With `arrived` they are there at once.
+        With `arrived` they arrive without delay.
         """
         if self._faults is not None:
             gyro, specific_force = self._faults.imu()
@@ -182,14 +181,14 @@ class GripperImu:
 
 
 class BallTracker:
-    """A camera beside the machine that follows the load in the air."""
+    """Camera beside the machine that tracks the load in flight."""
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._samples = DelayedSamples(count, 3, depth=6)
 
     def clear(self, which: BoolArray | slice = slice(None)) -> None:
-        """These machines have a load in the gripper again: the camera does not see it."""
+        """Discard samples of machines whose load is in the gripper again."""
         self._samples.clear(which)
 
     def sample(
@@ -208,14 +207,14 @@ class BallTracker:
 
 
 class ImpactSurvey:
-    """Somebody measures where the load touched down."""
+    """Survey of impacts."""
 
     def __init__(self, count: int) -> None:
         self._time_ns = np.zeros(count, dtype=np.int64)
         self._point_m = np.full((count, 3), np.nan)
 
     def clear(self, which: BoolArray | slice = slice(None)) -> None:
-        """A new load: the last landing is history."""
+        """Discard the impacts of machines with a new load."""
         self._time_ns[which] = 0
         self._point_m[which] = np.nan
 
@@ -229,7 +228,7 @@ class ImpactSurvey:
         self._point_m[which] = impact_m + error
 
     def read(self, now_ns: int) -> tuple[IntArray, Array, Array]:
-        """Times of impact (N,), 0 = none known yet; points (N, 3) and standard deviations (N,), else NaN."""
+        """Times of impact (N,), points (N, 3) and standard deviations (N,); 0 and NaN: none yet."""
         known = (self._time_ns > 0) & (self._time_ns + int(SURVEY_DELAY_S * 1e9) <= now_ns)
         point = np.where(known[:, None], self._point_m, np.nan)
         return np.where(known, self._time_ns, 0), point, np.where(known, SURVEY_SD_M, np.nan)

@@ -8,18 +8,18 @@ from machine.conventions import Array
 from machine.spec import CylinderSpec, MachineSpec
 
 TANK_PRESSURE_PA = 5.0e5
-"""Back pressure of the return line, which feeds the anti-cavitation checks."""
+"""Back pressure of the return line, which supplies the anti-cavitation checks."""
 PUMP_DROOP_PA = 2.0e6
-"""The pump's pressure compensator goes from full flow to none over this much."""
+"""Pressure range over which the pump's compensator reduces full flow to zero."""
 SIZING_LOAD = np.array([2.0e3, 99.0e3, 32.0e3, -6.9e3])
-"""Actuator load (N m, N) that resists positive motion at 5.8 m reach: facts' 55 kN m at the boom."""
+"""Actuator load (N m, N) against positive motion at 5.8 m reach; 55 kN m at the boom (docs/machine.md)."""
 SIZING_FRICTION = np.array([3.0e3, 10.0e3, 8.0e3, 5.5e3])
 """Actuator friction (N m, N) at those speeds."""
 SIZING_POSITION_RAD_M = np.array([0.0, 0.5, 0.0, 0.5])
 
 
 class CylinderTriangle:
-    """Length and lever of boom and dipper cylinder from the law of cosines; columns boom, dipper."""
+    """Length and lever arm of the boom's and the dipper's cylinder, from the law of cosines."""
 
     def __init__(self, cylinders: tuple[CylinderSpec, CylinderSpec]) -> None:
         base = np.array([c.base_xz_m for c in cylinders])
@@ -50,10 +50,10 @@ class Sizes:
 
 
 def size_machine(spec: MachineSpec) -> Sizes:
-    """Actuator areas from the spec; valve edges so that full valves give about the speed limits.
+    """Actuator areas from the spec; valve edges such that full valves give about the speed limits.
 
-    Where the load resists or is small both edges are equal; boom down and dipper in, which the load
-    drives, are metered out so that the driven side stays just filled (5 bar) at the speed limit.
+    Both edges are equal where the load is small or opposes the motion. Boom down and dipper in, which the
+    load drives, are metered out such that the driving side keeps 5 bar at the speed limit.
     """
     h = spec.hydraulics
     bore = np.array([h.boom_cylinder.bore_m, h.dipper_cylinder.bore_m, h.telescope_bore_m])
@@ -61,7 +61,7 @@ def size_machine(spec: MachineSpec) -> Sizes:
     piston, ring = np.pi / 4.0 * bore**2, np.pi / 4.0 * (bore**2 - rod**2)
     area = np.empty((2, 4))
     area[:, 0] = h.slew_displacement_m3_per_rad
-    # The dipper's cylinder shortens when the joint opens: its ring side drives positively.
+    # The dipper's cylinder shortens when the joint opens: its annulus side drives positively.
     area[0, 1:] = piston[0], ring[1], piston[2]
     area[1, 1:] = ring[0], piston[1], ring[2]
     low, high = spec.position_range_rad_m

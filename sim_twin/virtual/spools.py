@@ -1,7 +1,4 @@
-"""Valves of the virtual machine from command to orifice opening: dead time, play, lag, dead band.
-
-It knows nothing of pressures; hydraulics.py turns openings into flows.
-"""
+"""Valves of the virtual machine, from command to orifice opening: dead time, hysteresis, lag, dead band."""
 
 import numpy as np
 
@@ -12,7 +9,7 @@ FULL_STROKE_S = 0.10
 """Fastest full stroke of a spool (servo-piloted main stage, assumed)."""
 MAX_DEAD_TIME_S = 0.30
 SHORTEST_LAG_S = 0.01
-"""A spool that has been made faster is no faster than this."""
+"""Lower bound of the lag."""
 
 
 class Spools:
@@ -57,9 +54,9 @@ class Spools:
         band_ratio: Array,
         play_ratio: Array,
     ) -> None:
-        """Make the valves worse by these dead times, lags, plays (N, 4) and overlaps (2, N, 4).
+        """Add dead times, lags, hysteresis (N, 4) and overlaps (2, N, 4).
 
-        The command that a further overlap eats is not given back by a steeper opening.
+        Additional overlap is not compensated by a steeper opening curve.
         """
         self._dead_time_s = self._dead_time_s + dead_time_s
         self._allocate_ring(max(MAX_DEAD_TIME_S, float(self._dead_time_s.max()) + 0.01))
@@ -68,24 +65,24 @@ class Spools:
         self._play = self._play + play_ratio
 
     def reset(self, conditions: ThrowConditions) -> None:
-        """Centre all spools, forget commands under way and take this throw's conditions."""
+        """Centre all spools, discard delayed commands and set the throw's conditions."""
         self._ring[:] = 0.0
         self._stage[:] = 0.0
         self.position_ratio[:] = 0.0
         dead_s = np.maximum(self._dead_time_s + conditions.dead_time_offset_s, 0.0)
         dead = np.minimum(np.rint(dead_s / self._step_s).astype(np.int64), self._depth - 1)
-        # Flat index of the cell that was written `dead` steps ago, relative to the head's row.
+        # Flat index of the cell written `dead` steps ago, relative to the head's row.
         self._back = self._cells - dead * self._cells.size
         self._gain = 1.0 - np.exp(-self._step_s / (self._lag_s * conditions.lag_ratio))
 
     def step(self, command_ratio: Array) -> Array:
-        """Move the spools one step under these commands (N, 4); return the openings (2, N, 4)."""
+        """Advance the spools one step with commands (N, 4); return the openings (2, N, 4)."""
         self._head = (self._head + 1) % self._depth
         self._ring[self._head] = command_ratio
         work, delayed = self._work, self._delayed
         np.add(self._back, self._head * self._cells.size, out=self._cells_now)
         self._ring_flat.take(self._cells_now, out=delayed, mode="wrap")
-        # Play of width 2h: the pilot stage follows only what pushes it.
+        # Hysteresis of width 2h (play operator).
         np.subtract(delayed, self._play, out=self._low)
         np.add(delayed, self._play, out=self._high)
         np.maximum(self._stage, self._low, out=self._stage)

@@ -1,7 +1,7 @@
-"""The load of the virtual machine: held, let go after the gripper's delay, flying with drag, touched down.
+"""Load of the virtual machine: held, released after the gripper's delay, in flight with drag, landed.
 
-Times are the driver's clock. The claws are not modelled: at its release the load has the grip centre's
-motion at its own offset, plus what the opening claws give it.
+Times are those of the driver's clock. The claws are not modelled: the released load has the velocity of the
+grip at its offset, plus a random velocity from the opening claws.
 """
 
 from dataclasses import dataclass
@@ -31,10 +31,10 @@ class GripMotion:
 
 
 class LoadFaults(Protocol):
-    """What can be wrong as a load leaves and flies (sim_twin.faults.load_faults)."""
+    """Faults of release and flight (sim_twin.faults.load_faults)."""
 
     def let_go(self, which: IntArray, velocity_m_per_s: Array, rotation: Array) -> Array:
-        """Velocities (M, 3) of the loads of machines (M,) that leave grippers turned by (M, 3, 3)."""
+        """Velocities (M, 3) of the released loads of machines (M,), for gripper rotations (M, 3, 3)."""
         ...
 
     def fly(
@@ -45,7 +45,7 @@ class LoadFaults(Protocol):
 
 
 class Landed(NamedTuple):
-    """Loads that touched down in a flight step: machines (M,), times (M,), points touched (M, 3)."""
+    """Impacts in a flight step: machines (M,), times (M,), contact points (M, 3)."""
 
     which: IntArray
     time_ns: IntArray
@@ -67,12 +67,12 @@ class ThrownLoad:
         )
         self.radius_m = unit.ball_radius_m
         self.solids: Solids | None = None
-        """What stands around; None for nothing but the target's plane."""
+        """Objects around the machine; None for the target's plane only."""
         self._drag_per_m = drag_per_m(ball)
         self.held = np.ones(count, dtype=np.bool_)
         self.flying = np.zeros(count, dtype=np.bool_)
         self.position_m = np.full((count, 3), np.nan)
-        """Ball centres; of held loads only after ``locate``."""
+        """Ball centres; for held loads valid after ``locate`` only."""
         self.velocity_m_per_s = np.full((count, 3), np.nan)
         self.impact_m = np.full((count, 3), np.nan)
         self.impact_ns = np.zeros(count, dtype=np.int64)
@@ -89,7 +89,7 @@ class ThrownLoad:
         self._next_release_ns = int(NEVER_NS)
 
     def take(self, which: BoolArray, conditions: ThrowConditions) -> None:
-        """Put loads into the grippers of these machines (N,), grasped as these conditions say."""
+        """Put loads into the grippers of machines (N,), with the grasp of the conditions."""
         self.held[which], self.flying[which] = True, False
         self.release_ns[which] = self._switch_ns[which] = NEVER_NS
         self.impact_ns[which] = 0
@@ -104,11 +104,11 @@ class ThrownLoad:
         self._next_release_ns = int(self.release_ns.min())
 
     def close_grippers(self) -> None:
-        """Grippers closed without a command's edge, as a reset does."""
+        """Close the grippers without a command edge, as in a reset."""
         self._open[:] = False
 
     def command(self, opens: BoolArray, now_ns: int) -> None:
-        """Gripper commands (N,) at a time: a rising edge starts the opening, a falling one stops it."""
+        """Apply gripper commands (N,): a rising edge starts the opening, a falling one stops it."""
         if np.array_equal(opens, self._open):
             return
         waiting = self.held & (self.release_ns != NEVER_NS)
@@ -120,11 +120,11 @@ class ThrownLoad:
         self._next_release_ns = int(pending.min())
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether any load leaves its gripper up to this time."""
+        """Whether any load is released up to this time."""
         return self._next_release_ns <= now_ns
 
     def release_due(self, now_ns: int, grip: GripMotion) -> None:
-        """Let go of the loads that are due, extrapolating the grip's motion (2 ms at most) to the instant."""
+        """Release due loads, with the grip's motion extrapolated (by at most 2 ms) to their release times."""
         due = self.held & (self.release_ns <= now_ns)
         later_s = (self.release_ns[due] - grip.time_ns)[:, None] * 1e-9
         arm_m = np.einsum("nij,nj->ni", grip.rotation[due], self._offset_m[due])
@@ -143,7 +143,7 @@ class ThrownLoad:
         self._next_release_ns = int(pending.min())
 
     def fly(self, now_ns: int, plane_m: Array, wind_m_per_s: Array) -> Landed:
-        """Fly all loads in the air to this time, towards solids, else to target surfaces at heights (N,)."""
+        """Advance loads in flight to this time, up to solids or target surfaces at heights (N,)."""
         rows = np.flatnonzero(self.flying)
         step_s: Array = (now_ns - self._time_ns[rows]).astype(np.float64) * 1e-9
         p0, v0 = self.position_m[rows], self.velocity_m_per_s[rows]
@@ -161,7 +161,7 @@ class ThrownLoad:
         down = (p1[:, 2] <= bottom) & (v1[:, 2] < 0.0)
         landed = rows[down]
         if landed.size:
-            # A step is 10 ms or less: drag changes the crossing time by microseconds.
+            # The step is at most 10 ms: drag changes the crossing time by microseconds.
             above = np.maximum(p0[down, 2] - bottom[down], 0.0)
             fall = v0[down, 2]
             touch_s = (fall + np.sqrt(fall**2 + 2.0 * GRAVITY_M_PER_S2 * above)) / GRAVITY_M_PER_S2
@@ -181,7 +181,7 @@ class ThrownLoad:
         wind: Array,
         step_s: Array,
     ) -> Array:
-        """Centres (M, 3) of loads at the moment in this step at which they touch a solid."""
+        """Centres (M, 3) of loads at their contact with a solid within this step."""
 
         def fly(share: Array) -> Array:
             return self._step_flight(landed, position, velocity, wind, share * step_s)[0]
@@ -212,11 +212,11 @@ class ThrownLoad:
         return step_flight(position, velocity, self._drag_per_m, wind, step_s)
 
     def switch(self, now_ns: int) -> BoolArray:
-        """The gripper switches (N,): true until shortly after the load has left."""
+        """Load switches of the grippers (N,): true until shortly after the release."""
         return self._switch_ns > now_ns
 
     def locate(self, grip: GripMotion, now_ns: int) -> None:
-        """Put the held loads where their grippers are, 2 ms after `grip` at most."""
+        """Move held loads to their grippers, at most 2 ms after `grip`."""
         held = self.held
         later_s = (now_ns - grip.time_ns) * 1e-9
         arm_m = np.einsum("nij,nj->ni", grip.rotation[held], self._offset_m[held])

@@ -1,7 +1,6 @@
-"""Unit-to-unit differences of the virtual machine: what makes machine 7 another one than machine 3.
+"""Differences between units of the virtual machine: nominal values and half widths of uniform draws.
 
-Nominal values and half widths stand side by side; the draw is uniform. No controller, twin or trainer may
-read this: on a real machine these numbers are hidden.
+Controllers, twin and training must not read them: on a real machine they are unknown.
 """
 
 from dataclasses import dataclass, fields
@@ -18,19 +17,19 @@ Two = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class MachineUnit:
-    """One machine as built; fields over joints are in the order slew, boom, dipper, telescope."""
+    """Parameters of one unit; fields over joints are in the order slew, boom, dipper, telescope."""
 
     unit_seed: int
     dead_time_s: Four
-    """Valve command to spool movement: electronics, CAN and pilot stage."""
+    """Dead time from valve command to spool movement: electronics, CAN and pilot stage."""
     spool_lag_s: Four
     dead_band_positive_ratio: Four
     """Spool overlap left after compensation, in the joint's positive direction."""
     dead_band_negative_ratio: Four
     hysteresis_ratio: Four
-    """Half width of the play between command and spool."""
+    """Half width of the hysteresis between command and spool."""
     valve_gain_positive_ratio: Four
-    """Orifice size against the nominal one."""
+    """Orifice size relative to nominal."""
     valve_gain_negative_ratio: Four
     metering_curve_ratio: Four
     """Share c of the opening curve a(1 - c + c a): fine metering at small openings."""
@@ -53,9 +52,9 @@ class MachineUnit:
     roll_to_grip_centre_m: float
     gripper_com_m: float
     base_height_error_m: float
-    """What the levelling of the legs leaves."""
+    """Residual error after levelling of the legs."""
     base_tilt_rad: Two
-    """Roll and pitch of the whole machine against the vertical."""
+    """Roll and pitch of the machine relative to the vertical."""
     upper_mass_ratio: float
     boom_mass_ratio: float
     dipper_mass_ratio: float
@@ -63,7 +62,7 @@ class MachineUnit:
     gripper_mass_kg: float
     gripper_inertia_ratio: float
     swing_viscous_ratio: float
-    """Friction of the two free joints against the nominal one."""
+    """Friction of the two free joints relative to nominal."""
     swing_coulomb_ratio: float
     ball_mass_kg: float
     ball_radius_m: float
@@ -76,7 +75,7 @@ class MachineUnit:
 
 
 def nominal_unit(spec: MachineSpec) -> MachineUnit:
-    """The machine of the drawings: unit 0, all differences zero."""
+    """The nominal unit: unit seed 0, all differences zero."""
     geometry, passive = spec.geometry, spec.passive
     band = spec.hydraulics.valve_dead_band_ratio
     return MachineUnit(
@@ -171,17 +170,17 @@ UNIT_HALF_WIDTH: dict[str, float | Four] = {
     "accel_bias_m_per_s2": 0.075,  # A up to 15 mg
     "imu_misalignment_rad": 0.009,  # A 0.5 deg
 }
-"""Half width of the uniform draw of every field: at least a quarter of the range given beside it.
+"""Half width of the uniform draw of every field: at least a quarter of the range in the comment.
 
 U, S, M, T and A name sources (docs/machine.md). Ratios: docs/machine_ranges.md.
 """
 
 
 def make_unit(spec: MachineSpec, unit_seed: int) -> MachineUnit:
-    """Machine number `unit_seed`, the same one every time; 0 is the nominal unit.
+    """Unit drawn with `unit_seed`, reproducible; 0 is the nominal unit.
 
     Args:
-        spec: what the machine's drawings say.
+        spec: machine type.
         unit_seed: 0 or more.
     """
     nominal = nominal_unit(spec)
@@ -200,24 +199,24 @@ def make_unit(spec: MachineSpec, unit_seed: int) -> MachineUnit:
 
 @dataclass(frozen=True, slots=True)
 class ThrowConditions:
-    """What differs from throw to throw on one machine; leading axis N = copies."""
+    """Random conditions of throws; leading axis N = copies."""
 
     flow_ratio: Array
-    """(N, 1) orifice flow at today's oil temperature against the nominal one."""
+    """(N, 1) orifice flow relative to nominal, due to oil temperature."""
     lag_ratio: Array
-    """(N, 1) spool lag, same cause."""
+    """(N, 1) spool lag relative to nominal, due to oil temperature."""
     friction_ratio: Array
-    """(N, 1) actuator friction, same cause."""
+    """(N, 1) actuator friction relative to nominal, due to oil temperature."""
     dead_time_offset_s: Array
     """(N, 4) phase of the bus cycles."""
     grasp_offset_m: Array
-    """(N, 3) ball centre from the grip centre, gripper frame."""
+    """(N, 3) ball centre relative to the grip centre, gripper frame."""
     slip_m_per_s: Array
-    """(N, 3) what the opening claws give the ball."""
+    """(N, 3) velocity from the opening claws."""
     release_delay_s: Array
-    """(N,) command to free flight."""
+    """(N,) delay from command to free flight."""
     switch_delay_s: Array
-    """(N,) free flight to the switch's report."""
+    """(N,) delay from free flight to the load switch."""
 
 
 def draw_conditions(unit: MachineUnit, count: int, rng: np.random.Generator) -> ThrowConditions:

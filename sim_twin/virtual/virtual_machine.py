@@ -1,8 +1,7 @@
-"""The virtual machine: stands in for a real material handler, behind the same seam as one.
+"""The virtual machine: simulates a real machine behind the driver interface.
 
-MuJoCo's rigid body driven at its joints by pressure-level hydraulics, with sensors, gripper, flight and
-survey. It shares no actuation model with the twin or the trainer and tells nobody its hidden unit values.
-docs/virtual_machine.md has what was measured on it.
+MuJoCo's rigid bodies driven by pressure-level hydraulics, with sensors, gripper, flight and survey. It
+shares no actuation model with the twin or the training. Measurements: docs/virtual_machine.md.
 """
 
 from dataclasses import dataclass
@@ -38,26 +37,26 @@ from sim_twin.virtual.units import MachineUnit, ThrowConditions, draw_conditions
 STEP_NS = 2_000_000
 SENSOR_PERIOD_NS = 10_000_000
 JOINT_SENSOR_PHASE_NS = 6_000_000
-"""Joint values are 4 ms old at a tick on the 10 ms grid."""
+"""Age of joint values at a tick on the 10 ms grid: 4 ms."""
 TRACKER_PERIOD_NS = 20_000_000
 WATCHDOG_NS = 100_000_000
 START_NS = 1_000_000_000
 SWING_STICK_RAD_PER_S = 0.005
-"""Rate at which the Coulomb friction of the swinging joints is fully developed."""
+"""Rate at which the Coulomb friction of the free joints is fully developed."""
 THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What is not as built on N machines, and how finely they are simulated."""
+    """Faults of N machines, and time step of the simulation."""
 
     effects: tuple[PlantEffect, ...] = ()
     place_ratio: Array | None = None
-    """(N,) each copy's place in its set of throws, 0 first, 1 last: effects that drift follow it."""
+    """(N,) position of each copy in its set of throws, for drifting effects: 0 first, 1 last."""
     unit: MachineUnit | None = None
-    """Instead of the one that belongs to the seed."""
+    """Unit to use instead of the one drawn with the unit seed."""
     step_ns: int = STEP_NS
-    """A divisor of 2 ms, so that sensors sample when they do."""
+    """A divisor of 2 ms, the sampling period of the sensors."""
     integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
 
 
@@ -82,9 +81,9 @@ class VirtualMachine:
 
         Args:
             count: copies.
-            unit_seed: which machine; 0 is the nominal one.
-            tracker: whether a camera follows the load.
-            condition: what is not as built; nothing if left out.
+            unit_seed: seed of the unit; 0 is the nominal one.
+            tracker: whether a camera tracks the load.
+            condition: faults and time step; none if omitted.
 
         Raises:
             PlantError: no copies, a negative seed, or an effect that does not exist.
@@ -107,7 +106,7 @@ class VirtualMachine:
         self._body = build_body(spec, unit, step_s, today.integrator, faults.body)
         front = self._body.model.nq - JOINT_COUNT
         self._batch = batch = Batch(self._body.model, count, min(THREADS, (count + 15) // 16))
-        # Joints of a chassis that gives way come before the machine's own.
+        # Joints of a compliant chassis come before those of the machine.
         self._whole_position: Array = batch.bind("qpos")
         self._whole_velocity: Array = batch.bind("qvel")
         self._whole_torque: Array = batch.bind("qfrc_applied")
@@ -162,7 +161,7 @@ class VirtualMachine:
             raise PlantError(f"the physics of copies {bad[:5].tolist()} diverged; reset them")
 
     def read(self) -> SensorSample:
-        """Newest values that have arrived by now."""
+        """Newest values that have arrived."""
         now_ns, count = self._now_ns, self.count
         imu_ns, gyro, accel = self._imu.newest(now_ns)
         impact_ns, impact_m, impact_sd_m = self._survey.read(now_ns)
@@ -214,7 +213,7 @@ class VirtualMachine:
             self._take_load(empty, self._draw_conditions(self._seed))
 
     def reset(self, joint_position_rad_m: Array, seed: int) -> None:
-        """Start over at rest at poses (N, 6), with loads; `seed` fixes all noise that follows."""
+        """Restart at rest in poses (N, 6), loaded; `seed` determines all later noise."""
         pose = np.asarray(joint_position_rad_m, dtype=np.float64)
         if pose.shape != self._position.shape or not np.isfinite(pose).all():
             raise PlantError(
@@ -248,7 +247,7 @@ class VirtualMachine:
             self._show(self._faults.sensing)
         self._sample_joints()
         self._imu.reset()
-        # The radio has been on all the time: the first read already finds a sample.
+        # The radio link is up before the reset: the first read finds a sample.
         true = self._true_sensors
         self._imu.sample(self._now_ns, true[:, GYRO], true[:, ACCEL], rng, arrived=True)
 
@@ -273,15 +272,15 @@ class VirtualMachine:
         self.target_height_m[:] = height_m
 
     def set_solids(self, solids: Solids) -> None:
-        """What loads land on or hit instead of a plane at `target_height_m`, from now on."""
+        """Set the objects that loads land on instead of a plane at `target_height_m`."""
         self._load.solids = solids
 
     def true_impact_m(self) -> Array:
-        """Points (N, 3) of the surface that the loads touched, NaN before; without survey error."""
+        """True impact points (N, 3), NaN before the impact."""
         return self._load.impact_m.copy()
 
     def truth(self) -> PlantTruth:
-        """What really is and was."""
+        """True state."""
         load = self._load
         load.locate(self._grip_motion(), self._physics_ns)
         return PlantTruth(
@@ -303,7 +302,7 @@ class VirtualMachine:
         return drawn if load is None else load.conditions(drawn, seed)
 
     def _show(self, sensing: FaultySensing) -> None:
-        """Let faulty sensors see the present."""
+        """Pass the present state to faulty sensors."""
         true, active = self._true_sensors, slice(0, ACTIVE_COUNT)
         filtered = self._joint_sensors.filtered_rad_m_per_s
         sensing.follow(self._position[:, active], filtered, true[:, GYRO], true[:, ACCEL])
@@ -315,7 +314,7 @@ class VirtualMachine:
             self._tracker.clear(which)
 
     def _grip_motion(self) -> GripMotion:
-        """As of the start of the last physics step: MuJoCo's derived fields are one step behind."""
+        """State at the start of the last physics step, which MuJoCo's derived fields refer to."""
         true = self._true_sensors
         rotation = self._site_rotation[:, self._grip_site].reshape(self.count, 3, 3)
         return GripMotion(
@@ -365,7 +364,7 @@ class VirtualMachine:
             self._fly()
 
     def _press(self, body: FaultyBody) -> None:
-        """Add the body's further torques."""
+        """Add torques of faults of the body."""
         swing = slice(ACTIVE_COUNT, JOINT_COUNT)
         position, velocity = self._position[:, swing], self._velocity[:, swing]
         self._torque[:, swing] += body.swing_torque(position, velocity, SWING_STICK_RAD_PER_S)
