@@ -11,7 +11,7 @@ from challenge.score import ScoredSet, match, read_sealed
 from challenge.score import mistakes as missed
 from challenge.score_table import as_json, measures, table
 from challenge.sealed_truth import Tier
-from evaluation.campaigns import progress_line
+from evaluation.progress import progress_line
 from machine.errors import UsageError
 
 

@@ -1,4 +1,4 @@
-"""`downrange diagnose`: where the gap lies, what causes it, how far it shrinks; for throws or one stage."""
+"""`downrange diagnose`: locate the gap between twin and machine and name its cause; throws or one stage."""
 
 import sys
 from collections.abc import Callable
@@ -33,11 +33,11 @@ def throws(
     html: Path | None = None,
     apply: Path | None = None,
 ) -> int:
-    """Compare a machine's throws with its twin: where they part, which effect is missing, how far it shrinks.
+    """Compare a machine's throws with its twin: stage of the gap, missing effect, share that it removes.
 
     Example: downrange diagnose throws logs/m001 --profile m001.profile.json --json gap.json --html gap.html
 
-    With throws of the same machine from when it was healthy, smaller effects show than beside its type:
+    With reference throws of the same machine while it was healthy, smaller effects are found:
     downrange diagnose throws logs/today --reference logs/commissioning
 
     Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
@@ -59,11 +59,11 @@ def throws(
     previewed = next((t.twin_profile for t in loaded.throws if t.twin_profile is not None), None)
     twin = load_profile(profile) if profile is not None else previewed
     twin = nominal_profile(load_spec()) if twin is None else twin
-    tell = _teller()
+    show = _progress_printer()
     found = diagnose_throws(
         loaded,
         twin,
-        lambda share, text: tell(f"{share:4.0%} {text}"),
+        lambda share, text: show(f"{share:4.0%} {text}"),
         reference=load_throws(reference) if reference else None,
     )
     if apply is not None and (effects := found_effects(found)):
@@ -106,12 +106,12 @@ def actuation(
         command: column of commands, any scale, or several with commas.
         position: column of positions; deg, mm and angles that wrap are converted.
         velocity: column of velocities, if there is no position.
-        group: column that tells runs apart; a restart of time does it as well.
+        group: column that separates runs; a restart of time does so too.
         kind: whether a constant command means a constant speed or a position; auto tries both.
         json: file for the whole result.
         html: file for the report.
     """
-    found = diagnose_actuation_csv(file, time, command, position, velocity, group, kind, _teller())
+    found = diagnose_actuation_csv(file, time, command, position, velocity, group, kind, _progress_printer())
     return _finish(found, json, html, f"Actuation, {file.name}")
 
 
@@ -131,9 +131,9 @@ def swing(
 ) -> int:
     """Find which friction a freely swinging joint has, from a CSV file of its angle.
 
-    Tells viscous friction, Coulomb friction and air drag apart; with --length-m also a wrong length or a
-    stiff hose. A gyro, a tracked bob (x and y) and a mass on a spring do as well. Record from the release
-    until the swing has died down.
+    Separates viscous friction, Coulomb friction and air drag; with --length-m also a wrong length or a
+    stiff hose. A gyro, a tracked bob (x and y) or a mass on a spring may be recorded instead. Record from the
+    release until the swing has died down.
 
     Example: downrange diagnose swing pendulum.csv --time t --angle theta_deg
 
@@ -143,7 +143,7 @@ def swing(
         file: table with a header line.
         time: column of times.
         angle: column of angles.
-        group: column that tells several swings apart; a pause or a restart of time does it as well.
+        group: column that separates several swings; a pause or a restart of time does so too.
         length_m: length of the ideal pendulum; without it the frequency is taken from the data.
         angle_unit: unit of the angle; auto takes the column's name, or degrees beyond 2 pi.
         fps: frames a second, when the times are frame numbers of a film.
@@ -153,7 +153,7 @@ def swing(
     """
     _check_positive(fps=fps, counts_per_turn=counts_per_turn)
     found = diagnose_swing_csv(
-        file, time, angle, group, length_m, angle_unit, fps, counts_per_turn, _teller()
+        file, time, angle, group, length_m, angle_unit, fps, counts_per_turn, _progress_printer()
     )
     return _finish(found, json, html, f"Swing, {file.name}")
 
@@ -176,8 +176,8 @@ def flight(
 ) -> int:
     """Find what acts on a flying ball besides gravity, from a CSV file of its tracked positions.
 
-    Tells air drag (and whether it falls at high speed), wind, spin and a late release apart, or says that
-    gravity is enough. A height alone is enough for drops.
+    Separates air drag (and its fall at high speed), wind, spin and a late release, or states that gravity
+    suffices. A height suffices for drops.
 
     Example: downrange diagnose flight drops.csv --time time_s --z height_m --group ball
 
@@ -189,8 +189,8 @@ def flight(
         x: column along the throw.
         y: column to its left; needs x.
         z: column of heights, up; for a film in x and y give --x x --z y.
-        group: column that tells balls apart, and more after commas for flights of a ball; a restart of time
-            begins another flight as well.
+        group: column that separates balls, and more after commas for flights of a ball; a restart of time
+            begins another flight, too.
         mass_kg: of the ball; with the diameter, drag is given as a coefficient.
         diameter_m: of the ball.
         length_unit: of the positions; auto takes the columns' names. px takes the scale from gravity.
@@ -211,7 +211,7 @@ def flight(
         if mass_kg is None or diameter_m is None
         else BallProperties(mass_kg, diameter_m)
     )
-    found = diagnose_flight_csv(file, time, axes, group, ball, length_unit, fps, _teller())
+    found = diagnose_flight_csv(file, time, axes, group, ball, length_unit, fps, _progress_printer())
     return _finish(found, json, html, f"Flight, {file.name}")
 
 
@@ -249,14 +249,14 @@ def _finish(found: Diagnosis, json: Path | None, html: Path | None, title: str) 
     return int(EXIT_CODES[found.verdict])
 
 
-def _teller() -> Callable[[str], None]:
-    """Show progress on stderr of a terminal."""
+def _progress_printer() -> Callable[[str], None]:
+    """Printer of progress on stderr; silent without a terminal."""
 
-    def tell(text: str) -> None:
+    def show(text: str) -> None:
         if sys.stderr.isatty():
             print(f"\r\x1b[K{text[:100]}", end="", file=sys.stderr, flush=True)
 
-    return tell
+    return show
 
 
 ACTIONS = {"throws": throws, "actuation": actuation, "swing": swing, "flight": flight}

@@ -89,33 +89,31 @@ def run(
         plant, targets, throws, secrets.randbelow(100_000) if is_drawn else seed or 0, unit_seed,
         policies, policy, calibration, profile, pace, heights,
     )  # fmt: skip
-    if report is not None:
-        if json is not None or plot is not None or card:
-            raise UsageError(
-                "--report writes its own JSON and plots: leave --json, --plot, --card out"
-            )
-        modes = ["2d", "3d"] if mode == "both" else [mode]
-        more = ReportOptions(units, first_unit, trainings, jobs, is_drawn)
-        for line in write_report(report, modes, options, more):
-            print(line)
-        return 0
-    if units or trainings:
-        raise UsageError("--units and --trainings go with --report")
-    _check_outputs(mode, heights, json, plot)
-    _evaluate(options, mode, jobs, Outputs(json, plot, card))
+    outputs = Outputs(json, plot, card)
+    if report is None:
+        if units or trainings:
+            raise UsageError("--units and --trainings go with --report")
+        return _evaluate(options, mode, jobs, outputs)
+    if outputs != Outputs():
+        raise UsageError("--report writes its own JSON and plots: leave --json, --plot, --card out")
+    modes = ["2d", "3d"] if mode == "both" else [mode]
+    more = ReportOptions(units, first_unit, trainings, jobs, is_drawn)
+    for line in write_report(report, modes, options, more):
+        print(line)
     return 0
 
 
 class Outputs(NamedTuple):
     """Where the result of a campaign goes besides the terminal."""
 
-    json: Path | None
-    plot: Path | None
-    card: bool
+    json: Path | None = None
+    plot: Path | None = None
+    card: bool = False
 
 
-def _evaluate(options: CampaignOptions, mode: str, jobs: int, outputs: Outputs) -> None:
+def _evaluate(options: CampaignOptions, mode: str, jobs: int, outputs: Outputs) -> int:
     """Throw one campaign, print its accuracy and write the outputs."""
+    _check_outputs(mode, options.heights, outputs)
     opened = open_registered(options, mode, DEFAULT_TARGETS)
     print(f"machine: {opened.registration_note}", flush=True)
     found = throw_accuracy(options, mode, opened, jobs)
@@ -130,9 +128,10 @@ def _evaluate(options: CampaignOptions, mode: str, jobs: int, outputs: Outputs) 
         write_card(found, options.unit_seed)
     if outputs.plot is not None:
         plot_campaign(found, outputs.plot, options.unit_seed)
+    return 0
 
 
-def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None) -> None:
+def _check_outputs(mode: str, heights: str, outputs: Outputs) -> None:
     """Refuse files that cannot be written, before anything is thrown.
 
     Raises:
@@ -140,9 +139,10 @@ def _check_outputs(mode: str, heights: str, json: Path | None, plot: Path | None
     """
     if mode == "both":
         raise UsageError("--mode both goes with --report; choose 2d or 3d")
-    if plot is not None:
-        check_plot_path(plot)
+    if outputs.plot is not None:
+        check_plot_path(outputs.plot)
         if (count := len(heights.split(","))) > 1:
             raise UsageError(f"--plot draws one height, --heights names {count}")
+    json = outputs.json
     if json is not None and not json.parent.is_dir():
         raise UsageError(f"cannot write {json}: the folder {json.parent} does not exist")

@@ -1,4 +1,4 @@
-"""`downrange identify`: what a machine's logs say about its response, release delay and swing."""
+"""`downrange identify`: response, release delay and swing of a machine from its logs."""
 
 import json as json_text
 from collections.abc import Mapping, Sequence
@@ -49,14 +49,14 @@ def response(
 ) -> int:
     """Find dead time, lag, gain and limits of each driven joint, by direction, from throws or valve steps.
 
-    Each number has a 90 % interval from a bootstrap over throws; what the motion does not reach is said to be
-    unknown, with the reason. Throws also give the ranges of the closed loop for training.
+    Each number has a 90 % interval from a bootstrap over throws. A number that the motion does not excite is
+    reported as unknown, with the reason. Throws also give the ranges of the closed loop for training.
 
     Example: downrange record --test response --out logs; downrange identify response logs --apply m001.json
 
     Args:
         logs: throw logs (MCAP) of one machine, or folders of them.
-        profile: twin profile that the result goes on from; the one in the logs if left out, or nominal.
+        profile: twin profile to be extended; the one in the logs if left out, or nominal.
         json: file for the whole result.
         plot: file for measured against modelled speeds (.png, .svg or .pdf).
         apply: file for the next version of the twin profile.
@@ -94,14 +94,14 @@ def release_delay(
 ) -> int:
     """Find how long the gripper takes to open, and how much that scatters, from openings at rest or throws.
 
-    A tracked load tells when it was let go, and so how late the gripper's switch reports. Without a tracker
-    the switch's latch (15 to 40 ms) is taken off and stays in the interval.
+    With a tracked load the time of release is measured, and so is the delay of the gripper's switch. Without
+    a tracker the switch's nominal delay (15 to 40 ms) is subtracted, and its range widens the interval.
 
     Example: downrange record --test release --out logs; downrange identify release-delay logs
 
     Args:
         logs: throw logs (MCAP) of one machine, or folders of them.
-        profile: twin profile that the result goes on from; the one in the logs if left out, or nominal.
+        profile: twin profile to be extended; the one in the logs if left out, or nominal.
         json: file for the whole result.
         plot: file for the histogram (.png, .svg or .pdf).
         apply: file for the next version of the twin profile.
@@ -130,14 +130,14 @@ def swing(
 ) -> int:
     """Find viscous and dry friction and the effective length of the two free joints from free swings.
 
-    Swings of at least 4 s with all valves closed count, wherever they are in the logs. What the arm gives way
-    to on closed valves is taken from its joint sensors.
+    Every swing of at least 4 s with all valves closed is used, wherever it is in the logs. The arm's motion
+    against its closed valves is taken from the joint sensors.
 
     Example: downrange record --test swing --out logs; downrange identify swing logs --plot swing.svg
 
     Args:
         logs: throw logs (MCAP) of one machine, or folders of them.
-        profile: twin profile that the result goes on from; the one in the logs if left out, or nominal.
+        profile: twin profile to be extended; the one in the logs if left out, or nominal.
         json: file for the whole result.
         plot: file for the measured against the predicted swing (.png, .svg or .pdf).
         apply: file for the next version of the twin profile.
@@ -160,7 +160,7 @@ def swing(
 def _open(
     logs: Sequence[Path], profile: Path | None, plot: Path | None
 ) -> tuple[LoadedSet, TwinProfile]:
-    """The logs and the profile to go on from.
+    """The logs and the profile to extend.
 
     Raises:
         UsageError: no logs, none usable, or a plot that cannot be written.
@@ -184,7 +184,7 @@ def _open(
 
 
 def _warn_of_another_machine(path: Path, profile_id: str, logs_id: str) -> None:
-    """Said, not refused: a calibration names machines otherwise than a recording does."""
+    """A warning only: a calibration and a recording may name the same machine differently."""
     if profile_id != logs_id:
         print(
             f"warning: {path} is the profile of machine '{profile_id}', the logs are of '{logs_id}'; "
@@ -206,7 +206,7 @@ def _print_table(groups: Mapping[str, Mapping[str, Quantity]]) -> None:
     for group, quantities in groups.items():
         for name, known in quantities.items():
             label = f"  {group} {name}".replace("  ", " ")
-            # Ratios have the unit 1, which nobody writes.
+            # The unit 1 of ratios is not printed.
             unit = "" if known.unit == "1" else known.unit
             if known.value is None:
                 reached = (

@@ -1,4 +1,4 @@
-"""Entry point `downrange`: finds the verb, imports its module and nothing else, turns errors into words."""
+"""Entry point `downrange`: find the verb, import its module only, print errors as one line."""
 
 import importlib
 import sys
@@ -26,16 +26,20 @@ VERBS: dict[str, Verb] = {
     "machine": Verb("cli.machine", "run on a machine's computer, or stand in for one"),
     "throw": Verb("cli.throw", "throw once through a running server", "server"),
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
-    "evaluate": Verb("cli.evaluate", "measure accuracy over many throws, the paper's way", "twin"),
-    "units": Verb("cli.units", "measure accuracy on machines that no training has seen", "twin"),
+    "evaluate": Verb(
+        "cli.evaluate", "measure accuracy over many throws, by the paper's protocol", "twin"
+    ),
+    "units": Verb("cli.units", "measure accuracy on machines outside training", "twin"),
     "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
     "diagnose": Verb(
         "cli.diagnose",
-        "say where the sim-to-real gap lies, what causes it, how far it shrinks",
+        "locate the sim-to-real gap and name its cause",
         "twin",
     ),
     "challenge": Verb("cli.challenge", "make, run and score a blind check of diagnose", "twin"),
-    "calibrate": Verb("cli.calibrate", "measure a machine's valves and its response", "twin"),
+    "calibrate": Verb(
+        "cli.calibrate", "commission a machine: valves, response, registration", "twin"
+    ),
     "identify": Verb(
         "cli.identify", "find response, release delay and swing of a machine from its logs", "twin"
     ),
@@ -94,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"downrange {argv[0]}: {error}", file=sys.stderr)
         return 1
     except SystemExit as end:
-        # Of options that are wrong; 2 is what `diagnose` says of an ambiguity.
+        # Wrong options end with 2, which is the exit code of an ambiguous diagnosis.
         raise SystemExit(1 if end.code == 2 else end.code) from None
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)

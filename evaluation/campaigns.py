@@ -1,13 +1,13 @@
 """Campaigns of many simulated throws: check the options, set up the machine, throw."""
 
 import math
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from evaluation.progress import progress_line
 from machine.calibration import ValveCalibration, load_calibration
 from machine.conventions import DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import UsageError
@@ -208,25 +208,6 @@ def _checked_ranges(ranges_m: tuple[float, ...], text: str) -> tuple[float, ...]
     if any(range_m <= 0.0 or range_m > 60.0 for range_m in ranges_m):
         raise UsageError(f"--targets '{text}': ranges lie between 0 and 60 m")
     return ranges_m
-
-
-def progress_line(what: str, of: str = "throws") -> Callable[[int, int], None]:
-    """Show progress on stderr: in place on a terminal, else one line per tenth."""
-    live = sys.stderr.isatty()
-    shown = -1
-
-    def show(done: int, total: int) -> None:
-        nonlocal shown
-        step = done * 10 // max(total, 1)
-        if live:
-            end = "\n" if done == total else ""
-            sys.stderr.write(f"\r{what}: {done} of {total} {of}{end}")
-        elif step != shown:
-            sys.stderr.write(f"{what}: {done} of {total} {of}\n")
-        sys.stderr.flush()
-        shown = step
-
-    return show
 
 
 def campaign_starts(campaign: Campaign, throws: int, seed: int) -> tuple[Array, Array]:

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from evaluation.campaigns import Campaign, progress_line, throw_campaign
+from evaluation.campaigns import Campaign, throw_campaign
+from evaluation.progress import progress_line
 from sim_twin.throws.accuracy import landing_errors
 from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 

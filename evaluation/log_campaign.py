@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evaluation.campaigns import Campaign, progress_line
+from evaluation.campaigns import Campaign
+from evaluation.progress import progress_line
 from machine.errors import UsageError
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams

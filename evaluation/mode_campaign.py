@@ -11,12 +11,12 @@ from evaluation.campaigns import (
     CampaignOptions,
     campaign_starts,
     open_with,
-    progress_line,
     throw_campaign,
 )
 from evaluation.conditions import ConditionRow, condition_rows, height_rows, pace_rows
 from evaluation.measures import ModeEvaluation, TrainingRow, mode_evaluation, target_row
 from evaluation.paper import TARGETS
+from evaluation.progress import progress_line
 from evaluation.requirements import examined_range_m
 from evaluation.sensitivity import EffectPlantMaker, FactorShift, measure_sensitivity
 from evaluation.spread import measure_spread_parts

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from evaluation.campaigns import progress_line
+from evaluation.progress import progress_line
 
 Result = TypeVar("Result")
 

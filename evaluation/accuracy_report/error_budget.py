@@ -100,4 +100,4 @@ def ablation_conclusion(found: PropertyAblation) -> str:
         return f"{single} The shares add up to more than all: several properties must coincide."
     if ends[1] < 1.0:
         return f"{single} The shares add up to less than all: one of several properties suffices."
-    return f"{single} Whether several must coincide cannot be told from these throws."
+    return f"{single} Whether several must coincide does not show in these throws."

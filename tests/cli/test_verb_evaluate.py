@@ -50,26 +50,26 @@ def test_a_list_of_targets_keeps_its_order() -> None:
     assert parse_targets("9") == (9.0,)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "no number"),
-        ("nine", "no number"),
-        ("7:8", "2 parts"),
-        ("7:8:0.5:1", "4 parts"),
-        ("8:7:0.5", "from 8 m to 7 m"),
-        ("7:8:0", "steps of 0 m"),
-        ("7:8:-1", "steps of -1 m"),
-        ("7:nan:1", "not finite"),
-        ("inf", "not finite"),
-        ("-3", "between 0 and 60"),
-        ("7:8:0.0001", "10001 targets"),
-    ],
+BAD_TARGETS = (
+    ("", "no number"),
+    ("nine", "no number"),
+    ("7:8", "2 parts"),
+    ("7:8:0.5:1", "4 parts"),
+    ("8:7:0.5", "from 8 m to 7 m"),
+    ("7:8:0", "steps of 0 m"),
+    ("7:8:-1", "steps of -1 m"),
+    ("7:nan:1", "not finite"),
+    ("inf", "not finite"),
+    ("-3", "between 0 and 60"),
+    ("7:8:0.0001", "10001 targets"),
 )
-def test_bad_targets_say_what_is_wrong_and_what_is_right(text: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words) as error:
-        parse_targets(text)
-    assert "--targets" in str(error.value)
+
+
+def test_bad_targets_say_what_is_wrong_and_what_is_right() -> None:
+    for text, words in BAD_TARGETS:
+        with pytest.raises(UsageError, match=words) as error:
+            parse_targets(text)
+        assert "--targets" in str(error.value), text
 
 
 def evaluate(policies: Path, *more: str) -> int:
@@ -113,34 +113,34 @@ def test_the_report_has_the_promised_keys_and_repeats(
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--targets", "7:x"], "no number"),
-        (["--targets", "20"], "Refused: target 20.00 m"),
-        (["--heights", "high"], "--heights 'high'"),
-        (["--heights", "0,11"], "each -5 to 10"),
-        (["--heights", "2"], "Refused: target height"),
-        (["--pace", "1.2"], "pace 1.2: it lies between"),
-        (["--heights", "0,0.5", "--plot", "x.png"], "--plot draws one height"),
-        (["--targets", "6", "--plant", "gazebo"], "no plant 'gazebo'"),
-        (["--targets", "6", "--seed", "-1"], "seeds are 0 or more"),
-        (["--targets", "6", "--unit-seed", "2"], "no unit 2"),
-        (["--targets", "6", "--plot", "/nowhere/plot.png"], "folder /nowhere does not exist"),
-        (["--targets", "6", "--json", "/nowhere/a.json"], "folder /nowhere does not exist"),
-        (["--targets", "6", "--plot", "plot.bmp"], ".png"),
-        (["--targets", "6", "--calibration", "/nowhere.json"], "downrange calibrate"),
-        (["--targets", "6", "--profile", "/nowhere.json"], "twin profile"),
-    ],
+BAD_OPTIONS = (
+    (["--targets", "7:x"], "no number"),
+    (["--targets", "20"], "Refused: target 20.00 m"),
+    (["--heights", "high"], "--heights 'high'"),
+    (["--heights", "0,11"], "each -5 to 10"),
+    (["--heights", "2"], "Refused: target height"),
+    (["--pace", "1.2"], "pace 1.2: it lies between"),
+    (["--heights", "0,0.5", "--plot", "x.png"], "--plot draws one height"),
+    (["--targets", "6", "--plant", "gazebo"], "no plant 'gazebo'"),
+    (["--targets", "6", "--seed", "-1"], "seeds are 0 or more"),
+    (["--targets", "6", "--unit-seed", "2"], "no unit 2"),
+    (["--targets", "6", "--plot", "/nowhere/plot.png"], "folder /nowhere does not exist"),
+    (["--targets", "6", "--json", "/nowhere/a.json"], "folder /nowhere does not exist"),
+    (["--targets", "6", "--plot", "plot.bmp"], ".png"),
+    (["--targets", "6", "--calibration", "/nowhere.json"], "downrange calibrate"),
+    (["--targets", "6", "--profile", "/nowhere.json"], "twin profile"),
 )
+
+
 def test_what_cannot_work_is_one_clear_line(
-    swing_policies: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    swing_policies: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert evaluate(swing_policies, *options) == 1
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.startswith("downrange evaluate: ")
-    assert "Traceback" not in error
+    for options, words in BAD_OPTIONS:
+        assert evaluate(swing_policies, *options) == 1, options
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.startswith("downrange evaluate: ")
+        assert "Traceback" not in error
 
 
 def test_no_throws_and_missing_policies(

@@ -29,8 +29,8 @@ def test_openings_give_the_machines_delay(
     out, plot, profile = (tmp_path / name for name in ("r.json", "r.svg", "next.json"))
     words = ["identify", "release-delay", str(openings), "--json", str(out)]
     assert main([*words, "--plot", str(plot), "--apply", str(profile)]) == 0
-    told = capsys.readouterr().out
-    assert "paper: 258 ms, sd 15 ms, 39 releases" in told
+    printed = capsys.readouterr().out
+    assert "paper: 258 ms, sd 15 ms, 39 releases" in printed
     whole = json.loads(out.read_text(encoding="utf-8"))
     nominal = nominal_profile(load_spec())
     mean = whole["result"]["mean"]
@@ -49,9 +49,9 @@ def test_logs_without_a_swing_write_no_profile(
 ):
     profile = tmp_path / "next.json"
     assert main(["identify", "swing", str(openings), "--apply", str(profile)]) == 0
-    told = capsys.readouterr().out
-    assert told.count("cannot be known from these logs") == 6
-    assert "nothing was identified" in told
+    printed = capsys.readouterr().out
+    assert printed.count("cannot be known from these logs") == 6
+    assert "nothing was identified" in printed
     assert not profile.exists()
 
 

@@ -109,7 +109,7 @@ def test_every_response_file_is_looked_at_however_often_the_option_is_given(
         ["--response", "no.json", "--response", one],
     ):
         assert train(tmp_path / "run", *words) == 1
-        told = capsys.readouterr()
-        assert "response no.json cannot be read" in told.err
-        assert told.out == ""
+        printed = capsys.readouterr()
+        assert "response no.json cannot be read" in printed.err
+        assert printed.out == ""
     assert not (tmp_path / "run").exists()

@@ -97,9 +97,10 @@ def test_the_report_is_one_page_with_data_and_logs_of_what_failed(
         )  # fmt: skip
 
     good = tmp_path / "good"
-    assert report(swing_policies, good, "--targets", "6,9") == 0
+    assert report(swing_policies, good, "--targets", "6,9", "--seed", "5", "--jobs", "2") == 0
     html = (good / "report.html").read_text(encoding="utf-8")
     assert html.count("<svg") >= 3
+    assert "Seed 5 was given" in html
     assert "prefers-color-scheme: dark" in html
     assert "default-src 'none'" in html
     for outside in ("<script", "http://", "https://", "@import"):
@@ -110,7 +111,7 @@ def test_the_report_is_one_page_with_data_and_logs_of_what_failed(
     assert data["start_to_release_s"]["value"] > 0.5
     bad = tmp_path / "bad"
     waits = ("--policy", str(swing_policies / "waits-2d"))
-    assert report(swing_policies, bad, "--targets", "6", *waits) == 0
+    assert report(swing_policies, bad, "--targets", "6", "--jobs", "1", *waits) == 0
     failed = json.loads((bad / "report.json").read_text(encoding="utf-8"))["modes"][0]["failures"]
     assert [f["outcome"] for f in failed] == ["no_release"] * 3
     for failure in failed:
@@ -124,6 +125,8 @@ def test_the_report_is_one_page_with_data_and_logs_of_what_failed(
 
 def test_options_that_do_not_go_with_a_report_are_refused(tmp_path: Path, capsys):
     out = str(tmp_path)
+    assert main(["evaluate", "--mode", "2d", "--jobs", "0"]) == 1
+    assert "--jobs 0: at least 1" in capsys.readouterr().err
     assert main(["evaluate", "--mode", "both"]) == 1
     assert "--mode both goes with --report" in capsys.readouterr().err
     assert main(["evaluate", "--mode", "2d", "--report", out, "--plot", "x.png"]) == 1

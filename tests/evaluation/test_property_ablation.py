@@ -64,7 +64,7 @@ def test_a_property_that_acts_by_itself_has_its_share():
     assert [row.name for row in wide.properties][-1] == "nothing"
     assert wide.single_sum_ratio == pytest.approx(0.875, abs=0.15)
     text = page(part(wide))
-    assert "Whether several must coincide cannot be told" in text
+    assert "Whether several must coincide does not show" in text
     assert f"b ({100 * shares['b']:.0f} %)" in text and "nothing (" not in text
     assert f"{wide.drawn_sd_m:.3f} m</b> with every property nominal" in text
 
