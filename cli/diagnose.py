@@ -111,7 +111,9 @@ def actuation(
         json: file for the whole result.
         html: file for the report.
     """
-    found = diagnose_actuation_csv(file, time, command, position, velocity, group, kind, _progress_printer())
+    found = diagnose_actuation_csv(
+        file, time, command, position, velocity, group, kind, _progress_printer()
+    )
     return _finish(found, json, html, f"Actuation, {file.name}")
 
 
@@ -211,7 +213,9 @@ def flight(
         if mass_kg is None or diameter_m is None
         else BallProperties(mass_kg, diameter_m)
     )
-    found = diagnose_flight_csv(file, time, axes, group, ball, length_unit, fps, _progress_printer())
+    found = diagnose_flight_csv(
+        file, time, axes, group, ball, length_unit, fps, _progress_printer()
+    )
     return _finish(found, json, html, f"Flight, {file.name}")
 
 

@@ -21,10 +21,12 @@ class Verb(NamedTuple):
 
 
 VERBS: dict[str, Verb] = {
-    "demo": Verb("cli.demo", "run server, virtual machine and console on one port", "server"),
-    "server": Verb("cli.server", "run the web service", "server"),
+    "demo": Verb(
+        "cli.service.demo", "run server, virtual machine and console on one port", "server"
+    ),
+    "server": Verb("cli.service.server", "run the web service", "server"),
     "machine": Verb("cli.machine", "run on a machine's computer, or stand in for one"),
-    "throw": Verb("cli.throw", "throw once through a running server", "server"),
+    "throw": Verb("cli.service.throw", "throw once through a running server", "server"),
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb(
         "cli.evaluate", "measure accuracy over many throws, by the paper's protocol", "twin"
@@ -44,9 +46,9 @@ VERBS: dict[str, Verb] = {
         "cli.identify", "find response, release delay and swing of a machine from its logs", "twin"
     ),
     "train": Verb("cli.train", "train a policy", "train"),
-    "user": Verb("cli.user", "say who may sign in to the console, and as what", "server"),
-    "db": Verb("cli.db", "upgrade, downgrade or check the database", "server"),
-    "openapi": Verb("cli.openapi", "write the description of the HTTP interface", "server"),
+    "user": Verb("cli.service.user", "say who may sign in to the console, and as what", "server"),
+    "db": Verb("cli.service.db", "upgrade, downgrade or check the database", "server"),
+    "openapi": Verb("cli.service.openapi", "write the description of the HTTP interface", "server"),
     "spec": Verb("cli.spec", "write machine/spec.json from the MJCF", "twin"),
 }
 

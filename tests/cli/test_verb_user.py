@@ -91,5 +91,5 @@ def test_changes_count_in_a_server_that_runs(
             assert status(eve) == 200
             assert user(data, "disable", "eve") == 0
             wait_for(lambda: status(eve) == 401)
-        verdict = running.services.audit.verify()
+        verdict = running.parts.audit.verify()
         assert verdict.is_intact, verdict.problem

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from cli.throw import parse_target, run
-from cli.throw_client import ServerError, ThrowClient, login_from_file
+from cli.service.throw import parse_target, run
+from cli.service.throw_client import ServerError, ThrowClient, login_from_file
 from machine.errors import UsageError
 from tests.server.cases import each_case
 from tests.server.server_bench import wait_for
@@ -46,7 +46,7 @@ def test_words_for_people(running, machine, login, capsys):
 
 def test_an_aborted_throw_has_its_own_exit_code(running, machine, login, monkeypatch):
     machine.swing_s = 60.0
-    monkeypatch.setattr("cli.throw_client.Holding._run", lambda self: None)
+    monkeypatch.setattr("cli.service.throw_client.Holding._run", lambda self: None)
     assert throw(running, login, target="6.03") == 3
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.throw_client import ThrowClient, ThrowReport, login_from_file
+from cli.service.throw_client import ThrowClient, ThrowReport, login_from_file
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.reach import check_pace
