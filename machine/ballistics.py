@@ -1,10 +1,10 @@
-"""Flight of a released load: quadratic drag, wind, to a horizontal plane at the target's height; batched.
+"""Flight of released loads with quadratic drag, wind and spin, to a horizontal plane; batched.
 
 Equation of motion (frame `machine`, z up): a = -g e_z - k |u| u + |u| (l x u), u = v - w, with
 k = rho Cd pi r^2 / (2 m) and, for a spinning load, l = rho C_L pi r^2 / (2 m) along its spin, with
 C_L = S / (0.4 + 2.32 S), S = r w / |u| (A. M. Nathan, Am. J. Phys. 76, 119, 2008: fit to baseballs).
 Classical fourth-order Runge-Kutta with steps of 10 ms; the crossing of the plane is interpolated with the
-cubic through both ends of the last step (error below 1 mm, tested).
+cubic through both ends of the last step (error below 1 mm).
 """
 
 from typing import NamedTuple
@@ -21,9 +21,9 @@ LIFT_SLOPE_RATIO = 2.32
 
 
 class Landing(NamedTuple):
-    """Where and when a load crosses the plane: position (..., 3) m, velocity (..., 3) m/s, time (...) s.
+    """Crossing of the plane: position (..., 3) m, velocity (..., 3) m/s, time (...) s.
 
-    A load that does not come down through the plane within 6 s has NaN everywhere.
+    All NaN for a load that does not fall through the plane within 6 s.
     """
 
     position_m: Array
@@ -32,7 +32,7 @@ class Landing(NamedTuple):
 
 
 class Spin(NamedTuple):
-    """Of loads in the air, constant over a flight."""
+    """Spin of loads in flight, constant over a flight."""
 
     surface_m_per_s: Array
     """(..., 3) r w along the axis."""
@@ -40,11 +40,11 @@ class Spin(NamedTuple):
     """(...) rho pi r^2 / (2 m)."""
 
     def of(self, rows: IntArray) -> "Spin":
-        """Of some of the loads."""
+        """Spin of the given loads."""
         return Spin(self.surface_m_per_s[rows], self.air_per_m[rows])
 
     def lift_per_m(self, speed_m_per_s: Array) -> Array:
-        """L (..., 3) of the equation above at speeds (..., 1) through the air."""
+        """Vector l (..., 3) of the equation of motion at air speeds (..., 1)."""
         surface = np.sqrt(np.add.reduce(self.surface_m_per_s**2, axis=-1, keepdims=True))
         slowness = LIFT_OFFSET_RATIO * speed_m_per_s + LIFT_SLOPE_RATIO * surface
         return self.air_per_m[..., None] * self.surface_m_per_s / np.maximum(slowness, 1e-9)
@@ -105,15 +105,15 @@ def landing(
     wind_m_per_s: Array | None = None,
     spin: Spin | None = None,
 ) -> Landing:
-    """Fly loads (..., 3) until they come down through the plane ``z = plane_height_m``.
+    """Simulate flights (..., 3) until the loads fall through the plane ``z = plane_height_m``.
 
     Args:
         position_m: release position, frame `machine`.
         velocity_m_per_s: release velocity.
-        plane_height_m: height of the target plane plus the load's radius where its bottom counts.
-        drag_per_m: k of the equation above; 0 for a vacuum.
+        plane_height_m: height of the plane for the load's centre.
+        drag_per_m: k of the equation of motion; 0 in vacuum.
         wind_m_per_s: wind, same frame; none if omitted.
-        spin: of all loads (N, 3), where there is one.
+        spin: spin of all loads (N, 3); none if omitted.
     """
     shape = np.broadcast_shapes(position_m.shape, velocity_m_per_s.shape)
     position = np.broadcast_to(position_m, shape).astype(np.float64).reshape(-1, 3)
@@ -126,7 +126,7 @@ def landing(
     end_position = np.full((count, 3), np.nan)
     end_velocity = np.full((count, 3), np.nan)
     end_time = np.full(count, np.nan)
-    # Only loads still in the air are stepped, so a batch costs what its flights cost.
+    # Only loads in flight are stepped.
     flying = np.flatnonzero(np.isfinite(position).all(-1) & np.isfinite(velocity).all(-1))
     for tick in range(int(MAX_FLIGHT_S / STEP_S)):
         if flying.size == 0:
@@ -151,7 +151,7 @@ def landing(
 
 
 def _crossing(z0: Array, z1: Array, v0: Array, v1: Array, plane: Array) -> Array:
-    """Fraction of a step at which the Hermite cubic through both ends meets the plane (Newton)."""
+    """Fraction of a step at which the Hermite cubic through both ends crosses the plane (Newton)."""
     drop = z0 - z1
     u = np.clip(np.where(drop > 0.0, (z0 - plane) / np.where(drop > 0.0, drop, 1.0), 0.0), 0.0, 1.0)
     for _ in range(3):

@@ -1,7 +1,7 @@
-"""What was measured on one machine: the valves' feed-forward tables, and where its throws come down.
+"""Calibration of one machine: valve tables for the feed-forward, and registrations of its throws.
 
-Speeds are actuator speeds: m/s of the cylinder for boom, dipper and telescope, rad/s for the slew, so that
-the changing moment arm of a cylinder does not enter the table.
+Speeds are actuator speeds: m/s of the cylinder for boom, dipper and telescope, rad/s for the slew. They do
+not depend on the varying lever arm of a cylinder.
 """
 
 from pathlib import Path
@@ -35,7 +35,7 @@ class ValveTable(BaseModel):
 
 
 class ValveCalibration(BaseModel):
-    """Tables of all four joints of one machine, and its registrations, one a policy at most."""
+    """Tables of the four driven joints of one machine, and its registrations, at most one per policy."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     schema_version: Literal[1] = 1
@@ -44,16 +44,16 @@ class ValveCalibration(BaseModel):
     registrations: tuple[Registration, ...] = ()
     """Empty: the policy aims at the target itself."""
     twin_registrations: tuple[Registration, ...] = ()
-    """Where the machine's twin came down in the same registration throws on the same day. The twin aims by
-    them: then a preview shows what the machine's registration leaves, and what changed since."""
+    """Registrations of the machine's twin from the same registration throws. The twin aims by them, so that a
+    preview shows the error that remains after registration, and later changes."""
 
     def aim(self, policy_sha256: str, target_m: Array, slew_rad: Array) -> Array:
-        """Points (N, 3) that this policy must aim at to hit `target_m` (N, 3); frame `machine`.
+        """Aim points (N, 3) with which this policy hits `target_m` (N, 3) on average; frame `machine`.
 
         Args:
             policy_sha256: of the policy that throws.
-            target_m: to be hit.
-            slew_rad: (N,) where the cabin stands when the throw begins.
+            target_m: targets.
+            slew_rad: (N,) slew angle at the start of the throw.
         """
         for registration in self.registrations:
             if registration.policy_sha256 == policy_sha256:
@@ -61,19 +61,20 @@ class ValveCalibration(BaseModel):
         return target_m
 
     def without_registrations(self) -> "ValveCalibration":
-        """The valve tables alone."""
+        """The calibration with its valve tables only."""
         return self.model_copy(update={"registrations": (), "twin_registrations": ()})
 
     def for_twin(self) -> "ValveCalibration":
-        """What the machine's twin throws with: its misses are not the machine's, nor are its aims."""
-        own = self.twin_registrations
-        return self.model_copy(update={"registrations": own, "twin_registrations": ()})
+        """Calibration of the machine's twin, with the twin's registrations."""
+        return self.model_copy(
+            update={"registrations": self.twin_registrations, "twin_registrations": ()}
+        )
 
 
 def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """Signed actuator speed a joint speed at active joint positions (..., 4); shape (..., 4).
+    """Signed actuator speed per joint speed at active joint positions (..., 4); shape (..., 4).
 
-    Slew and telescope are direct (1). The dipper's cylinder shortens as the joint opens, so its ratio
+    Slew and telescope have ratio 1. The dipper's cylinder shortens as the joint opens, so its ratio
     is negative; valve tables and flows use the magnitude with the joint's sign.
     """
     boom = cylinder_arm_m(spec.hydraulics.boom_cylinder, active_position_rad_m[..., 1])
@@ -84,7 +85,7 @@ def actuator_ratio(spec: MachineSpec, active_position_rad_m: Array) -> Array:
 
 
 def actuator_ratio_magnitude(spec: MachineSpec, active_position_rad_m: Array) -> Array:
-    """|actuator_ratio| (N, 4) of numpy arrays (N, 4), as the control step needs it in every tick."""
+    """|actuator_ratio| (N, 4) of numpy arrays (N, 4), fast enough for every control tick."""
     ratio = np.ones_like(active_position_rad_m)
     _, boom, dipper, _ = components(active_position_rad_m.T)
     ratio[:, 1] = cylinder_arm_m(spec.hydraulics.boom_cylinder, boom)
@@ -93,7 +94,7 @@ def actuator_ratio_magnitude(spec: MachineSpec, active_position_rad_m: Array) ->
 
 
 def nominal_calibration(spec: MachineSpec, machine_id: str = "nominal") -> ValveCalibration:
-    """A straight line to the speed limits with the residual dead band: a machine nobody has measured."""
+    """Calibration of an unmeasured machine: linear to the speed limits, with the residual dead band."""
     middle = np.array([[0.0, 0.5, 0.0, 0.5]])
     ratio = np.abs(actuator_ratio(spec, middle))[0]
     band = spec.hydraulics.valve_dead_band_ratio

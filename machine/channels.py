@@ -1,4 +1,4 @@
-"""One table of Zenoh keys and one of log channels, with their rates; every user reads the same rows."""
+"""Tables of Zenoh keys and log channels with their rates."""
 
 from typing import NamedTuple
 
@@ -10,9 +10,10 @@ class Key(NamedTuple):
 
     suffix: str
     kind: str
-    """``pub`` machine -> server, ``sub`` server -> machine, ``query`` server asks, ``ask`` machine asks."""
+    """``pub``: machine to server; ``sub``: server to machine; ``query``: from the server; ``ask``: from the
+    machine."""
     rate_hz: float
-    """0 for what happens on demand."""
+    """0: on demand."""
 
 
 KEYS: dict[str, Key] = {

@@ -1,7 +1,7 @@
-"""Units, frames, names and order of the joints: the one page every other module agrees with.
+"""Units, frames, names and order of the joints.
 
 Frames: ``machine`` has its origin on the slew axis at ground level, x forward at zero slew, y left, z up.
-``throw`` is ``machine`` turned about z so that x (downrange) points from the slew axis to the target and
+``throw`` is ``machine`` rotated about z so that x (downrange) points from the slew axis to the target and
 y (crossrange) to its left. Quaternions are wxyz. Transforms are named ``T_world_machine``.
 """
 
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Floating-point array; its axes and units stand in the docstring of whoever takes it."""
+"""Floating-point array; axes and units are in the docstring of its user."""
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 JOINT_NAMES: Final = ("slew", "boom", "dipper", "telescope", "pitch", "roll")
-"""Serial order along the chain. The first four are driven hydraulically, the last two swing freely."""
+"""Order along the chain. The first four are driven hydraulically, the last two swing freely."""
 ACTIVE_JOINTS: Final = JOINT_NAMES[:4]
 PASSIVE_JOINTS: Final = JOINT_NAMES[4:]
 ACTIVE_COUNT: Final = 4
@@ -26,14 +26,14 @@ JOINT_COUNT: Final = 6
 CONTROL_PERIOD_NS: Final = 10_000_000
 CONTROL_PERIOD_S: Final = 0.01
 POLICY_DECIMATION: Final = 8
-"""Control ticks a policy step: 100 Hz / 8 = 12.5 Hz (paper, section III-E)."""
+"""Control ticks per policy step: 100 Hz / 8 = 12.5 Hz (paper, section III-E)."""
 POLICY_PERIOD_S: Final = CONTROL_PERIOD_S * POLICY_DECIMATION
 
 RELEASE_THRESHOLD_RATIO: Final = 0.9
-"""The last action opens the gripper when it exceeds this (paper, section III-C)."""
+"""The last action opens the gripper above this value (paper, section III-C)."""
 
 DEFAULT_PACE_RATIO: Final = 0.0
-"""How a throw is paced where nobody says: 0, careful, the most accurate (1 is fast; docs/training.md)."""
+"""Default pace of a throw: 0 is careful and most accurate, 1 is fast."""
 
 GRAVITY_M_PER_S2: Final = 9.81
 
@@ -79,18 +79,18 @@ class Mode(StrEnum):
 
 
 class Motion(IntEnum):
-    """What the control step does with the valves."""
+    """Motion of the control step."""
 
     HOLD = 0
-    """Zero velocity references; the machine stands still."""
+    """Zero velocity references."""
     ALIGN = 1
-    """Turn the cabin until the arm plane holds the target (2D) and let the swing die down."""
+    """Turn the cabin until the arm plane contains the target (2D), then damp the swing."""
     THROW = 2
-    """The policy drives."""
+    """Follow the policy."""
     SETTLE = 3
     """After release or abort: bring arm and swing to rest, then go to the safe pose."""
     STOP = 4
-    """Valves closed at once, whatever moves; latched above this layer."""
+    """Close the valves at once; latched above this layer."""
 
 
 def wrap_angle_rad(angle_rad: Array) -> Array:

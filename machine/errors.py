@@ -1,4 +1,4 @@
-"""Errors that cross packages, one tree, each with a stable code, the numbers and the remedy.
+"""Errors that cross packages: one tree, each with a stable code; texts have numbers and remedy.
 
 DownrangeError
 ├── UsageError       wrong arguments or settings
@@ -12,7 +12,7 @@ from machine.messages import RejectReason
 
 
 class DownrangeError(Exception):
-    """Base of all errors we raise on purpose; ``code`` is stable, ``str`` is for people."""
+    """Base of all deliberate errors; ``code`` is stable, ``str`` is a text for users."""
 
     code = "error"
 

@@ -1,10 +1,10 @@
 """Forward kinematics of the chain, batched; shapes (..., 6) in joint order, frame `machine`.
 
-The arrays may be numpy's or JAX's: every function works in the namespace of what it is given, so that
-the trainer runs the very lines that run on the machine.
+Arrays are of numpy or JAX: functions use the namespace of their arguments, so that training and runtime
+share the code.
 
 Equations: docs/machine.md, section "Planar forward kinematics". The planar chain gives the tool pin in
-the arm plane; the slew turns that plane, which lies ``arm_plane_offset_m`` beside the slew axis.
+the arm plane; the slew rotates that plane, which is ``arm_plane_offset_m`` beside the slew axis.
 """
 
 from typing import Any, NamedTuple
@@ -16,14 +16,14 @@ from machine.spec import CylinderSpec, MachineSpec
 
 
 def namespace(array: Any) -> Any:
-    """The array library of an array: numpy, or jax.numpy under the trainer."""
+    """Array library of an array: numpy, or jax.numpy in training."""
     return array.__array_namespace__() if hasattr(array, "__array_namespace__") else np
 
 
 def components(array: Array) -> Any:
-    """The K components of (K, N) one by one: rows (N,), or plain numbers where N is 1.
+    """The K components of (K, N): rows (N,), or plain numbers if N is 1.
 
-    numpy takes ten times as long for an array of one number as for the number; the bits are the same.
+    Plain numbers are ten times as fast as arrays of one number, with bit-identical results.
     """
     return array if array.shape[1] != 1 else array[:, 0].tolist()
 
@@ -43,7 +43,7 @@ def swing_rad(joint_position_rad_m: Array) -> Array:
 
 
 def hanging_pitch_rad(active_position_rad_m: Array) -> Array:
-    """Pitch joint angle of a gripper that hangs plumb, for active joints of shape (..., 4)."""
+    """Pitch joint angle of a plumb gripper, for active joints (..., 4)."""
     return -(active_position_rad_m[..., 1] + active_position_rad_m[..., 2])
 
 
@@ -73,10 +73,10 @@ def pin_in_plane(spec: MachineSpec, joint_position_rad_m: Array) -> Array:
 def grip_centre_in_plane_frame(
     spec: MachineSpec, joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array
 ) -> ToolState:
-    """Grip centre in the turning arm-plane frame (x outward, y left of the plane, z up).
+    """Grip centre in the frame of the arm plane, which rotates with the cabin (x outward, y left, z up).
 
-    The frame's origin is the foot of the slew axis moved by the arm-plane offset; velocities are those
-    an observer turning with the cabin sees (the slew rate does not enter).
+    The origin is the foot of the slew axis, shifted by the arm-plane offset. Velocities are relative to the
+    rotating frame: the slew rate does not enter.
     """
     xp = namespace(joint_position_rad_m)
     g = spec.geometry
@@ -121,7 +121,7 @@ def grip_centre_in_plane_frame(
 
 
 def rotate_z(vector_m: Array, angle_rad: Array) -> Array:
-    """Turn vectors (..., 3) about z by angles (...)."""
+    """Rotate vectors (..., 3) about z by angles (...)."""
     xp = namespace(angle_rad)
     c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     x, y = vector_m[..., 0], vector_m[..., 1]
@@ -131,7 +131,7 @@ def rotate_z(vector_m: Array, angle_rad: Array) -> Array:
 def grip_centre(
     spec: MachineSpec, joint_position_rad_m: Array, joint_velocity_rad_m_per_s: Array
 ) -> ToolState:
-    """Grip centre in frame `machine`: where a load leaves, and how fast."""
+    """Grip centre in frame `machine`: position and velocity of a released load."""
     xp = namespace(joint_position_rad_m)
     local = grip_centre_in_plane_frame(spec, joint_position_rad_m, joint_velocity_rad_m_per_s)
     offset = xp.asarray([0.0, spec.geometry.arm_plane_offset_m, 0.0])
@@ -145,7 +145,7 @@ def grip_centre(
 
 
 def aligned_slew_rad(spec: MachineSpec, target_m: Array) -> Array:
-    """Slew angle that brings the arm plane over targets of shape (..., 3), frame `machine`.
+    """Slew angle at which the arm plane contains targets (..., 3), frame `machine`.
 
     A target nearer to the slew axis than the plane's offset cannot be aligned; its bearing is returned.
     """
@@ -157,13 +157,13 @@ def aligned_slew_rad(spec: MachineSpec, target_m: Array) -> Array:
 
 
 def to_throw_frame(vector_m: Array, target_m: Array) -> Array:
-    """Turn `machine` vectors (..., 3) into frame `throw` (x downrange to the target, y crossrange left)."""
+    """Rotate vectors (..., 3) from frame `machine` to `throw` (x downrange, y crossrange left)."""
     xp = namespace(target_m)
     return rotate_z(vector_m, -xp.arctan2(target_m[..., 1], target_m[..., 0]))
 
 
 def cylinder_length_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
-    """Pin-to-pin length of a cylinder over the joint's angle (...): |R(q) rod - base|."""
+    """Pin-to-pin length of a cylinder at joint angles (...): |R(q) rod - base|."""
     xp = namespace(angle_rad)
     c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]
@@ -172,7 +172,7 @@ def cylinder_length_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
 
 
 def cylinder_arm_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
-    """Moment arm dL/dq of a cylinder, signed, m (also m/rad: cylinder speed a joint speed)."""
+    """Signed lever arm dL/dq of a cylinder, m: cylinder speed per joint speed."""
     xp = namespace(angle_rad)
     c, s = xp.cos(angle_rad), xp.sin(angle_rad)
     rod_x = c * cylinder.rod_xz_m[0] - s * cylinder.rod_xz_m[1]

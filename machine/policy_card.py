@@ -1,4 +1,4 @@
-"""The card beside a policy file: what it needs, what it does, where it comes from, how well it throws."""
+"""Card of a policy: inputs and outputs, targets, origin, accuracy."""
 
 import hashlib
 from pathlib import Path
@@ -19,13 +19,13 @@ class TrainingRecord(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     commit: str
     seed_count: int
-    """The seed's value."""
+    """Seed of the training."""
     environment_step_count: int
     iteration_count: int
     wall_s: float
     device: str
     config: dict[str, Any]
-    """The resolved configuration, every field."""
+    """Resolved configuration."""
 
 
 class PolicyCard(BaseModel):
@@ -53,16 +53,17 @@ class PolicyCard(BaseModel):
     target_height_min_m: float = 0.0
     target_height_max_m: float = 0.0
     reach_at_height_m: tuple[tuple[float, float], ...] = ()
-    """Height and farthest target there, heights increasing, straight between; empty: the same everywhere."""
+    """Pairs of height and largest range there, heights increasing, interpolated linearly; empty: the same
+    range at every height."""
     training: TrainingRecord
     evaluation: list[dict[str, Any]] = []
     """Results of ``downrange evaluate``, appended after training."""
 
 
 def add_evaluation(folder: Path, evaluation: dict[str, Any]) -> None:
-    """Write a result of ``downrange evaluate`` onto the card of a policy folder.
+    """Add a result of ``downrange evaluate`` to the card of a policy folder.
 
-    It takes the place of an earlier result on the same plant and unit.
+    Replaces an earlier result on the same plant and unit.
 
     Raises:
         PolicyError: the folder holds no policy whose file and card agree.
@@ -85,8 +86,8 @@ def load_card(folder: Path) -> PolicyCard:
     """Read and check the card of a policy folder (card.json beside policy.onnx).
 
     Raises:
-        PolicyError: a file is missing, the card does not fit the schema, or the ONNX file's hash is not
-            the card's.
+        PolicyError: a file is missing, the card does not fit the schema, or its hash is not that of the
+            ONNX file.
     """
     card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
     for path in (card_path, policy_path):

@@ -1,4 +1,4 @@
-"""Which targets may be thrown at, and how fast: what the machine and the server both check."""
+"""Checks of targets and pace, used by machine and server."""
 
 import math
 
@@ -10,11 +10,11 @@ from machine.messages import RejectReason, Target
 from machine.policy_card import PolicyCard
 
 MIN_RANGE_M = {Mode.PLANAR: 5.5, Mode.SPATIAL: 5.0}
-"""Nearer targets would bring the load over the machine's own legs and wheels."""
+"""Smallest range: nearer throws pass over the machine's legs and wheels."""
 
 
 def reach_m(card: PolicyCard, height_m: float) -> float:
-    """The farthest target of a policy at a height, m."""
+    """Largest target range of a policy at a height, m."""
     if not card.reach_at_height_m:
         return card.target_range_max_m
     heights, ranges = zip(*card.reach_at_height_m, strict=True)
@@ -32,10 +32,10 @@ def check_pace(pace_ratio: float) -> None:
 
 
 def check_target(card: PolicyCard, target: Target) -> None:
-    """Refuse a target that this policy was not trained and validated for.
+    """Refuse a target outside the policy's range and heights.
 
     Raises:
-        RefusedError: too near, out of reach or off the trained heights, with the numbers and the remedy.
+        RefusedError: too near, out of reach or outside the heights, with numbers and remedy.
     """
     range_m = math.hypot(target.x_m, target.y_m)
     nearest = max(card.target_range_min_m, MIN_RANGE_M[card.mode])

@@ -1,7 +1,7 @@
-"""Registration: where a machine's loads come down on average, and where to aim so that they hit.
+"""Registration: mean miss of one machine with one policy, and aim points that correct it.
 
-Gunners call it that: a few throws are surveyed, and the aim is moved by the mean miss. It corrects what
-one machine does with one policy at each target; the spread stays what it is.
+The term is from gunnery: the misses of some throws are surveyed, and the aim point is moved by the mean
+miss. The scatter of throws is not affected.
 """
 
 from collections.abc import Sequence
@@ -13,28 +13,28 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from machine.conventions import Array, wrap_angle_rad
 
 MAX_CORRECTION_M = 0.6
-"""A mean miss beyond this is a fault to be found, not to be aimed away; no aim is moved by more."""
+"""Largest correction of an aim point; a larger mean miss is a fault of the machine."""
 NEAR_RAD = 0.25
-"""Throws of 3D policies that begin with the cabin this near to the target miss otherwise than those that
-turn first: on units 0 and 203 the difference is there below 0.1 rad and gone beyond 0.3 (decision 5)."""
+"""Width of the term for 3D throws that start with the cabin near the target, whose mean miss differs from
+that of throws that turn first (docs/decisions/0005-registration.md)."""
 HEIGHT_SCALE_M = 3.0
-"""Height at which the terms of height count in full."""
+"""Height at which the terms of height have weight 1."""
 
 
 class TermKind(StrEnum):
-    """What a mean miss hangs on besides the range."""
+    """Dependence of the mean miss besides the range."""
 
     NEAR = "near"
-    """The cabin stands near the target when the throw begins: exp(-(turn / `NEAR_RAD`)^2 / 2)."""
+    """Cabin near the target at the start: exp(-(turn / `NEAR_RAD`)^2 / 2)."""
     TURN = "turn"
-    """The turn to the target over half a turn, positive to the left."""
+    """Turn to the target divided by pi, positive to the left."""
     HEIGHT = "height"
-    """Height of the target over `HEIGHT_SCALE_M`."""
+    """Height of the target divided by `HEIGHT_SCALE_M`."""
     HEIGHT_SQUARED = "height_squared"
 
 
 class Term(BaseModel):
-    """Mean miss a unit of its kind at every range of the registration; frame `throw`."""
+    """Mean miss per unit of its kind, at every range of the registration; frame `throw`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: TermKind
@@ -43,7 +43,7 @@ class Term(BaseModel):
 
 
 class Registration(BaseModel):
-    """Mean miss of one machine with one policy, frame `throw`: over the range, and what is added to it."""
+    """Mean miss of one machine with one policy, frame `throw`: table over the range, and further terms."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     policy_sha256: str
@@ -52,10 +52,10 @@ class Registration(BaseModel):
     downrange_m: tuple[float, ...]
     crossrange_m: tuple[float, ...]
     range_per_height_ratio: float = 0.0
-    """Added to the range a metre of height before the tables are read: what happens to a load on its way
-    to a raised target happens on its way to the ground behind it, too."""
+    """Range added per metre of height for reading the tables: a raised target is on the trajectory to ground
+    level behind it."""
     terms: tuple[Term, ...] = ()
-    """Empty in files from before heights and turns were registered."""
+    """Empty in files without terms."""
 
     @model_validator(mode="after")
     def _fits(self) -> "Registration":
@@ -77,8 +77,8 @@ class Registration(BaseModel):
 
         Args:
             range_m: horizontal distance aimed at.
-            height_m: of the point aimed at, above ground.
-            turn_rad: (N,) that the cabin has to turn to the target, positive to the left.
+            height_m: height of the aim point above ground.
+            turn_rad: (N,) turn of the cabin to the target, positive to the left.
         """
         at = range_m + self.range_per_height_ratio * height_m
         down = np.interp(at, self.range_m, self.downrange_m)
@@ -91,11 +91,11 @@ class Registration(BaseModel):
         return np.clip(down, -most, most), np.clip(cross, -most, most)
 
     def aim(self, target_m: Array, slew_rad: Array) -> Array:
-        """Points (N, 3) to aim at so that the loads hit `target_m` (N, 3) on average; frame `machine`.
+        """Aim points (N, 3) with which loads hit `target_m` (N, 3) on average; frame `machine`.
 
         Args:
-            target_m: to be hit.
-            slew_rad: (N,) where the cabin stands when the throw begins.
+            target_m: targets.
+            slew_rad: (N,) slew angle at the start of the throw.
         """
         range_m = np.hypot(target_m[:, 0], target_m[:, 1])
         safe_m = np.maximum(range_m, 1e-9)
@@ -103,7 +103,7 @@ class Registration(BaseModel):
         left = np.stack([-forward[:, 1], forward[:, 0]], axis=-1)
         bearing = np.arctan2(target_m[:, 1], target_m[:, 0])
         turn = np.asarray(wrap_angle_rad(bearing - slew_rad))
-        # The miss belongs to the range aimed at, not to the one wished for.
+        # The miss depends on the range of the aim point, not of the target.
         first_m = range_m - self.miss(range_m, target_m[:, 2], turn)[0]
         down, _ = self.miss(first_m, target_m[:, 2], turn)
         _, cross = self.miss(range_m - down, target_m[:, 2], turn)
@@ -113,7 +113,7 @@ class Registration(BaseModel):
 
 
 def too_much(miss_m: float) -> str:
-    """Why a mean miss is not corrected."""
+    """Text of the refusal to correct a mean miss."""
     return (
         f"a mean miss of {miss_m:.2f} m is more than the {MAX_CORRECTION_M} m that aiming may "
         "correct: find its cause with `downrange diagnose throws`"

@@ -1,6 +1,6 @@
-"""The machine's constants, read from spec.json, which is generated from m545.xml (`make spec`).
+"""Constants of the machine type, read from spec.json, which is generated from m545.xml (`make spec`).
 
-The file's diff is the safety review: nothing here has a default, and nothing overrides it.
+No constant has a default or can be overridden, so that the diff of the file shows every change.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ class _Frozen(BaseModel):
 
 
 class Geometry(_Frozen):
-    """Lengths of the kinematic chain (facts: URDF of the same machine type)."""
+    """Lengths of the kinematic chain (source: URDF of the machine type)."""
 
     slew_frame_height_m: float
     """Ground to the slew frame (0.85 m base + 0.444 m)."""
@@ -55,7 +55,7 @@ class Limits(_Frozen):
     speed_negative_rad_m_per_s: Four
     acceleration_rad_m_per_s2: Four
     swing_rad: float
-    """Absolute swing of the gripper from the vertical at which a throw is ended."""
+    """Absolute swing of the gripper from the vertical that ends a throw."""
 
 
 class CylinderSpec(_Frozen):
@@ -79,7 +79,7 @@ class Hydraulics(_Frozen):
     telescope_bore_m: float
     telescope_rod_m: float
     slew_displacement_m3_per_rad: float
-    """Oil a radian of the upper carriage."""
+    """Oil volume per radian of the upper carriage."""
     valve_dead_band_ratio: float
 
 
@@ -136,7 +136,7 @@ class CollisionShape(_Frozen):
 
 
 class MachineSpec(_Frozen):
-    """Everything the control path, the trainer and the twin know about the machine type."""
+    """All constants of the machine type that runtime, training and twin use."""
 
     model_name: str
     geometry: Geometry
@@ -151,15 +151,15 @@ class MachineSpec(_Frozen):
 
     @cached_property
     def sha256(self) -> str:
-        """The model hash that plans, policies and the runtime must agree on.
+        """Model hash, which must be equal in plans, policies and runtime.
 
-        It covers what acts (geometry, masses, limits, hydraulics, collision), not what is drawn.
+        Covers geometry, masses, limits, hydraulics and collision shapes, not the visual meshes.
         """
         canonical = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(canonical.encode()).hexdigest()
 
     def __hash__(self) -> int:
-        """By the model hash, so that what is derived from a spec can be cached cheaply."""
+        """Hash of the model hash, so that values derived from a spec can be cached."""
         return hash(self.sha256)
 
     def speed_limit(self, velocity_rad_m_per_s: Array) -> Array:

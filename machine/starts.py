@@ -1,4 +1,4 @@
-"""Start poses: random ones that the real machine could be in, and the safe pose it returns to."""
+"""Start poses of throws: random valid poses, and the safe pose."""
 
 import numpy as np
 
@@ -12,19 +12,20 @@ from machine.kinematics import (
 from machine.spec import MachineSpec
 
 LIMIT_MARGIN_RAD_M = np.array([0.0, 0.12, 0.12, 0.12])
-"""Kept from the joints' limits, so that a policy has room before one."""
+"""Distance of start positions from the joints' limits, room for the policy."""
 MIN_GRIP_HEIGHT_M = 0.75
-"""Grip centre above ground: the claws reach 0.35 m below it."""
+"""Smallest height of the grip centre above ground; the claws extend 0.35 m below it."""
 PIN_RANGE_M = (3.6, 6.9)
-"""Tool pin's distance from the slew axis: clear of wheels and cabin, short of the last reach."""
+"""Range of the tool pin's distance from the slew axis: clear of wheels and cabin, inside the reach."""
 PIN_HEIGHT_M = (1.9, 4.6)
+"""Range of the tool pin's height above ground."""
 
 SAFE_ACTIVE_RAD_M = (0.0, 0.80, 0.0, 0.50)
-"""Boom raised, load clear of the ground and of the machine (slew stays where it is)."""
+"""Driven joints of the safe pose: boom raised, load clear of ground and machine; the slew is unchanged."""
 
 
 def safe_pose(slew_rad: float = 0.0) -> Array:
-    """The pose the machine waits in, shape (6,), gripper plumb."""
+    """Safe pose (6,), gripper plumb."""
     pose = np.zeros(JOINT_COUNT)
     pose[:4] = SAFE_ACTIVE_RAD_M
     pose[0] = slew_rad
@@ -33,7 +34,7 @@ def safe_pose(slew_rad: float = 0.0) -> Array:
 
 
 def is_valid_start(spec: MachineSpec, pose_rad_m: Array) -> BoolArray:
-    """Whether poses (..., 6) keep their distance from limits, ground and machine; shape (...)."""
+    """Whether poses (..., 6) keep the required distances from limits, ground and machine; shape (...)."""
     low, high = spec.position_range_rad_m
     active = pose_rad_m[..., :4]
     inside = np.all(
@@ -56,7 +57,7 @@ def sample_starts(
 ) -> Array:
     """Random valid poses at rest with a plumb gripper, one for each target (N, 3); shape (N, 6).
 
-    In 2D the arm plane is aligned with the target; in 3D the cabin stands anywhere.
+    In 2D the arm plane is aligned with the target; in 3D the slew angle is random.
     """
     count = target_m.shape[0]
     low, high = spec.position_range_rad_m

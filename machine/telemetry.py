@@ -1,4 +1,4 @@
-"""The row of one control tick, as a numpy dtype: what the recorder writes and everyone else reads.
+"""Rows of the log channels as numpy dtypes.
 
 Sensor time and log time are kept apart. All arrays over joints are in joint order.
 """

@@ -1,1 +1,1 @@
-"""What stands around a machine, and where a load in flight meets it."""
+"""Objects around a machine, and impacts of loads on them."""

@@ -1,7 +1,7 @@
-"""Boxes, pits and piles around a machine: what loads are thrown at, and what must not be hit.
+"""Boxes, pits and piles around a machine: surfaces to throw at, and obstacles.
 
-One kind of record for all of them, in frame `machine` of the machine concerned. A wall is a thin box, a
-truck bed a box, a platform a box with a base above the ground. The ground itself is not listed.
+One kind of record for all objects, in frame `machine`. A wall is a thin box, a truck bed a box, a platform a
+box with a base above the ground. The ground itself is not listed.
 """
 
 import math
@@ -17,16 +17,16 @@ from pydantic import (
 )
 
 GROUND = "ground"
-"""What the ground is called where objects are named."""
+"""Name of the ground."""
 UNDESCRIBED = "ground that nobody described"
-"""What ground is called whose height is known only from a target that lies on it."""
+"""Name of ground whose height is known from a target on it only."""
 SWING_CIRCLE_M = 2.7
-"""Nothing may stand nearer to the slew axis: the chassis' corner is at 2.65 m, the tail of the turning
+"""Smallest distance of objects from the slew axis: the chassis' corner is at 2.65 m, the tail of the turning
 carriage at 2.24 m (boxes `chassis_obstacle` and `upper_obstacle` of m545.xml)."""
 MAX_COUNT = 32
 MAX_PIT_DEPTH_M = 1.0
 MAX_PILE_SLOPE_RAD = math.radians(45.0)
-"""Loose earth and gravel rest at 30 to 45 degrees; what is steeper is a wall and given as a box."""
+"""Largest slope of a pile: loose earth and gravel rest at 30 to 45 degrees. A steeper wall is a box."""
 
 
 class SiteKind(StrEnum):
@@ -46,15 +46,15 @@ class SiteObject(BaseModel):
     x_m: float = Field(ge=-60.0, le=60.0)
     y_m: float = Field(ge=-60.0, le=60.0)
     turn_rad: float = Field(default=0.0, ge=-math.pi, le=math.pi)
-    """Of its length away from the machine's x axis, positive to the left."""
+    """Angle of its length from the machine's x axis, positive to the left."""
     length_m: float = Field(ge=0.2, le=30.0)
     width_m: float = Field(ge=0.2, le=30.0)
     height_m: float = Field(ge=0.1, le=5.0)
-    """Base to top; of a pit its depth."""
+    """Height from base to top; depth of a pit."""
     base_height_m: float = Field(default=0.0, ge=0.0, le=5.0)
-    """Of a box that does not stand on the ground."""
+    """Height of the base of a box above ground."""
     top_ratio: float = Field(default=0.0, ge=0.0, le=0.95)
-    """Of a pile: its flat top, as a share of the foot's length and width; 0 comes to a point."""
+    """Flat top of a pile as a share of the foot's length and width; 0: a peak."""
 
     @model_validator(mode="after")
     def _check_shape(self) -> Self:
@@ -100,7 +100,7 @@ class SiteObject(BaseModel):
         return math.hypot(out_x, out_y)
 
     def surface_m(self, x_m: float, y_m: float) -> float | None:
-        """Height of its upper surface over a point; None beside it."""
+        """Height of the upper surface at a point; None outside the footprint."""
         if self.kind is not SiteKind.PILE:
             if self.distance_m(x_m, y_m) > 0.0:
                 return None

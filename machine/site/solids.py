@@ -1,7 +1,6 @@
-"""Objects of a site as solids for many points at once: distances, names and slopes of surfaces.
+"""Objects of a site as solids: distances, names and slopes of surfaces, for many points at once.
 
-Signed distances are exact for boxes, pits and ground. For piles they are of first order: exact on the
-surface itself, which is where they are asked for.
+Signed distances are exact for boxes, pits and ground, and of first order for piles: exact on the surface.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,24 +13,24 @@ from machine.messages import Target
 from machine.site.objects import GROUND, UNDESCRIBED, SiteKind, SiteObject
 
 SURFACE_TOLERANCE_M = 0.05
-"""A target this near to a surface lies on it; half of what a tape measure and a person are good for."""
+"""Distance within which a target lies on a surface: half the accuracy of a tape measure."""
 TOP_MIN_RATIO = 0.64
-"""Upward part of a surface's normal (cosine of 50 degrees): what is steeper counts as a side. Piles, which
-are loads' resting places, end at 45 degrees."""
+"""Smallest vertical component of a surface's normal (cosine of 50 degrees); steeper surfaces are sides. Piles
+have slopes up to 45 degrees."""
 BISECTIONS_COUNT = 24
-"""10 ms of flight divided so often is below a nanosecond."""
+"""Bisections of a step of 10 ms, to below a nanosecond."""
 _NUDGE_M = 1e-4
 
 
 class Contact(NamedTuple):
-    """What a ball touches: leading axis N."""
+    """Contacts of N balls."""
 
     point_m: Array
     """(N, 3)"""
     solid: IntArray
-    """(N,) index into `Solids.names`; -1 = nothing."""
+    """(N,) index into `Solids.names`; -1: none."""
     is_side: BoolArray
-    """(N,) whether the surface there is too steep to lie on."""
+    """(N,) whether the surface there is a side."""
 
 
 class Solids:
@@ -39,8 +38,8 @@ class Solids:
 
     Attributes:
         names: the ground first, then all objects in the order given.
-        ground_m: height of the ground; other than 0 where a target lies on ground that nobody has
-            described as an object, which is then taken to be as high everywhere, without pits.
+        ground_m: height of the ground; not 0 if a target is off ground level and on no object: the ground
+            is then assumed to be a plane at that height, without pits.
     """
 
     def __init__(self, objects: Sequence[SiteObject] = (), ground_m: float = 0.0) -> None:
@@ -50,13 +49,13 @@ class Solids:
 
     @classmethod
     def around(cls, objects: Sequence[SiteObject], target: Target) -> "Solids":
-        """The site as a throw at this target finds it."""
+        """Solids of a site for a throw at a target."""
         plain = cls(objects)
         declared = plain.name_at(target) is not None
         return plain if declared else cls(objects, ground_m=target.z_m)
 
     def name_at(self, target: Target) -> str | None:
-        """What a target lies on: the object's name or the ground's; None where nothing is that high."""
+        """Name of the surface under a target; None if no surface has that height."""
         pits = [o for o in self.objects if o.kind is SiteKind.PIT]
         sunk = self.ground_m == 0.0 and any(o.distance_m(target.x_m, target.y_m) == 0 for o in pits)
         for item in self.objects:
@@ -68,14 +67,14 @@ class Solids:
 
     @property
     def floor_m(self) -> float:
-        """The lowest surface there is."""
+        """Height of the lowest surface."""
         depths = [o.height_m for o in self.objects if o.kind is SiteKind.PIT]
         return min(self.ground_m, 0.0) - max(depths, default=0.0)
 
     def distances(self, points_m: Array) -> Array:
         """Signed distances (..., 1 + K) of points (..., 3) from ground and objects.
 
-        A pit is part of the ground, and its own column is infinite.
+        A pit is part of the ground; its column is infinite.
         """
         points = np.asarray(points_m, dtype=np.float64)
         columns = [points[..., 2] - self.ground_m]
@@ -96,10 +95,10 @@ class Solids:
         return self.distances(points_m).min(axis=-1)
 
     def closes(self, before_m: Array, after_m: Array, radius_m: float) -> BoolArray:
-        """Whether balls touch something on the way from one point (..., 3) to the next of their flight.
+        """Whether balls touch a surface between consecutive points (..., 3) of their flight.
 
-        A ball that starts below raised ground passes it from beneath; it ends on the lowest surface if
-        it never comes down from above.
+        A ball that starts below raised ground passes it from below; it ends on the lowest surface if it
+        never falls from above.
         """
         was_open = self.distance(before_m) > radius_m
         return (self.distance(after_m) <= radius_m) & (
@@ -107,7 +106,7 @@ class Solids:
         )
 
     def contact(self, centre_m: Array, radius_m: float) -> Contact:
-        """Where balls (N, 3) that just touch something touch it."""
+        """Contacts of balls (N, 3) that touch a surface."""
         solid = self.distances(centre_m).argmin(axis=-1)
         slope = np.empty_like(centre_m)
         for axis in range(3):
@@ -117,13 +116,13 @@ class Solids:
         length = np.linalg.norm(slope, axis=-1, keepdims=True)
         normal = slope / np.where(length > 0.0, length, 1.0)
         point = centre_m - radius_m * normal
-        # A level surface is as high as it is, whatever the last digits of the normal say.
+        # The height of a level surface must not depend on rounding of the normal.
         level = normal[:, 2] > 1.0 - 1e-6
         point[level, :2] = centre_m[level, :2]
         return Contact(point, self._named(solid, point), normal[:, 2] < TOP_MIN_RATIO)
 
     def _named(self, solid: IntArray, point_m: Array) -> IntArray:
-        """The pit's own index where the ground was touched inside a pit."""
+        """Replace the ground's index by that of the pit for contacts inside a pit."""
         named = solid.copy()
         for index, item in enumerate(self.objects, 1):
             if item.kind is SiteKind.PIT and self.ground_m == 0.0:
@@ -136,7 +135,7 @@ class Solids:
 
 
 def touch_share(gap_at: Callable[[Array], Array], count: int) -> Array:
-    """Share (N,) of a step at which a gap that closes within it is closed, by bisection.
+    """Share (N,) of a step at which a gap closes, by bisection.
 
     Args:
         gap_at: gaps (N,) at shares (N,); above zero before the touch.

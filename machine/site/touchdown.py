@@ -1,4 +1,4 @@
-"""Flight of released loads to whatever of a site they touch first."""
+"""Flight of released loads to their first contact with a site."""
 
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ from machine.site.solids import Contact, Solids, touch_share
 
 
 class Touchdown(NamedTuple):
-    """Where and when loads (N,) touch the site; NaN, and solid -1, where they do not within 6 s."""
+    """First contacts of N loads; NaN and solid -1 without contact within 6 s."""
 
     contact: Contact
     centre_m: Array
-    """(N, 3) of the load at that moment."""
+    """(N, 3) velocity at contact."""
     time_s: Array
-    """(N,) since the start of the flight."""
+    """(N,) time since the start of the flight."""
 
 
 def touchdown(
@@ -28,20 +28,20 @@ def touchdown(
     wind_m_per_s: Array,
     spin: Spin | None = None,
 ) -> Touchdown:
-    """Fly loads (N, 3) until they touch ground or an object, whichever side of it.
+    """Simulate flights (N, 3) until the loads touch ground or an object.
 
     Args:
         solids: the site.
-        radius_m: of the load.
-        position_m: (N, 3) where the flight starts, frame `machine`; NaN for loads that do not fly.
-        velocity_m_per_s: (N, 3) with which.
+        radius_m: radius of the load.
+        position_m: (N, 3) release positions, frame `machine`; NaN for loads without a flight.
+        velocity_m_per_s: (N, 3) release velocities.
         drag_per_m: (N,) k of machine.ballistics.
         wind_m_per_s: (N, 3).
-        spin: of all loads, where there is one.
+        spin: spin of all loads; none if omitted.
     """
     count = position_m.shape[0]
     path, speed = [position_m], [velocity_m_per_s]
-    # Below the lowest surface nothing is left to be touched; loads that do not fly are below it too.
+    # Loads below the lowest surface have no contact; so are loads without a flight.
     for _ in range(int(MAX_FLIGHT_S / STEP_S)):
         if not np.any(path[-1][:, 2] > solids.floor_m):
             break
