@@ -193,7 +193,7 @@ def result_table(result: Result, layout: Layout) -> str:
         lines.append(line([*key, *cells]))
     meaning = ""
     if columns and names != ("result",):
-        meaning = f"Cells: {'/'.join(title(name) for name in names)}. "
+        meaning = f"Cells: {' / '.join(title(name) for name in names)}. "
     return "\n".join(lines) + "\n\n" + meaning + source(result, layout, count) + "\n"
 
 
