@@ -32,6 +32,13 @@ SEED = 91
 STEP_S, TICK_STEPS = 0.001, 10
 TICKS, OPEN_TICK = 200, 90
 ARMATURE = 1e9
+SLEW_DAMPING_RATIO = 0.25
+SLEW_LAG_S = 0.08
+"""Of the valve in front of the oil spring."""
+SLEW_DELAY_S = 0.15
+"""In addition to the nominal dead time: an oil spring comes up sooner than the nominal lag of 0.5 s."""
+SLEW_ACCELERATION_RAD_PER_S2 = 1.4
+"""Torque limit over inertia."""
 FOUR_ZEROS = (0.0, 0.0, 0.0, 0.0)
 IMU_UNITS = (("gyro", "rad_per_s"), ("accel", "m_per_s2"))
 UNITS = dict(zip(ACTIVE_JOINTS, ("rad", "rad", "rad", "m"), strict=True))
@@ -49,13 +56,15 @@ class Variant(NamedTuple):
     """Every so many ticks a row is recorded."""
     release_delay_s: float = 0.0
     has_switch: bool = True
+    slew_frequency_hz: float = 0.0
+    """Above 0 the slew is an inertia on an oil spring of this frequency; its torque is limited."""
 
 
-def throws(folder: Path, variant: Variant, count: int = 6) -> LoadedSet:
-    """Throw, write one CSV file a throw, and load them."""
-    rng = np.random.default_rng(SEED)
+def throws(folder: Path, variant: Variant, count: int = 6, first: int = 0) -> LoadedSet:
+    """Throw, write one CSV file a throw, and load them; `first` numbers the commands."""
+    rng = np.random.default_rng([SEED, first] if first else SEED)
     folder.mkdir(parents=True, exist_ok=True)
-    for number in range(count):
+    for number in range(first, first + count):
         _write(folder / f"other-{number}.csv", number, variant, rng)
     return load_throws([folder])
 
@@ -100,6 +109,10 @@ class _Drives:
         self._tables = nominal_calibration(spec).tables
         self._past: list[Array] = []
         self._first, self.velocity = np.zeros(4), np.zeros(4)
+        self._slew_acceleration = 0.0
+        if variant.slew_frequency_hz > 0.0:
+            self._lags_s[0][0] = SLEW_LAG_S
+            self._delay[0] += round(SLEW_DELAY_S / STEP_S)
 
     def step(self, valve: Array, position: Array) -> Array:
         """Velocity (4,) after a step."""
@@ -118,8 +131,20 @@ class _Drives:
         cap = (1.0 - np.asarray(self._variant.speed_reduction_ratio)) * rated
         target = np.clip(target, -cap, cap)
         self._first = self._first + STEP_S * (target - self._first) / self._lags_s[0]
+        before = self.velocity[0]
         self.velocity = self.velocity + STEP_S * (self._first - self.velocity) / self._lags_s[1]
+        if self._variant.slew_frequency_hz > 0.0:
+            self.velocity[0] = self._sprung(before, self._first[0])
         return self.velocity
+
+    def _sprung(self, speed_rad_per_s: float, target_rad_per_s: float) -> float:
+        """Slew speed after a step, of an inertia between oil springs with a torque limit."""
+        w = 2.0 * np.pi * self._variant.slew_frequency_hz
+        pull = w**2 * (target_rad_per_s - speed_rad_per_s)
+        pull -= 2.0 * SLEW_DAMPING_RATIO * w * self._slew_acceleration
+        self._slew_acceleration += STEP_S * pull
+        limit = SLEW_ACCELERATION_RAD_PER_S2
+        return speed_rad_per_s + STEP_S * float(np.clip(self._slew_acceleration, -limit, limit))
 
 
 class _Thrown(NamedTuple):

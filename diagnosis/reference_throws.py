@@ -1,23 +1,19 @@
 """Throws of a machine while it was healthy, and what they show about it.
 
-Healthy machines of a type scatter more than one of them does over time. The reference throws estimate the
-machine's own share of that scatter (hierarchical_prior.py). Its estimate becomes the mean, and its posterior
-covariance the scatter above which an effect has to show.
+Healthy machines of a type scatter more than one of them does over time, and a machine may be of another type.
+Reference throws make the machine its own baseline (population/machine_baseline.py): its deviations from the
+twin, the covariance of what the twin misses on it, and the scatter above which an effect has to show.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from diagnosis.healthy.health import Health
-from diagnosis.healthy.noise import NoiseModel, Scatter
-from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
-from diagnosis.inference.evidence import total
-from diagnosis.linearisation.parameters import layout, scatter_names
+from diagnosis.hypotheses.gap_problem import pose_problem
+from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
-from diagnosis.population.hierarchical_prior import Levels, of_machine, set_likelihood
+from diagnosis.population.machine_baseline import ReferenceThrows, machine_model
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
 
@@ -61,26 +57,5 @@ def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: He
     plan = layout(health.noise)
     prepared, calibration = prepare(reference.throws, profile), reference.throws[0].calibration
     problem = pose_problem(prepared, profile, calibration, health, plan)
-    return Health(problem.healthy, _with_posterior(problem.model, problem), is_own=True)
-
-
-def _with_posterior(model: NoiseModel, problem: GapProblem) -> NoiseModel:
-    """The model with the posterior of this machine's own share of the scatter."""
-    names = scatter_names()
-    levels = Levels(
-        np.zeros(len(names)),
-        model.machine_scatter.covariance(names),
-        model.set_scatter.covariance(names),
-    )
-    mean, covariance = of_machine(
-        [set_likelihood(total(problem.information), problem.layout)], levels
-    )
-    return model.model_copy(
-        update={
-            "healthy_mean": {
-                name: model.healthy_mean.get(name, 0.0) + float(off)
-                for name, off in zip(names, mean, strict=True)
-            },
-            "machine_scatter": Scatter.of(names, covariance),
-        }
-    )
+    throws = ReferenceThrows(problem.prepared, problem.linear, problem.beside)
+    return Health(problem.healthy, machine_model(problem.model, throws), is_own=True)

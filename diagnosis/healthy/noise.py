@@ -101,6 +101,9 @@ class NoiseModel(BaseModel):
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of the log residual power per row."""
 
+    usual_unmodelled: tuple[str, ...] = ()
+    """Unmodelled effects (``<name>.<joint>``) that healthy throws of this machine show: no evidence there."""
+
     def scatter(self, names: Sequence[str]) -> Array:
         """Covariance (n, n) of the deviations of one healthy set, in the order of names."""
         return self.machine_scatter.covariance(names) + self.set_scatter.covariance(names)

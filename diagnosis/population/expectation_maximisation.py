@@ -27,7 +27,7 @@ from diagnosis.linearisation.whitening import (
     whiten_throw,
     with_projection_subtracted,
 )
-from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.loading.prepared import Block, PreparedThrow
 from diagnosis.population.hierarchical_prior import (
     Levels,
     SetLikelihood,
@@ -215,14 +215,27 @@ def _channel(
     """Discrepancy from the magnitude and the correlation time of the residual."""
     if not name.startswith(("actuation", "swing")):
         return old
-    size: list[Array] = []
-    level: list[Array] = []
-    for one, found in zip(sets, fits, strict=True):
-        for p, left in zip(one.prepared, found.left, strict=True):
-            block = p.block(name)
-            if block is not None:
-                size.append(left[block.rows])
-                level.append(np.column_stack([np.ones(block.t_s.size), block.rate, block.push]))
+    rows = [
+        (block, left[block.rows])
+        for one, found in zip(sets, fits, strict=True)
+        for p, left in zip(one.prepared, found.left, strict=True)
+        if (block := p.block(name)) is not None
+    ]
+    return fitted_channel(old, rows)
+
+
+def fitted_channel(old: ChannelNoise, rows: Sequence[tuple[Block, Array]]) -> ChannelNoise:
+    """A channel with the discrepancy that residuals show; its white noise stays.
+
+    Floor and growth with both motion levels come from nonnegative least squares of the residual's absolute
+    value, the correlation time from its autocorrelation.
+
+    Args:
+        old: the channel.
+        rows: blocks of that channel, one a throw, with their residuals (n,) in its unit.
+    """
+    size = [residual for _, residual in rows]
+    level = [np.column_stack([np.ones(b.t_s.size), b.rate, b.push]) for b, _ in rows]
     x, y = np.vstack(level), np.abs(np.concatenate(size)) * np.sqrt(np.pi / 2.0)
     scale = x.std(axis=0) + x.mean(axis=0)
     slope = nnls(x / scale, y)[0] / scale
