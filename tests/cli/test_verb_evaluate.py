@@ -76,7 +76,7 @@ def evaluate(policies: Path, *more: str) -> int:
     return main(["evaluate", "--mode", "2d", "--policies", str(policies), "--throws", "3", *more])
 
 
-def test_the_report_has_the_promised_keys_and_repeats(
+def test_the_result_has_its_keys_and_repeats(
     swing_policies: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reports = []

@@ -14,29 +14,27 @@ def test_targets_are_forward_and_left() -> None:
     assert parse_target("9").y_m == 0.0
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "no number"),
-        ("9;1", "no number"),
-        ("9,1,0", "3 numbers"),
-        ("nan", "not finite"),
-        ("9,inf", "not finite"),
-        ("900", "within 60 m"),
-    ],
+BAD_TARGETS = (
+    ("", "no number"),
+    ("9;1", "no number"),
+    ("9,1,0", "3 numbers"),
+    ("nan", "not finite"),
+    ("9,inf", "not finite"),
+    ("900", "within 60 m"),
 )
-def test_bad_targets_say_what_is_wrong(text: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
-        parse_target(text)
+
+
+def test_bad_targets_say_what_is_wrong() -> None:
+    for text, words in BAD_TARGETS:
+        with pytest.raises(UsageError, match=words):
+            parse_target(text)
 
 
 def preview(policies: Path, *more: str) -> int:
     return main(["preview", "--mode", "2d", "--policies", str(policies), *more])
 
 
-def test_json_has_the_promised_keys(
-    swing_policies: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_has_its_keys(swing_policies: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert preview(swing_policies, "--target", "6", "--rollouts", "6", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
     assert set(shown) == {"impact", "ellipse", "seconds", "lands_on", "refused"}
@@ -62,22 +60,22 @@ def test_a_refused_throw_ends_with_code_2_and_its_reasons(
     assert "reaches 10.90 m" in shown["refused"][0]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--target", "x"], "no number"),
-        (["--target", "6", "--rollouts", "-1"], "0 or more"),
-        (["--target", "6", "--slew", "nan"], "finite"),
-        (["--target", "6", "--profile", "/nowhere.json"], "twin profile"),
-    ],
+BAD_OPTIONS = (
+    (["--target", "x"], "no number"),
+    (["--target", "6", "--rollouts", "-1"], "0 or more"),
+    (["--target", "6", "--slew", "nan"], "finite"),
+    (["--target", "6", "--profile", "/nowhere.json"], "twin profile"),
 )
+
+
 def test_what_cannot_work_is_one_clear_line(
-    swing_policies: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    swing_policies: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert preview(swing_policies, *options) == 1
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.startswith("downrange preview: ")
+    for options, words in BAD_OPTIONS:
+        assert preview(swing_policies, *options) == 1, options
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.startswith("downrange preview: ")
 
 
 def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,53 +36,51 @@ def test_help_explains_itself_to_a_newcomer(capsys: pytest.CaptureFixture[str]) 
         assert word in text
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--iterations", "0"], "iterations must be 1 or more, is 0"),
-        (["--iterations", "-5"], "iterations must be 1 or more, is -5"),
-        (["--environments", "0"], "0 environments do not split into 4 minibatches"),
-        (["--environments", "10"], "10 environments do not split into 4 minibatches"),
-        (["--environments", "-8"], "-8 environments"),
-        (["--seed", "-1"], "seed must be 0 or more, is -1"),
-        (["--throws", "-1"], "throws must be 0 or more, is -1"),
-        (["--unroll", "0"], "unroll must be 1 or more, is 0"),
-        (["--seconds", "0"], "seconds must be more than 0, is 0"),
-        (["--seconds", "nan"], "seconds must be more than 0, is nan"),
-        (["--policy-id", "My Policy"], "policy id 'My Policy' does not fit"),
-        (["--policy-id", "../up"], "policy id '../up' does not fit"),
-        (["--response"], "--response needs files"),
-        (["--response", "no.json"], "response no.json cannot be read (No such file or directory)"),
-    ],
+BAD_VALUES = (
+    (["--iterations", "0"], "iterations must be 1 or more, is 0"),
+    (["--iterations", "-5"], "iterations must be 1 or more, is -5"),
+    (["--environments", "0"], "0 environments do not split into 4 minibatches"),
+    (["--environments", "10"], "10 environments do not split into 4 minibatches"),
+    (["--environments", "-8"], "-8 environments"),
+    (["--seed", "-1"], "seed must be 0 or more, is -1"),
+    (["--throws", "-1"], "throws must be 0 or more, is -1"),
+    (["--unroll", "0"], "unroll must be 1 or more, is 0"),
+    (["--seconds", "0"], "seconds must be more than 0, is 0"),
+    (["--seconds", "nan"], "seconds must be more than 0, is nan"),
+    (["--policy-id", "My Policy"], "policy id 'My Policy' does not fit"),
+    (["--policy-id", "../up"], "policy id '../up' does not fit"),
+    (["--response"], "--response needs files"),
+    (["--response", "no.json"], "response no.json cannot be read (No such file or directory)"),
 )
+
+
 def test_what_cannot_work_is_one_clear_line_before_anything_is_written(
-    tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
-    assert train(out, *options) == 1
-    error = capsys.readouterr().err
-    assert error.startswith("downrange train: ")
-    assert words in error
-    assert error.count("\n") == 1
-    assert not out.exists()
+    for options, words in BAD_VALUES:
+        assert train(out, *options) == 1, options
+        error = capsys.readouterr().err
+        assert error.startswith("downrange train: ")
+        assert words in error
+        assert error.count("\n") == 1
+        assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--mode", "4d"], "4d"),
-        (["--mode", "2d"], "--out"),
-        (["--mode", "2d", "--out", "x", "--iterations", "many"], "many"),
-        (["--mode", "2d", "--out", "x", "--wrong", "1"], "--wrong"),
-    ],
+WRONG_OPTIONS = (
+    (["--mode", "4d"], "4d"),
+    (["--mode", "2d"], "--out"),
+    (["--mode", "2d", "--out", "x", "--iterations", "many"], "many"),
+    (["--mode", "2d", "--out", "x", "--wrong", "1"], "--wrong"),
 )
-def test_a_wrong_option_is_named(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["train", *options])
-    assert end.value.code == 1, "2 is an ambiguity"
-    assert words in "".join(capsys.readouterr())
+
+
+def test_a_wrong_option_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for options, words in WRONG_OPTIONS:
+        with pytest.raises(SystemExit) as end:
+            main(["train", *options])
+        assert end.value.code == 1, "2 is an ambiguity"
+        assert words in "".join(capsys.readouterr()), options
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_once(
