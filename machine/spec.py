@@ -69,7 +69,7 @@ class CylinderSpec(_Frozen):
     """Rod pin, in the child's frame, from the joint's pivot."""
 
 
-class Hydraulics(_Frozen):
+class HydraulicsSpec(_Frozen):
     """Pump, cylinders and the slew drive."""
 
     pump_flow_m3_per_s: float
@@ -141,7 +141,7 @@ class MachineSpec(_Frozen):
     model_name: str
     geometry: Geometry
     limits: Limits
-    hydraulics: Hydraulics
+    hydraulics: HydraulicsSpec
     response: Response
     release: Release
     passive: Passive

@@ -39,7 +39,7 @@ def shifted(values: Array, ticks: Array) -> Array:
     return out
 
 
-class MeasuredMotion:
+class ReplayMotion:
     """Starts and prescribed joints of M elements.
 
     Corrects latencies of sensors and misalignment of the IMU.

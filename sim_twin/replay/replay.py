@@ -20,7 +20,7 @@ from machine.spec import load_spec
 from runtime.driver import ValveCommand
 from sim_twin.effects.arrays import effect_arrays
 from sim_twin.effects.effect import Effect, deterministic
-from sim_twin.replay.motion import MeasuredMotion, padded
+from sim_twin.replay.motion import ReplayMotion, padded
 from sim_twin.replay.types import Flight, ReplayElement, ReplayInput, ReplayOutput
 from sim_twin.twin.payload import NEVER_NS, Payload
 from sim_twin.twin.profile import TwinProfile, exact_profile
@@ -67,7 +67,7 @@ def replay(
         sees_contacts=False,
     )
     ticks = max(t.valve_ratio.shape[0] for t in throws)
-    motion = MeasuredMotion(twin, throws, elements, ticks)
+    motion = ReplayMotion(twin, throws, elements, ticks)
     twin.reset(motion.reported_start, 0)
     twin.start_moving(*motion.start)
     twin.payload.surface_height_m[:] = [t.surface_height_m for t in throws]

@@ -206,7 +206,7 @@ class BallTracker:
         return self._samples.newest(now_ns)
 
 
-class ImpactSurvey:
+class ImpactSurveyor:
     """Survey of impacts."""
 
     def __init__(self, count: int) -> None:

@@ -29,7 +29,7 @@ from sim_twin.virtual.body import (
     build_body,
 )
 from sim_twin.virtual.hydraulics import Hydraulics
-from sim_twin.virtual.sensors import BallTracker, GripperImu, ImpactSurvey, JointSensors
+from sim_twin.virtual.sensors import BallTracker, GripperImu, ImpactSurveyor, JointSensors
 from sim_twin.virtual.thrown_load import GripMotion, ThrownLoad
 from sim_twin.virtual.truth import PlantTruth
 from sim_twin.virtual.units import MachineUnit, ThrowConditions, draw_conditions, make_unit
@@ -123,7 +123,7 @@ class VirtualMachine:
         self._joint_sensors = JointSensors(unit, count, step_s, faults.sensing)
         self._imu = GripperImu(unit, count, faults.sensing)
         self._tracker = BallTracker(count) if tracker else None
-        self._survey = ImpactSurvey(count)
+        self._survey = ImpactSurveyor(count)
         self._load = ThrownLoad(spec, unit, count, faults.load)
         if faults.drive is not None:
             faults.drive.fit(self._hydraulics, self._load_torque[:, :ACTIVE_COUNT])

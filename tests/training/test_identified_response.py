@@ -15,7 +15,7 @@ from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Mode
 from machine.errors import UsageError
 from tests.cases import each
 from training.environment.configurations import RESPONSE_WIDENING_RATIO, task_for
-from training.environment.dynamics import JointResponse, ResponseState, respond
+from training.environment.dynamics import DriveResponse, ResponseState, respond
 from training.environment.task import ResponseConfig, widened
 from training.identified_response import (
     DYNAMICS,
@@ -245,7 +245,7 @@ def test_what_the_limits_allow_does_not_explode_in_the_simulator(
 ):
     """If `both` are identified, boom and dipper have no reaction; else the dipper keeps its own."""
     four = np.ones((1, 4))
-    response = JointResponse(
+    response = DriveResponse(
         dead_time_s=0.0 * four,
         lag_s=0.001 * four,
         natural_frequency_rad_per_s=natural_frequency * four,

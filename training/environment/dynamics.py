@@ -246,7 +246,7 @@ def friction(viscous_n_m_s: Field, coulomb_n_m: Field, rate_rad_per_s: Field) ->
     return viscous_n_m_s * rate_rad_per_s + coulomb_n_m * dry
 
 
-class JointResponse(NamedTuple):
+class DriveResponse(NamedTuple):
     """Parameters of the driven joints' velocity response, each (N, 4) in joint order."""
 
     dead_time_s: Field
@@ -272,7 +272,7 @@ class ResponseState(NamedTuple):
 
 
 def respond(
-    response: JointResponse,
+    response: DriveResponse,
     state: ResponseState,
     velocity: Field,
     reference: Field,
@@ -297,7 +297,7 @@ def respond(
     return velocity, ResponseState(lagged, drive)
 
 
-def _reaction(xp: Any, response: JointResponse, drive: Field) -> Field:
+def _reaction(xp: Any, response: DriveResponse, drive: Field) -> Field:
     """Reaction of boom and dipper on each other (N, 4), rad/s2: drive minus acceleration.
 
     a_boom = s_boom - b a_dipper, a_dipper = s_dipper - c a_boom.

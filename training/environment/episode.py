@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from machine.spec import MachineSpec
-from training.environment.dynamics import JointResponse
+from training.environment.dynamics import DriveResponse
 from training.environment.task import ResponseConfig, TaskConfig
 
 Field = Any
@@ -51,7 +51,7 @@ class EpisodeDraw(NamedTuple):
     """(N, 3) frame `throw`."""
     plane_m: Field
     """(N,) height of the load's centre at impact."""
-    response: JointResponse
+    response: DriveResponse
     """Each (N, 4)."""
     friction_scale_ratio: Field
     com_error_m: Field
@@ -127,7 +127,7 @@ def draw_episode(
     )
 
 
-def _draw_response(key: Field, config: ResponseConfig, count: int) -> JointResponse:
+def _draw_response(key: Field, config: ResponseConfig, count: int) -> DriveResponse:
     """Uniform between minimum and maximum, independent for every joint and parameter."""
     share = jax.random.uniform(key, (6, count, 4))
     reaction = jax.random.uniform(jax.random.fold_in(key, 1), (2, count))
@@ -140,7 +140,7 @@ def _draw_response(key: Field, config: ResponseConfig, count: int) -> JointRespo
         return limits[0] + (limits[1] - limits[0]) * drawn
 
     c = config
-    return JointResponse(
+    return DriveResponse(
         dead_time_s=joints(0, c.dead_time_min_s, c.dead_time_max_s),
         lag_s=joints(1, c.lag_min_s, c.lag_max_s),
         natural_frequency_rad_per_s=joints(

@@ -15,7 +15,7 @@ from sim_twin.virtual.sensors import (
     BallTracker,
     DelayedSamples,
     GripperImu,
-    ImpactSurvey,
+    ImpactSurveyor,
     JointSensors,
 )
 from sim_twin.virtual.units import make_unit, nominal_unit
@@ -107,7 +107,7 @@ def test_tracker_sees_only_visible_loads_and_forgets_on_clear():
 
 
 def test_survey_arrives_half_a_second_later_with_two_centimetres():
-    survey, rng = ImpactSurvey(3001), np.random.default_rng(0)
+    survey, rng = ImpactSurveyor(3001), np.random.default_rng(0)
     which = np.arange(3000)
     true = np.tile([9.0, 1.0, 0.25], (3000, 1))
     survey.note(which, np.full(3000, 1000 * MS), true, rng)

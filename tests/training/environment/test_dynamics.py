@@ -5,7 +5,7 @@ import pytest
 from machine.kinematics import hanging_pitch_rad
 from machine.spec import MJCF_PATH, load_spec
 from training.environment.dynamics import (
-    JointResponse,
+    DriveResponse,
     ResponseState,
     passive_acceleration,
     passive_body,
@@ -83,7 +83,7 @@ def test_jax_float32_agrees_with_numpy_float64():
 def test_response_settles_at_gain_times_reference_and_rings_as_damping_says():
     wn, zeta, dt = 6.0, 0.5, 0.0005
     one, nothing = np.ones((1, 4)), np.zeros((1, 4))
-    response = JointResponse(nothing, 1e-6 * one, wn * one, zeta * one, 1.03 * one, 0.9 * one)
+    response = DriveResponse(nothing, 1e-6 * one, wn * one, zeta * one, 1.03 * one, 0.9 * one)
     for sign, gain in ((1.0, 1.03), (-1.0, 0.9)):
         velocity, state, peak = nothing, ResponseState(nothing, nothing), 0.0
         for _ in range(12000):
@@ -96,7 +96,7 @@ def test_response_settles_at_gain_times_reference_and_rings_as_damping_says():
 
 def test_overdamped_response_is_stable_at_100_hertz():
     one, nothing = np.ones((1, 4)), np.zeros((1, 4))
-    response = JointResponse(nothing, 0.3 * one, 36.0 * one, 1.6 * one, one, one)
+    response = DriveResponse(nothing, 0.3 * one, 36.0 * one, 1.6 * one, one, one)
     velocity, state = nothing, ResponseState(nothing, nothing)
     for _ in range(300):
         velocity, state = respond(response, state, velocity, one, nothing, 0.01)
@@ -107,7 +107,7 @@ def test_overdamped_response_is_stable_at_100_hertz():
 def test_boom_and_dipper_push_each_other_back():
     # a_boom = s_boom - 0.6 a_dipper and a_dipper = s_dipper - 0.8 a_boom; the others know nothing of it.
     one, nothing, dt = np.ones((1, 4)), np.zeros((1, 4)), 1e-5
-    alone = JointResponse(nothing, 1e-6 * one, 25.0 * one, 0.8 * one, one, one)
+    alone = DriveResponse(nothing, 1e-6 * one, 25.0 * one, 0.8 * one, one, one)
     coupled = alone._replace(boom_from_dipper_ratio=0.6, dipper_from_boom_ratio=0.8)
     state = ResponseState(one, np.array([[0.3, 2.0, -1.0, 0.7]]))
     apart, _ = respond(alone, state, nothing, one, nothing, dt)
