@@ -16,20 +16,11 @@ from diagnosis.reference_throws import reference_evidence
 from diagnosis.report.vocabulary import channel_words, size_words
 from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
+from diagnosis.tuning import LEAST_GAIN_RATIO, MOST_LOSS_RATIO, PLAIN_PROBABILITY, SOME_PROBABILITY
 from diagnosis.verdict import Ambiguity, Cause, Diagnosis, Gap, Shrink, VerdictKind
 from reports.number_format import percent, probability
 from sim_twin.effects.effect import Effect
 
-LEAST_GAIN_RATIO = 0.05
-"""Least share of the removable gap that an explanation closes."""
-PLAIN_PROBABILITY = 0.01
-"""Probability of "none" below which a gain must be possible, and need not be significant."""
-SOME_PROBABILITY = 0.05
-"""Probability of "none" from which the interval of the gain decides (`MOST_LOSS_RATIO`)."""
-MOST_LOSS_RATIO = 0.1
-"""Where "none" has at least `SOME_PROBABILITY`, an effect is not claimed if the interval of its gain
-ends below `LEAST_GAIN_RATIO` or begins below minus this share. Where "none" has at least
-`PLAIN_PROBABILITY`, an effect is not claimed if its mean gain is below `LEAST_GAIN_RATIO`."""
 RULED_OUT_COUNT = 12
 """Number of single effects listed as ruled out."""
 

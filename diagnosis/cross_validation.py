@@ -22,6 +22,7 @@ from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, residual_
 from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.linearisation.unmodelled_effects import unmodelled_names
 from diagnosis.linearisation.whitening import whiten_throw
+from diagnosis.tuning import CLEAR_RATIO, LEAST_GAP_RATIO
 from diagnosis.verdict import Shrink
 from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect
@@ -31,10 +32,6 @@ PART_COUNT = 3
 """Folds of the cross-validation."""
 BOOTSTRAP_COUNT = 400
 """Bootstrap draws of the interval."""
-LEAST_GAP_RATIO = 0.02
-"""The removable gap is at least this share of the gap."""
-CLEAR_RATIO = 1.6
-"""An impact gap of more than this multiple of a healthy machine's is a measure of an effect."""
 
 
 class Gaps(NamedTuple):

@@ -11,13 +11,11 @@ from diagnosis.hypotheses.release_jitter import JITTER, PARAMETER
 from diagnosis.inference.evidence import members_index
 from diagnosis.inference.model_selection import NORMAL_90
 from diagnosis.linearisation.parameters import library
+from diagnosis.tuning import SIZE_ERROR_RATIO
 from diagnosis.verdict import Cause, FittedEffect, FittedParameter
 from sim_twin.effects.effect import Effect, acting_effect
 from sim_twin.effects.schema import parameter_unit
 
-SIZE_ERROR_RATIO = 0.09
-"""Standard deviation of the model error of a fitted parameter, as a share of its value. It makes 90 %
-intervals hold at their nominal rate."""
 CAUSE_COUNT = 8
 """Number of causes in a result, beside "none" and "unknown"."""
 

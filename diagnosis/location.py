@@ -8,6 +8,7 @@ import numpy as np
 from diagnosis.fitted_causes import effect_names
 from diagnosis.hypotheses.ranking import Ranked, unknown_log_odds
 from diagnosis.linearisation.unmodelled_effects import unmodelled_effect_of
+from diagnosis.tuning import QUIET_SD
 from diagnosis.verdict import (
     Stage,
     StageGap,
@@ -17,8 +18,6 @@ from sim_twin.effects.effect import Effect, effect_stage
 
 SIDEWAYS: Final = {"swing.gyro.x": "slew", "swing.gyro.y": None}
 """Rates about the axes of the two passive joints, and the driven joint that alone moves the pin that way."""
-QUIET_SD = 3.0
-"""Residual power of an axis without an effect, in standard deviations of healthy sets."""
 
 
 def where(

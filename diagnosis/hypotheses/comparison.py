@@ -21,25 +21,17 @@ from diagnosis.inference.evidence import (
     weigh,
     without_effect,
 )
-from diagnosis.linearisation.model_error import (
+from diagnosis.linearisation.model_error import RESPONSE_EFFECTS
+from diagnosis.linearisation.parameters import SET_NUISANCES, library
+from diagnosis.tuning import (
+    JUMP_LOG_ODDS,
+    LEAST_INFORMATION_RATIO,
     MODEL_ERROR_RATIO,
-    RESPONSE_EFFECTS,
+    NEARBY_SD,
+    PART_LOG_ODDS,
     SHARED_ERROR_RATIO,
 )
-from diagnosis.linearisation.parameters import SET_NUISANCES, library
 from machine.conventions import Array
-
-PART_LOG_ODDS = 20.0
-"""Largest gain of a subset in the linearisation of the whole set. Slopes there extrapolate badly to zero
-where a joint stands, or is late by as much as its motion lasts."""
-
-
-NEARBY_SD = 2.0
-"""Posterior standard deviations within which a machine's scatter counts as being at the simulated sizes."""
-JUMP_LOG_ODDS = 10.0
-"""Log odds over no effect that a candidate with jumps must have in its own linearisation."""
-LEAST_INFORMATION_RATIO = 1e-6
-"""Least information about a size, as a share of the precision of its wide prior."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,6 @@ from diagnosis.hypotheses.comparison import (
 )
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.generation import (
-    PART_COUNT,
     extended_sets,
     missing_lookalikes,
     missing_subsets,
@@ -36,20 +35,12 @@ from diagnosis.hypotheses.refinement import (
 )
 from diagnosis.inference.evidence import Information, Set, SetEvidence, total
 from diagnosis.inference.model_selection import bootstrap_weights, subsets
+from diagnosis.tuning import FORM_EVIDENCE_RATIO, GROWTH, PAIRED_COUNT, SUBSET_COUNT, WEIGHED_COUNT
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 
 BOOTSTRAP_COUNT = 30
 """Bootstraps of the throws."""
-GROWTH = ((3, 6), (2, 3))
-"""For pairs, then triples: number of smaller sets to extend, and of extended sets to evaluate."""
-PAIRED_COUNT = 2
-"""Single effects that are paired with effects that slopes do not show."""
-WEIGHED_COUNT = 5
-"""Sets that are weighed in the end."""
-FORM_EVIDENCE_RATIO = 0.02
-"""Share of the log evidence of the effects beside an unmodelled effect that is attributed to their model
-error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +108,7 @@ def _best_with_subsets(problem: GapProblem, found: Sequence[CandidateSet]) -> li
     """
     chosen = [t for t in _ranked(found)[:WEIGHED_COUNT] if t.members]
     best = fine_line_search(problem, refine_until_close(problem, chosen))
-    leading = _ranked([found[0], *best])[:PART_COUNT]
+    leading = _ranked([found[0], *best])[:SUBSET_COUNT]
     lookalikes = refine_until_close(
         problem, evaluate(problem, missing_lookalikes(problem, found, leading))
     )

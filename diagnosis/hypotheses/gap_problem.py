@@ -22,15 +22,14 @@ from diagnosis.linearisation.whitening import (
     with_projection_subtracted,
 )
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.population.model_misfit import CLEAR_LOG_POWER, filters_help, misfit, scaled_to
+from diagnosis.population.model_misfit import filters_help, misfit, scaled_to
 from diagnosis.population.other_machine_type import fitted_other_type_model, other_type_model
+from diagnosis.tuning import CLEAR_LOG_POWER, PREVIEW_COUNT
 from diagnosis.worker_process import WorkerProcess
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import TwinProfile
 
-PREVIEW_COUNT = 6
-"""Fewest throws of a preview; smaller sets are previewed with all throws."""
 TYPE_ADAPTATIONS = ((1.0, CLEAR_LOG_POWER),)
 """Adaptations to the misfit, in order: least factor, and log power from which the misfit is significant.
 Machines of the type are never much closer to their twin than the others."""

@@ -27,29 +27,31 @@ from diagnosis.inference.model_selection import search, subsets
 from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, Group, View, library
 from diagnosis.linearisation.simulation_batch import FIXED_SLOPE_EFFECTS
 from diagnosis.linearisation.unmodelled_effects import UNMODELLED, group_of
+from diagnosis.tuning import (
+    BETWEEN_RATIO,
+    CLEAR_LOG_ODDS,
+    FAR_RATIO,
+    LEAST_OWN_LOG_EVIDENCE,
+    MARGIN_LOG_ODDS,
+    PARTNER_COUNT,
+    PARTNER_SIZE_COUNT,
+    RESIDUAL_JOINT_COUNT,
+    RESIDUAL_JOINT_RATIO,
+    RESIDUAL_JOINT_SD,
+    SINGLE_COUNT,
+    SMALLER_RATIO,
+    STALE_MARGIN_LOG_ODDS,
+    STICTION_BETWEEN_RATIO,
+    SUBSET_COUNT,
+    UNMODELLED_COUNT,
+)
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.pairs import CONFUSABLE_PAIRS
 from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import effects_where
 
-RESIDUAL_JOINT_SD = 3.0
-"""Residual power of a joint, in standard deviations of healthy sets, from which all effects at the joint
-are examined."""
-RESIDUAL_JOINT_COUNT = 2
-"""Largest number of such joints."""
-RESIDUAL_JOINT_RATIO = 0.5
-"""Joints with at least this share of the largest residual power are examined, too: a neighbour may
-excite it."""
-CLEAR_LOG_ODDS = 10.0
-"""Log odds of an effect at "no effect" from which its joint is examined."""
 HIDDEN_FROM_SLOPES = effects_where(lambda effect: effect.growth not in ("linear", "curved"))
 """Effects that are unlike a multiple of their slope at size 0."""
-FAR_RATIO = 3.0
-"""Starting size of effects that slopes do not show, as a multiple of their typical size."""
-BETWEEN_RATIO = (1.75,)
-"""Further starting sizes, as multiples of the typical size."""
-STICTION_BETWEEN_RATIO = (1.35, 1.75, 2.15, 2.55)
-"""Further starting sizes of stiction, whose evidence has narrow maxima, as multiples of the typical size."""
 
 
 def library_groups(problem: GapProblem) -> list[int]:
@@ -132,10 +134,6 @@ def groups_at_joints(problem: GapProblem, joints: Collection[str]) -> list[int]:
 
 METERING_EFFECTS = effects_where(lambda effect: effect.shapes_speed)
 """Effects of a valve's metering edges."""
-UNMODELLED_COUNT = 5
-"""Sets with an unmodelled effect that are weighed."""
-LEAST_OWN_LOG_EVIDENCE = 4.0
-"""Least log evidence of an unmodelled effect from what no named parameter explains of it."""
 
 
 def with_unmodelled_effects(
@@ -179,22 +177,6 @@ def _unexplained_evidence(candidate: CandidateSet, weighed: SetEvidence) -> floa
     return 0.5 * float(size @ candidate.base.precision[np.ix_(index, index)] @ size)
 
 
-SINGLE_COUNT = 6
-"""Single effects that are evaluated further."""
-PART_COUNT = 3
-"""Sets whose members alone, or whose subsets, are evaluated."""
-PARTNER_SIZE_COUNT = 2
-"""Starting sizes of a second effect."""
-SMALLER_RATIO = ((1.0, 0.6), (0.6, 1.0), (0.6, 0.6))
-"""Factors on a dead band in both directions: its possible size beside another effect at its joint."""
-PARTNER_COUNT = 4
-"""Pairs with an effect that slopes do not show that are evaluated further."""
-MARGIN_LOG_ODDS = 3.0
-"""Log odds within which the extrapolated evidence of an extended set must come to the best set."""
-STALE_MARGIN_LOG_ODDS = 10.0
-"""The same where the slopes of the last effect are those at no effect (`sensitivities.relinearise`)."""
-
-
 def refined_singles(problem: GapProblem, none: CandidateSet) -> list[CandidateSet]:
     """The most promising single effects, each evaluated at its own size.
 
@@ -206,7 +188,7 @@ def refined_singles(problem: GapProblem, none: CandidateSet) -> list[CandidateSe
     library = library_groups(problem)
     alone = sorted((weigh(base, priors, (g,)) for g in library), key=lambda e: -e.log_odds)
     first = [e.members[0] for e in alone[:SINGLE_COUNT]]
-    first += [g for e in search(base, priors, library)[:PART_COUNT] for g in e.members]
+    first += [g for e in search(base, priors, library)[:SUBSET_COUNT] for g in e.members]
     examined = groups_to_examine(problem, none, alone)
     points: list[StartingPoint] = []
     for group in dict.fromkeys([*first, *examined]):
@@ -218,7 +200,7 @@ def refined_singles(problem: GapProblem, none: CandidateSet) -> list[CandidateSe
     # A candidate that loses to no effect may beat it at another size, or on all throws.
     promising = [
         *most_promising(previews)[:SINGLE_COUNT],
-        *sorted(previews, key=_best_first)[:PART_COUNT],
+        *sorted(previews, key=_best_first)[:SUBSET_COUNT],
     ]
     return fine_line_search(
         problem, refine(problem, coarse_line_search(problem, list(dict.fromkeys(promising))), 2)

@@ -15,34 +15,22 @@ from diagnosis.linearisation.model_error import nonsmooth_blocks
 from diagnosis.linearisation.parameters import Group
 from diagnosis.linearisation.residual_power import EXCITED_BLOCKS, INSENSITIVE_BLOCKS
 from diagnosis.linearisation.unmodelled_effects import group_of
+from diagnosis.tuning import (
+    CROWDED_LEVEL_SD,
+    CROWDED_WIDTH_SD,
+    DOUBT_PROBABILITY,
+    FORM_LEFT_RATIO,
+    FORM_LEVEL_SD,
+    FORM_LOG_EVIDENCE,
+    QUIET_LEVEL_SD,
+    QUIET_WIDTH_SD,
+    RIVAL_PROBABILITY,
+    STICKING_LEVEL_SD,
+    SURE_PROBABILITY,
+    UNKNOWN_LEVEL_SD,
+    UNKNOWN_WIDTH_SD,
+)
 from machine.conventions import Array
-
-UNKNOWN_LEVEL_SD = 5.5
-UNKNOWN_WIDTH_SD = 1.0
-"""Residual power, in standard deviations of healthy sets, at which "unknown" has even odds, and the
-width of the logistic."""
-QUIET_LEVEL_SD = 4.5
-QUIET_WIDTH_SD = 0.5
-"""The same where no effect is best: then no model error of an effect adds to the residual power."""
-CROWDED_LEVEL_SD = 3.4
-CROWDED_WIDTH_SD = 0.4
-"""The same at a joint where the best set has two effects or more, which together take up most of an
-unknown effect."""
-STICKING_LEVEL_SD = 2.5
-"""Additional standard deviations at a joint with stiction: it oscillates as it breaks loose, and the
-twin's does not."""
-FORM_LEVEL_SD = 1.0
-FORM_LOG_EVIDENCE = 1000.0
-"""Additional `FORM_LEVEL_SD` standard deviations for this log evidence of the best set over none, twice
-at most: the model error of a large effect adds to the residual power."""
-FORM_LEFT_RATIO = 0.1
-"""Share of a block's excess power over healthy machines below which it is model error of the best set."""
-SURE_PROBABILITY = 0.8
-"""Probability from which a cause is claimed alone."""
-RIVAL_PROBABILITY = 0.15
-"""Probability from which another cause is not ruled out."""
-DOUBT_PROBABILITY = 0.15
-"""Probability of "none" from which no effect is claimed."""
 
 
 @dataclass(frozen=True, slots=True)

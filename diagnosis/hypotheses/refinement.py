@@ -23,7 +23,6 @@ from diagnosis.hypotheses.comparison import (
 )
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.inference.evidence import (
-    SLAB_SCALES_RATIO,
     Set,
     mean_with,
     members_index,
@@ -34,16 +33,21 @@ from diagnosis.inference.evidence import (
 )
 from diagnosis.inference.model_selection import NORMAL_90
 from diagnosis.linearisation.parameters import index_of
+from diagnosis.tuning import (
+    CLOSE_LOG_ODDS,
+    COARSE_STEP_RATIO,
+    FINE_STEP_RATIO,
+    LEAST_OVER_SCATTER_RATIO,
+    MOST_STEPS_COUNT,
+    RIVAL_LOG_ODDS,
+    SLAB_SCALES_RATIO,
+)
 from machine.conventions import ACTIVE_JOINTS, Array, BoolArray
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.table import EFFECTS, effects_where
 
 LINE_SEARCHED_EFFECTS = effects_where(lambda effect: effect.growth not in ("linear", "threshold"))
 """Effects whose slopes are no guide to other sizes."""
-COARSE_STEP_RATIO = (1.5, 1.2)
-"""Step factors of the coarse line search over sizes."""
-FINE_STEP_RATIO = (1.1, 1.05)
-"""Step factors of the fine line search over sizes."""
 
 
 def preview(problem: GapProblem, points: Sequence[StartingPoint]) -> list[CandidateSet]:
@@ -88,10 +92,6 @@ def _beside(
             sizes = [part * (times if m in searched else 1.0) for m, part in parts.items()]
             points.append((candidate.members, np.concatenate(sizes)))
     return points
-
-
-LEAST_OVER_SCATTER_RATIO = 1.5
-"""Least size of an effect as a multiple of the scatter of healthy machines."""
 
 
 def large_enough(problem: GapProblem, candidates: Sequence[CandidateSet]) -> list[CandidateSet]:
@@ -169,14 +169,6 @@ def _beside_ratio(effect: str) -> float:
 def _shortening_ratio(effect: str) -> float:
     """`least_shortening_ratio` of a group's effect; 0 for drifts and shapes."""
     return EFFECTS[effect].least_shortening_ratio if effect in EFFECTS else 0.0
-
-
-CLOSE_LOG_ODDS = 300.0
-"""Log odds behind the best set within which the machine's own scatter is simulated."""
-RIVAL_LOG_ODDS = 40.0
-"""Log odds behind the best set within which the machine's own scatter is simulated a second time."""
-MOST_STEPS_COUNT = 3
-"""Largest number of iterations of a set's sizes."""
 
 
 def relinearise_near_best(

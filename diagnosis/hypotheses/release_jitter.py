@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.tuning import FOLLOWS_LOG_PRIOR, JITTER_LOG_PRIOR, JITTER_TREND_SD_S
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.table import EFFECTS
@@ -20,12 +21,6 @@ from sim_twin.twin.profile import TwinProfile
 
 JITTER = "release_jitter"
 PARAMETER = "extra_sd_s"
-LOG_PRIOR = -5.0
-"""Prior log odds of jitter."""
-FOLLOWS_LOG_PRIOR = -3.0
-"""Prior log odds of a spread that follows the swing, against jitter."""
-WIDE_S = 0.2
-"""Prior standard deviation of mean, trend, and dependence on the standardised swing."""
 GRID_COUNT = 61
 MIN_COUNT = 5
 OPENING_NUISANCES = ("release_delay_s", "switch_lag_s")
@@ -83,7 +78,7 @@ def fit_jitter(
     follows = [_log_sum(of_sizes(one) + either) for one in _standard(swing)]
     share = _log_mean(follows) - _log_sum(logs + log_prior)
     return JitterFit(
-        log_odds=float(_log_sum(logs + log_prior) - logs[0] + LOG_PRIOR),
+        log_odds=float(_log_sum(logs + log_prior) - logs[0] + JITTER_LOG_PRIOR),
         size_s=float(posterior @ sizes),
         ci90_s=(float(low), float(high)),
         follows_log_odds=share + FOLLOWS_LOG_PRIOR,
@@ -116,10 +111,10 @@ def _standard(table: Array) -> list[Array]:
 
 
 def _log_density(late: Array, basis: Array, sd: float) -> float:
-    """Log density of a normal with free coefficients of the basis (n, k), up to a constant (`WIDE_S`)."""
+    """Log density of a normal with free coefficients of the basis (n, k), up to a constant."""
     count = basis.shape[1]
-    inner = basis.T @ basis + np.eye(count) * (sd / WIDE_S) ** 2
+    inner = basis.T @ basis + np.eye(count) * (sd / JITTER_TREND_SD_S) ** 2
     left = late - basis @ np.linalg.solve(inner, basis.T @ late)
-    log_det = float(np.linalg.slogdet(inner)[1]) + 2.0 * count * float(np.log(WIDE_S))
+    log_det = float(np.linalg.slogdet(inner)[1]) + 2.0 * count * float(np.log(JITTER_TREND_SD_S))
     freedom = late.size - count
     return -0.5 * (float(late @ left) / sd**2 + log_det) - freedom * float(np.log(sd))

@@ -20,21 +20,17 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
+from diagnosis.tuning import (
+    MIN_SLAB_OVER_SPIKE_RATIO,
+    MOST_SIDE_RATIO,
+    PARTNER_LOG_PRIOR,
+    SLAB_SCALES_RATIO,
+    THIRD_LOG_PRIOR,
+)
 from machine.conventions import Array, IntArray
 
 Set = tuple[int, ...]
 """A hypothesis: group indices in increasing order; () is "no effect"."""
-SLAB_SCALES_RATIO = (1.0, 0.35, 0.12)
-"""The slab is a mixture of these multiples of the prior's width: effects come in all sizes."""
-MIN_SLAB_OVER_SPIKE_RATIO = 4.0
-"""Least ratio of slab to spike width; a narrower slab would be a second spike."""
-MOST_SIDE_RATIO = 0.4
-"""Largest slab width as a share of the bound on its side, for parameters whose bounds are not symmetric."""
-PARTNER_LOG_PRIOR = -1.0
-"""Log prior odds per pair of effects in a set: what an effect of the library does not model resembles
-another."""
-THIRD_LOG_PRIOR = -8.0
-"""Additional log prior odds per library effect beyond the second."""
 
 
 class Information(NamedTuple):

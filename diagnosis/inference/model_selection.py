@@ -22,15 +22,11 @@ from diagnosis.inference.evidence import (
     set_log_prior,
     weigh,
 )
+from diagnosis.tuning import COUNT_TEMPERATURE_RATIO, FORM_TEMPERATURE_RATIO
 from machine.conventions import Array, IntArray
 
 NORMAL_90 = 1.6449
 """Standard deviations to either side that hold 90 % of a normal distribution."""
-FORM_TEMPERATURE_RATIO = 8.0
-"""Divisor of the log odds for the choice between sets of equally many effects; it calibrates the
-probabilities."""
-COUNT_TEMPERATURE_RATIO = 2.0
-"""Divisor of the log odds for the choice of the number of effects; it calibrates the probabilities."""
 
 
 def search(

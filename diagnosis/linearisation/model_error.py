@@ -7,20 +7,14 @@ import numpy as np
 from diagnosis.healthy.noise import NoiseModel, whitener
 from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS
 from diagnosis.loading.prepared import Block, PreparedThrow
+from diagnosis.tuning import EXCITATION_RATIO, MODEL_ERROR_RATIO
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.table import effects_where
 
-MODEL_ERROR_RATIO = {"actuation": 0.2, "swing": 0.05, "flight": 0.05}
-"""Discrepancy of a real effect from the library's model by stage, as a share of the twin's deviation."""
-SHARED_ERROR_RATIO = {"actuation": 0.1, "swing": 0.05}
-"""Share of an effect's signal that may look like another named effect, the same in all throws. It is
-less than `MODEL_ERROR_RATIO`, since most of a model error looks like no other effect."""
 RESPONSE_EFFECTS = effects_where(lambda e: e.stage == "actuation" and e.growth == "delay")
 """Effects that look like each other by all of `MODEL_ERROR_RATIO`: whether a lag is that of the spool or
 of a second element behind it is not known."""
-EXCITATION_RATIO = 0.2
-"""Discrepancy at other joints as a share of the change that stiction or backlash makes at its own joint."""
 
 
 def factors(prepared: PreparedThrow, model: NoiseModel) -> list[Array]:

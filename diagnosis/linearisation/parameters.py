@@ -15,6 +15,13 @@ from diagnosis.linearisation.unmodelled_effects import (
     unmodelled_names,
     unmodelled_slab_sd,
 )
+from diagnosis.tuning import (
+    DRIFT_LOG_PRIOR,
+    GROUP_LOG_PRIOR,
+    NONSMOOTH_LOG_PRIOR,
+    SPIKE_WIDENING_RATIO,
+    UNMODELLED_LOG_PRIOR,
+)
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.schema import DRIFT
@@ -144,19 +151,6 @@ class ParameterLayout:
 NONSMOOTH_EFFECTS = effects_where(lambda effect: effect.stops_joint)
 """Effects under which a joint stands while its valve is open, breaks loose, and meets its drive again by
 forces that the twin lacks."""
-GROUP_LOG_PRIOR = -6.0
-"""Prior log odds of an effect: one effect in six data sets, among about seventy."""
-NONSMOOTH_LOG_PRIOR = -8.0
-"""Prior log odds of a nonsmooth effect. The position where a sticking joint rests is fitted to the
-throws (`replay_drives`), a degree of freedom that other effects lack."""
-SPIKE_WIDENING_RATIO = 1.1
-"""Factor on the scatter, which was measured on a finite number of machines."""
-DRIFT_LOG_PRIOR = -8.0
-"""Prior log odds of a drift: rarer than a constant effect, and there are as many."""
-
-
-UNMODELLED_LOG_PRIOR = -8.0
-"""Prior log odds of an unmodelled effect: rarer than an effect of the library."""
 
 EXCLUDED_LOG_PRIOR = -1e6
 """Prior log odds of what is no hypothesis; finite, so that differences of log odds are numbers."""

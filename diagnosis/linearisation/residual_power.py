@@ -7,11 +7,9 @@ import numpy as np
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.whitening import Whitened
 from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.tuning import JUMP_SD
 from machine.conventions import Array
 
-JUMP_SD = 4.0
-"""Limit of a whitened sample in a block with nonsmooth motion: a joint that breaks loose jumps within a
-tick."""
 INSENSITIVE_BLOCKS = "swing.accel"
 """Blocks that are no measure of what is unexplained: joints that stop or break loose within a tick
 accelerate the gripper by more than smoothed joint motion shows."""

@@ -17,6 +17,7 @@ from diagnosis.linearisation.residual_power import residual_power
 from diagnosis.linearisation.sensitivities import LinearThrow
 from diagnosis.linearisation.whitening import Whitened, information
 from diagnosis.loading.prepared import AXES, PreparedThrow
+from diagnosis.tuning import CLEAR_LOG_POWER, LEAST_MISFIT_RATIO
 from machine.conventions import ACTIVE_JOINTS
 
 COMMON = {
@@ -24,12 +25,6 @@ COMMON = {
     "swing": tuple(f"swing.gyro.{axis}" for axis in AXES),
 }
 """Blocks of which more than half must deviate before a stage counts as a misfit."""
-LEAST_MISFIT_RATIO = 0.5
-"""Least factor: no twin is closer to a machine, however quiet its sensors. Simulation steps of 10 ms
-limit it."""
-CLEAR_LOG_POWER = 0.7
-"""Excess log power from which a misfit is significant; levels of healthy sets of the type scatter by 0.1
-to 0.2."""
 
 
 def filters_help(

@@ -17,34 +17,26 @@ from diagnosis.inference.evidence import Information, screen
 from diagnosis.inference.model_selection import search
 from diagnosis.linearisation.parameters import layout, library
 from diagnosis.linearisation.unmodelled_effects import unmodelled_least_sd, unmodelled_names
+from diagnosis.tuning import (
+    CLOCK_SD_S,
+    COMMON_CLOCK_SD_S,
+    DRIVE_RATIOS,
+    LAG_RATIO,
+    LEAST_DEAD_BAND_RATIO,
+    LEAST_SHAPE_S,
+    LEAST_VISCOUS_PER_S,
+    LEVEL_SD,
+)
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import load_spec
 from sim_twin.effects.table import effects_where
 
-LAG_RATIO = 0.1
-"""Deviation of another machine's drive lag, as a share of the lag."""
-LEAST_SHAPE_S = 0.015
-"""Joint deviation of dead time and lag with opposite signs, s: another valve has another order of its
-response. The mean delay stays."""
-CLOCK_SD_S = 0.006
-"""Deviation of a sensor's latency on another machine, s: it has other filters and buses."""
-COMMON_CLOCK_SD_S = 0.008
-"""Common latency of all sensors with commands earlier by as much, s. No log shows it, but noise in
-measured joints acts alike, since a later twin is a smoother one."""
-LEAST_VISCOUS_PER_S = 0.015
-"""Deviation of the viscous friction of another machine's passive joints, 1/s."""
-LEAST_DEAD_BAND_RATIO = 0.008
-"""Deviation of another valve's overlap, as a share of full command."""
 DRIFT_SD: Final = {
     f"joint_sensor_bias.{joint}.bias_rad_m": 0.015 if joint == "telescope" else 0.006
     for joint in ACTIVE_JOINTS
 }
 """Drift of the joint sensors' biases, rad or m: noise of joint sensors acts like a bias that follows the
 motion."""
-LEVEL_SD = 0.06
-"""Spread of the log residual power between joints or axes of a machine of another type."""
-DRIVE_RATIOS = (1.0, 0.5, 0.25)
-"""Deviations of another machine's drives relative to the type's that are compared."""
 _DRIVES: Final = {p.key for p in library() if p.stage == "actuation"}
 _SENSORS: Final = {key.format(j) for key in LATE_KEYS for j in ACTIVE_JOINTS} | set(NOISE_LIKE_SD)
 """Parameters whose scatter between sets is that of these throws' sensors."""

@@ -10,7 +10,6 @@ from diagnosis.healthy.noise import load_noise
 from diagnosis.hypotheses import candidates, comparison, exploration, generation, refinement
 from diagnosis.hypotheses.candidates import sizes_in
 from diagnosis.hypotheses.comparison import (
-    PART_LOG_ODDS,
     CandidateSet,
     better,
     comparable_evidence,
@@ -29,6 +28,7 @@ from diagnosis.hypotheses.generation import (
 from diagnosis.hypotheses.refinement import large_enough
 from diagnosis.inference.evidence import Priors, inform, screen
 from diagnosis.linearisation.parameters import layout
+from diagnosis.tuning import PART_LOG_ODDS
 from machine.spec import load_spec
 from sim_twin.twin.profile import nominal_profile
 

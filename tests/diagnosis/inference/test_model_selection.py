@@ -8,9 +8,6 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from diagnosis.inference.evidence import (
-    MIN_SLAB_OVER_SPIKE_RATIO,
-    PARTNER_LOG_PRIOR,
-    THIRD_LOG_PRIOR,
     Information,
     Priors,
     SetEvidence,
@@ -24,12 +21,17 @@ from diagnosis.inference.evidence import (
     without_effect,
 )
 from diagnosis.inference.model_selection import (
-    COUNT_TEMPERATURE_RATIO,
-    FORM_TEMPERATURE_RATIO,
     bagged_probability,
     bootstrap_weights,
     expected_log_odds,
     search,
+)
+from diagnosis.tuning import (
+    COUNT_TEMPERATURE_RATIO,
+    FORM_TEMPERATURE_RATIO,
+    MIN_SLAB_OVER_SPIKE_RATIO,
+    PARTNER_LOG_PRIOR,
+    THIRD_LOG_PRIOR,
 )
 from machine.conventions import Array
 

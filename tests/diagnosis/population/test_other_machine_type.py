@@ -7,11 +7,8 @@ from diagnosis.healthy.noise import NoiseModel, load_noise
 from diagnosis.healthy.sensor_noise import NOISE_LIKE_SD
 from diagnosis.inference.evidence import Information, screen, weigh
 from diagnosis.linearisation.parameters import index_of, layout, library
-from diagnosis.population.other_machine_type import (
-    DRIVE_RATIOS,
-    fitted_other_type_model,
-    other_type_model,
-)
+from diagnosis.population.other_machine_type import fitted_other_type_model, other_type_model
+from diagnosis.tuning import DRIVE_RATIOS
 from machine.conventions import ACTIVE_JOINTS, Array
 
 LATE_SLEW = "joint_sensor_latency.slew.extra_latency_s"
