@@ -1,4 +1,4 @@
-"""The sentence of a verdict is told in words, without names that only the code knows."""
+"""Verdict, sentence, location and ambiguity."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -24,7 +24,7 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
     )
 
 
-def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> None:
+def test_an_effect_without_gain_is_not_claimed_while_none_is_probable() -> None:
     effect = Effect(effect="joint_sensor_bias", joint="boom", parameters={"bias_rad_m": -0.006})
     cases = (
         (0.07, (-0.11, -0.01), None, VerdictKind.NONE),
@@ -58,8 +58,7 @@ def test_an_effect_that_gains_nothing_is_not_claimed_while_none_is_left() -> Non
         assert verdict_of(cast("Ranked", ranked), gain) is verdict
 
 
-def test_the_place_is_that_of_the_effect_that_most_sets_have() -> None:
-    """A late release beside less drag or a heavier load, which look the same in the air."""
+def test_the_location_is_that_of_the_most_probable_effect() -> None:
     delay, mass, drag = (
         Effect(effect=effect, joint=None, parameters={name: 0.1})
         for effect, name in (
@@ -83,8 +82,7 @@ def test_the_place_is_that_of_the_effect_that_most_sets_have() -> None:
         assert where(verdict, cast("Ranked", ranked), ()) == {"stage": "release", "joint": None}
 
 
-def test_jitter_is_claimed_and_looked_at_where_all_else_is_in_doubt() -> None:
-    """Blind sets had jitter of 2 and 4 limits that was none, for a slow slew that may have been there."""
+def test_jitter_is_claimed_where_all_else_is_doubtful() -> None:
     slow = Effect(effect="speed_limit", joint="slew", parameters={"reduction_ratio": 0.2})
     best = SimpleNamespace(members=(3,), effects=(slow,))
     none = SimpleNamespace(members=(), effects=())
@@ -122,8 +120,7 @@ def _jitter_of(size_s: float) -> SimpleNamespace:
     return SimpleNamespace(effect=lambda: effect)
 
 
-def test_jitter_is_part_of_either_cause_that_may_be() -> None:
-    """Members have the names of the causes, so that both are found among them."""
+def test_jitter_is_part_of_both_rivals() -> None:
     load = Effect(effect="load_dependent_speed", joint="boom", parameters={"loss_ratio": 0.1})
     gain = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": 0.1})
     best, rival = (
@@ -159,10 +156,7 @@ def test_jitter_is_part_of_either_cause_that_may_be() -> None:
         assert ambiguity_of(cast("Ranked", ranked), None).members == members
 
 
-def test_a_gripper_that_swings_otherwise_about_one_axis_alone_has_a_pin_that_moves_otherwise() -> (
-    None
-):
-    """Friction, length and inertia act about both axes: an undercarriage that winds up does not."""
+def test_a_swing_that_deviates_about_one_axis_is_located_at_the_pin() -> None:
     best = SimpleNamespace(members=(), effects=())
     for other, stage, joint in ((1.3, "aim", "slew"), (9.0, "swing", None)):
         levels = {"swing.gyro.x": 22.0, "swing.gyro.y": other, "swing.gyro.z": 5.0}

@@ -31,8 +31,8 @@ def _sets(
 ) -> tuple[list[list[SetLikelihood]], np.ndarray]:
     """Machines whose sets see their parameters with unit noise, and what each machine is off."""
     off = np.array([1.0, 0.0]) + MACHINE_SD * rng.standard_normal((machines, 2))
-    evaluated = off[:, None] + np.hypot(SET_SD, 1.0) * rng.standard_normal((machines, sets, 2))
-    return [[SetLikelihood(np.eye(2), b) for b in one] for one in evaluated], off
+    measured = off[:, None] + np.hypot(SET_SD, 1.0) * rng.standard_normal((machines, sets, 2))
+    return [[SetLikelihood(np.eye(2), b) for b in one] for one in measured], off
 
 
 def test_both_levels_are_learned() -> None:
@@ -45,7 +45,7 @@ def test_both_levels_are_learned() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(levels.within)), SET_SD, rtol=0.25)
 
 
-def test_a_machines_own_share_lies_within_what_is_said_of_it() -> None:
+def test_the_posterior_of_a_machine_covers_its_deviation() -> None:
     levels = Levels(np.array([1.0, 0.0]), np.diag(MACHINE_SD**2), np.diag(SET_SD**2))
     sets, off = _sets(np.random.default_rng(1), 300, 3)
     found = [of_machine(one, levels) for one in sets]

@@ -1,4 +1,4 @@
-"""Half of the tasks in a worker process, and all of them in the calling one when the worker is gone."""
+"""Half of the tasks run in a worker process, and all in the calling one when the worker is gone."""
 
 import os
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""Throws of the twin itself with effects, open loop, as the diagnosis loads them: the easy case."""
+"""Throws of the twin itself with effects, open loop, as the diagnosis loads them."""
 
 from collections.abc import Callable
 from functools import cache

@@ -1,4 +1,4 @@
-"""What is learned of healthy machines: the filter, the noise, the jitter of the opening."""
+"""The model of healthy machines: filters, noise, jitter of the opening."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What other sensors and rarer rows add to what is known of healthy machines of the type."""
+"""The noise model follows the sensors and the sampling rate of the logs."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def test_a_command_is_not_known_within_a_row() -> None:
     assert found.sd_of(LATE) == pytest.approx(np.hypot(model.set_scatter.sd_of(LATE), 0.005))
 
 
-def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
+def test_noisy_joint_sensors_widen_the_swing_s_noise() -> None:
     model, found = load_noise(), with_measured_sensor_noise(load_noise(), noisier(throws(), 4.0))
     for name in ("actuation.boom", "actuation.slew"):
         assert 2.0 < found.channels[name].noise_sd / model.channels[name].noise_sd < 4.0
@@ -56,8 +56,7 @@ def test_noisy_joint_sensors_shake_the_simulated_gripper_too() -> None:
 
 
 @pytest.mark.parametrize("sd_m", [0.025, 0.05])
-def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
-    """What it shows beyond the type's noise is no effect: not even a share of it may be left over."""
+def test_the_tracker_s_noise_is_measured(sd_m: float) -> None:
     rng = np.random.default_rng(3)
     loaded = throws()
     noisy = tuple(
@@ -69,8 +68,8 @@ def test_a_tracker_is_taken_to_be_as_noisy_as_it_shows(sd_m: float) -> None:
     assert 0.95 * sd_m < found.channels["flight.ball"].noise_sd < 1.1 * most
 
 
-def test_a_survey_says_how_well_it_saw() -> None:
+def test_the_survey_s_standard_deviation_is_used() -> None:
     loaded = throws()
-    nonsmooth = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
-    found = with_measured_sensor_noise(load_noise(), nonsmooth)
+    coarse = replace(loaded, throws=tuple(replace(t, impact_sd_m=0.1) for t in loaded.throws))
+    found = with_measured_sensor_noise(load_noise(), coarse)
     assert found.channels["flight.impact"].noise_sd == pytest.approx(0.1)

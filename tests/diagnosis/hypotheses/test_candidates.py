@@ -1,4 +1,4 @@
-"""Play that changes on the way has the slopes of the play beside it."""
+"""Play that varies has the slopes of the play beside it."""
 
 from collections.abc import Sequence
 
@@ -40,7 +40,7 @@ def whitened(problem: GapProblem, at: Sequence[LinearThrow]) -> list[Whitened]:
     ]
 
 
-def test_play_that_is_the_same_all_along_is_play_and_nothing_else_changes(
+def test_constant_play_is_subtracted_and_nothing_else_changes(
     problem: GapProblem, at: Sequence[LinearThrow]
 ) -> None:
     before = whitened(problem, at)
@@ -57,14 +57,12 @@ def test_play_that_is_the_same_all_along_is_play_and_nothing_else_changes(
         own = np.sqrt(np.diag(precision))
         return np.abs(precision[SIZE, changing]) / (own[SIZE] * own[changing])
 
-    loose, with_projection_subtracted = (
-        alike(total(information(all_)).precision) for all_ in (before, after)
-    )
-    assert with_projection_subtracted.max() < 0.02
-    assert loose.max() > 5.0 * with_projection_subtracted.max()
+    loose, apart = (alike(total(information(all_)).precision) for all_ in (before, after))
+    assert apart.max() < 0.02
+    assert loose.max() > 5.0 * apart.max()
 
 
-def test_a_set_with_changing_play_moves_as_that_play_does_at_the_play_that_is_there(
+def test_varying_play_has_the_slopes_of_the_play_present(
     problem: GapProblem, at: Sequence[LinearThrow]
 ) -> None:
     throw, linear, factor = problem.prepared[0], at[0], problem.factor[0]

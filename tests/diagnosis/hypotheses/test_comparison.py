@@ -67,7 +67,7 @@ def compared(*candidates):
     return dict(zip((t.members for t in candidates), found, strict=True))
 
 
-def test_a_part_has_the_form_error_of_its_own_effects_only():
+def test_a_subset_has_the_model_error_of_its_own_effects_only():
     both, one = candidate((0, 1), SIZES), candidate((0,), SIZES[:1])
     found = compared(candidate(), both, one)
     assert found[0, 1] - found[0,] > 40.0
@@ -75,7 +75,7 @@ def test_a_part_has_the_form_error_of_its_own_effects_only():
     assert found[0, 1] - borrowed < 30.0, "with the form error of both"
 
 
-def test_sizes_that_nobody_simulated_are_a_promise():
+def test_gain_at_sizes_that_were_not_simulated_is_extrapolated():
     near = candidate((0,), SIZES[:1])
     far = replace(near, at=np.array([1.0]))
     assert extrapolated_gain(candidate()) == extrapolated_gain(near) == 0.0
@@ -86,7 +86,7 @@ def test_sizes_that_nobody_simulated_are_a_promise():
     assert extrapolated_gain(replace(far, jumping=(0,))) == 0.0
 
 
-def test_in_the_end_no_set_counts_for_a_promise():
+def test_extrapolated_gain_does_not_count_in_the_end():
     near = candidate((0,), SIZES[:1])
     candidates = candidate(), replace(near, at=np.array([1.0]))
     evaluated = [(0, ()), (1, (0,))]
@@ -97,7 +97,7 @@ def test_in_the_end_no_set_counts_for_a_promise():
     assert found[0] == last[0]
 
 
-def test_the_form_error_of_every_stage_is_its_own():
+def test_model_error_is_per_stage():
     groups, priors = layout(load_noise()).groups, layout(load_noise()).priors
     aim = groups.index(("base_yaw_drift", None))
     place = int(priors.groups[aim][0])
@@ -112,7 +112,7 @@ def test_the_form_error_of_every_stage_is_its_own():
     assert with_drive[other, other] == pytest.approx(alone[other, other])
 
 
-def test_what_slopes_cannot_take_back_is_given_to_no_part():
+def test_effects_that_do_not_extrapolate_favour_no_subset():
     both, one = candidate((0, 1), SIZES), candidate((0,), 0.5 * SIZES[:1])
     smooth = compared(candidate(), both, one)
     jumping = compared(candidate(), candidate((0, 1), SIZES, jumping=(1,)), one)
@@ -124,15 +124,15 @@ def test_what_slopes_cannot_take_back_is_given_to_no_part():
     assert kept == smooth, "a part that has it"
 
 
-def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
+def test_the_gain_of_a_subset_is_bounded():
     both, one = candidate((0, 1), SIZES), candidate((0,), SIZES[:1])
     lost = one.information[0]._replace(log_volume=one.information[0].log_volume + 500.0)
     poor = replace(one, information=[lost])
     own = evidence_in(screen(lost, one.priors), one.priors, (0,))
     assert compared(candidate(), both, poor)[0,] == pytest.approx(own + PART_LOG_ODDS)
-    with_excited_joints = compared(candidate(), replace(both, excites_others=True), poor)
+    excited = compared(candidate(), replace(both, excites_others=True), poor)
     assert (
-        with_excited_joints[0,]
+        excited[0,]
         == compared(candidate(), replace(both, excites_others=True), one)[0,]
         > own + 400.0
     )
@@ -150,7 +150,7 @@ def test_a_part_gains_little_by_the_slopes_about_the_whole_set():
     ],
     ids=["there", "elsewhere", "jumps", "curved", "excites others", "beyond scatter"],
 )
-def test_a_machine_that_is_there_by_itself_is_no_effect(scatter_sd, at_ratio, also, is_scatter):
+def test_scatter_at_the_simulated_size_is_no_effect(scatter_sd, at_ratio, also, is_scatter):
     plain = PRIORS._replace(scatter=np.diag([scatter_sd**2, 1e-6, 1e-6]))
     at, there = at_ratio * SIZES[:1], data()
     there = there._replace(none_square=there.none_square + 1000.0)
@@ -162,7 +162,7 @@ def test_a_machine_that_is_there_by_itself_is_no_effect(scatter_sd, at_ratio, al
     assert compared(none, one)[()] == pytest.approx(expected)
 
 
-def test_a_lag_is_not_named_before_a_dead_time_was_simulated():
+def test_lookalikes_of_leading_sets_are_evaluated():
     groups = [("valve_lag", "boom"), ("imu_latency", None), ("valve_dead_time", "boom")]
     problem = SimpleNamespace(layout=SimpleNamespace(groups=groups))
     both, swapped = candidate((0, 1), SIZES), candidate((1, 2), SIZES)
@@ -176,7 +176,7 @@ def test_a_lag_is_not_named_before_a_dead_time_was_simulated():
     )
 
 
-def test_effects_too_small_to_be_any_are_left_out():
+def test_effects_that_are_too_small_are_left_out():
     plan = layout(load_noise())
     problem = SimpleNamespace(layout=plan, profile=nominal_profile(load_spec()))
     late = plan.groups.index(("joint_sensor_latency", "slew"))
@@ -194,14 +194,14 @@ def test_effects_too_small_to_be_any_are_left_out():
     assert large_enough(problem, [none, large, small, impossible]) == [none, large]
 
 
-def test_parts_of_the_leading_sets_begin_at_the_sizes_they_have_there():
+def test_missing_subsets_start_at_their_sizes_in_the_set():
     both, one = candidate((0, 1), SIZES), candidate((0,), SIZES[:1])
     points = missing_subsets([candidate(), one, both], [both])
     assert list(points) == [(1,)]
     np.testing.assert_array_equal(points[1,], SIZES[1:])
 
 
-def test_parts_of_the_set_that_leads_in_the_end_are_simulated(monkeypatch):
+def test_missing_subsets_of_the_final_leader_are_evaluated(monkeypatch):
     monkeypatch.setattr(
         exploration, "evaluate", lambda _, points: [candidate(m, z) for m, z in points.items()]
     )
@@ -214,14 +214,14 @@ def test_parts_of_the_set_that_leads_in_the_end_are_simulated(monkeypatch):
     np.testing.assert_array_equal(found[0].at, SIZES[1:])
 
 
-def test_a_second_effect_that_slopes_show_plainly_makes_its_joint_suspect():
+def test_the_joint_of_a_clear_second_effect_is_examined():
     groups = [("imu_latency", None), ("valve_gain", "slew"), ("base_height", None)]
     problem = SimpleNamespace(layout=SimpleNamespace(groups=groups, is_unmodelled=lambda _: False))
     assert clear_partner_joints(problem, candidate((0,), SIZES[:1])) == ["slew"]
     assert clear_partner_joints(problem, candidate((0, 1), SIZES)) == []
 
 
-def test_what_beats_no_effect_comes_before_what_does_not(monkeypatch):
+def test_candidates_that_beat_no_effect_come_first(monkeypatch):
     far, behind, leader = (
         candidate((1,), SIZES[1:]),
         candidate((2,), SIZES[1:]),
@@ -233,7 +233,7 @@ def test_what_beats_no_effect_comes_before_what_does_not(monkeypatch):
 
 
 @pytest.mark.parametrize(("start", "end", "simulations"), [(0.050, 0.035, 3), (0.030, 0.030, 1)])
-def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulations):
+def test_the_sizes_of_jumping_effects_are_iterated(monkeypatch, start, end, simulations):
     asked = []
 
     def at(size):
@@ -255,7 +255,7 @@ def test_a_bent_effect_is_followed_to_its_size(monkeypatch, start, end, simulati
     assert len(asked) == simulations
 
 
-def test_a_bent_effect_has_to_beat_no_effect_where_it_was_simulated(monkeypatch):
+def test_a_jumping_effect_has_to_beat_no_effect_in_its_linearisation(monkeypatch):
     half, whole = candidate((1,), SIZES[1:], jumping=(1,)), candidate((1,), SIZES[1:], jumping=(1,))
     monkeypatch.setattr(
         comparison, "log_odds_over_none", lambda one: 100.0 if one is whole else 1.0
@@ -267,7 +267,7 @@ def test_a_bent_effect_has_to_beat_no_effect_where_it_was_simulated(monkeypatch)
     assert better(straight, other, lambda one: float(one is other)) is other
 
 
-def test_the_best_and_its_rivals_are_looked_at_twice_no_effect_too(monkeypatch):
+def test_the_best_and_its_rivals_are_relinearised_twice(monkeypatch):
     previews = []
 
     def moved(_, tried, sizes):
@@ -290,7 +290,7 @@ def test_the_best_and_its_rivals_are_looked_at_twice_no_effect_too(monkeypatch):
 
 
 @pytest.mark.parametrize("ahead", [-50.0, 50.0])
-def test_no_effect_is_told_by_what_is_left_where_slopes_were_taken(ahead):
+def test_no_effect_has_the_less_favourable_residual(ahead):
     none = candidate()
     away = [i._replace(none_square=i.square - 2.0 * ahead) for i in none.information]
     found = refinement.with_consistent_residual(replace(none, information=away))
@@ -298,7 +298,7 @@ def test_no_effect_is_told_by_what_is_left_where_slopes_were_taken(ahead):
     assert without.log_evidence - with_it.log_evidence == pytest.approx(min(ahead, 0.0), abs=1e-6)
 
 
-def test_what_the_data_say_nothing_about_looks_like_nothing():
+def test_parameters_without_information_have_no_model_error():
     informed = data()
     precision = informed.precision.copy()
     precision[2], precision[:, 2] = 1e-9, 1e-9

@@ -17,7 +17,7 @@ from tests.diagnosis.twin_throws import posed, throws
 SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})
 
 
-def test_a_second_effect_that_hides_from_slopes_is_found_behind_the_first() -> None:
+def test_a_second_effect_without_slopes_is_found() -> None:
     loaded = throws(
         (
             Effect(effect="backlash", joint="dipper", parameters={"gap_rad_m": 0.02}),

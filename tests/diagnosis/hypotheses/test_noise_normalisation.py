@@ -1,4 +1,4 @@
-"""Noise of a set's own is evidence for nobody."""
+"""Noise of a set's own is no evidence."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.diagnosis.twin_throws import posed, throws
 WIDER = 1.5
 
 
-def test_no_effect_is_as_probable_in_noise_of_its_own_as_in_the_common_noise() -> None:
+def test_no_effect_has_the_same_evidence_in_either_noise() -> None:
     problem = posed(throws((), 3))
     wide = [[WIDER * block for block in factor] for factor in problem.factor]
     there = information(

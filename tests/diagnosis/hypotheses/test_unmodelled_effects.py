@@ -54,8 +54,7 @@ def dipper_effect(effect: str, size: float) -> Effect:
     return Effect(effect=effect, joint="dipper", parameters=sizes)
 
 
-def test_what_a_name_explains_is_no_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gain looks like a speed that changes on the way, or with the command, and has nothing beside."""
+def test_what_a_library_effect_explains_is_not_unmodelled(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = posed(throws((dipper_effect("valve_gain", 0.15),), THROWS))
     like_a_gain = {(f"{UNMODELLED}:way", "dipper"), (f"{UNMODELLED}:command", "dipper")}
     assert not shapes_of(problem, no_effect(problem)) & like_a_gain
@@ -63,7 +62,7 @@ def test_what_a_name_explains_is_no_shape(monkeypatch: pytest.MonkeyPatch) -> No
     assert shapes_of(problem, no_effect(problem)) >= like_a_gain
 
 
-def test_beside_a_dead_band_its_joint_s_metering_is_form(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metering_beside_a_dead_band_is_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = posed(throws((dipper_effect("valve_dead_band", 0.1),), 3))
     group = problem.layout.groups.index(("valve_dead_band", "dipper"))
     candidate = evaluate(problem, {(group,): np.array([0.1, 0.1])})[0]
@@ -75,8 +74,7 @@ def test_beside_a_dead_band_its_joint_s_metering_is_form(monkeypatch: pytest.Mon
     assert everywhere <= shapes_of(problem, no_effect(problem))
 
 
-def test_where_nothing_is_explained_nothing_is_the_form_of_an_effect() -> None:
-    """A share of what no effect leaves counts as form error of the effect that explains it, if one does."""
+def test_no_effect_has_no_model_error() -> None:
     block = "actuation.dipper"
     problem = cast(
         "GapProblem",
@@ -92,8 +90,7 @@ def test_where_nothing_is_explained_nothing_is_the_form_of_an_effect() -> None:
     assert unknown_levels(problem, found, none)[block] == pytest.approx(3.0)
 
 
-def test_two_causes_that_cannot_be_told_apart_are_not_unknown_together():
-    """Each of two alike is less probable than "unknown"; one of them is more probable."""
+def test_two_rivals_together_are_compared_with_unknown():
     one, other = (SimpleNamespace(members=(m,)) for m in (1, 2))
     kept = {
         "hypotheses": [one, other],

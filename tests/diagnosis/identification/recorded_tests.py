@@ -1,4 +1,4 @@
-"""Identification tests of a virtual unit, recorded and loaded as an engineer would."""
+"""Identification tests of a virtual unit, recorded and loaded."""
 
 from functools import cache
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The opening delay is found with and without a tracker, and the switch's latch is told from it."""
+"""The release delay is found with and without a tracker, and separated from the switch's latch."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Drive responses are found from valve steps; what the motion does not reach is said to be unknown."""
+"""Drive responses are found from valve steps; what the motion does not determine is unknown."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Friction and length of a free swing are recovered; the arm's own give on closed valves is not friction."""
+"""Friction and length of free swings are found."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,6 @@ def test_without_viscous_friction_the_amplitude_falls_evenly():
 
 
 def test_a_pin_that_the_load_pulls_up_and_down_is_taken_into_account():
-    """Left out, it makes the gripper look longer."""
     t = np.arange(1500) * 0.01
     angle, rate, lift, length, ratio = 0.6, 0.0, np.zeros(t.size), 0.9, 0.03
     rates = np.zeros(t.size)

@@ -1,4 +1,4 @@
-"""Selection on linear problems whose answer is known in closed form."""
+"""Evidence and model selection on linear problems with a known answer."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -81,7 +81,7 @@ def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
     assert found.square == pytest.approx(float(residual @ inverse @ residual))
 
 
-def test_bare_information_is_that_of_the_residual_without_effects() -> None:
+def test_information_without_effect_is_that_of_the_other_residual() -> None:
     rng = np.random.default_rng(9)
     extrapolated_to_none, plain, jacobian, nuisance = (
         rng.standard_normal((12, 1)),
@@ -117,7 +117,7 @@ def test_evidence_equals_the_dense_gaussian() -> None:
     assert found.log_odds == pytest.approx(log_density(sd) - none - 8.0 + PARTNER_LOG_PRIOR)
 
 
-def test_a_shape_also_moves_what_it_looks_like_as_the_dense_gaussian_does() -> None:
+def test_an_unmodelled_effect_moves_its_projection_as_the_dense_gaussian_does() -> None:
     rng = np.random.default_rng(8)
     jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
     prior = priors(4, slab=MIN_SLAB_OVER_SPIKE_RATIO * 0.5, spike=0.5)
@@ -156,18 +156,18 @@ def test_scatter_within_the_spike_is_no_effect() -> None:
     assert search(base, prior, range(len(prior.groups)))[0].members == ()
 
 
-def test_what_healthy_machines_do_together_is_no_effect() -> None:
+def test_correlated_scatter_of_healthy_machines_is_no_effect() -> None:
     rng = np.random.default_rng(6)
     prior = priors(6)
     scatter = prior.scatter.copy()
     # Parameters 1 and 2 are off by 0.4, always together.
     scatter[1:3, 1:3] += 0.16
     correlated = prior._replace(scatter=scatter)
-    together, with_projection_subtracted = np.zeros(6), np.zeros(6)
-    together[1:3], with_projection_subtracted[1:3] = 0.4, (0.4, -0.4)
+    together, apart = np.zeros(6), np.zeros(6)
+    together[1:3], apart[1:3] = 0.4, (0.4, -0.4)
     bases = [
         screen(total(throws(truth, rng, rows=200).information), correlated)
-        for truth in (together, with_projection_subtracted)
+        for truth in (together, apart)
     ]
     assert search(bases[0], correlated, range(len(correlated.groups)))[0].members == ()
     # Either of them is off: the other is then scatter.
@@ -183,7 +183,7 @@ def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:
     assert weigh(base, prior, (1,)).log_odds < 0.0
 
 
-def test_equal_sensitivities_cannot_be_told_apart() -> None:
+def test_equal_sensitivities_cannot_be_separated() -> None:
     rng = np.random.default_rng(5)
     jacobian = rng.standard_normal((400, 3))
     jacobian[:, 1] = jacobian[:, 0] + 0.01 * rng.standard_normal(400)
@@ -194,7 +194,7 @@ def test_equal_sensitivities_cannot_be_told_apart() -> None:
     assert expected_log_odds(information, prior, truth, (2,)) > 5.0
 
 
-def test_a_third_effect_is_rarer_than_a_second_but_not_a_shape_beside_two() -> None:
+def test_a_third_effect_is_rarer_than_an_unmodelled_one_beside_two() -> None:
     plain = priors(4)
     unmodelled = plain._replace(looks_like=np.zeros((3, 1)))
     alone = set_log_prior(plain, (0,))
@@ -209,7 +209,7 @@ def test_bagging_shares_probability_when_throws_disagree() -> None:
     weights = bootstrap_weights(4, 50)
     np.testing.assert_allclose(weights.sum(axis=1), 4.0)
     assert (weights[0] == 1).all()
-    assert (weights > 0.0).all(), "what one throw tells is told in every bootstrap"
+    assert (weights > 0.0).all(), "every throw counts in every bootstrap"
     # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
     speaks = np.array([30.0, 30.0, -30.0, -29.0])
     log_odds = np.column_stack([weights @ speaks, np.zeros(50)])
@@ -236,7 +236,6 @@ def test_how_many_effects_is_surer_than_which() -> None:
 
 
 def test_a_slab_is_no_wider_than_its_bound_allows_to_either_side() -> None:
-    """What may be 9 more and 0.5 less is not as likely to be 0.4 less as 0.4 more."""
 
     def log_odds(size: float, low: float) -> float:
         truth = np.array([size, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Effects that no library has are called unknown, with what they look like; healthy throws are not."""
+"""Basis functions of effects outside the library."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -72,7 +72,7 @@ def measured_as(changed: Callable[[ThrowData, float], ThrowData], size: float) -
     return replace(loaded, throws=tuple(changed(t, size) for t in loaded.throws))
 
 
-def test_every_column_belongs_to_one_shape_of_one_place() -> None:
+def test_every_column_belongs_to_one_unmodelled_effect() -> None:
     groups = unmodelled_groups()
     places = [place for group in groups.values() for place in group]
     assert sorted(places) == list(range(len(unmodelled_names())))
@@ -82,7 +82,7 @@ def test_every_column_belongs_to_one_shape_of_one_place() -> None:
     assert unmodelled_effect_of(f"{UNMODELLED}:play") is UNMODELLED_EFFECTS["play"]
 
 
-def test_columns_act_at_their_own_joint_and_follow_what_they_are_named_for() -> None:
+def test_columns_act_at_their_own_joint() -> None:
     problem = posed(throws((), 1))
     prepared, linear = problem.prepared[0], problem.linear[0]
     columns = unmodelled_columns(prepared, linear)
@@ -104,7 +104,7 @@ def test_columns_act_at_their_own_joint_and_follow_what_they_are_named_for() -> 
     assert np.corrcoef(leak, twin)[0, 1] > 0.99
 
 
-def test_a_scale_moves_every_channel_as_throws_with_a_scaled_sensor_differ() -> None:
+def test_scale_columns_match_throws_with_a_scaled_sensor() -> None:
     ratio = 0.01
     loaded = throws((), 1)
     changed = replace(loaded, throws=tuple(scaled(t, ratio) for t in loaded.throws))
@@ -120,7 +120,6 @@ def test_a_scale_moves_every_channel_as_throws_with_a_scaled_sensor_differ() -> 
 
 
 def test_noise_of_a_joint_that_stands_has_no_scale() -> None:
-    """Less of it would only shake the simulated gripper less."""
     moving, standing = (
         posed(throws((), 1, received=received)).linear[0].scale[:, 0]
         for received in (None, without_slew)
@@ -133,7 +132,7 @@ def test_noise_of_a_joint_that_stands_has_no_scale() -> None:
     assert np.abs(standing[ball.rows]).max() > 0.1
 
 
-def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
+def test_kick_columns_move_the_load_alone() -> None:
     prepared, linear = posed(throws((), 1)).prepared[0], posed(throws((), 1)).linear[0]
     left = unmodelled_columns(prepared, linear)[
         :, unmodelled_names().index("unmodelled.kick.y_m_per_s")
@@ -146,8 +145,7 @@ def test_a_kick_moves_the_load_alone_and_by_its_time_in_the_air() -> None:
     assert not any(left[rows].any() for rows in rest)
 
 
-def test_without_a_tracker_a_kick_is_no_hypothesis() -> None:
-    """An impact's two coordinates tell a push along three axes from nothing."""
+def test_without_a_tracker_there_are_no_kick_columns() -> None:
     loaded = throws((), 1)
     blind = replace(loaded, throws=tuple(untracked(t) for t in loaded.throws))
     one = posed(blind)
@@ -173,10 +171,9 @@ def biased(throw: ThrowData, bias_rad: float) -> ThrowData:
 @pytest.mark.parametrize(
     ("changed", "size", "is_scale"), [(scaled, 0.04, True), (biased, -0.04, False)]
 )
-def test_a_sensor_s_scale_and_its_bias_are_told_from_each_other_as_they_look(
+def test_scale_and_bias_of_a_sensor_are_separated(
     changed: Callable[[ThrowData, float], ThrowData], size: float, is_scale: bool
 ) -> None:
-    """A scale's mean is a bias: on what a bias leaves of it alone a scale lost to the bias."""
     problem = posed(measured_as(changed, size))
     base, priors, groups = no_effect(problem).base, problem.layout.priors, problem.layout.groups
     scale, bias = (
@@ -188,8 +185,7 @@ def test_a_sensor_s_scale_and_its_bias_are_told_from_each_other_as_they_look(
     assert (scale if is_scale else bias).mean == pytest.approx(size, rel=0.25)
 
 
-def test_shapes_leave_the_evidence_of_named_effects_as_it_is() -> None:
-    """Beside what has a name a shape adds nothing to a named effect, and takes nothing from it."""
+def test_unmodelled_effects_are_orthogonal_to_named_ones() -> None:
     problem = posed(throws((), 3))
     data, plan = total(problem.information), problem.layout
     first = plan.size_count - len(unmodelled_names())

@@ -1,4 +1,4 @@
-"""What the twin says of a throw at the times at which its sensors were sampled."""
+"""Predictions of the twin at the sensors' sample times."""
 
 import numpy as np
 
@@ -38,15 +38,14 @@ def left_if_early(at_s: Array, rate: Array, force: Array, early_s: float) -> flo
     return float(np.sum((real - columns @ known) ** 2))
 
 
-def test_specific_force_and_turn_rate_are_told_of_the_same_moment() -> None:
-    """On a pendulum without friction the first is a constant, the rate squared and its change, by Newton."""
+def test_specific_force_and_rate_are_predicted_for_the_same_moment() -> None:
     none = (0.0, 0.0)
     twin = profile().model_copy(
         update={"viscous_friction_per_s": none, "coulomb_friction_rad_per_s2": none}
     )
     (prepared,) = prepare(throws(count=1).throws, twin)
-    told = free_swing(prepared, twin)
-    blocks = {block.name: told[block.rows] for block in prepared.blocks}
+    found = free_swing(prepared, twin)
+    blocks = {block.name: found[block.rows] for block in prepared.blocks}
     at_s = prepared.imu_pair @ prepared.imu_at_s
     rate = blocks["swing.gyro.y"]
     force = np.stack([blocks["swing.accel.x"], blocks["swing.accel.z"]], axis=1)

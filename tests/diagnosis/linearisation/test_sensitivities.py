@@ -1,4 +1,4 @@
-"""Residuals: nothing is left on the twin's own throws, and every slope is what a second simulation says."""
+"""Residuals vanish on throws of the twin itself, and slopes agree with a second simulation."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def own() -> tuple[list[PreparedThrow], list[LinearThrow]]:
     return linear()
 
 
-def test_twins_own_throws_leave_noise(own: tuple[list[PreparedThrow], list[LinearThrow]]) -> None:
+def test_throws_of_the_twin_leave_noise(own: tuple[list[PreparedThrow], list[LinearThrow]]) -> None:
     prepared, found = own
     for p, one in zip(prepared, found, strict=True):
         for joint in ("slew", "boom", "dipper", "telescope"):
@@ -39,7 +39,7 @@ def test_twins_own_throws_leave_noise(own: tuple[list[PreparedThrow], list[Linea
         assert np.std(one.residual[gyro.rows]) < 0.03
 
 
-def test_throws_are_the_same_one_by_one(
+def test_throws_can_be_linearised_one_by_one(
     own: tuple[list[PreparedThrow], list[LinearThrow]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("diagnosis.linearisation.sensitivities.THROWS_COUNT", 1)
@@ -110,7 +110,7 @@ def test_relinearised_at_the_truth_leaves_noise() -> None:
     np.testing.assert_array_equal(again[0].residual[other.rows], first[0].residual[other.rows])
 
 
-def test_behind_a_late_valve_all_that_its_joint_does_is_late(
+def test_slopes_of_a_joint_with_a_late_valve_are_late(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
     delay_s = 0.1
@@ -128,15 +128,14 @@ def test_behind_a_late_valve_all_that_its_joint_does_is_late(
     off = float(np.linalg.norm(after - expected))
     assert off < 0.25 * np.linalg.norm(after)
     assert off < 0.6 * np.linalg.norm(after - before)
-    # A rough look takes the slopes of "no effect".
-    nonsmooth = next(relinearise(*args, followed=()))[0].jacobian[block.rows, lag]
-    np.testing.assert_array_equal(nonsmooth, before)
+    # A preview takes the slopes of "no effect".
+    preview = next(relinearise(*args, followed=()))[0].jacobian[block.rows, lag]
+    np.testing.assert_array_equal(preview, before)
 
 
-def test_a_parameter_wanted_twice_is_moved_once(
+def test_a_parameter_wanted_twice_is_perturbed_once(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
-    """A set's own gain, wanted again for what the machine is off, had slopes of twice their size."""
     prepared, first = own
     calibration = prepared[0].throw.calibration
     slack = Effect(effect="valve_gain", joint="boom", parameters={"positive_ratio": -0.1})
@@ -148,10 +147,9 @@ def test_a_parameter_wanted_twice_is_moved_once(
     np.testing.assert_allclose(twice, once, atol=1e-9)
 
 
-def test_a_sensors_bias_is_simulated_and_keeps_the_slopes_of_no_effect(
+def test_a_sensor_bias_keeps_the_slopes_of_no_effect(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
-    """What a machine's own biases are is known along those alone; a gripper's length is known by itself."""
     prepared, first = own
     calibration = prepared[0].throw.calibration
     of_load = np.r_[*(b.rows for b in prepared[0].blocks if b.name.startswith(("swing", "flight")))]
@@ -169,10 +167,9 @@ def test_a_sensors_bias_is_simulated_and_keeps_the_slopes_of_no_effect(
         assert np.array_equal(after, before) == is_kept
 
 
-def test_about_a_longer_gripper_the_swing_is_followed_where_it_is_asked_for(
+def test_slopes_of_the_swing_are_updated_on_request(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
-    """Friction slows another swing there; with the slopes at none inertia was named beside a length."""
     prepared, first = own
     longer = Effect(effect="gripper_length", joint=None, parameters={"extra_length_m": 0.25})
     wanted = [p for p in library() if p.group == (longer.effect, longer.joint)]
@@ -216,9 +213,9 @@ def test_a_late_imu_reports_slopes_of_the_swing_late(
         block = prepared[0].block(name)
         assert block is not None
         true, found = simulated[block.rows], shifted[block.rows]
-        no_effect_throw = first[0].jacobian[block.rows, column]
+        none = first[0].jacobian[block.rows, column]
         assert np.linalg.norm(found - true) < 0.15 * np.linalg.norm(true), name
-        assert np.linalg.norm(no_effect_throw - true) > 0.2 * np.linalg.norm(true), name
+        assert np.linalg.norm(none - true) > 0.2 * np.linalg.norm(true), name
 
 
 def test_delay_of_the_opening_shows_at_the_switch() -> None:
@@ -230,7 +227,7 @@ def test_delay_of_the_opening_shows_at_the_switch() -> None:
     assert View.FLIGHT not in library()[index_of()["release_delay.extra_delay_s"]].views
 
 
-def test_a_delay_of_the_opening_needs_no_simulation_to_be_taken_into_account(
+def test_a_delay_of_the_opening_needs_no_simulation(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
     prepared, found = own
@@ -253,7 +250,7 @@ DIPPER_WEIGHT_RATIO = 0.1
 
 
 def boom_moves_with_the_dipper() -> HealthyModel:
-    """Every healthy boom is off its twin by a tenth of the dipper's velocity."""
+    """Every healthy boom deviates from its twin by a tenth of the dipper's velocity."""
     slew, boom, *rest = nothing().joints
     weight = list(boom.weight)
     weight[DIPPER_VELOCITY_COLUMN] = DIPPER_WEIGHT_RATIO
@@ -261,7 +258,7 @@ def boom_moves_with_the_dipper() -> HealthyModel:
     return HealthyModel(note="the boom moves with the dipper", joints=(slew, moved, *rest))
 
 
-def test_healthy_filters_see_a_neighbour_as_it_moved_before_its_late_sensor_reported_it(
+def test_healthy_filters_use_the_motion_before_a_sensor_s_latency(
     own: tuple[list[PreparedThrow], list[LinearThrow]],
 ) -> None:
     prepared, on_time = own
@@ -280,8 +277,8 @@ def test_healthy_filters_see_a_neighbour_as_it_moved_before_its_late_sensor_repo
     for before, as_late, as_known, true in zip(
         on_time, first, next(relinearise(*args)), expected, strict=True
     ):
-        evaluated = np.std(before.residual[block.rows] - true.residual[block.rows])
+        moved = np.std(before.residual[block.rows] - true.residual[block.rows])
         wrong = np.std(as_late.residual[block.rows] - true.residual[block.rows])
         left = np.std(as_known.residual[block.rows] - true.residual[block.rows])
-        assert wrong > 0.3 * evaluated
+        assert wrong > 0.3 * moved
         assert left < 0.1 * wrong

@@ -1,4 +1,4 @@
-"""Whitening what differs from no effect alone is whitening everything."""
+"""Whitening the difference to no effect equals whitening everything."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -49,7 +49,7 @@ def same(one: Whitened, other: Whitened) -> None:
     np.testing.assert_allclose(one.gram, other.gram, rtol=1e-7, atol=1e-6)
 
 
-def test_what_differs_is_enough(problem: GapProblem) -> None:
+def test_whitening_the_difference_is_enough(problem: GapProblem) -> None:
     late, worn, both = (found[0] for found in about(problem, [LATE, WORN, (*LATE, *WORN)]))
     for linear in (late, worn, both, late):
         assert not np.array_equal(linear.residual, problem.linear[0].residual)
@@ -58,7 +58,7 @@ def test_what_differs_is_enough(problem: GapProblem) -> None:
     np.testing.assert_array_equal(whitened(problem, basis.linear).table, basis.whitened.table)
 
 
-def test_what_the_twin_could_not_predict_is_no_data(problem: GapProblem) -> None:
+def test_rows_without_a_prediction_are_no_data(problem: GapProblem) -> None:
     (found,) = about(problem, [WORN])
     residual, block = found[0].residual.copy(), problem.prepared[0].block("flight.impact")
     assert block is not None

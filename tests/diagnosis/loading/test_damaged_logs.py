@@ -1,4 +1,4 @@
-"""Damaged throw logs: whatever a disk, an editor or another program did to them, they are read or refused."""
+"""Damaged throw logs are read or refused with a reason."""
 
 import json
 import random

@@ -1,4 +1,4 @@
-"""Where a throw's swing begins, and who said so."""
+"""The initial swing of a throw."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,18 +34,17 @@ def began_at(throw: ThrowData, swing_rad: float, tilt_rad: float) -> ThrowData:
     return replace(throw, joint_position_rad_m=estimate, gyro_rad_per_s=gyro, accel_m_per_s2=accel)
 
 
-def test_a_start_as_the_imu_felt_it_can_be_wrong_with_it(throw: ThrowData):
-    """The machine takes 30 mrad of a first tilt for friction and bias."""
-    told = measured_motion(began_at(throw, swing_rad=0.07, tilt_rad=0.1), PROMPT)
-    assert told.start_force_m_per_s2 is not None
+def test_a_start_from_the_specific_force_shares_its_error(throw: ThrowData):
+    found = measured_motion(began_at(throw, swing_rad=0.07, tilt_rad=0.1), PROMPT)
+    assert found.start_force_m_per_s2 is not None
     np.testing.assert_allclose(
-        told.start_force_m_per_s2, 9.81 * np.array([np.sin(0.1), 0.0, np.cos(0.1)])
+        found.start_force_m_per_s2, 9.81 * np.array([np.sin(0.1), 0.0, np.cos(0.1)])
     )
     knew = measured_motion(began_at(throw, swing_rad=0.0, tilt_rad=0.1), PROMPT)
     assert knew.start_force_m_per_s2 is None
 
 
-def test_a_gripper_that_moves_at_the_start_tells_no_bias_and_no_tilt(throw: ThrowData):
+def test_a_gripper_that_moves_at_the_start_gives_no_bias_and_no_tilt(throw: ThrowData):
     moving = began_at(throw, swing_rad=0.07, tilt_rad=0.1)
     moving = replace(moving, gyro_rad_per_s=moving.gyro_rad_per_s + 0.5)
     motion = measured_motion(moving, PROMPT)
@@ -58,10 +57,9 @@ def test_a_gripper_that_moves_at_the_start_tells_no_bias_and_no_tilt(throw: Thro
     ("before_s", "rate_rad_per_s", "hung"),
     [(0.2, 0.0, True), (0.2, 0.06, False), (0.05, 0.0, False), (0.0, 0.0, False)],
 )
-def test_a_gripper_that_was_calm_before_the_throw_hung(
+def test_a_calm_gripper_hung_at_rest(
     throw: ThrowData, before_s: float, rate_rad_per_s: float, hung: bool
 ):
-    """Not one that turned, nor one that was put there as the throw began."""
     at_s = np.arange(-before_s, 0.3, 0.01)
     gyro = np.zeros((at_s.size, 3))
     gyro[:, 1] = rate_rad_per_s * np.sin(np.pi * at_s / CALM_S)

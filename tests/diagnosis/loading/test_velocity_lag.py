@@ -1,4 +1,4 @@
-"""Velocity sensors that lag behind position sensors: how far, and joints that move as they really did."""
+"""Lag of velocity sensors behind position sensors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -72,7 +72,7 @@ def test_a_joint_that_hardly_moved_counts_as_prompt(throw: ThrowData):
     assert (found_s[[0, 2]] > 0.004).all()
 
 
-def test_a_throw_without_samples_tells_nothing(throw: ThrowData):
+def test_a_throw_without_samples_gives_no_lag(throw: ThrowData):
     short = replace(
         throw,
         sensor_t_s=throw.sensor_t_s[:2],
@@ -88,8 +88,8 @@ def test_smoothed_joints_are_not_late_with_their_velocity_sensors(throw: ThrowDa
     inner = throw.t_s[30:-30]
     true = moved(inner)
     off = [
-        [np.sqrt(np.mean((track - one) ** 2)) for track, one in zip(told, true, strict=False)]
-        for told in (smooth_joints(late, inner, lags_s), smooth_joints(late, inner, 0.0 * lags_s))
+        [np.sqrt(np.mean((track - one) ** 2)) for track, one in zip(found, true, strict=False)]
+        for found in (smooth_joints(late, inner, lags_s), smooth_joints(late, inner, 0.0 * lags_s))
     ]
     assert off[0][0] < 0.4 * off[1][0], "positions"
     assert off[0][1] < 0.4 * off[1][1], "velocities"

@@ -1,4 +1,4 @@
-"""Expectation maximisation finds what healthy machines have in common, and how far they scatter."""
+"""Expectation maximisation finds the mean and the scatter of healthy machines."""
 
 import numpy as np
 import pytest

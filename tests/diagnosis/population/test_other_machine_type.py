@@ -1,7 +1,6 @@
-"""A machine of another type may be off in its own way, but not further than its throws show."""
+"""The model of a machine of another type."""
 
 import numpy as np
-import pytest
 
 from diagnosis.healthy.noise import NoiseModel, load_noise
 from diagnosis.healthy.sensor_noise import NOISE_LIKE_SD
@@ -20,8 +19,8 @@ def of_drives(ratio: float) -> NoiseModel:
     return other_type_model(load_noise(), [ratio] * len(ACTIVE_JOINTS))
 
 
-def told(sizes: Array, model: NoiseModel) -> Information:
-    """What throws say that tell every parameter (p,) to a twentieth of what a machine may be off by."""
+def informed(sizes: Array, model: NoiseModel) -> Information:
+    """Information of throws that determine every parameter (p,) to a twentieth of its scatter."""
     precision = np.diag(400.0 / np.diag(layout(model).priors.scatter))
     gradient = precision @ sizes
     square = float(sizes @ gradient)
@@ -29,13 +28,13 @@ def told(sizes: Array, model: NoiseModel) -> Information:
 
 
 def machine(ratio: float, **effect: float) -> Information:
-    """Throws of a machine whose drives are off by this, and by an effect."""
+    """Throws of a machine whose drives deviate by this, and by an effect."""
     model = of_drives(ratio)
     scatter = layout(model).priors.scatter
     sizes = np.random.default_rng(5).multivariate_normal(np.zeros(scatter.shape[0]), scatter)
     for key, size in effect.items():
         sizes[index_of()[key]] += size
-    return told(sizes, of_drives(FAR))
+    return informed(sizes, of_drives(FAR))
 
 
 def gain_log_odds(model: NoiseModel, data: Information) -> float:
@@ -44,7 +43,7 @@ def gain_log_odds(model: NoiseModel, data: Information) -> float:
     return weigh(screen(data, plan.priors), plan.priors, (group,)).log_odds
 
 
-def test_it_may_be_off_in_its_own_way() -> None:
+def test_it_has_its_own_deviations() -> None:
     model, found = load_noise(), of_drives(FAR)
     assert not found.healthy_mean
     for name in ("base_height.extra_height_m", "unmodelled.command.slew.third_ratio"):
@@ -54,26 +53,24 @@ def test_it_may_be_off_in_its_own_way() -> None:
 
 
 def test_all_clocks_may_be_late_together() -> None:
-    """No log tells that, but which one is later than another."""
     found = of_drives(NEAR).machine_scatter
     covariance = found.covariance([LATE_SLEW, "imu_latency.extra_latency_s"])
-    together, with_projection_subtracted = np.array([1.0, 1.0]), np.array([1.0, -1.0])
-    assert together @ covariance @ together > 2.0 * (
-        with_projection_subtracted @ covariance @ with_projection_subtracted
-    )
+    together, apart = np.array([1.0, 1.0]), np.array([1.0, -1.0])
+    assert together @ covariance @ together > 2.0 * (apart @ covariance @ apart)
     late = found.covariance([LATE_SLEW, "valve_dead_time.slew.extra_dead_time_s"])
     assert late[0, 1] < 0.0, "commands are as much earlier"
 
 
-@pytest.mark.parametrize("joint", ACTIVE_JOINTS)
-def test_a_response_may_have_another_shape_and_not_another_delay(joint: str) -> None:
-    names = [f"valve_dead_time.{joint}.extra_dead_time_s", f"valve_lag.{joint}.extra_lag_s"]
-    covariance = of_drives(NEAR).machine_scatter.covariance(names)
+def test_dead_time_and_lag_deviate_with_opposite_signs() -> None:
+    scatter = of_drives(NEAR).machine_scatter
     shape, delay = np.array([1.0, -1.0]), np.array([1.0, 1.0])
-    assert shape @ covariance @ shape > 2.0 * (delay @ covariance @ delay)
+    for joint in ACTIVE_JOINTS:
+        names = [f"valve_dead_time.{joint}.extra_dead_time_s", f"valve_lag.{joint}.extra_lag_s"]
+        covariance = scatter.covariance(names)
+        assert shape @ covariance @ shape > 2.0 * (delay @ covariance @ delay), joint
 
 
-def test_nearness_narrows_the_drives_alone() -> None:
+def test_the_ratio_narrows_the_drives_alone() -> None:
     near, far = of_drives(NEAR).machine_scatter, of_drives(FAR).machine_scatter
     for p in library():
         narrower = near.sd_of(p.key) < far.sd_of(p.key)
@@ -83,21 +80,19 @@ def test_nearness_narrows_the_drives_alone() -> None:
     assert near.sd_of(name) == far.sd_of(name), "another valve is metered in another way"
 
 
-@pytest.mark.parametrize("ratio", [NEAR, FAR])
-def test_a_machine_is_as_near_as_its_throws_show(ratio: float) -> None:
-    found = fitted_other_type_model(load_noise(), machine(ratio))
-    assert found.machine_scatter == of_drives(ratio).machine_scatter
+def test_the_ratio_is_fitted_to_the_throws() -> None:
+    found = fitted_other_type_model(load_noise(), machine(FAR))
+    assert found.machine_scatter == of_drives(FAR).machine_scatter
 
 
-def test_an_effect_does_not_make_a_stranger_of_a_near_machine() -> None:
+def test_an_effect_does_not_widen_the_model() -> None:
     data = machine(NEAR, **dict.fromkeys(GAIN, -0.2))
     found = fitted_other_type_model(load_noise(), data)
     assert found.machine_scatter == of_drives(NEAR).machine_scatter
     assert gain_log_odds(found, data) > gain_log_odds(of_drives(FAR), data) + 20.0
 
 
-def test_a_joint_that_no_slope_explains_leaves_the_others_near() -> None:
-    """Play or a limit shows in many slopes of its joint at once."""
+def test_one_deviating_joint_does_not_widen_the_model() -> None:
     model = of_drives(FAR)
     scatter = layout(model).priors.scatter
     far = np.random.default_rng(6).multivariate_normal(np.zeros(scatter.shape[0]), scatter)
@@ -106,7 +101,7 @@ def test_a_joint_that_no_slope_explains_leaves_the_others_near() -> None:
     for p in library():
         if p.joint == "boom" and p.stage == "actuation":
             boom[index_of()[p.key]] = 5.0 * far[index_of()[p.key]]
-    data = told(np.linalg.solve(sizes.precision, sizes.gradient) + boom, model)
+    data = informed(np.linalg.solve(sizes.precision, sizes.gradient) + boom, model)
     assert (
         fitted_other_type_model(load_noise(), data).machine_scatter
         == of_drives(NEAR).machine_scatter
