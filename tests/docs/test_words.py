@@ -41,7 +41,6 @@ WHERE = (
 """Folders and files that a user or a contributor reads."""
 
 NOT_YET = (
-    "diagnosis/",
     "runtime/",
     "server/",
     "benchmarks/commands.py",
