@@ -160,12 +160,12 @@ def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
     """Entry point of the process."""
     os.nice(NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    told_s = -1e9
+    reported_s = -1e9
 
     def tell(share: float, text: str) -> None:
-        nonlocal told_s
-        if monotonic() - told_s >= PROGRESS_PERIOD_S:
-            told_s = monotonic()
+        nonlocal reported_s
+        if monotonic() - reported_s >= PROGRESS_PERIOD_S:
+            reported_s = monotonic()
             answers.send(("progress", (share, text)))
 
     try:

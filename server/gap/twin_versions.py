@@ -140,7 +140,7 @@ class TwinVersions:
                 database.add(row)
                 self._mark(database, gap_run_id, row.version_count)
                 self._record(database, row, session, present.version_count, gap_run_id)
-        return self._told(machine_id)
+        return self._announced_view(machine_id)
 
     def undo(self, machine_id: str, session: Session) -> TwinProfileView:
         """Go back to the version before, as a new version that has that version's past.
@@ -166,7 +166,7 @@ class TwinVersions:
             database.add(row)
             self._mark(database, newest.gap_run_id, None)
             self._record(database, row, session, newest.version_count, newest.gap_run_id)
-        return self._told(machine_id)
+        return self._announced_view(machine_id)
 
     def _newest(self, database: DatabaseSession, machine_id: str) -> TwinVersion | None:
         """The row of the profile in use; None for a file that somebody else has put there."""
@@ -226,7 +226,7 @@ class TwinVersions:
             ),
         )
 
-    def _told(self, machine_id: str) -> TwinProfileView:
+    def _announced_view(self, machine_id: str) -> TwinProfileView:
         view = self.view(machine_id)
         self._hub.publish(TwinUpdatedEvent(machine_id=machine_id, version_count=view.version_count))
         return view

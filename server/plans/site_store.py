@@ -104,7 +104,7 @@ class SiteStore:
             row = self._row(machine_id, present, request.objects, session.actor)
             row.before_version_count = present
             self._record(database, row, session.actor, "site.edit", present)
-        return self._told(machine_id)
+        return self._announced_view(machine_id)
 
     def undo(self, machine_id: str, session: Session) -> SiteView:
         """Go back to the version before, as a new version that has that version's past.
@@ -123,7 +123,7 @@ class SiteStore:
             row = self._row(machine_id, newest.version_count, objects_of(earlier), session.actor)
             row.before_version_count = None if earlier is None else earlier.before_version_count
             self._record(database, row, session.actor, "site.undo", newest.version_count)
-        return self._told(machine_id)
+        return self._announced_view(machine_id)
 
     def require_unchanged(self, machine_id: str, objects: Sequence[SiteObject]) -> None:
         """Refuse what was previewed with another site than the present one.
@@ -170,7 +170,7 @@ class SiteStore:
         entry = Entry(actor, action, "fact", machine_id=row.machine_id, detail=detail)
         self._audit.append(database, entry)
 
-    def _told(self, machine_id: str) -> SiteView:
+    def _announced_view(self, machine_id: str) -> SiteView:
         view = self.view(machine_id)
         self._hub.publish(SiteUpdatedEvent(site=view))
         for listener in self.on_change:
