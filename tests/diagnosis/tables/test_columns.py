@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.tables.column_units import find_outliers, find_wrap_period
-from diagnosis.tables.columns import find_output_columns, find_time_column
+from diagnosis.tables.columns import find_command_column, find_output_columns, find_time_column
 from diagnosis.tables.joint_record import CommandScale, JointRecord
 from diagnosis.tables.table import RefusedTableError, Table, read_table
 from diagnosis.tables.time_series import split_runs, time_in_seconds
@@ -57,6 +57,13 @@ def test_a_restart_of_time_begins_a_run_and_unsorted_times_are_refused() -> None
     assert runs.max() == 2
     with pytest.raises(RefusedTableError, match="clock jumps"):
         split_runs(np.random.default_rng(0).uniform(0.0, 10.0, 200))
+
+
+def test_a_goal_is_a_command_and_a_duplicate_time_column_is_ignored(tmp_path: Path) -> None:
+    columns = [TIME_S, TIME_S, np.sin(TIME_S), np.cos(TIME_S)]
+    found = table(tmp_path / "a.csv", "time,stamp,goal_rad,pos_rad", *columns)
+    assert find_time_column(found, None) == "time"
+    assert find_command_column(found, "time", None) == "goal_rad"
 
 
 def test_a_position_is_preferred_to_its_speed(tmp_path: Path) -> None:
