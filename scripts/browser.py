@@ -1,4 +1,4 @@
-"""Make sure that a Chromium for the browser tests is there; install the distribution's where we may."""
+"""Find a Chromium for the browser tests; install it with apt-get where that is possible."""
 
 import os
 import shutil
@@ -9,7 +9,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 
 
 def main() -> int:
-    """Print where the browser is, or how to get one."""
+    """Print the path of the browser, or how to install one."""
     found = next((path for name in NAMES if (path := shutil.which(name))), None)
     if found is None and shutil.which("apt-get") and os.geteuid() == 0:
         print("== installing Chromium for the browser tests (apt-get install chromium)")

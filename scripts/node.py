@@ -1,4 +1,4 @@
-"""Run npm or node with a recent enough Node: the system's if it is 20 or newer, else the wheel's."""
+"""Run npm or node: the system's if it is version 20 or newer, else that of the wheel."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""The pace of plans and throws; those of before were thrown by policies that know none."""
+"""The pace of plans and throws; earlier rows have none."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""What stands around machines, in versions; plans keep the site that their preview saw."""
+"""Objects around machines, in versions; plans keep the site of their preview."""
 
 import sqlalchemy as sa
 from alembic import op
