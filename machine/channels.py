@@ -14,16 +14,21 @@ class Key(NamedTuple):
     machine."""
     rate_hz: float
     """0: on demand."""
+    max_bytes: int
+    """Largest message of a machine that is taken, several times a usual one: a state has about 4 KiB,
+    joints 0.4 KiB, a batch of 64 events 40 KiB."""
+    max_rate_hz: float
+    """Most messages a second that are taken of one machine; 0: not limited."""
 
 
 KEYS: dict[str, Key] = {
-    "alive": Key("alive", "token", 0.0),
-    "state": Key("state", "pub", 10.0),
-    "joints": Key("joints", "pub", 25.0),
-    "command": Key("command", "query", 0.0),
-    "stop": Key("stop", "sub", 10.0),
-    "heartbeat": Key("heartbeat", "sub", 20.0),
-    "events": Key("events", "ask", 0.0),
+    "alive": Key("alive", "token", 0.0, 1024, 0.0),
+    "state": Key("state", "pub", 10.0, 32 * 1024, 100.0),
+    "joints": Key("joints", "pub", 25.0, 4 * 1024, 100.0),
+    "command": Key("command", "query", 0.0, 32 * 1024, 0.0),
+    "stop": Key("stop", "sub", 10.0, 1024, 0.0),
+    "heartbeat": Key("heartbeat", "sub", 20.0, 1024, 0.0),
+    "events": Key("events", "ask", 0.0, 512 * 1024, 1000.0),
 }
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-from machine.channels import KEY_ROOT, machine_prefix
+from machine.channels import KEY_ROOT, KEYS, machine_key, machine_prefix
 from machine.errors import UsageError
 
 LEASE_MS = 1000
@@ -25,6 +25,9 @@ RETRY_MIN_MS = 200
 RETRY_MAX_MS = 1000
 OPEN_TIMEOUT_MS = 1000
 """Bound of one attempt to open a client session; the caller tries again."""
+
+MAX_MESSAGE_BYTES = 1024 * 1024
+"""Most that the router puts together from the fragments of one message; every key has a lower bound."""
 
 NAME_PATTERN = re.compile(r"^[a-z0-9][a-z0-9_-]{0,31}$")
 """Sites, machine ids, user names: one chunk of a key; no wildcard, no ':' (it ends a dictionary name)."""
@@ -102,6 +105,9 @@ def router_config(
     config["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
     config["transport"]["auth"] = {"usrpwd": {"dictionary_file": str(dictionary_file)}}
     config["access_control"] = _access_control(site, machine_ids, servers)
+    config["transport"]["link"]["rx"] = {"max_message_size": MAX_MESSAGE_BYTES}
+    config["low_pass_filter"] = _size_limits(site)
+    config["downsampling"] = _rate_limits(site, machine_ids)
     if tls is not None:
         config["transport"]["link"]["tls"] = {
             "listen_certificate": str(tls.certificate),
@@ -171,6 +177,39 @@ def _access_control(site: str, machines: list[str], servers: list[str]) -> dict[
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _size_limits(site: str) -> list[dict[str, Any]]:
+    """What a machine may send at most, by key; larger messages are dropped before anybody sees them."""
+    return [
+        {
+            "id": f"size-{name}",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": [machine_key(site, "*", name)],
+            "size_limit": key.max_bytes,
+        }
+        for name, key in KEYS.items()
+    ]
+
+
+def _rate_limits(site: str, machines: list[str]) -> list[dict[str, Any]]:
+    """How often a machine may send; a rule a machine, because the messages under one rule share its rate."""
+    limited = [(name, key) for name, key in KEYS.items() if key.max_rate_hz > 0.0]
+    if not machines:
+        return []
+    return [
+        {
+            "id": f"rate-{name}",
+            "flows": ["ingress"],
+            "messages": ["query" if key.kind == "ask" else "put"],
+            "rules": [
+                {"key_expr": machine_key(site, machine_id, name), "freq": key.max_rate_hz}
+                for machine_id in machines
+            ],
+        }
+        for name, key in limited
+    ]
 
 
 def _rule(name: str, key: str) -> dict[str, Any]:

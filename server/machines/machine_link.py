@@ -9,11 +9,12 @@ import logging
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from machine.channels import KEY_ROOT, KEYS, machine_key
 from machine.messages import (
@@ -21,10 +22,16 @@ from machine.messages import (
     CommandReply,
     EventAck,
     EventBatch,
-    JointStream,
-    MachineState,
     OperatorHeartbeat,
     StopRequest,
+)
+from server.machines.incoming import (
+    IncomingError,
+    check_size,
+    read_batch,
+    read_joints,
+    read_reply,
+    read_state,
 )
 from server.machines.machine_registry import MachineRegistry
 from server.metrics import ServiceMetrics
@@ -34,6 +41,10 @@ logger = logging.getLogger(__name__)
 COMMAND_TIMEOUT_S = 0.5
 EVENT_QUEUE_LENGTH = 256
 """Batches waiting for the database; a machine repeats what was not acknowledged."""
+MACHINE_BATCH_COUNT = 8
+"""Batches of one machine that may wait, so that it leaves room for the others. One is usual."""
+WARNING_PERIOD_S = 10.0
+"""Shortest time between two log lines about refused messages of one machine."""
 
 
 class MachineLostError(Exception):
@@ -65,6 +76,8 @@ class MachineLink:
         self._news = threading.Condition()
         self._latest: dict[tuple[str, str], bytes] = {}
         self._tokens: dict[str, bool] = {}
+        self._waiting: Counter[str] = Counter()
+        self._warned_s: dict[str, float] = {}
         self._batches: queue.Queue[zenoh.Query | None] = queue.Queue(EVENT_QUEUE_LENGTH)
 
     # Life -----------------------------------------------------------------------------------------
@@ -162,11 +175,10 @@ class MachineLink:
                 + ("; two machines use one name" if len(answers) > 1 else "")
             )
         try:
-            reply = CommandReply.model_validate_json(answers[0].payload.to_bytes())
-        except ValidationError as error:
-            raise NoAnswerError(
-                f"the answer cannot be read ({error.error_count()} faults)"
-            ) from error
+            check_size("command", len(answers[0].payload))
+            reply = read_reply(answers[0].payload.to_bytes())
+        except IncomingError as error:
+            raise NoAnswerError(f"the answer cannot be read ({error})") from error
         if (reply.command_id, reply.machine_id) != (command.command_id, command.machine_id):
             raise NoAnswerError(f"the answer belongs to command {reply.command_id}")
         return reply
@@ -197,6 +209,11 @@ class MachineLink:
 
     def _note(self, machine_id: str, name: str) -> Callable[[zenoh.Sample], None]:
         def note(sample: zenoh.Sample) -> None:
+            try:
+                check_size(name, len(sample.payload))
+            except IncomingError as error:
+                self._refuse(machine_id, error)
+                return
             with self._news:
                 self._latest[machine_id, name] = sample.payload.to_bytes()
                 self._news.notify()
@@ -210,10 +227,33 @@ class MachineLink:
             self._news.notify()
 
     def _note_batch(self, query: zenoh.Query) -> None:
+        machine_id = self._machine_of(str(query.key_expr))
+        with self._news:
+            is_room = self._waiting[machine_id] < MACHINE_BATCH_COUNT
+            self._waiting[machine_id] += is_room
         try:
+            if not is_room:
+                raise queue.Full
             self._batches.put_nowait(query)
         except queue.Full:
             self._metrics.event_batches_refused_count.inc()
+            if is_room:
+                self._end_wait(machine_id)
+
+    def _end_wait(self, machine_id: str) -> None:
+        with self._news:
+            self._waiting[machine_id] -= 1
+
+    def _refuse(self, machine_id: str, error: IncomingError) -> None:
+        """Count a refused message; the log says so now and then only."""
+        self._metrics.unreadable_count.inc()
+        now_s = time.monotonic()
+        with self._news:
+            is_quiet = now_s - self._warned_s.get(machine_id, -1e9) < WARNING_PERIOD_S
+            if not is_quiet:
+                self._warned_s[machine_id] = now_s
+        if not is_quiet:
+            logger.warning("refused of %s: %s", machine_id, error)
 
     # In: threads work --------------------------------------------------------------------------------
 
@@ -234,16 +274,11 @@ class MachineLink:
     def _take(self, machine_id: str, name: str, payload: bytes) -> None:
         try:
             if name == "state":
-                state = MachineState.model_validate_json(payload)
-                if state.machine_id == machine_id:
-                    self._registry.take_state(state)
+                self._registry.take_state(read_state(payload, machine_id))
             else:
-                joints = JointStream.model_validate_json(payload)
-                if joints.machine_id == machine_id:
-                    self._registry.take_joints(joints)
-        except ValidationError as error:
-            self._metrics.unreadable_count.inc()
-            logger.warning("%s of %s cannot be read: %s", name, machine_id, error)
+                self._registry.take_joints(read_joints(payload, machine_id))
+        except IncomingError as error:
+            self._refuse(machine_id, error)
 
     def _run_events(self) -> None:
         while (query := self._batches.get()) is not None:
@@ -252,19 +287,17 @@ class MachineLink:
             del query
 
     def _answer_batch(self, query: zenoh.Query) -> None:
+        machine_id = self._machine_of(str(query.key_expr))
+        self._end_wait(machine_id)
         with query:
-            machine_id = self._machine_of(str(query.key_expr))
-            payload = b"" if query.payload is None else query.payload.to_bytes()
             try:
-                batch = EventBatch.model_validate_json(payload)
-            except ValidationError as error:
-                self._metrics.unreadable_count.inc()
-                logger.warning("events of %s cannot be read: %s", machine_id, error)
-                query.reply_err(f"the batch cannot be read: {error.error_count()} faults")
-                return
-            foreign = {event.machine_id for event in batch.events} | {batch.machine_id}
-            if foreign != {machine_id}:
-                query.reply_err(f"the batch speaks for {sorted(foreign)}, the key for {machine_id}")
+                check_size("events", 0 if query.payload is None else len(query.payload))
+                batch = read_batch(
+                    b"" if query.payload is None else query.payload.to_bytes(), machine_id
+                )
+            except IncomingError as error:
+                self._refuse(machine_id, error)
+                query.reply_err(f"the batch is refused: {error}")
                 return
             ack = self._take_events(batch)
             query.reply(query.key_expr, ack.model_dump_json())

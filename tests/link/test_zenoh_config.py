@@ -9,7 +9,7 @@ import pytest
 import trustme
 import zenoh
 
-from machine.channels import machine_key
+from machine.channels import KEYS, machine_key
 from machine.errors import UsageError
 from runtime.link.zenoh_config import RouterTls, client_config, router_config
 from tests.cases import each
@@ -206,3 +206,24 @@ def test_unusable_passwords(tmp_path, users) -> None:
         router_config(
             listen=[], users=users, machines=["m001"], site="yard", dictionary_file=tmp_path / "u"
         )
+
+
+def test_a_machine_sends_no_more_than_its_share(router, endpoint) -> None:
+    sizes: list[int] = []
+    router.declare_subscriber(key("m001", "state"), lambda s: sizes.append(len(s.payload)))
+    limit = KEYS["state"].max_bytes
+    with zenoh.open(client_config(connect=[endpoint], user="m001", password="one")) as machine:
+        publisher = machine.declare_publisher(key("m001", "state"))
+        assert wait_for(lambda: publisher.put(b"{}") or sizes, 20.0)
+        for size in (limit + 1024, 2 * 1024 * 1024, 17 * 1024 * 1024):
+            publisher.put(bytes(size))
+        sizes.clear()
+        began_s = time.monotonic()
+        for _ in range(2000):
+            publisher.put(b"x")
+        time.sleep(0.05)
+        # The last one is let through after the flood: the link itself still stands.
+        assert wait_for(lambda: publisher.put(b"last") or 4 in sizes, 20.0)
+        seconds = time.monotonic() - began_s
+    assert max(sizes) <= limit
+    assert len(sizes) <= 2 + KEYS["state"].max_rate_hz * seconds * 1.5

@@ -7,7 +7,7 @@ import pytest
 
 from server.app import create_app
 from server.settings import Settings
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import wait_for
 
 OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
@@ -36,7 +36,7 @@ def assert_error(reply, status=None):
     return body["error"]["code"]
 
 
-@each_case(("method", "path"), operations())
+@each(("method", "path"), operations())
 def test_every_endpoint_needs_a_session(running, method, path):
     with running.client() as nobody:
         reply = nobody.request(method, concrete(path))
@@ -49,7 +49,7 @@ def test_every_endpoint_needs_a_session(running, method, path):
             assert assert_error(reply, 401) == expected
 
 
-@each_case(
+@each(
     ("method", "path"),
     [(m, p) for m, p in operations() if m != "get" and p != UPLOAD],
 )
@@ -93,7 +93,7 @@ BODIES = [
 ]
 
 
-@each_case(
+@each(
     ("method", "path"),
     [
         (m, p)
@@ -128,7 +128,7 @@ def test_a_huge_body_is_refused(running, ada):
     assert assert_error(ada.put("/machines/m001/target", content=endless()), 413) == "too_large"
 
 
-@each_case(
+@each(
     "query",
     [
         {"limit": 0},
@@ -150,12 +150,12 @@ def test_bad_filters_are_refused(ada, query):
         assert assert_error(ada.get(path, params=query), 422) == "invalid"
 
 
-@each_case("cursor", ["zzz", "' OR 1=1 --", "0", "\x00"])
+@each("cursor", ["zzz", "' OR 1=1 --", "0", "\x00"])
 def test_strange_cursors_give_a_page_or_an_error(ada, cursor):
     assert ada.get("/throws", params={"cursor": cursor}).status_code in (200, 422, 503)
 
 
-@each_case("path", ["/nope", "/machines/m001/nope", "/../api/v1/x"])
+@each("path", ["/nope", "/machines/m001/nope", "/../api/v1/x"])
 def test_unknown_addresses_are_json_404(ada, path):
     assert assert_error(ada.get(path), 404) == "not_found"
 

@@ -2,7 +2,7 @@ import httpx
 import pytest
 
 from server.accounts.accounts import COOKIE
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import add_people, make_settings, running_server
 
 PAGE = "<!doctype html><title>Console</title>"
@@ -20,7 +20,7 @@ def with_console(tmp_path_factory, swing_policies):
         yield running
 
 
-@each_case("path", ["/", "/throws", "/throws/01a1?x=1", "/operate"])
+@each("path", ["/", "/throws", "/throws/01a1?x=1", "/operate"])
 def test_the_console_answers_for_its_own_addresses(with_console, path):
     reply = httpx.get(with_console.url + path, headers={"Accept": "text/html"})
     assert reply.status_code == 200
@@ -33,8 +33,8 @@ def test_assets_are_served_and_missing_ones_are_not_the_page(with_console):
     assert httpx.get(f"{with_console.url}/assets/none.js").text != PAGE
 
 
-@each_case("path", ["/api/v1/nope", "/api/nope", "/api/v2/machines"])
-@each_case("method", ["GET", "POST", "PUT", "DELETE"])
+@each("path", ["/api/v1/nope", "/api/nope", "/api/v2/machines"])
+@each("method", ["GET", "POST", "PUT", "DELETE"])
 def test_mistyped_addresses_of_the_interface_are_404(with_console, method, path):
     reply = httpx.request(method, with_console.url + path)
     assert reply.status_code == 404

@@ -11,7 +11,7 @@ from websockets.sync.client import connect
 from server.accounts.accounts import COOKIE
 from server.event_hub import QUEUE_LENGTH, EventHub
 from server.schemas.events import AlertEvent, ServerEvent
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import run_out, wait_for
 
 
@@ -195,7 +195,7 @@ def test_a_quiet_socket_says_that_the_server_is_there(running, ada):
         wait_for(lambda: json.loads(socket.recv(timeout=30.0)) == [])
 
 
-@each_case(
+@each(
     "headers", [{"Origin": "https://evil.example"}, {"Cookie": ""}, {"Cookie": f"{COOKIE}=guess"}]
 )
 def test_strangers_have_no_events(running, ada, headers):

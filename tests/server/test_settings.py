@@ -2,7 +2,7 @@ import pytest
 
 from machine.errors import UsageError
 from server.settings import load_settings
-from tests.server.cases import each_case
+from tests.cases import each
 
 
 def test_environment_sets_fields(monkeypatch):
@@ -31,7 +31,7 @@ def test_client_variables_do_not_disturb(monkeypatch):
     load_settings()
 
 
-@each_case(
+@each(
     ("name", "value"),
     [
         ("PORT", "70000"),
@@ -47,7 +47,7 @@ def test_values_out_of_range_are_refused(monkeypatch, name, value):
         load_settings()
 
 
-@each_case(
+@each(
     "changes",
     [
         {"link_listen": "tls/0.0.0.0:7447"},
@@ -60,7 +60,7 @@ def test_a_certificate_goes_with_a_tls_endpoint(changes):
         load_settings(**changes)
 
 
-@each_case(
+@each(
     ("listen", "in_the_clear"),
     [
         ("tcp/127.0.0.1:7447", False),

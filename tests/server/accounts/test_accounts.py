@@ -8,7 +8,7 @@ from server.clock import utc_now
 from server.errors import NotSignedInError, TooManyRequestsError
 from server.schemas.console import Permission, Role
 from server.store.models import LoginSession, User
-from tests.server.cases import each_case
+from tests.cases import each
 
 PASSWORD = "correct horse battery"
 
@@ -38,7 +38,7 @@ def test_sessions_live_on_the_server(assembled):
     assert ended == [session]
 
 
-@each_case("token", [None, "", "x", "y" * 500, "\x00"])
+@each("token", [None, "", "x", "y" * 500, "\x00"])
 def test_strange_tokens_are_no_session(assembled, token):
     assert assembled.parts.accounts.session_of(token) is None
 

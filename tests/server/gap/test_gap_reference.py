@@ -8,8 +8,8 @@ from sqlalchemy import create_engine, text
 
 from server.gap.gap_store import GapStore
 from server.store.database import Database, alembic_config, upgrade
+from tests.cases import each
 from tests.server import gap_fakes
-from tests.server.cases import each_case
 from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
 
 
@@ -54,7 +54,7 @@ def test_the_newest_are_taken_beside_the_healthy_ones(running, ada, throws):
     assert view["throw_ids"] == throws[:8]
 
 
-@each_case(
+@each(
     ("change", "status", "said"),
     [
         ({"reference_throw_ids": [0, 1]}, 422, "at least 3 items"),

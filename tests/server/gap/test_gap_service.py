@@ -18,8 +18,8 @@ from server.schemas.console import Role
 from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
 from sim_twin.virtual.units import nominal_unit
+from tests.cases import each
 from tests.server import gap_fakes
-from tests.server.cases import each_case
 from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
 from tests.server.server_bench import PASSWORD, make_settings, running_server, wait_for
 from tests.server.test_events import Listener
@@ -79,7 +79,7 @@ def test_throws_by_name_or_the_newest_of_a_mode(running, ada, throws):
         assert view["throw_ids"] == throws[:6]
 
 
-@each_case(
+@each(
     ("body", "status", "text"),
     [
         ({}, 422, "either throw_ids or newest_count"),
@@ -141,7 +141,7 @@ def test_a_full_queue_is_refused(running, ada, throws):
         assert (reply.status_code, reply.json()["error"]["code"]) == (429, "gap_queue_full")
 
 
-@each_case(
+@each(
     ("diagnose", "text"),
     [
         (gap_fakes.dying, "exit code 7"),

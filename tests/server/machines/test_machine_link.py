@@ -10,7 +10,6 @@ from runtime.link.zenoh_config import client_config
 from server.clock import new_id
 from server.machines.machine_link import COMMAND_TIMEOUT_S, MachineLostError, NoAnswerError
 from server.store.models import Event
-from tests.server.cases import each_case
 from tests.server.server_bench import wait_for
 
 
@@ -50,7 +49,7 @@ def test_silence_is_no_answer(running, machine):
     assert [c.kind for c in machine.commands].count("load") == 1
 
 
-@each_case(
+@pytest.mark.parametrize(
     "answer",
     [
         b"",

@@ -8,7 +8,7 @@ from server.machines.twin_files import TwinFiles
 from server.plans.preview_pool import PreviewPool
 from server.plans.preview_worker import PreviewJob, _warm_up_job, unit_of
 from sim_twin.twin.profile import nominal_profile, save_profile
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import wait_for
 from tests.server.test_events import Listener
 
@@ -75,7 +75,7 @@ def test_the_ellipse_arrives_by_events_of_this_session_only(running, machine, ad
         assert ada.get(f"/plans/{plan['plan_id']}").json()["plan_hash"] == shown
 
 
-@each_case(
+@each(
     ("target", "reason", "number"),
     [
         ({"x_m": 11.4, "y_m": 0.0}, "target_out_of_reach", "11.40 m"),

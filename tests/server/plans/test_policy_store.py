@@ -8,7 +8,7 @@ from machine.policy_card import CARD_FILE, POLICY_FILE, load_card
 from machine.spec import load_spec
 from server.errors import ApiError
 from server.plans.policy_store import PolicyStore
-from tests.server.cases import each_case
+from tests.cases import each
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_a_policy_for_another_machine_is_not_used(policies, folder):
         policies.active(Mode.SPATIAL)
 
 
-@each_case(
+@each(
     ("text", "words"),
     [
         ("{", "cannot be read"),

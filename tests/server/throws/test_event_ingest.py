@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from machine.messages import EventBatch, EventKind, MachineEvent, Target, ThrowPlan
 from server.schemas.history import Outcome, ThrowPhase
 from server.store.models import Event, Impact, Throw
-from tests.server.cases import each_case
 
 BOOTS = itertools.count()
 
@@ -148,7 +147,7 @@ def test_a_manual_mark_is_not_overruled_by_a_late_survey(assembled, ingest, thro
     assert count(assembled, Impact) == 2
 
 
-@each_case(
+@pytest.mark.parametrize(
     "bad",
     [
         {"position_m": [9.2, 0.1], "sd_m": 0.0, "source": "survey"},

@@ -10,7 +10,7 @@ from server.metrics import ServiceMetrics
 from server.schemas.console import Role
 from server.store.models import User
 from server.throws.hold_relay import GRANT_S, HoldRelay
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import PASSWORD, run_out
 
 
@@ -23,7 +23,7 @@ def open_hold(running, client, machine_id="m001", **headers):
     )
 
 
-@each_case(
+@each(
     "headers",
     [
         {"Origin": "https://evil.example"},
@@ -47,7 +47,7 @@ def test_viewers_are_not_let_in(running):
         pass
 
 
-@each_case(
+@each(
     "message",
     ["", "x", "[]", '{"throw_id": 1, "holding": true}', '{"throw_id": "t"}', "{" * 5000],
 )

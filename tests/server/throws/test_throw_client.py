@@ -5,7 +5,7 @@ import pytest
 from cli.service.throw import parse_target, run
 from cli.service.throw_client import ServerError, ThrowClient, login_from_file
 from machine.errors import UsageError
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import wait_for
 
 PASSWORD = "correct horse battery"
@@ -77,7 +77,7 @@ def test_password_files(tmp_path):
         login_from_file(path, "eve")
 
 
-@each_case(
+@each(
     ("text", "expected"),
     [("9", (9.0, 0.0)), ("9.5,-0.25", (9.5, -0.25)), (" 8 , 1 ", (8.0, 1.0))],
 )
@@ -85,7 +85,7 @@ def test_targets(text, expected):
     assert parse_target(text) == expected
 
 
-@each_case("text", ["", "x", "1,2,3", "nan", "inf,0", "9,", "9;1"])
+@each("text", ["", "x", "1,2,3", "nan", "inf,0", "9,", "9;1"])
 def test_bad_targets(text):
     with pytest.raises(UsageError, match="RANGE"):
         parse_target(text)

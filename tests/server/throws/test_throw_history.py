@@ -15,7 +15,7 @@ from server.store.models import Throw
 from server.throws import throw_history as module
 from server.throws.throw_history import ThrowFilter, ThrowHistory
 from server.throws.throw_statistics import ThrowStatistics
-from tests.server.cases import each_case
+from tests.cases import each
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 OPERATORS = ("ada", "bob")
@@ -137,7 +137,7 @@ def test_export_has_every_row_and_no_formulas(assembled, throws):
             assert float(found["measured_downrange_error_m"]) == row.measured_downrange_error_m
 
 
-@each_case("group_by", list(GroupBy))
+@each("group_by", list(GroupBy))
 def test_statistics_are_those_of_numpy(assembled, throws, group_by):
     stats = ThrowStatistics(assembled.parts.database).of(ThrowFilter(), group_by)
     key = {

@@ -19,7 +19,7 @@ from server.schemas.console import Role
 from server.schemas.history import ReplayRequest
 from server.store.models import Plan
 from server.throws.throw_series import motion_of, series_of
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.server_bench import wait_for
 
 TICKS = 300
@@ -89,7 +89,7 @@ def stored_files(running):
     return sorted(p.name for p in (running.settings.data_dir / "throws").rglob("*") if p.is_file())
 
 
-@each_case("chunked", [False, True])
+@each("chunked", [False, True])
 def test_an_upload_is_kept_once_and_can_be_read(running, ada, content, throw_id, chunked):
     for _ in range(2):
         assert put(running, throw_id, content, chunked=chunked).status_code == 204
@@ -205,7 +205,7 @@ BED = {"name": "bed", "kind": "box", "x_m": 9.0, "y_m": 0.0, "length_m": 2.0, "w
        "height_m": 1.0}  # fmt: skip
 
 
-@each_case(("kept", "names"), [([BED], ["bed"]), ([], []), (None, None)])
+@each(("kept", "names"), [([BED], ["bed"]), ([], []), (None, None)])
 def test_a_replay_is_given_the_site_of_its_plan(kept, names):
     scene, store = Seen(), Kept(kept)
     session = Session(new_id(), "ada", Role.OPERATOR, utc_now())

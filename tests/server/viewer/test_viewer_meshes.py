@@ -8,7 +8,7 @@ from machine.spec import MJCF_PATH, load_spec
 from server.viewer.meshes import PartMesh, part_meshes
 from server.viewer.nodes import MachineKit
 from server.viewer.pose import stroke_m
-from tests.server.cases import each_case
+from tests.cases import each
 
 MODEL = mujoco.MjModel.from_xml_path(str(MJCF_PATH))
 KIT = MachineKit.load(load_spec())
@@ -49,7 +49,7 @@ def extent(geom_id: int) -> tuple[np.ndarray, np.ndarray]:
     return centre - half, centre + half
 
 
-@each_case("name", MOVED)
+@each("name", MOVED)
 def test_a_mesh_lies_where_its_geoms_are(name: str) -> None:
     vertices, faces = KIT.meshes[name].merged
     assert np.isfinite(vertices).all()
@@ -66,7 +66,7 @@ def test_a_mesh_lies_where_its_geoms_are(name: str) -> None:
     np.testing.assert_allclose(vertices.max(axis=0), high, atol=0.02)
 
 
-@each_case("name", sorted(KIT.glb))
+@each("name", sorted(KIT.glb))
 def test_glb_holds_one_primitive_a_material(name: str) -> None:
     glb = KIT.glb[name]
     assert glb[:4] == b"glTF"

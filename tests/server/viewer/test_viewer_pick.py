@@ -15,7 +15,7 @@ from server.viewer.pick import (
     pick_ground,
     pick_surface,
 )
-from tests.server.cases import each_case
+from tests.cases import each
 
 coordinates = st.floats(-50.0, 50.0)
 
@@ -49,7 +49,7 @@ def test_a_ray_to_a_point_picks_that_point_or_is_refused_for_its_angle(
         assert pick_ground(scaled) == pytest.approx(aimed, abs=1e-6)
 
 
-@each_case(("degrees", "is_refused"), [(4.9, True), (4.999, True), (5.001, False), (5.1, False)])
+@each(("degrees", "is_refused"), [(4.9, True), (4.999, True), (5.001, False), (5.1, False)])
 def test_grazing_boundary(degrees: float, is_refused: bool) -> None:
     angle = math.radians(degrees)
     ray = Ray(np.array([0.0, 0.0, 2.0]), np.array([math.cos(angle), 0.0, -math.sin(angle)]))
@@ -60,7 +60,7 @@ def test_grazing_boundary(degrees: float, is_refused: bool) -> None:
         assert pick_ground(ray)[0] == pytest.approx(2.0 / math.tan(angle))
 
 
-@each_case(
+@each(
     ("origin", "direction", "reason"),
     [
         ((0, 0, 5), (1, 0, 0.3), PickReason.SKY),
@@ -99,7 +99,7 @@ PILE = SiteObject(
 EYE = (3.5, -14.0, 9.2)
 
 
-@each_case(
+@each(
     ("item", "point"),
     [
         (BED, (8.4, 1.3, 1.2)),

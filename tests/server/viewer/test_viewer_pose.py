@@ -8,7 +8,7 @@ from machine.conventions import JOINT_NAMES
 from machine.kinematics import cylinder_length_m
 from machine.spec import MJCF_PATH, load_spec
 from server.viewer.pose import CylinderPart, Part, local_pose, machine_parts, stroke_m
-from tests.server.cases import each_case
+from tests.cases import each
 
 SPEC = load_spec()
 MODEL = mujoco.MjModel.from_xml_path(str(MJCF_PATH))
@@ -81,7 +81,7 @@ def test_only_the_chassis_and_the_load_never_move() -> None:
     assert {part.name for part in PARTS if type(part) is Part} == {"chassis", "payload"}
 
 
-@each_case("joint", ["boom", "dipper"])
+@each("joint", ["boom", "dipper"])
 def test_stroke_covers_the_joints_range(joint: str) -> None:
     cylinder = getattr(SPEC.hydraulics, f"{joint}_cylinder")
     index = JOINT_NAMES.index(joint)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.viewer.replay import Playback, ThrowMotion, moment
-from tests.server.cases import each_case
+from tests.cases import each
 
 
 def motion(release_s: float | None = 0.5, flight_s: float = 1.0) -> ThrowMotion:
@@ -46,7 +46,7 @@ def test_one_frame_and_no_path_are_drawn_too() -> None:
     assert drawn.ball_m is None
 
 
-@each_case("shape", [(5,), (5, 5), (2, 6, 1)])
+@each("shape", [(5,), (5, 5), (2, 6, 1)])
 def test_frames_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"\(T, 6\)"):
         ThrowMotion(np.zeros(shape), 0.02, np.zeros((0, 3)))

@@ -12,7 +12,7 @@ from server.viewer.replay import ThrowMotion
 from server.viewer.scene import ViewerScene
 from server.viewer.stage import lost_text
 from server.viewer.state import Reach
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, wait_for
 
 POSE = safe_pose(0.3)
@@ -144,7 +144,7 @@ def test_rings_labels_and_dimmed_ground(app: ViewerApp, session: str, client: Vi
     client.until(lambda: "/dim/beyond" not in client.nodes, "the dimming to go")
 
 
-@each_case(
+@each(
     ("reach", "beyond_m"),
     [
         (Reach(7.5), 7.5),
@@ -303,7 +303,7 @@ def test_a_lost_machine_says_since_when_and_turns_grey(
     client.until(lambda: client.nodes["/live/chassis/skin"]["type"] == "GlbMessage", "its colours")
 
 
-@each_case(
+@each(
     ("ago_s", "text"),
     [
         (-0.5, "Lost: last seen 0 s ago"),
@@ -375,7 +375,7 @@ def test_camera_presets(app: ViewerApp, session: str, client: ViewClient) -> Non
         app.scene.set_theme(session, "pink")
 
 
-@each_case("joints", [[0.0] * 5, [0.0] * 7, [float("nan")] * 6])
+@each("joints", [[0.0] * 5, [0.0] * 7, [float("nan")] * 6])
 def test_a_sample_that_is_none_is_refused(app: ViewerApp, joints: list[float]) -> None:
     with pytest.raises(ValueError, match="Six finite"):
         app.scene.update_machine("m001", joints)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from machine.messages import LandingEllipse
 from server.viewer import shapes
 from server.viewer.theme import VIEWPOINTS
-from tests.server.cases import each_case
+from tests.cases import each
 
 radii = st.floats(0.5, 60.0)
 points = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-1.0, 3.0))
@@ -99,7 +99,7 @@ def test_crosses_are_centred_on_their_points(
     np.testing.assert_allclose(segments.mean(axis=1)[1::2], points, atol=1e-9)
 
 
-@each_case(
+@each(
     ("target", "text"),
     [
         ((9.0, 0.0, 0.0), "9.00 m, ahead"),
@@ -121,7 +121,7 @@ def test_a_rising_ring_leaves_the_ground_outwards() -> None:
     assert sorted({round(float(z), 3) for z in vertices[:, 2]}) == [0.0, 1.95]
 
 
-@each_case("aspect", [0.3, 0.73, 0.99])
+@each("aspect", [0.3, 0.73, 0.99])
 def test_a_narrow_picture_shows_as_much_from_left_to_right(aspect: float) -> None:
     for view in VIEWPOINTS.values():
         whole = math.tan(0.5 * view.fov_rad) * view.whole_aspect_ratio

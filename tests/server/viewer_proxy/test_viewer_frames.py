@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.viewer_proxy.frames import MAX_FRAME_BYTES, MalformedFrameError, filter_frame
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.viewer_app import CAMERA, click
 
 CLICK = click((0.0, 0.0, 5.0), (0.3, 0.0, -1.0))
@@ -22,7 +22,7 @@ def passed(message: object) -> Any:
     return None if frame is None else msgpack.unpackb(frame)
 
 
-@each_case("message", [CAMERA, CLICK])
+@each("message", [CAMERA, CLICK])
 def test_what_the_page_sends_passes_and_viser_reads_it(message: dict[str, Any]) -> None:
     frame = filter_frame(msgpack.packb(message))
     assert frame is not None

@@ -6,7 +6,7 @@ import pytest
 
 from server.viewer_proxy import page as page_module
 from server.viewer_proxy.page import page_headers, viewer_page
-from tests.server.cases import each_case
+from tests.cases import each
 
 
 def directives(host: str = "yard.example:8000") -> dict[str, str]:
@@ -41,7 +41,7 @@ def test_the_policy_lets_nothing_in_or_out() -> None:
     assert "'unsafe-eval'" not in policy["script-src"].replace("'wasm-unsafe-eval'", "")
 
 
-@each_case("host", ["", "h; script-src *", "h evil.example", "h\n"])
+@each("host", ["", "h; script-src *", "h evil.example", "h\n"])
 def test_a_forged_host_adds_nothing_to_the_policy(host: str) -> None:
     assert directives(host)["connect-src"] == "'self' data: blob:"
     assert "script-src *" not in page_headers(host)["Content-Security-Policy"]
@@ -58,7 +58,7 @@ def test_another_build_of_viser_is_refused() -> None:
         page_module._unpacked_script("<html><script>1</script></html>")
 
 
-@each_case("data", [b"", b"\x00", b"\xff\xff", b"abc", b"abcd", bytes(range(256))])
+@each("data", [b"", b"\x00", b"\xff\xff", b"abc", b"abcd", bytes(range(256))])
 def test_base88_is_undone(data: bytes) -> None:
     alphabet = [c for c in map(chr, range(0x21, 0x7F)) if c not in "\"&<>'`"]
     text = ""

@@ -13,7 +13,7 @@ from websockets.typing import Origin, Subprotocol
 
 import server.viewer_proxy.proxy as proxy_module
 from server.viewer_proxy.proxy import CLOSED_MALFORMED, CLOSED_SESSION_ENDED, FrameBudget
-from tests.server.cases import each_case
+from tests.cases import each
 from tests.server.viewer_app import CAMERA, PROTOCOL, ViewClient, ViewerApp, click, wait_for
 
 
@@ -56,7 +56,7 @@ def test_the_bare_path_leads_to_the_page(app: ViewerApp) -> None:
     assert (answer.status_code, answer.headers["location"]) == (307, "/viewer/")
 
 
-@each_case("path", ["/viewer/index.html", "/viewer/../etc/passwd", "/viewer/assets/x"])
+@each("path", ["/viewer/index.html", "/viewer/../etc/passwd", "/viewer/assets/x"])
 def test_nothing_else_lies_under_the_path(app: ViewerApp, path: str) -> None:
     assert httpx.get(app.origin + path, cookies={"sid": "s1"}).status_code == 404
 
@@ -80,12 +80,12 @@ def handshake(app: ViewerApp, path: str, **changes: Any) -> int:
         return refused.response.status_code
 
 
-@each_case("path", ["/viewer", "/viewer/"])
+@each("path", ["/viewer", "/viewer/"])
 def test_both_paths_answer(app: ViewerApp, path: str) -> None:
     assert handshake(app, path) == 101
 
 
-@each_case(
+@each(
     "origin",
     [
         None,
@@ -193,7 +193,7 @@ def test_crafted_frames_never_reach_viser(app: ViewerApp, monkeypatch: pytest.Mo
     client.close()
 
 
-@each_case("raw", [b"\xc1", msgpack.packb([1]), bytes(5000), "text"])
+@each("raw", [b"\xc1", msgpack.packb([1]), bytes(5000), "text"])
 def test_a_frame_that_no_page_sends_closes_the_socket(app: ViewerApp, raw: bytes | str) -> None:
     client = ViewClient(app, "rude")
     client.socket.send(raw)
