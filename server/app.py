@@ -14,11 +14,13 @@ from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.routing import APIRoute
 from pydantic.json_schema import models_json_schema
 from starlette.requests import HTTPConnection
+from starlette.responses import JSONResponse
 
 from machine.errors import DownrangeError
 from machine.spec import load_spec
 from server.accounts.accounts import COOKIE, Session
 from server.composition import Parts, open_parts
+from server.dependencies import Viewer
 from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
@@ -87,6 +89,10 @@ def _api_router() -> APIRouter:
     return api
 
 
+def _read_openapi(request: Request, session: Viewer) -> JSONResponse:
+    return JSONResponse(openapi_document(request.app))
+
+
 async def _no_such_api(path: str, request: Request) -> None:
     # Without this route the console's page is the answer to every unknown address of the interface.
     raise NotFoundError("not_found", f"There is no {request.method} /api/{path[:100]}.")
@@ -121,7 +127,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="Downrange",
         version=SOFTWARE,
-        openapi_url=f"{API_PREFIX}/openapi.json",
+        openapi_url=None,
         docs_url=None,
         redoc_url=None,
         generate_unique_id_function=_operation_id,
@@ -129,6 +135,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.include_router(_api_router())
     app.include_router(health.metrics_router)
+    app.add_api_route(f"{API_PREFIX}/openapi.json", _read_openapi, include_in_schema=False)
     app.include_router(proxy.router)
     app.add_api_route(
         "/api/{path:path}",

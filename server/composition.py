@@ -14,6 +14,7 @@ from runtime.link.zenoh_config import RouterTls, router_config
 from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
 from server.accounts.audit_chain import AuditChain
+from server.accounts.known_devices import KnownDevices
 from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
@@ -67,6 +68,7 @@ class Parts:
     audit: AuditChain
     accounts: Accounts
     access: AccessControl
+    devices: KnownDevices
     metrics: ServiceMetrics
     hub: EventHub
     streams: StreamLimiter
@@ -243,6 +245,7 @@ def assemble(
         audit=audit,
         accounts=accounts,
         access=AccessControl(accounts, audit, settings),
+        devices=KnownDevices(settings.data_dir / "device-cookie.key"),
         metrics=metrics,
         hub=hub,
         streams=StreamLimiter(metrics),

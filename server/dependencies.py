@@ -12,6 +12,7 @@ from starlette.requests import HTTPConnection
 from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts, Session
 from server.accounts.audit_chain import AuditChain
+from server.accounts.known_devices import KnownDevices
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
@@ -62,6 +63,7 @@ AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
 AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
 AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
 CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
+DevicesDep = Annotated[KnownDevices, Depends(_get(KnownDevices))]
 DatabaseDep = Annotated[Database, Depends(_get(Database))]
 GapDep = Annotated[GapService, Depends(_get(GapService))]
 GapPreviewsDep = Annotated[GapPreviews, Depends(_get(GapPreviews))]

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import os
 import signal
 import socket
 import sys
@@ -78,6 +79,9 @@ def make_server(
         http=timed_http_protocol(IdleConnectionLimit()),
         log_config=None,
         access_log=False,
+        # uvicorn by default believes X-Forwarded-For of every caller on this computer.
+        proxy_headers=bool(settings.trusted_proxies),
+        forwarded_allow_ips=list(settings.trusted_proxies),
         ws_max_size=WEBSOCKET_MAX_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=SHUTDOWN_S,
@@ -99,6 +103,7 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
     """
     logging.getLogger("uvicorn.error").addFilter(_is_news)
     allow_open_files()
+    os.umask(0o077)  # whatever is written from here on is its owner's alone
     with open_socket(settings.host, settings.port_count) as listener:
         server, app = make_server(settings, on_ready)
         # uvicorn ends in order and then sends itself the signal again; by default that would kill the

@@ -3,6 +3,7 @@
 Operator preferences are in the database, machine truth in spec.json; neither is here.
 """
 
+import ipaddress
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -55,14 +56,27 @@ class Settings(BaseSettings):
     lease_ttl_s: float = Field(default=15.0, gt=0.0)
     lease_idle_s: float = Field(default=600.0, gt=0.0)
     plan_ttl_s: float = Field(default=300.0, gt=0.0)
+    trusted_proxies: Annotated[tuple[str, ...], NoDecode] = ()
+    """Addresses or networks of reverse proxies, comma separated. Only their X-Forwarded-* headers count."""
+    metrics_token: SecretStr | None = None
+    """Bearer token with which Prometheus reads /metrics; without it a signed-in auditor may."""
+    min_free_bytes: int = Field(default=256 * 1024 * 1024, ge=0)
+    """Free space in the data folder below which /health reports a full disk."""
     log_max_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
     """Largest throw log that a machine may upload."""
 
-    @field_validator("origins", mode="before")
+    @field_validator("origins", "trusted_proxies", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
             return tuple(part.strip().rstrip("/") for part in value.split(",") if part.strip())
+        return value
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for text in value:
+            ipaddress.ip_network(text, strict=False)  # its ValueError names the text
         return value
 
     @model_validator(mode="after")

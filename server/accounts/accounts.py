@@ -131,23 +131,30 @@ class Accounts:
         for name, role in FIRST_USERS:
             self.create_user(name, passwords[name], role)
 
-    def login(self, username: str, password: str, address: str) -> tuple[str, Session]:
+    def login(
+        self, username: str, password: str, address: str, device_id: str | None = None
+    ) -> tuple[str, Session]:
         """Check a password and open a session; returns its token.
+
+        Args:
+            username: account.
+            password: as typed.
+            address: of the caller.
+            device_id: of a browser in which this person has signed in before.
 
         Raises:
             TooManyRequestsError: too many failures.
             NotSignedInError: unknown name or wrong password; the answer is the same for both.
         """
-        self._login_limit.check(username, address)
+        self._login_limit.attempt(username, address, device_id)
         with self._database.read() as session:
             user = session.get(User, username)
         if not self._matches(user, password) or user is None or user.is_disabled:
-            self._login_limit.fail(username, address)
             self._audit.record(
                 Entry(Actor(username), "login", "denied", detail={"address": address})
             )
             raise NotSignedInError("login_failed", "Name or password is wrong.")
-        self._login_limit.succeed(username, address)
+        self._login_limit.succeed(username, address, device_id)
         token = secrets.token_urlsafe(32)
         now = utc_now()
         opened = Session(

@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 from machine.messages import Command
 from server.clock import utc_now
 from server.schemas.audit import AuditVerdict
+from server.secret_files import make_private
 from server.store.database import Database
 from server.store.models import Audit
 
@@ -109,6 +110,7 @@ class AuditChain:
                 "row_sha256": last.row_sha256,
             }
         )
+        make_private(self._anchor_path)
         with self._anchor_path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
 

@@ -8,7 +8,6 @@ import logging
 import math
 import multiprocessing
 import os
-import threading
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +20,7 @@ from diagnosis.correction import found_effects
 from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
+from server.child_process import end_with_parent
 from sim_twin.twin.profile import TwinProfile
 
 if TYPE_CHECKING:
@@ -159,13 +159,13 @@ def _end(process: Any) -> None:
 def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
     """Entry point of the process."""
     os.nice(NICENESS)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    reported_s = -1e9
+    end_with_parent()
+    sent_s = -1e9
 
     def tell(share: float, text: str) -> None:
-        nonlocal reported_s
-        if monotonic() - reported_s >= PROGRESS_PERIOD_S:
-            reported_s = monotonic()
+        nonlocal sent_s
+        if monotonic() - sent_s >= PROGRESS_PERIOD_S:
+            sent_s = monotonic()
             answers.send(("progress", (share, text)))
 
     try:
@@ -181,13 +181,6 @@ def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
         answers.send(
             ("failed", f"the diagnosis made a mistake ({type(error).__name__}: {error}); report it")
         )
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def answer_of(found: Diagnosis, title: str) -> GapAnswer:

@@ -18,6 +18,7 @@ from machine.spec import MachineSpec, load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner
+from server.child_process import end_with_parent
 from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 
@@ -117,6 +118,7 @@ def start_worker(
     """First thing in a new process: load everything once, so that no operator waits for it."""
     global _worker  # a worker process is this one object
     os.nice(NICENESS)
+    end_with_parent()
     _worker = Worker(updates, cancelled)
     for folder in warm_up:
         try:

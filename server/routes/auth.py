@@ -3,10 +3,13 @@
 from fastapi import APIRouter, Depends, Request, Response
 
 from server.accounts.accounts import COOKIE
-from server.dependencies import AccountsDep, SessionDep, SettingsDep, check_write
+from server.accounts.known_devices import DEVICE_COOKIE
+from server.dependencies import AccountsDep, DevicesDep, SessionDep, SettingsDep, check_write
 from server.schemas.console import LoginRequest, SessionView
 
 router = APIRouter(tags=["auth"])
+
+DEVICE_COOKIE_S = 365 * 24 * 3600
 
 
 @router.post("/auth/login", dependencies=[Depends(check_write)])
@@ -16,10 +19,21 @@ def login(
     response: Response,
     accounts: AccountsDep,
     settings: SettingsDep,
+    devices: DevicesDep,
 ) -> SessionView:
     """Sign in; sets the session cookie."""
     address = request.client.host if request.client else "unknown"
-    token, session = accounts.login(body.username, body.password, address)
+    device_id = devices.device_of(request.cookies.get(DEVICE_COOKIE), body.username)
+    token, session = accounts.login(body.username, body.password, address, device_id)
+    response.set_cookie(
+        DEVICE_COOKIE,
+        devices.issue(body.username, device_id),
+        max_age=DEVICE_COOKIE_S,
+        httponly=True,
+        samesite="strict",
+        secure=settings.secure_cookie,
+        path="/",
+    )
     response.set_cookie(
         COOKIE,
         token,

@@ -1,17 +1,24 @@
 """Health for people and load balancers, metrics for Prometheus."""
 
-from fastapi import APIRouter, Response
+import hmac
+import shutil
+from pathlib import Path
+
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.dependencies import (
+    AccessDep,
     DatabaseDep,
     HubDep,
     LinkDep,
     MetricsDep,
     PreviewPoolDep,
     RegistryDep,
+    SettingsDep,
 )
-from server.schemas.console import HealthView
+from server.errors import NotSignedInError
+from server.schemas.console import HealthView, Permission
 from server.version import SOFTWARE
 
 router = APIRouter(tags=["health"])
@@ -24,6 +31,7 @@ def read_health(
     link: LinkDep,
     pool: PreviewPoolDep,
     registry: RegistryDep,
+    settings: SettingsDep,
     response: Response,
 ) -> HealthView:
     """Whether the service can do its work; 503 when a part is away."""
@@ -34,7 +42,8 @@ def read_health(
         database_text = f"does not answer: {type(error).__name__}"
     link_text = "ok" if link.is_open else "closed"
     preview_text = "ok" if pool.is_running else "closed"
-    is_well = {database_text, link_text, preview_text} == {"ok"}
+    disk_text = disk_standing(settings.data_dir, settings.min_free_bytes)
+    is_well = {database_text, link_text, preview_text, disk_text} == {"ok"}
     response.status_code = 200 if is_well else 503
     listed = registry.listed()
     return HealthView(
@@ -44,12 +53,42 @@ def read_health(
         link=link_text,
         viewer="ok",
         preview=preview_text,
+        disk=disk_text,
         machine_count=len(listed),
         connected_count=sum(known.is_connected for known in listed),
     )
 
 
-@metrics_router.get("/metrics")
+def disk_standing(folder: Path, min_free_bytes: int) -> str:
+    """How much space a folder has: `ok`, or what is missing."""
+    try:
+        free_bytes = shutil.disk_usage(folder).free
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    if free_bytes < min_free_bytes:
+        return f"full: {free_bytes // 1_000_000} MB free, {min_free_bytes // 1_000_000} MB needed"
+    return "ok"
+
+
+def check_metrics_reader(request: Request, access: AccessDep, settings: SettingsDep) -> None:
+    """Admit the bearer token of the settings, or a session that may read the audit.
+
+    Raises:
+        NotSignedInError: neither.
+        ForbiddenError: a session without the permission.
+    """
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    expected = settings.metrics_token
+    if scheme.lower() == "bearer":
+        if expected is not None and hmac.compare_digest(
+            token.encode(), expected.get_secret_value().encode()
+        ):
+            return
+        raise NotSignedInError("wrong_token", "This is not the token of DOWNRANGE_METRICS_TOKEN.")
+    access.require(request, access.session_of(request), Permission.AUDIT_READ)
+
+
+@metrics_router.get("/metrics", dependencies=[Depends(check_metrics_reader)])
 def read_metrics(metrics: MetricsDep, registry: RegistryDep, hub: HubDep) -> Response:
     """Metrics in Prometheus' text format."""
     metrics.machines_connected_count.set(sum(known.is_connected for known in registry.listed()))

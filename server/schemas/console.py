@@ -285,5 +285,6 @@ class HealthView(View):
     link: str
     viewer: str
     preview: str
+    disk: str
     machine_count: int
     connected_count: int

@@ -21,6 +21,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 from machine.errors import DownrangeError
+from server.secret_files import make_private
 from server.settings import CHECKOUT
 
 BUSY_TIMEOUT_MS = 5000
@@ -55,7 +56,7 @@ class Database:
         self.url = url
         self.shown_url = parsed.render_as_string(hide_password=True)
         if parsed.database and self.dialect == "sqlite":
-            Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
+            make_private(Path(parsed.database))
         options: dict[str, Any] = {"pool_size": 16, "max_overflow": 48}
         if self.dialect == "postgresql":
             options["pool_pre_ping"] = True

@@ -22,6 +22,7 @@ from tests.ports import free_port
 from tests.server.fake_machine import FakeMachine
 
 PASSWORD = "correct horse battery"
+METRICS_TOKEN = "read-the-metrics"
 
 
 def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> object:
@@ -103,6 +104,7 @@ def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settin
         "machine_slot_count": 2,
         "preview_worker_count": 1,
         "lease_ttl_s": 300.0,
+        "metrics_token": METRICS_TOKEN,
     }
     return Settings.model_validate(values | overrides)
 

@@ -5,10 +5,13 @@ import json
 import httpx
 import pytest
 
+from server.accounts.accounts import COOKIE
 from server.app import create_app
+from server.routes import health
+from server.routes.health import disk_standing
 from server.settings import Settings
 from tests.cases import each
-from tests.server.server_bench import wait_for
+from tests.server.server_bench import METRICS_TOKEN, wait_for
 
 OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
 UPLOAD = "/api/v1/machines/{machine_id}/throw-logs/{throw_id}"
@@ -297,13 +300,44 @@ def test_policies_are_listed_with_their_cards(ada):
     assert one["card"]["policy_sha256"] == one["policy_sha256"]
 
 
-def test_metrics_page(running, ada):
-    ada.get("/machines")
-    text = httpx.get(f"{running.url}/metrics").text
-    assert 'downrange_http_request_seconds_count{operation="list_machines"' in text
+def test_metrics_are_for_the_token_and_for_auditors(running, ada):
+    address = f"{running.url}/metrics"
+    token = {"Authorization": f"Bearer {METRICS_TOKEN}"}
+    text = httpx.get(address, headers=token).text
+    assert "downrange_http_request_seconds" in text
+    assert httpx.get(address).status_code == 401
+    for wrong in ("Bearer guess", "Bearer", "Basic x"):
+        assert httpx.get(address, headers={"Authorization": wrong}).status_code == 401
+    for name, status_code in (("ada", 403), ("sue", 200)):
+        with running.client(name) as client:
+            cookies = {COOKIE: client.cookies[COOKIE]}
+            assert httpx.get(address, cookies=cookies).status_code == status_code
+
+
+def test_a_full_disk_is_told_by_health(running, ada, monkeypatch):
+    assert ada.get("/health").json()["disk"] == "ok"
+    monkeypatch.setattr(health, "disk_standing", lambda *_: "full: 3 MB free, 268 MB needed")
+    reply = ada.get("/health")
+    assert (reply.status_code, reply.json()["status"]) == (503, "degraded")
+    monkeypatch.undo()
+    assert disk_standing(running.settings.data_dir, 2**62).startswith("full: ")
+    assert disk_standing(running.settings.data_dir / "none", 1).startswith("cannot be read")
+
+
+def test_a_forwarded_address_of_a_caller_that_is_no_proxy_does_not_count(running):
+    with running.client() as client:
+        body = {"username": "nobody-here", "password": "guess"}
+        codes = [
+            client.post(
+                "/auth/login", json=body, headers={"X-Forwarded-For": f"10.9.8.{index}"}
+            ).status_code
+            for index in range(8)
+        ]
+    assert codes == [401] * 5 + [429] * 3
 
 
 def test_openapi_is_served_and_has_stable_names(running, ada):
+    assert httpx.get(f"{running.url}/api/v1/openapi.json").status_code == 401
     document = ada.get("/openapi.json").json()
     ids = [op["operationId"] for ops in document["paths"].values() for op in ops.values()]
     assert len(ids) == len(set(ids))

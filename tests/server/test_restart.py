@@ -1,11 +1,13 @@
 """Starts, stops and restarts of the whole service, and what machines make of them."""
 
+import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import httpx
 import pytest
@@ -15,7 +17,7 @@ from machine.errors import UsageError
 from machine.messages import ThrowState
 from machine.spec import load_spec
 from server.composition import LinkError, open_parts
-from server.serve import open_socket, serve
+from server.serve import make_server, open_socket, serve
 from server.store.database import Database, DatabaseError, upgrade
 from server.store.instance_lock import instance_lock
 from server.viewer.scene import ViewerScene
@@ -185,3 +187,57 @@ def test_the_verb_serves_and_ends_in_order(tmp_path, swing_policies):
     assert process.returncode == 0, output
     assert "leaked" not in output
     assert "Traceback" not in output
+
+
+def test_a_killed_server_leaves_no_processes(tmp_path, swing_policies):
+    code = (
+        "import time\n"
+        "from server.plans.preview_pool import PreviewPool\n"
+        "if __name__ == '__main__':\n"
+        "    pool = PreviewPool(2, ())\n"
+        "    pool.start()\n"
+        "    print(*pool._pool._processes, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    script = tmp_path / "killed.py"
+    script.write_text(code)
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": "."},
+    ) as process:
+        assert process.stdout is not None
+        children = [int(pid) for pid in process.stdout.readline().split()]
+        assert len(children) == 2
+        time.sleep(3.0)  # both are past their start
+        process.kill()
+    wait_for(lambda: not any(is_alive(pid) for pid in children), 30.0)
+
+
+def is_alive(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_what_the_server_writes_is_its_owners_alone(tmp_path, swing_policies):
+    database = tmp_path / "data" / "downrange.db"
+    database.parent.mkdir()
+    database.touch(mode=0o644)  # as an earlier version left it
+    with running_server(make_settings(tmp_path / "data", swing_policies)):
+        names = ["downrange.db", "downrange.db-wal", "downrange.db-shm", "audit-anchors.jsonl"]
+        modes = {name: (tmp_path / "data" / name).stat().st_mode & 0o777 for name in names}
+    assert modes == dict.fromkeys(names, 0o600)
+
+
+def test_only_named_proxies_are_believed(tmp_path, swing_policies):
+    for proxies, expected in (("", []), ("10.0.0.5, 10.1.0.0/16", ["10.0.0.5", "10.1.0.0/16"])):
+        settings = make_settings(tmp_path, swing_policies, trusted_proxies=proxies)
+        config = make_server(settings)[0].config
+        assert config.proxy_headers is bool(expected)
+        assert config.forwarded_allow_ips == expected
+    with pytest.raises(ValueError, match="not-an-address"):
+        make_settings(tmp_path, swing_policies, trusted_proxies="not-an-address")

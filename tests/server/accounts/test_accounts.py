@@ -91,36 +91,87 @@ def test_wrong_name_and_wrong_password_answer_alike(assembled):
     assert len(texts) == 1
 
 
-def test_brake_closes_after_failures_and_opens_again():
+def test_limit_closes_after_failures_and_opens_again():
     now = [0.0]
-    brake = LoginRateLimit(lambda: now[0])
+    limit = LoginRateLimit(lambda: now[0])
     for _ in range(LoginRateLimit.NAME_LIMIT):
-        brake.check("ada", "a")
-        brake.fail("ada", "a")
+        limit.attempt("ada", "a")
     with pytest.raises(TooManyRequestsError, match="wait 300 s"):
-        brake.check("ada", "a")
-    brake.check("ada", "b")
-    brake.check("bob", "a")
+        limit.attempt("ada", "a")
+    limit.attempt("ada", "b")
+    limit.attempt("bob", "a")
     now[0] = LoginRateLimit.WINDOW_S + 1.0
-    brake.check("ada", "a")
+    limit.attempt("ada", "a")
 
 
-def test_brake_limits_an_address_over_all_names_and_forgets_old_keys():
-    brake = LoginRateLimit(lambda: 0.0)
+def test_limit_limits_an_address_over_all_names_and_forgets_old_keys():
+    limit = LoginRateLimit(lambda: 0.0)
     for index in range(LoginRateLimit.ADDRESS_LIMIT):
-        brake.fail(f"u{index}", "a")
+        limit.attempt(f"u{index}", "a")
     with pytest.raises(TooManyRequestsError):
-        brake.check("someone", "a")
+        limit.attempt("someone", "a")
     for index in range(LoginRateLimit.KEY_LIMIT + 10):
-        brake.fail("x", str(index))
-    brake.check("someone", "a")
+        limit.attempt("x", str(index))
+    limit.attempt("someone", "a")
 
 
 def test_success_forgets_failures():
-    brake = LoginRateLimit(lambda: 0.0)
+    limit = LoginRateLimit(lambda: 0.0)
     for _ in range(LoginRateLimit.NAME_LIMIT - 1):
-        brake.fail("ada", "a")
-    brake.succeed("ada", "a")
+        limit.attempt("ada", "a")
+    limit.succeed("ada", "a")
     for _ in range(LoginRateLimit.NAME_LIMIT - 1):
-        brake.fail("ada", "a")
-    brake.check("ada", "a")
+        limit.attempt("ada", "a")
+    limit.attempt("ada", "a")
+
+
+def test_guesses_do_not_lock_out_a_known_device_nor_another_address(assembled):
+    accounts, devices = assembled.parts.accounts, assembled.parts.devices
+    accounts.create_user("ada", PASSWORD, Role.OPERATOR)
+    device_id = devices.device_of(devices.issue("ada"), "ada")
+    for _ in range(LoginRateLimit.NAME_LIMIT):
+        with pytest.raises(NotSignedInError):
+            accounts.login("ada", "guess", "10.0.0.1")
+    with pytest.raises(TooManyRequestsError):
+        accounts.login("ada", PASSWORD, "10.0.0.1")
+    accounts.login("ada", PASSWORD, "10.0.0.1", device_id)
+    accounts.login("ada", PASSWORD, "10.0.0.2")
+    # A device has a limit too, or a stolen cookie would be a way around.
+    for _ in range(LoginRateLimit.NAME_LIMIT):
+        with pytest.raises(NotSignedInError):
+            accounts.login("ada", "guess", "10.0.0.1", device_id)
+    with pytest.raises(TooManyRequestsError):
+        accounts.login("ada", PASSWORD, "10.0.0.1", device_id)
+
+
+def test_device_cookies_cannot_be_made_up_or_passed_on(assembled):
+    devices = assembled.parts.devices
+    value = devices.issue("ada")
+    device_id = devices.device_of(value, "ada")
+    assert devices.device_of(devices.issue("ada", device_id), "ada") == device_id
+    for forged in (None, "", "x", value[:-1], value.replace(".", ""), f"{device_id}.{'0' * 64}"):
+        assert devices.device_of(forged, "ada") is None
+    assert devices.device_of(value, "bob") is None
+    key = assembled.parts.settings.data_dir / "device-cookie.key"
+    assert key.stat().st_mode & 0o777 == 0o600
+
+
+def test_attempts_at_one_time_count_before_their_passwords_are_checked():
+    limit = LoginRateLimit(lambda: 0.0)
+    refused = 0
+    for _ in range(40):
+        try:
+            limit.attempt("ada", "a")
+        except TooManyRequestsError:
+            refused += 1
+    assert refused == 40 - LoginRateLimit.NAME_LIMIT
+
+
+def test_addresses_of_one_ipv6_network_are_one_caller():
+    limit = LoginRateLimit(lambda: 0.0)
+    for index in range(LoginRateLimit.NAME_LIMIT):
+        limit.attempt("ada", f"2001:db8::{index + 1}")
+    with pytest.raises(TooManyRequestsError):
+        limit.attempt("ada", "2001:db8::ffff")
+    limit.attempt("ada", "2001:db8:0:1::1")
+    limit.attempt("ada", "::ffff:10.0.0.1")

@@ -1423,6 +1423,8 @@ export interface components {
             connected_count: number;
             /** Database */
             database: string;
+            /** Disk */
+            disk: string;
             /** Link */
             link: string;
             /** Machine Count */
