@@ -86,7 +86,7 @@ def running_demo(data: Path) -> Iterator[Stack]:
     """`downrange demo`: server, router, console and one virtual machine."""
     demo = Command(data / "demo.log", "demo", "--port", "0", "--data", str(data))
     try:
-        url = demo.wait_for(r"Downrange is at (http://\S+)", 240.0).group(1)
+        url = demo.wait_for(r"Downrange is at (http://\S+)", 500.0).group(1)
         yield Stack(url, logins(data))
     finally:
         demo.stop()
