@@ -176,6 +176,7 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         stack.callback(scene.close)
         parts.pool.start()
         stack.callback(parts.pool.close)
+        stack.callback(parts.logs.close)
         parts.gap.start()
         stack.callback(parts.gap.close)
         stack.callback(parts.hub.close)

@@ -3,8 +3,10 @@
 It never trains, downloads or repairs a policy; a file that is not exactly what its card says is an error.
 """
 
+import hashlib
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +17,13 @@ from machine.errors import PolicyError
 from machine.policy_card import POLICY_FILE, PolicyCard, load_card
 from machine.spec import MachineSpec
 from runtime.control.observation import ACTION_NAMES, PACE_NAME, observation_names
+from runtime.control.policy_file import check_policy_file
 
 POLICY_ID = re.compile(r"[a-z0-9][a-z0-9._-]{2,63}")
 """As in the card (machine.policy_card.PolicyCard)."""
 ACTIVE_FILE = "active.json"
+MAX_RUN_S = 0.02
+"""Longest run of a policy that is accepted when it is loaded; a shipped one takes 0.05 ms."""
 INPUT_NAME = "observation"
 OUTPUT_NAME = "action"
 
@@ -61,7 +66,7 @@ class PolicyRunner:
         """
         self.card: PolicyCard = load_card(folder)
         _check_card(self.card, folder, spec)
-        self._session = _open_session(folder / POLICY_FILE)
+        self._session = _open_session(folder / POLICY_FILE, self.card.policy_sha256)
         self._observation_count = len(self.card.observation_names)
         self._action_count = len(self.card.action_names)
         self.is_paced = is_paced(self.card)
@@ -71,8 +76,16 @@ class PolicyRunner:
         )
         self.action_scale_rad_m_per_s: Array = np.asarray(self.card.action_scale_rad_m_per_s)
         # The first runs allocate; and a file that cannot run must fail here, not in a throw.
-        for count in (1, 2, 1):
+        seconds: list[float] = []
+        for count in (1, 2, 1, 1):
+            began_s = time.perf_counter()
             self.act(np.zeros((count, self._observation_count)))
+            seconds.append(time.perf_counter() - began_s)
+        if min(seconds) > MAX_RUN_S:
+            raise PolicyError(
+                f"policy {self.card.policy_id} takes {min(seconds) * 1e3:.0f} ms a run, at most "
+                f"{MAX_RUN_S * 1e3:.0f} ms are taken; use a smaller network"
+            )
 
     def infer(self, observation: Array) -> Array:
         """Raw actions (N, A) for observations (N, D); may hold NaN, never raises for values."""
@@ -105,7 +118,11 @@ class PolicyRunner:
         return action
 
 
-def _open_session(path: Path) -> ort.InferenceSession:
+def _open_session(path: Path, policy_sha256: str) -> ort.InferenceSession:
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != policy_sha256:
+        raise PolicyError(f"{path} was changed while it was read; load it again")
+    check_policy_file(content, str(path))
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -115,7 +132,8 @@ def _open_session(path: Path) -> ort.InferenceSession:
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     options.log_severity_level = 4
     try:
-        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        # From the bytes that were checked: without a path nothing beside the file can be read.
+        return ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises bare exceptions of its own C++ types
         raise PolicyError(f"{path} is not a usable ONNX file ({error}); copy it again") from error
 

@@ -41,6 +41,9 @@ logger = logging.getLogger(__name__)
 RECORD_LIMIT_BYTES: Final = 64 * 1024 * 1024
 """No record or chunk of ours comes near; a damaged length must not ask for gigabytes of memory."""
 
+TOTAL_LIMIT_BYTES: Final = 128 * 1024 * 1024
+"""Decompressed bytes of all chunks of a log; two minutes of a throw have about 20 MB."""
+
 _DAMAGE = (
     McapError,
     CRCValidationError,
@@ -50,6 +53,7 @@ _DAMAGE = (
     KeyError,
     OverflowError,
     MemoryError,
+    RecursionError,
 )
 """What the MCAP library raises on damaged bytes."""
 
@@ -64,6 +68,8 @@ class RawLog:
     )
     damage: str = ""
     """What stopped the reading; empty for a file read to its end."""
+    size_bytes: int = 0
+    """Decompressed bytes so far."""
 
 
 _NAMES: Final = {channel.topic: name for name, channel in LOG_CHANNELS.items()}
@@ -164,6 +170,9 @@ def _read_records(stream: IO[bytes], raw: RawLog) -> None:
 
 
 def _take_chunk(chunk: Chunk, topics: dict[int, str], raw: RawLog) -> None:
+    raw.size_bytes += max(chunk.uncompressed_size, len(chunk.data))
+    if raw.size_bytes > TOTAL_LIMIT_BYTES:
+        raise ValueError(f"the log holds more than {TOTAL_LIMIT_BYTES} bytes")
     for record in _open_chunk(chunk):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
@@ -177,10 +186,12 @@ def _take_chunk(chunk: Chunk, topics: dict[int, str], raw: RawLog) -> None:
 def _open_chunk(chunk: Chunk) -> list[Any]:
     if chunk.uncompressed_size > RECORD_LIMIT_BYTES:
         raise ValueError(f"a chunk claims {chunk.uncompressed_size} bytes")
-    if chunk.compression == "zstd":
-        claimed = zstandard.frame_content_size(chunk.data)
-        if claimed > RECORD_LIMIT_BYTES:
-            raise ValueError(f"a chunk claims {claimed} bytes")
+    if chunk.compression not in ("", "zstd"):
+        raise ValueError(f"a chunk is compressed with {chunk.compression[:16]!r}, not with zstd")
+    claimed = zstandard.frame_content_size(chunk.data) if chunk.compression else len(chunk.data)
+    # A frame that does not say its size, or another one, could become any number of bytes.
+    if claimed != chunk.uncompressed_size:
+        raise ValueError(f"a chunk of {claimed} bytes claims {chunk.uncompressed_size}")
     return breakup_chunk(chunk, validate_crc=True)
 
 
@@ -194,7 +205,14 @@ def _build(path: Path, raw: RawLog) -> ThrowLog:
         rows = {name: rows_from_json(name, raw.messages[name]) for name in ROW_TYPES}
         events = events_from_json(raw.messages["event"])
         impact, impact_t_ns = _impact(raw.messages["impact"])
-    except (ValueError, TypeError, AttributeError, OverflowError) as error:
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+        MemoryError,
+    ) as error:
         raise LogError(f"{path} holds a message that does not fit the schema: {error}") from error
     return ThrowLog(
         metadata,

@@ -43,6 +43,7 @@ async def put_throw_log(
         raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
     if not _SHA256.fullmatch(x_content_sha256) or not _THROW_ID.fullmatch(throw_id):
         raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
+    await asyncio.to_thread(logs.require_throw, machine_id, throw_id)
     scratch, size_bytes = await logs.receive(request.stream(), x_content_sha256)
     is_new = await asyncio.to_thread(
         logs.keep, scratch, machine_id, throw_id, x_content_sha256, size_bytes

@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from machine.errors import LogError
-from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import ThrowLog as LogContent
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.clock import utc_now
@@ -17,6 +16,7 @@ from server.errors import ApiError, ConflictError, ForbiddenError, NotFoundError
 from server.schemas.history import ThrowLogView
 from server.store.database import Database
 from server.store.models import Throw, ThrowLog
+from server.throws.limited_reader import LimitedLogReader
 
 FOLDER = "throws"
 _CACHED_COUNT = 8
@@ -39,7 +39,22 @@ class LogStore:
         self._root = data_dir
         self._max_bytes = max_bytes
         self._lock = threading.Lock()
+        self._reader = LimitedLogReader()
         self._cache: OrderedDict[str, LogContent] = OrderedDict()
+
+    def close(self) -> None:
+        """End the reader's process."""
+        self._reader.close()
+
+    def require_throw(self, machine_id: str, throw_id: str) -> None:
+        """Refuse a log before its bytes are taken, unless its throw is known and this machine's.
+
+        Raises:
+            NotFoundError: no such throw.
+            ForbiddenError: the throw is another machine's.
+        """
+        with self._database.read() as database:
+            _own_throw(database.get(Throw, throw_id), machine_id, throw_id)
 
     async def receive(self, chunks: AsyncIterator[bytes], expected_sha256: str) -> tuple[Path, int]:
         """Write an upload to a scratch file and check its hash; returns file and size.
@@ -81,6 +96,7 @@ class LogStore:
         """Give a checked upload its place and its row; returns whether it was new.
 
         Raises:
+            NotFoundError: no such throw.
             ForbiddenError: the throw is another machine's.
         """
         relative = Path(FOLDER) / log_sha256[:2] / f"{log_sha256}.mcap"
@@ -89,10 +105,7 @@ class LogStore:
             with self._database.write() as database:
                 throw = database.get(Throw, throw_id)
                 row = database.get(ThrowLog, throw_id)
-                if any(known and known.machine_id != machine_id for known in (throw, row)):
-                    raise ForbiddenError(
-                        "wrong_machine", f"Throw {throw_id} was not made by {machine_id}."
-                    )
+                throw = _own_throw(throw, machine_id, throw_id)
                 if row is not None and row.log_sha256 == log_sha256 and target.exists():
                     return False
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -109,8 +122,7 @@ class LogStore:
                 else:
                     for name, value in values.items():
                         setattr(row, name, value)
-                if throw is not None:
-                    throw.has_log = True
+                throw.has_log = True
                 self._audit.append(
                     database,
                     Entry(
@@ -164,7 +176,7 @@ class LogStore:
                 self._cache.move_to_end(key)
                 return self._cache[key]
         try:
-            content = read_throw_log(path)
+            content = self._reader.read(path)
         except LogError as error:
             raise ConflictError("log_unreadable", f"The log cannot be read: {error}") from error
         with self._lock:
@@ -172,3 +184,11 @@ class LogStore:
             while len(self._cache) > _CACHED_COUNT:
                 self._cache.popitem(last=False)
         return content
+
+
+def _own_throw(throw: Throw | None, machine_id: str, throw_id: str) -> Throw:
+    if throw is None:
+        raise NotFoundError("no_throw", f"There is no throw '{throw_id[:40]}' for this log.")
+    if throw.machine_id != machine_id:
+        raise ForbiddenError("wrong_machine", f"Throw {throw_id} was not made by {machine_id}.")
+    return throw

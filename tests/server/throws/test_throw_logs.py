@@ -1,10 +1,17 @@
 import hashlib
+import io
+import json
 
 import httpx
 import numpy as np
 import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk, Header, Metadata
+from mcap.writer import Writer
 
 from machine.conventions import Mode, Motion
+from machine.errors import LogError
 from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
 from machine.starts import safe_pose
@@ -18,6 +25,7 @@ from server.errors import NotFoundError
 from server.schemas.console import Role
 from server.schemas.history import ReplayRequest
 from server.store.models import Plan
+from server.throws.limited_reader import LimitedLogReader
 from server.throws.throw_series import motion_of, series_of
 from tests.cases import each
 from tests.server.server_bench import wait_for
@@ -53,10 +61,12 @@ def content(tmp_path):
     return (tmp_path / "log.mcap").read_bytes()
 
 
-@pytest.fixture
-def throw_id(running):
-    parts = running.parts
-    plan = ThrowPlan(
+def some_session():
+    return Session(new_id(), "ada", Role.OPERATOR, utc_now())
+
+
+def some_plan():
+    return ThrowPlan(
         plan_id="none",
         machine_id="m001",
         mode=Mode.PLANAR,
@@ -66,10 +76,13 @@ def throw_id(running):
         twin_profile_version=0,
         predicted_impact_m=(9.0, 0.0, 0.0),
     )
-    session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
+
+
+@pytest.fixture
+def throw_id(running):
     throw_id = new_id()
-    with parts.database.write() as database:
-        database.add(parts.throws.new_row(throw_id, plan, session, 1))
+    with running.parts.database.write() as database:
+        database.add(running.parts.throws.new_row(throw_id, some_plan(), some_session(), 1))
     return throw_id
 
 
@@ -117,13 +130,82 @@ def test_another_machines_throw_is_refused(running, content, throw_id):
     assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
 
 
-def test_a_log_cannot_be_put_in_place_of_another_machines(running, content):
-    """Also for a throw that the server does not know (yet): its log may be there before its events."""
-    throw_id = new_id()
-    assert put(running, throw_id, content).status_code == 204
-    token = running.parts.registry.secret_path("m002").read_text().strip()
-    reply = put(running, throw_id, content + b"x", machine_id="m002", token=token)
-    assert (reply.status_code, reply.json()["error"]["code"]) == (403, "wrong_machine")
+def test_a_log_of_no_known_throw_is_refused_before_it_is_written(running, content):
+    before = stored_files(running)
+    reply = put(running, new_id(), content)
+    assert (reply.status_code, reply.json()["error"]["code"]) == (404, "no_throw")
+    assert stored_files(running) == before
+
+
+def hostile_logs(content):
+    """Uploads by name: bombs, sizes that lie, deep JSON, another compression, noise."""
+    for name, compression, chunk in (
+        ("bomb", "zstd", zstandard.compress(bytes(60 * 1024 * 1024))),
+        ("size lies", "zstd", zstandard.compress(bytes(10_000))),
+        ("no size", "zstd", zstandard.ZstdCompressor(write_content_size=False).compress(b"x")),
+        ("lz4", "lz4", b"x" * 100),
+    ):
+        size = 60 * 1024 * 1024 if name == "bomb" else 10
+        yield name, with_chunks(content, compression, chunk, size, 4 if name == "bomb" else 1)
+    yield "deep", deep_log()
+
+
+def with_chunks(content, compression, data, size_bytes, count):
+    stream = io.BytesIO()
+    stream.write(content[:8])  # the magic bytes
+    records = RecordBuilder()
+    Header(profile="downrange", library="x").write(records)
+    Metadata(name="throw", metadata={"json": json.dumps({"log_schema_version": 1})}).write(records)
+    for _ in range(count):
+        Chunk(
+            compression=compression,
+            data=data,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=size_bytes,
+        ).write(records)
+    stream.write(records.end())
+    return stream.getvalue()
+
+
+def deep_log():
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start("downrange", "x")
+    writer.add_metadata("throw", {"json": "[" * 100_000})
+    schema = writer.register_schema("control", "jsonschema", b"{}")
+    channel = writer.register_channel("/control", "json", schema)
+    writer.add_message(channel, 0, b"[" * 100_000, 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+def test_hostile_logs_are_errors_and_cost_little(running, ada, content):
+    for name, hostile in hostile_logs(content):
+        throw_id = new_id()
+        with running.parts.database.write() as database:
+            database.add(running.parts.throws.new_row(throw_id, some_plan(), some_session(), 1))
+        assert put(running, throw_id, hostile).status_code == 204, name
+        for part in ("series", "csv"):
+            reply = ada.get(f"/throws/{throw_id}/{part}")
+            assert reply.status_code == 409, (name, reply.text)
+            assert reply.json()["error"]["code"] in ("log_unreadable", "no_motion"), name
+
+
+def test_a_log_that_takes_too_long_ends_its_process_and_the_next_is_read(tmp_path, content):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    reader = LimitedLogReader()
+    try:
+        assert len(reader.read(path).control) == TICKS
+        reader._read_s = 0.0
+        with pytest.raises(LogError, match="more than 0 s"):
+            reader.read(path)
+        reader._read_s = 60.0
+        assert len(reader.read(path).control) == TICKS
+    finally:
+        reader.close()
 
 
 def test_damaged_uploads_leave_nothing_and_may_be_repeated(running, content, throw_id):
