@@ -15,6 +15,8 @@ from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.site.objects import SiteObjects
 
 SCHEMA_VERSION = 1
+PROTOCOL_VERSION = 2
+"""What a machine of this software understands. 2: age of every command, clears that name their latch."""
 
 
 class ThrowState(StrEnum):
@@ -127,14 +129,22 @@ class _Command(_ToMachine):
     issuer: str
 
 
-class LeaseNotice(_Command):
+class _AgedCommand(_Command):
+    """A command that says how old it can be."""
+
+    seen_t_mono_ns: int | None = Field(default=None, ge=0)
+    """Newest `t_mono_ns` of the machine's own messages that the sender had seen. The machine derives from it,
+    on its own clock, the highest age of this command. Without it the command counts as too old."""
+
+
+class LeaseNotice(_AgedCommand):
     """Tells the machine the current lease epoch; a higher epoch than the known one disarms."""
 
     kind: Literal["lease"] = "lease"
     epoch_count: int = Field(ge=0)
 
 
-class ArmRequest(_Command):
+class ArmRequest(_AgedCommand):
     """Asks for permission to throw one plan."""
 
     kind: Literal["arm"] = "arm"
@@ -142,7 +152,7 @@ class ArmRequest(_Command):
     plan: ThrowPlan
 
 
-class FireRequest(_Command):
+class FireRequest(_AgedCommand):
     """Starts the armed throw; valid once, and only while the machine's nonce lives."""
 
     kind: Literal["fire"] = "fire"
@@ -150,19 +160,16 @@ class FireRequest(_Command):
     epoch_count: int = Field(ge=0)
     nonce: str
     plan_hash: str
-    seen_t_mono_ns: int | None = Field(default=None, ge=0)
-    """Newest `t_mono_ns` of the machine's own messages that the sender had seen: tells the machine, on its
-    own clock, how old this command can at most be. Without it the command counts as too old."""
 
 
-class AbortRequest(_Command):
+class AbortRequest(_AgedCommand):
     """Ends the armed or running throw; honoured until the commit point, reported after it."""
 
     kind: Literal["abort"] = "abort"
     epoch_count: int = Field(ge=0)
 
 
-class DisarmRequest(_Command):
+class DisarmRequest(_AgedCommand):
     """Gives an armed plan back."""
 
     kind: Literal["disarm"] = "disarm"
@@ -170,19 +177,25 @@ class DisarmRequest(_Command):
 
 
 class StopRequest(_Command):
-    """STOP: any role, no lease, latched on the machine."""
+    """STOP: any role, no lease, no age limit, latched on the machine. Never gets fields older machines refuse."""
 
     kind: Literal["stop"] = "stop"
 
 
-class StopClearRequest(_Command):
-    """Clears a latched stop or fault; needs the privilege and a new arm afterwards."""
+class StopClearRequest(_AgedCommand):
+    """Clears one latched stop or fault; needs the privilege, sight of the machine, and a new arm afterwards."""
 
     kind: Literal["stop_clear"] = "stop_clear"
     epoch_count: int = Field(ge=0)
+    latch_id: str | None = None
+    """The latch to clear, as the machine's state names it: a clear never undoes a later stop."""
+    sighted_by: str | None = None
+    """Who sees the machine and its surroundings while this is sent."""
+    reason: str | None = None
+    """Why the machine may move again, in that person's words."""
 
 
-class LoadRequest(_Command):
+class LoadRequest(_AgedCommand):
     """Take up a payload (on the virtual machine: a ball appears in the gripper)."""
 
     kind: Literal["load"] = "load"
@@ -201,6 +214,16 @@ Command = (
 )
 
 
+_SINCE_VERSION_2 = frozenset({"seen_t_mono_ns", "latch_id", "sighted_by", "reason"})
+
+
+def command_json(command: Command, protocol_version: int = PROTOCOL_VERSION) -> str:
+    """A command as JSON that a machine of this protocol version can read."""
+    if protocol_version >= 2 or isinstance(command, FireRequest):
+        return command.model_dump_json(exclude_none=True)
+    return command.model_dump_json(exclude=set(_SINCE_VERSION_2))
+
+
 class CommandReply(_FromMachine):
     """Answer to every command. `accepted` is about this command, `state` about the machine after it."""
 
@@ -216,6 +239,8 @@ class CommandReply(_FromMachine):
     nonce_valid_s: float | None = None
     throw_id: str | None = None
     is_repeat: bool = False
+    latch_id: str = ""
+    """The latched stop or fault after this command; empty = none."""
 
 
 class OperatorHeartbeat(_ToMachine):
@@ -227,7 +252,7 @@ class OperatorHeartbeat(_ToMachine):
     sequence_count: int = Field(ge=0)
     is_holding: bool
     seen_t_mono_ns: int | None = Field(default=None, ge=0)
-    """As in `FireRequest`: a heartbeat that was held up on its way does not count."""
+    """As in a command: a heartbeat counts from this time on, so that one held up on its way does not count."""
 
 
 class CheckResult(BaseModel):
@@ -255,6 +280,9 @@ class MachineState(_FromMachine):
     joint_position_rad_m: tuple[float, float, float, float, float, float]
     payload_held: bool
     stop_latched: bool
+    latch_id: str = ""
+    """Names the latched stop or fault, for the clear; empty = none."""
+    latched_reason: str = ""
     fault: str = ""
     checks: tuple[CheckResult, ...] = ()
     model_sha256: str
@@ -265,6 +293,8 @@ class MachineState(_FromMachine):
     recorder_dropped_count: int = 0
     late_tick_ratio: float = 0.0
     software: str = ""
+    protocol_version: int = 1
+    """Of the machine; see `PROTOCOL_VERSION`."""
 
 
 class JointStream(_FromMachine):

@@ -15,13 +15,11 @@ from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, DEFAULT_PACE_RATIO, Array, Mode
 from machine.errors import DownrangeError
 from machine.messages import (
+    PROTOCOL_VERSION,
     CheckResult,
     CommandReply,
     EventKind,
-    FireRequest,
     MachineState,
-    OperatorHeartbeat,
-    RejectReason,
     ThrowState,
 )
 from machine.site.solids import Solids
@@ -41,20 +39,20 @@ from runtime.control.policy_step import initial_throw
 from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
-from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
     RUNNING,
     WAITING,
     Effects,
     Facts,
+    Latch,
     ThrowEvent,
     ThrowMachine,
     Tick,
-    find_reply,
     keep_reply,
 )
 from runtime.throw.states import Message, update
 from runtime.throw.tracker import ThrowTracker
+from runtime.throw.transitions import take_latch
 
 CHECK_PERIOD_TICKS: Final = 10
 """Arming checks at 10 Hz, like the state message that carries them."""
@@ -107,7 +105,14 @@ class MachineControl:
         self.driver = driver
         self.setup = setup
         self.host = HostStatus()
-        self.throw = ThrowMachine(setup.machine_id)
+        # Until `remember` says what earlier processes left, nobody knows whether it may move.
+        self.throw = ThrowMachine(
+            setup.machine_id,
+            state=ThrowState.STOPPED,
+            latched_reason="the machine starts; its records have not been read yet",
+            latch_id=f"{setup.boot_id}.0",
+            boot_id=setup.boot_id,
+        )
         self._params = {
             mode: ControlParams(setup.spec, setup.calibration, mode, setup.policies.get(mode))
             for mode in Mode
@@ -128,8 +133,14 @@ class MachineControl:
         self._nonce = secrets.token_hex(16)
         self._tracker = ThrowTracker(setup.spec, self._sample)
 
-    def remember(self, epoch_count: int, throw_ids: tuple[str, ...]) -> None:
-        """Take over what earlier boots left: the epoch, and throws that must never run again."""
+    def remember(self, epoch_count: int, throw_ids: tuple[str, ...], latch: Latch | None) -> None:
+        """Take over what earlier processes left; without a call the machine stays STOPPED.
+
+        Args:
+            epoch_count: highest lease epoch.
+            throw_ids: throws that must never run again.
+            latch: the stop or fault that nobody has cleared; None where there is none.
+        """
         replies = self.throw.throw_replies
         for throw_id in throw_ids:
             reply = CommandReply(
@@ -143,7 +154,11 @@ class MachineControl:
             )
             replies = keep_reply(replies, throw_id, reply)
         epoch = max(epoch_count, self.throw.epoch_count)
-        self.throw = replace(self.throw, epoch_count=epoch, throw_replies=replies)
+        machine = replace(self.throw, epoch_count=epoch, throw_replies=replies)
+        if machine.latch_count == 0:
+            # A stop that came in the meantime is newer than what the records say.
+            machine = take_latch(machine, latch, self._now_ns)
+        self.throw = machine
 
     # One period -----------------------------------------------------------------------------------
 
@@ -184,19 +199,6 @@ class MachineControl:
     def _take(
         self, request: int, message: Message, facts: Facts, now_ns: int, report: TickReport
     ) -> None:
-        if (
-            isinstance(message, FireRequest)
-            and find_reply(self.throw.throw_replies, message.throw_id) is None
-            and (detail := why_stale(message, now_ns))
-        ):
-            self._refuse_stale(request, message, detail, report)
-            return
-        if (
-            isinstance(message, OperatorHeartbeat)
-            and message.is_holding
-            and why_stale(message, now_ns)
-        ):
-            return
         before = self.throw
         self.throw, effects = update(before, message, facts, now_ns)
         self._follow(before, effects, request, report)
@@ -216,24 +218,6 @@ class MachineControl:
                 report.log_begins = self.log_context()
         if effects.reply is not None:
             report.replies.append((request, effects.reply))
-
-    def _refuse_stale(
-        self, request: int, fire: FireRequest, detail: str, report: TickReport
-    ) -> None:
-        reason = RejectReason.NONCE_EXPIRED
-        reply = CommandReply(
-            command_id=fire.command_id,
-            machine_id=self.setup.machine_id,
-            accepted=False,
-            state=self.throw.state,
-            epoch_count=self.throw.epoch_count,
-            reason=reason,
-            detail=detail,
-            throw_id=fire.throw_id,
-        )
-        report.replies.append((request, reply))
-        data = {"command": fire.kind, "issuer": fire.issuer, "reason": reason, "detail": detail}
-        report.events.append(ThrowEvent(EventKind.COMMAND_REFUSED, data=data))
 
     def _take_plan(self) -> None:
         plan = self.throw.plan
@@ -379,6 +363,9 @@ class MachineControl:
             joint_position_rad_m=cast("tuple[float, float, float, float, float, float]", position),
             payload_held=bool(self._sample.payload_held[0]),
             stop_latched=throw.state is ThrowState.STOPPED,
+            latch_id=throw.latch_id,
+            latched_reason=throw.latched_reason,
+            protocol_version=PROTOCOL_VERSION,
             fault=throw.latched_reason if throw.state is ThrowState.FAULT else "",
             checks=self._checks,
             model_sha256=setup.spec.sha256,

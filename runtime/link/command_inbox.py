@@ -1,6 +1,6 @@
 """Takes commands from the link to the control process and brings the answers back.
 
-A fire is written down before it is passed on, and nothing is passed on twice by this desk itself. It judges
+A fire is written down before it is passed on, and nothing is passed on twice. It judges
 no command: what can be read goes to the control process. A command without an answer stays unanswered, and
 the asker sees an unknown outcome; only what was certainly not passed on is refused here.
 """
@@ -11,6 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -34,6 +35,8 @@ logger = logging.getLogger(__name__)
 WAITING_LIMIT_COUNT: Final = 64
 COMMANDS: Final[TypeAdapter[Command]] = TypeAdapter(Command)
 
+StopAlone = Callable[[StopRequest], CommandReply | None]
+"""Latches a STOP by the link process and answers it; None where the control process is alive and will."""
 Send = Callable[[Kind, dict[str, Any]], bool]
 """Sends a packet to the control process; whether it went."""
 
@@ -50,10 +53,22 @@ class _Pending:
 class CommandInbox:
     """One thread for the disk; STOP passes it by."""
 
-    def __init__(self, machine_id: str, journal: Journal, send: Send) -> None:
+    def __init__(
+        self, machine_id: str, journal: Journal, send: Send, stop_alone: StopAlone
+    ) -> None:
+        """Begin.
+
+        Args:
+            machine_id: of this machine.
+            journal: where fires are written down.
+            send: to the control process.
+            stop_alone: latches a STOP without the control process, where that does not answer.
+        """
         self._machine_id = machine_id
         self._journal = journal
         self._send = send
+        self._stop_alone = stop_alone
+        self._stops = ThreadPoolExecutor(1, "stop")
         self._lock = threading.Lock()
         self._request = 0
         self._pending: dict[int, _Pending] = {}
@@ -63,6 +78,7 @@ class CommandInbox:
 
     def close(self) -> None:
         """Stop; what waits stays unanswered."""
+        self._stops.shutdown(wait=False, cancel_futures=True)
         self._jobs.put(None)
         self._thread.join(2.0)
 
@@ -78,8 +94,20 @@ class CommandInbox:
             return
         if isinstance(command, StopRequest):
             self._pass_on(command, slot)
+            self._stops.submit(self._answer_stop, command, slot)
         else:
             self._later(lambda: self._work(command, slot), slot)
+
+    def _answer_stop(self, command: StopRequest, slot: ReplySlot) -> None:
+        """The disk may be slow: not on the link's thread, and not behind other commands."""
+        reply = self._stop_alone(command)
+        if reply is not None:
+            slot.answer(reply.model_dump_json().encode())
+
+    def take_repeated_stop(self, command: StopRequest) -> None:
+        """A STOP whose sender waits for no answer; returns at once, from any thread."""
+        self._send(Kind.COMMAND, {"request": 0, "command": command.model_dump(mode="json")})
+        self._stops.submit(self._stop_alone, command)
 
     def take_reply(self, request: int, reply: CommandReply) -> None:
         """The control process has answered; what it says is made durable before it is sent on."""
@@ -137,7 +165,8 @@ class CommandInbox:
             return
         with self._lock:
             self._pending.pop(request, None)
-        self._later(lambda: self._refuse_unsent(pending), slot)
+        if not isinstance(command, StopRequest):
+            self._later(lambda: self._refuse_unsent(pending), slot)
 
     def _refuse_unsent(self, pending: _Pending) -> None:
         command = pending.command

@@ -17,10 +17,11 @@ from pydantic import TypeAdapter, ValidationError
 from machine import calibration
 from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.errors import DownrangeError, PolicyError
-from machine.messages import Command, OperatorHeartbeat, ThrowState
+from machine.messages import Command, OperatorHeartbeat, StopRequest, ThrowState
 from machine.spec import load_spec
 from runtime.control.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.control.policy import PolicyRunner, find_policy
+from runtime.process.alive_counter import AliveCounter
 from runtime.process.driver_loader import load_driver
 from runtime.process.ipc import (
     TICK_ROW,
@@ -37,7 +38,7 @@ from runtime.process.supervisor_connection import SupervisorConnection
 from runtime.process.ticker import Clock, RealTimeClock, Ticker
 from runtime.records.outbox import utc_now
 from runtime.software import software_version
-from runtime.throw.protocol import LinkLost, ThrowEvent
+from runtime.throw.protocol import Latch, LinkLost, ThrowEvent
 from runtime.throw.states import Message
 
 logger = logging.getLogger(__name__)
@@ -60,11 +61,16 @@ class ControlProcess:
     """The loop; everything in one thread."""
 
     def __init__(
-        self, control: MachineControl, supervisor: SupervisorConnection, clock: Clock
+        self,
+        control: MachineControl,
+        supervisor: SupervisorConnection,
+        clock: Clock,
+        alive: AliveCounter,
     ) -> None:
         self._control = control
         self._supervisor = supervisor
         self._clock = clock
+        self._alive = alive
         self._port: PacketSocket | None = None
         self._has_memory = False
         self._is_connected = False
@@ -89,6 +95,7 @@ class ControlProcess:
         closing_ticks = 0
         while closing_ticks < CLOSING_LIMIT_TICKS:
             tick = ticker.next()
+            self._alive.add()
             messages = self._messages()
             if self._supervisor.is_gone:
                 if closing_ticks == 0:
@@ -133,7 +140,7 @@ class ControlProcess:
                 body = packet.json
                 command = _COMMANDS.validate_python(body["command"])
                 # Until the journal has come, nobody knows which throws must not be repeated.
-                if self._has_memory:
+                if self._has_memory or isinstance(command, StopRequest):
                     messages.append((int(body["request"]), command))
             elif packet.kind is Kind.EVENT_ACK:
                 self._forget_events(int(packet.json["number"]))
@@ -153,9 +160,12 @@ class ControlProcess:
         self._is_connected = bool(body["is_connected"])
 
     def _take_journal(self, body: dict[str, Any]) -> None:
-        if not self._has_memory:
-            self._control.remember(int(body["epoch_count"]), tuple(body["throw_ids"]))
-            self._has_memory = True
+        if self._has_memory:
+            return
+        latch = body["latch"]
+        known = latch and Latch(latch["latch_id"], ThrowState(latch["state"]), latch["reason"])
+        self._control.remember(int(body["epoch_count"]), tuple(body["throw_ids"]), known or None)
+        self._has_memory = True
 
     def _forget_events(self, number: int) -> None:
         while self._kept and next(iter(self._kept)) <= number:
@@ -170,6 +180,7 @@ class ControlProcess:
             "state": self._control.machine_state().model_dump(mode="json"),
             "log": self._log_context,
             "is_log_open": self._control.log_throw_id is not None,
+            "has_memory": self._has_memory,
         }
         self._queue(Kind.HELLO, hello)
         self._waiting.extend((Kind.EVENT, body) for body in self._kept.values())
@@ -280,8 +291,8 @@ def build_control(settings: MachineSettings) -> MachineControl:
     return MachineControl(driver, fixed)
 
 
-def main(argument: str) -> int:
-    """Entry of the process; `argument` is the number of the supervisor's socket."""
+def main(argument: str, alive_argument: str) -> int:
+    """Entry of the process; the arguments are the descriptors of the supervisor's socket and counter."""
     logging.basicConfig(level=logging.INFO, format="control: %(levelname)s %(message)s")
     supervisor = SupervisorConnection.from_argument(argument)
     try:
@@ -295,9 +306,10 @@ def main(argument: str) -> int:
         supervisor.tell(error=str(error))
         return 1
     supervisor.tell(is_ready=True)
-    ControlProcess(control, supervisor, RealTimeClock()).run()
+    alive = AliveCounter(int(alive_argument))
+    ControlProcess(control, supervisor, RealTimeClock(), alive).run()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(*sys.argv[1:]))

@@ -41,7 +41,7 @@ class Kind(IntEnum):
     """First byte of a packet. Values are never reused."""
 
     JOURNAL = 1
-    """link -> control: {epoch_count, throw_ids}, what must outlive a restart; the first packet."""
+    """link -> control: {epoch_count, throw_ids, latch}, what must outlive a restart; answers a HELLO."""
     COMMAND = 2
     """link -> control: {request, command}"""
     HEARTBEAT = 3
@@ -51,7 +51,7 @@ class Kind(IntEnum):
     LINK = 5
     """link -> control: {is_connected, outbox_count, recorder_dropped_count}"""
     HELLO = 6
-    """control -> link: {state, log, is_log_open}: the boot, and the context of the last log; the first."""
+    """control -> link: {state, log, is_log_open, has_memory}: boot and context of the last log; the first."""
     STATUS = 7
     """control -> link: MachineState without what only the link knows."""
     REPLY = 8

@@ -8,7 +8,10 @@ import logging
 import selectors
 import sys
 import time
+import uuid
+from collections import deque
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import Any, Final
 
 import zenoh
@@ -20,6 +23,7 @@ from machine.messages import (
     EventKind,
     ImpactSurvey,
     JointStream,
+    MachineEvent,
     MachineState,
     StopRequest,
     ThrowState,
@@ -38,18 +42,21 @@ from runtime.process.ipc import (
 )
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import SupervisorConnection
+from runtime.records.event_intake import ControlEvent, EventIntake
 from runtime.records.event_sender import EventSender
 from runtime.records.journal import Journal
+from runtime.records.latch_file import LatchFile
 from runtime.records.log_upload import LogUploader, UploadTarget
-from runtime.records.outbox import EventDraft, Outbox, OutboxError, utc_now
+from runtime.records.outbox import EventDraft, Outbox, OutboxError, set_damaged_aside, utc_now
 from runtime.records.records import Records
+from runtime.throw.protocol import Latch
 
 logger = logging.getLogger(__name__)
 
 BEAT_S: Final = 0.1
 """Period of what the link does by itself: report to control, state while control is gone."""
-CONTROL_SILENCE_S: Final = 0.5
-"""Five missed state messages: the control process hangs."""
+CONTROL_SILENCE_S: Final = 0.2
+"""Five missed packets of rows (25 Hz at rest): the control process hangs."""
 LAST_EVENTS_S: Final = 2.0
 """At the end, so long for the last events to reach the server."""
 JOINTS_PERIOD_NS: Final = 40_000_000
@@ -64,9 +71,25 @@ class LinkProcess:
     ) -> None:
         self._settings = settings
         self._supervisor = supervisor
+        is_new = _is_new_machine(settings)
+        damage = set_damaged_aside(settings.database_file)
+        if not (is_new or damage or settings.database_file.exists()):
+            damage = "the records of this machine are missing"
         self._outbox = Outbox(settings.database_file, settings.machine_id)
         stack.callback(self._outbox.close)
         self._journal = Journal(self._outbox)
+        self._latches = LatchFile(settings.latch_file, is_new_machine=is_new)
+        self._intake = EventIntake(self._journal, self._latches, self._event_stored)
+        self._news: deque[Latch] = deque()
+        """Latches that this process decided on and that have no event yet."""
+        self._hello: dict[str, Any] | None = None
+        """What control said first, until it is on the disk and answered."""
+        self._event_number = 0
+        self._held: list[tuple[int, CommandReply]] = []
+        """Answers that wait for their latch to be on the disk."""
+        self._stop_reply: CommandReply | None = None
+        if damage:
+            self._latch(damage)
         self._port: PacketSocket | None = None
         self._state: MachineState | None = None
         self._heard_s = time.monotonic()
@@ -83,7 +106,7 @@ class LinkProcess:
         if self._uploader is not None:
             stack.callback(self._uploader.close)
             self._uploader.start()
-        self._inbox = CommandInbox(settings.machine_id, self._journal, self._send)
+        self._inbox = CommandInbox(settings.machine_id, self._journal, self._send, self._stop_alone)
         stack.callback(self._inbox.close)
         self._link = ServerLink(settings.site, settings.machine_id, self._config, self)
         self._sender = EventSender(self._outbox, self._link.ask_events)
@@ -127,9 +150,8 @@ class LinkProcess:
         self._disconnect(selector)
         self._port = port
         selector.register(port, selectors.EVENT_READ)
-        memory = self._journal.memory()
-        body = {"epoch_count": memory.epoch_count, "throw_ids": memory.throw_ids}
-        self._send(Kind.JOURNAL, body)
+        self._event_number = 0
+        self._hello = None
         self._heard_s = time.monotonic()
 
     def _disconnect(self, selector: selectors.BaseSelector) -> None:
@@ -189,18 +211,22 @@ class LinkProcess:
             self._take_event(packet.json)
         elif packet.kind is Kind.REPLY:
             body = packet.json
-            reply = CommandReply.model_validate(body["reply"])
-            self._inbox.take_reply(int(body["request"]), reply)
+            self._held.append((int(body["request"]), CommandReply.model_validate(body["reply"])))
+            self._answer_held()
         elif packet.kind is Kind.LOG_BEGIN:
             context = packet.json
             self._records.begin(context["throw_id"], context)
         elif packet.kind is Kind.LOG_END:
             self._records.end(packet.json)
         elif packet.kind is Kind.HELLO:
+            self._hello = packet.json
             self._take_hello(packet.json)
 
     def _take_hello(self, body: dict[str, Any]) -> None:
         state = MachineState.model_validate(body["state"])
+        has_memory = bool(body["has_memory"])
+        if not has_memory and self._journal.open_throws():
+            self._latch("the machine's computer stopped during a throw")
         self._state = state
         self._fault = ""
         self._packet_count = 0
@@ -214,7 +240,44 @@ class LinkProcess:
         for throw_id in interrupted:
             logger.warning("throw %s was interrupted by a restart", throw_id)
         self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
+        self._report_latches()
+        if not has_memory:
+            memory = self._journal.memory()
+            latch = self._latches.latch
+            answer = {
+                "epoch_count": memory.epoch_count,
+                "throw_ids": memory.throw_ids,
+                "latch": None if latch is None else asdict(latch),
+            }
+            self._send(Kind.JOURNAL, answer)
+        self._hello = None
         self._sender.wake()
+
+    def _answer_held(self) -> None:
+        """Answers in order; one that says STOPPED waits until the latch is on the disk."""
+        while self._held:
+            request, reply = self._held[0]
+            is_stop = reply.accepted and reply.state is ThrowState.STOPPED
+            if is_stop and not self._intake.is_durable(reply.latch_id):
+                return
+            self._held.pop(0)
+            self._inbox.take_reply(request, reply)
+
+    def _latch(self, reason: str) -> None:
+        """Latch STOPPED without the control process; an earlier latch stays."""
+        if self._latches.latch is None:
+            latch = Latch(f"link-{uuid.uuid4().hex[:12]}", ThrowState.STOPPED, reason)
+            self._intake.latch(latch)
+            self._news.append(latch)
+
+    def _report_latches(self) -> None:
+        """Events of the latches that this process decided on, once there is a boot to report them under."""
+        state = self._state
+        while self._news and state is not None:
+            latch = self._news.popleft()
+            data = {"reason": latch.reason, "latch_id": latch.latch_id}
+            draft = EventDraft(EventKind.STOP_LATCHED, state.t_mono_ns, None, None, data, utc_now())
+            self._intake.take(ControlEvent(state.boot_id, 0, draft))
 
     def _take_event(self, body: dict[str, Any]) -> None:
         state = self._state
@@ -228,10 +291,12 @@ class LinkProcess:
             body["data"],
             body["t_utc"],
         )
-        event = self._journal.record(state.boot_id, int(body["number"]), draft)
-        self._send(Kind.EVENT_ACK, {"number": body["number"]})
-        if event is None:
-            return
+        self._event_number = int(body["number"])
+        # Not acknowledged while it waits for the disk: control keeps it too.
+        if self._intake.take(ControlEvent(state.boot_id, self._event_number, draft)):
+            self._send(Kind.EVENT_ACK, {"number": self._event_number})
+
+    def _event_stored(self, event: MachineEvent) -> None:
         self._sender.wake()
         self._records.add_event(event)
         if event.kind is EventKind.IMPACT:
@@ -256,6 +321,8 @@ class LinkProcess:
         state = self._state
         self._fault = "the control process has died; it is being started anew"
         logger.error("%s", self._fault)
+        self._latch("the control process died")
+        self._held.clear()
         if state is None:
             return
         draft = EventDraft(
@@ -266,16 +333,20 @@ class LinkProcess:
             {"reason": self._fault},
             utc_now(),
         )
-        try:
-            self._outbox.add(state.boot_id, draft)
-        except OutboxError as error:
-            logger.error("%s", error)
-        self._sender.wake()
+        self._intake.take(ControlEvent(state.boot_id, 0, draft))
+        self._report_latches()
 
     # To the server --------------------------------------------------------------------------------
 
     def _take_state(self, state: MachineState) -> None:
         self._state = state
+        latch = self._latches.latch
+        if latch is not None and state.state not in (ThrowState.STOPPED, ThrowState.FAULT):
+            # A stop that this process answered while control was silent, and that control never read.
+            command = StopRequest(
+                command_id=latch.latch_id, machine_id=state.machine_id, issuer="link process"
+            )
+            self._send(Kind.COMMAND, {"request": 0, "command": command.model_dump(mode="json")})
         self._publish_state(state)
 
     def _publish_state(self, state: MachineState) -> None:
@@ -283,7 +354,7 @@ class LinkProcess:
             update={
                 "outbox_count": self._outbox.count(),
                 "recorder_dropped_count": self._records.dropped_count,
-                "fault": state.fault or self._records.failure,
+                "fault": state.fault or self._intake.failure or self._records.failure,
             }
         )
         self._link.publish("state", complete.model_dump_json().encode())
@@ -307,6 +378,7 @@ class LinkProcess:
     def _beat(self) -> None:
         self._beat_s = time.monotonic()
         self._inbox.give_up(age_s=5.0)
+        self._catch_up()
         body = {
             "is_connected": self._link.is_connected,
             "outbox_count": self._outbox.count(),
@@ -317,13 +389,57 @@ class LinkProcess:
         if not fault and self._beat_s - self._heard_s > CONTROL_SILENCE_S:
             fault = "the control process is silent"
         if fault and self._state is not None:
-            state = self._state.model_copy(update={"state": ThrowState.FAULT, "fault": fault})
-            self._publish_state(state)
+            latch = self._latches.latch
+            changes = {
+                "state": ThrowState.FAULT,
+                "fault": fault,
+                "stop_latched": latch is not None,
+                "latch_id": latch.latch_id if latch else "",
+                "latched_reason": latch.reason if latch else "",
+            }
+            self._publish_state(self._state.model_copy(update=changes))
+
+    def _catch_up(self) -> None:
+        """What the disk refused earlier, and latches of other threads."""
+        had_waiting = self._intake.waiting_count > 0
+        if self._intake.retry() and had_waiting and self._event_number:
+            self._send(Kind.EVENT_ACK, {"number": self._event_number})
+        self._report_latches()
+        self._answer_held()
+        if self._hello is not None:
+            try:
+                self._take_hello(self._hello)
+            except OutboxError as error:
+                self._fault = str(error)
 
     def _log_stored(self) -> None:
         self._sender.wake()
         if self._uploader is not None:
             self._uploader.wake()
+
+    def _stop_alone(self, command: StopRequest) -> CommandReply | None:
+        """Latch a STOP that control cannot take; it comes back STOPPED. None while control is alive."""
+        if self._port is not None and time.monotonic() - self._heard_s <= CONTROL_SILENCE_S:
+            return None
+        known = self._stop_reply
+        if known is not None and known.command_id == command.command_id:
+            return known.model_copy(update={"is_repeat": True})
+        reason = f"STOP by {command.issuer}"
+        latch = Latch(f"link-{uuid.uuid4().hex[:12]}", ThrowState.STOPPED, reason)
+        if not self._intake.latch(latch):
+            return None
+        self._news.append(latch)
+        state = self._state
+        self._stop_reply = CommandReply(
+            command_id=command.command_id,
+            machine_id=self._settings.machine_id,
+            accepted=True,
+            state=ThrowState.STOPPED,
+            epoch_count=0 if state is None else state.epoch_count,
+            detail="The control process does not answer; it is started again and comes back stopped.",
+            latch_id=latch.latch_id,
+        )
+        return self._stop_reply
 
     # From the server, on Zenoh's threads ------------------------------------------------------------
 
@@ -339,7 +455,7 @@ class LinkProcess:
             logger.warning("a STOP cannot be read: %s", error)
             return
         if isinstance(command, StopRequest):
-            self._send(Kind.COMMAND, {"request": 0, "command": command.model_dump(mode="json")})
+            self._inbox.take_repeated_stop(command)
 
     def heartbeat(self, payload: bytes) -> None:
         """An operator's heartbeat."""
@@ -349,6 +465,12 @@ class LinkProcess:
                 port.send(Kind.HEARTBEAT, payload)
             except (PeerGoneError, ValueError) as error:
                 logger.debug("a heartbeat was lost: %s", error)
+
+
+def _is_new_machine(settings: MachineSettings) -> bool:
+    """Whether nothing was ever stored for this machine: only then does a missing record mean no latch."""
+    known = (settings.database_file, settings.latch_file, settings.throws_dir)
+    return not any(path.exists() for path in known)
 
 
 def main(argument: str) -> int:

@@ -1,7 +1,8 @@
 """The supervisor: starts the control and the link process of one machine, and starts again what dies.
 
 It touches neither hardware nor network. Control dead: the link says so, and a new control process begins
-disarmed. Link dead: control lets go before the commit point, completes after it, and gets a new link.
+STOPPED. Control hung: killed within 0.2 s, then the same. Link dead: control lets go before the commit
+point, completes after it, and gets a new link.
 """
 
 import fcntl
@@ -17,6 +18,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from machine.errors import DownrangeError, UsageError
+from runtime.process.alive_counter import AliveCounter, process_state
+from runtime.process.hang_watch import HangWatch
 from runtime.process.ipc import packet_pair
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import MESSAGE_LIMIT_BYTES, hand_port
@@ -32,7 +35,7 @@ STABLE_S: Final = 30.0
 END_LIMIT_S: Final = 75.0
 """Control ends within a minute of a throw's commit; then nobody waits any longer."""
 LOCK_LIMIT_S: Final = 5.0
-POLL_S: Final = 0.05
+POLL_S: Final = 0.02
 
 
 class StartError(DownrangeError):
@@ -52,6 +55,7 @@ class _Child:
     due_s: float = 0.0
     is_ready: bool = False
     inherited: tuple[int, ...] = field(default_factory=tuple)
+    arguments: tuple[str, ...] = ()
 
     def is_running(self) -> bool:
         return self.process is not None and self.process.poll() is None
@@ -70,8 +74,13 @@ class MachineProcess:
         self._is_stopping = False
         self._lock = _take_lock(settings)
         # The lock lives as long as any control process does, even one whose supervisor was killed.
+        self._alive = AliveCounter()
+        self._watch = HangWatch()
         self._control = _Child(
-            "control", "runtime.process.control_process", inherited=(self._lock,)
+            "control",
+            "runtime.process.control_process",
+            inherited=(self._lock, self._alive.descriptor),
+            arguments=(str(self._alive.descriptor),),
         )
         self._link = _Child("link", "runtime.process.link_process")
 
@@ -95,16 +104,18 @@ class MachineProcess:
             while not self._is_stopping:
                 self._look_after(self._control)
                 self._look_after(self._link)
+                self._end_hung_control()
                 time.sleep(POLL_S)
         finally:
             self._end()
+            self._alive.close()
             os.close(self._lock)
 
     def _start(self, child: _Child) -> None:
         mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             child.process = subprocess.Popen(
-                [sys.executable, "-m", child.module, str(theirs.fileno())],
+                [sys.executable, "-m", child.module, str(theirs.fileno()), *child.arguments],
                 pass_fds=(theirs.fileno(), *child.inherited),
                 stdin=subprocess.DEVNULL,
             )
@@ -155,6 +166,18 @@ class MachineProcess:
         elif now_s >= child.due_s:
             child.due_s = 0.0
             self._start(child)
+
+    def _end_hung_control(self) -> None:
+        """Kill a control process that hangs; it is started again, and begins STOPPED."""
+        process = self._control.process
+        if process is None or not self._control.is_ready:
+            return
+        state, used_s = process_state(process.pid)
+        reason = self._watch.look(self._alive.value, state, used_s, time.monotonic())
+        if reason and process.poll() is None:
+            logger.error("the control process hangs (%s); killed", reason)
+            process.kill()
+            process.wait()
 
     def _end(self) -> None:
         children = (self._control, self._link)

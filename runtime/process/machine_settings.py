@@ -46,6 +46,11 @@ class MachineSettings(BaseModel):
         return self.data_dir / "machine.db"
 
     @property
+    def latch_file(self) -> Path:
+        """The latched stop or fault."""
+        return self.data_dir / "latch"
+
+    @property
     def throws_dir(self) -> Path:
         """Throw logs."""
         return self.data_dir / "throws"

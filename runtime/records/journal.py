@@ -68,6 +68,14 @@ class Journal:
                 "DELETE FROM throws WHERE throw_id=? AND state=?", (throw_id, INTENDED)
             )
 
+    def open_throws(self) -> tuple[str, ...]:
+        """Throws without an end."""
+        with self._outbox.transaction() as database:
+            rows = database.execute(
+                "SELECT throw_id FROM throws WHERE state != ? ORDER BY id", (ENDED,)
+            ).fetchall()
+        return tuple(str(row[0]) for row in rows)
+
     def begin_boot(self, boot_id: str, draft: EventDraft) -> tuple[str, ...]:
         """Begin a boot: its first event, and the end of every throw that an earlier boot left open.
 
@@ -112,7 +120,8 @@ class Journal:
         A second end of the same throw is not to be: the first one stands.
         """
         with self._outbox.transaction() as database:
-            if not self._outbox.is_new_control_event(boot_id, number):
+            # Number 0: the link process's own, which is given once.
+            if number and not self._outbox.is_new_control_event(boot_id, number):
                 return None
             if draft.kind == EventKind.THROW_ACCEPTED:
                 database.execute(

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from machine.errors import DownrangeError
 from machine.messages import EventBatch, EventKind, MachineEvent
 
@@ -61,6 +63,54 @@ class EventDraft:
 def utc_now() -> str:
     """Present time for people: ISO 8601 with zone."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def set_damaged_aside(path: Path) -> str:
+    """Move a damaged database away, so that a new one can be begun; what was wrong, empty = nothing.
+
+    A file that is empty, that SQLite finds damaged, or whose remembered epoch is no number. The file and its
+    write-ahead log are kept beside it under a name with the time.
+
+    Raises:
+        OutboxError: the disk refuses.
+    """
+    if not path.exists():
+        return ""
+    damage = _damage(path)
+    if not damage:
+        return ""
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+    kept = path.with_name(f"{path.name}.damaged-{stamp}")
+    try:
+        for suffix in ("", "-wal", "-shm"):
+            part = path.with_name(path.name + suffix)
+            if part.exists():
+                part.rename(kept.with_name(kept.name + suffix))
+    except OSError as error:
+        raise OutboxError(f"{path} is damaged and cannot be moved away ({error})") from error
+    return f"the records were damaged ({damage}); they are kept as {kept.name}"
+
+
+def _damage(path: Path) -> str:
+    if path.stat().st_size == 0:
+        return "the file is empty"
+    try:
+        database = sqlite3.connect(path, timeout=5.0)
+        try:
+            found = database.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if found != "ok":
+                return str(found)
+            row = database.execute("SELECT value FROM meta WHERE key='epoch_count'").fetchone()
+            epoch = "0" if row is None else str(row[0])
+            return "" if epoch.isdecimal() and int(epoch) < 2**53 else "the epoch is no number"
+        finally:
+            database.close()
+    except sqlite3.OperationalError as error:
+        # The disk, or another process: nothing is known against the file itself.
+        is_missing = "no such table" in str(error)
+        return str(error) if is_missing else ""
+    except sqlite3.DatabaseError as error:
+        return str(error)
 
 
 class Outbox:
@@ -183,17 +233,37 @@ class Outbox:
         """The oldest events of one boot, in order; None when all are acknowledged."""
         with self._lock:
             rows = self._database.execute(
-                "SELECT boot_id, body FROM events ORDER BY id LIMIT ?", (BATCH_LIMIT_COUNT,)
+                "SELECT boot_id, sequence, body FROM events ORDER BY id LIMIT ?",
+                (BATCH_LIMIT_COUNT,),
             ).fetchall()
         if not rows:
             return None
         boot_id = rows[0][0]
-        bodies = [body for boot, body in rows if boot == boot_id]
         return EventBatch(
             machine_id=self._machine_id,
             boot_id=boot_id,
-            events=tuple(MachineEvent.model_validate_json(body) for body in bodies),
+            events=tuple(
+                self._event(boot_id, sequence, body)
+                for boot, sequence, body in rows
+                if boot == boot_id
+            ),
         )
+
+    def _event(self, boot_id: str, sequence: int, body: str) -> MachineEvent:
+        """The stored event; one whose record is damaged is reported as such, in its place."""
+        try:
+            return MachineEvent.model_validate_json(body)
+        except ValidationError:
+            reason = "the machine's record of an event is damaged"
+            return MachineEvent(
+                machine_id=self._machine_id,
+                boot_id=boot_id,
+                sequence_count=sequence,
+                t_mono_ns=0,
+                t_utc=utc_now(),
+                kind=EventKind.FAULT,
+                data={"reason": reason, "record": str(body)[:1000]},
+            )
 
     def acknowledge(self, batch: EventBatch, boot_id: str, sequence_count: int) -> int:
         """Delete what the server has committed of this batch; returns how many events went.

@@ -23,6 +23,7 @@ from machine.messages import (
     ThrowState,
 )
 from machine.reach import check_target
+from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
     BEFORE_COMMIT,
     LATCHED,
@@ -35,7 +36,7 @@ from runtime.throw.protocol import (
     find_reply,
     keep_reply,
 )
-from runtime.throw.transitions import abort, disarm, latch
+from runtime.throw.transitions import UNLATCHED, abort, disarm, latch
 
 Answer = tuple[ThrowMachine, CommandRefusal | None, tuple[ThrowEvent, ...]]
 """The machine after a command, why it was refused (None = it was not), and events."""
@@ -47,8 +48,7 @@ def handle_command(
     """Execute or refuse one command and answer it; a repeated id gets its first answer."""
     known = _first_answer(machine, command)
     if known is not None:
-        repeat = known.model_copy(update={"command_id": command.command_id, "is_repeat": True})
-        return machine, Effects(reply=repeat)
+        return machine, Effects(reply=_repeat(machine, command, known))
     machine, refusal, events = _execute(machine, command, facts, now_ns)
     reply = _reply(machine, command, refusal)
     if refusal is not None:
@@ -57,7 +57,8 @@ def handle_command(
             *events,
             ThrowEvent(EventKind.COMMAND_REFUSED, data={**data, "detail": refusal.detail}),
         )
-    if command.machine_id == machine.machine_id:
+    is_stale = refusal is not None and why_stale(command, now_ns) != ""
+    if command.machine_id == machine.machine_id and not is_stale:
         machine = replace(machine, replies=keep_reply(machine.replies, command.command_id, reply))
         if isinstance(command, FireRequest) and command.epoch_count == machine.epoch_count:
             kept = keep_reply(machine.throw_replies, command.throw_id, reply)
@@ -78,6 +79,18 @@ def _first_answer(machine: ThrowMachine, command: Command) -> CommandReply | Non
     return find_reply(machine.throw_replies, command.throw_id)
 
 
+def _repeat(machine: ThrowMachine, command: Command, known: CommandReply) -> CommandReply:
+    """The first answer; that to a STOP with what is true now, because it may have been cleared since."""
+    changes: dict[str, object] = {"command_id": command.command_id, "is_repeat": True}
+    if isinstance(command, StopRequest) and known.accepted:
+        changes |= {"state": machine.state, "latch_id": machine.latch_id}
+        if machine.state is not ThrowState.STOPPED:
+            changes["detail"] = (
+                "This STOP was executed and has been cleared since. Press STOP again to stop."
+            )
+    return known.model_copy(update=changes)
+
+
 def _reply(machine: ThrowMachine, command: Command, refusal: CommandRefusal | None) -> CommandReply:
     armed = isinstance(command, ArmRequest) and refusal is None
     return CommandReply(
@@ -91,6 +104,7 @@ def _reply(machine: ThrowMachine, command: Command, refusal: CommandRefusal | No
         nonce=machine.nonce if armed else None,
         nonce_valid_s=NONCE_VALID_S if armed else None,
         throw_id=command.throw_id if isinstance(command, FireRequest) else None,
+        latch_id=machine.latch_id,
     )
 
 
@@ -111,6 +125,8 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
             "Take the lease first.",
         )
         return _conflict(machine, refusal, now_ns)
+    if stale := why_stale(command, now_ns):
+        return machine, CommandRefusal(RejectReason.NONCE_EXPIRED, stale), ()
     if isinstance(command, ArmRequest):
         return _arm(machine, command, facts, now_ns)
     if isinstance(command, FireRequest):
@@ -144,8 +160,6 @@ def _stale(machine: ThrowMachine, epoch_count: int) -> CommandRefusal:
 
 
 def _stop(machine: ThrowMachine, command: StopRequest, now_ns: int) -> Answer:
-    if machine.state is ThrowState.STOPPED:
-        return machine, None, ()
     machine, events = latch(machine, ThrowState.STOPPED, f"STOP by {command.issuer}", now_ns)
     return machine, None, events
 
@@ -329,9 +343,35 @@ def _clear(machine: ThrowMachine, command: StopClearRequest, facts: Facts, now_n
     if facts.fault_reason:
         detail = f"The cause is still there: {facts.fault_reason}. Remove it, then clear."
         return machine, CommandRefusal(RejectReason.FAULT, detail), ()
-    data = {"issuer": command.issuer, "was": machine.state.value}
-    after = replace(machine.rest(now_ns), latched_reason="")
+    refusal = _clear_refusal(machine, command)
+    if refusal is not None:
+        return machine, refusal, ()
+    data = {
+        "issuer": command.issuer,
+        "was": machine.state.value,
+        "latch_id": machine.latch_id,
+        "sighted_by": command.sighted_by,
+        "reason": command.reason,
+    }
+    after = replace(machine.rest(now_ns), **UNLATCHED)
     return after, None, (ThrowEvent(EventKind.STOP_CLEARED, data=data),)
+
+
+def _clear_refusal(machine: ThrowMachine, command: StopClearRequest) -> CommandRefusal | None:
+    """A clear names its latch, who sees the machine, and why it may move again."""
+    if command.latch_id != machine.latch_id:
+        named = f"the latch {command.latch_id}" if command.latch_id else "no latch"
+        return CommandRefusal(
+            RejectReason.STOP_LATCHED,
+            f"The clear names {named}, latched is {machine.latch_id} ({machine.latched_reason}). "
+            "Look at the machine again, then clear what is latched now.",
+        )
+    if not (command.sighted_by or "").strip() or not (command.reason or "").strip():
+        return CommandRefusal(
+            RejectReason.CHECK_FAILED,
+            "A clear says who sees the machine and why it may move again. State both, then clear.",
+        )
+    return None
 
 
 def _load(machine: ThrowMachine) -> Answer:

@@ -1,31 +1,53 @@
-"""Age of a command by the machine's own clock: the sender echoes the machine time that it last saw.
+"""Age of a message by the machine's own clock: the sender echoes the machine time that it last saw.
 
-A link that stalls and heals delivers what it held, in order and without loss; neither epoch nor nonce tell
-such a fire from a fresh one. No clocks are compared: the echo is a time of this machine, of this boot.
+A link that stalls and heals delivers what it held, in order and without loss. Neither epoch nor nonce tell
+such a command from a fresh one. No clocks are compared: the echo is a time of this machine, of this boot.
+
+STOP, abort, disarm and lease have no limit: they only take permission away.
 """
 
 from typing import Final
 
-from machine.messages import FireRequest, OperatorHeartbeat
+from machine.messages import (
+    ArmRequest,
+    Command,
+    FireRequest,
+    LoadRequest,
+    OperatorHeartbeat,
+    StopClearRequest,
+)
+from runtime.throw.protocol import HEARTBEAT_SILENCE_S
 
-FIRE_AGE_MAX_NS: Final = 1_000_000_000
-"""State is sent at 10 Hz, a fire answered within 0.5 s or given up by the server: older ones are dead."""
-HEARTBEAT_AGE_MAX_NS: Final = 500_000_000
-"""Round trip (0.2 s on a poor mobile link), one state period (0.1 s), and reserve."""
+COMMAND_AGE_MAX_NS: Final[dict[type[object], int]] = {
+    FireRequest: 500_000_000,
+    ArmRequest: 500_000_000,
+    LoadRequest: 500_000_000,
+    StopClearRequest: 500_000_000,
+}
+"""The server gives a command up after 0.5 s: none is executed after it was reported as unknown."""
+HEARTBEAT_AGE_MAX_NS: Final = round(HEARTBEAT_SILENCE_S * 1e9)
+"""An older heartbeat would have run out when it came."""
 
 
-def why_stale(message: FireRequest | OperatorHeartbeat, now_ns: int) -> str:
-    """Why a message is too old to act on, for people; empty = it is fresh."""
-    seen_ns = message.seen_t_mono_ns
+def why_stale(message: Command | OperatorHeartbeat, now_ns: int) -> str:
+    """Why a message is too old to act on, for people; empty = it is fresh, or has no limit."""
+    if isinstance(message, OperatorHeartbeat):
+        return _why_old(message.seen_t_mono_ns, HEARTBEAT_AGE_MAX_NS, now_ns)
+    limit_ns = COMMAND_AGE_MAX_NS.get(type(message))
+    if limit_ns is None:
+        return ""
+    return _why_old(getattr(message, "seen_t_mono_ns", None), limit_ns, now_ns)
+
+
+def _why_old(seen_ns: int | None, limit_ns: int, now_ns: int) -> str:
     if seen_ns is None:
         return "It does not say which time of this machine its sender had seen. Update the sender."
-    limit_ns = FIRE_AGE_MAX_NS if isinstance(message, FireRequest) else HEARTBEAT_AGE_MAX_NS
     age_ns = now_ns - seen_ns
     if age_ns < 0:
-        return "It was made before this machine's last restart. Arm again."
+        return "It was made before this machine's last restart. Look at the machine, then send it again."
     if age_ns > limit_ns:
         return (
             f"It was up to {age_ns * 1e-9:.1f} s on its way, {limit_ns * 1e-9:.1f} s are allowed. "
-            "Check the link, then arm again."
+            "Check the link, then send it again."
         )
     return ""

@@ -95,7 +95,7 @@ class ThrowMachine:
     """The last one that ran out, so that a late fire learns why."""
     throw_id: str | None = None
     heartbeat_ns: int = 0
-    """Last heartbeat that held; 0 = none for this throw."""
+    """Machine time that the sender of the newest holding heartbeat had seen; 0 = none for this throw."""
     heartbeat_sequence_count: int = -1
     end_reason: str = ""
     """Why a running throw was aborted; empty = it was not."""
@@ -103,6 +103,14 @@ class ThrowMachine:
     """Fault to latch when the machine has come to rest."""
     latched_reason: str = ""
     """Why STOPPED or FAULT."""
+    latch_id: str = ""
+    """Names the present STOPPED or FAULT; empty = none. Never used again."""
+    latch_count: int = 0
+    """Latches of this boot so far."""
+    latched_by_switch: bool = False
+    """The present latch is that of the emergency stop's contact."""
+    boot_id: str = ""
+    """Makes latch ids differ between boots."""
     released_ns: int = 0
     started_ns: int = 0
     replies: tuple[tuple[str, CommandReply], ...] = ()
@@ -141,6 +149,15 @@ class ThrowMachine:
             released_ns=0,
             started_ns=0,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """A STOPPED or FAULT that lasts until somebody clears it by its id."""
+
+    latch_id: str
+    state: ThrowState
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from machine.conventions import Motion
 from machine.messages import Command, EventKind, OperatorHeartbeat, ThrowState
 from runtime.throw.command_rules import handle_command
+from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
     ALIGN_TIMEOUT_S,
     BEFORE_COMMIT,
@@ -74,10 +75,17 @@ def _heartbeat(
         or beat.sequence_count <= machine.heartbeat_sequence_count
     ):
         return machine, ()
-    machine = replace(machine, heartbeat_sequence_count=beat.sequence_count)
     if not beat.is_holding:
+        machine = replace(machine, heartbeat_sequence_count=beat.sequence_count)
         return _let_go(machine, "the operator let go", now_ns)
-    return replace(machine, heartbeat_ns=now_ns), ()
+    if beat.seen_t_mono_ns is None or why_stale(beat, now_ns):
+        return machine, ()
+    # It counts from when it can have been sent at the earliest: time on its way is silence.
+    seen_ns = max(machine.heartbeat_ns, beat.seen_t_mono_ns)
+    after = replace(
+        machine, heartbeat_sequence_count=beat.sequence_count, heartbeat_ns=max(seen_ns, 1)
+    )
+    return after, ()
 
 
 def _let_go(
@@ -93,8 +101,9 @@ def _let_go(
 def _passing_time(
     machine: ThrowMachine, facts: Facts, now_ns: int
 ) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
-    if facts.emergency_stop and machine.state is not ThrowState.STOPPED:
-        return latch(machine, ThrowState.STOPPED, "the emergency stop is pressed", now_ns)
+    if facts.emergency_stop and not machine.latched_by_switch:
+        reason = "the emergency stop is pressed"
+        return latch(machine, ThrowState.STOPPED, reason, now_ns, by_switch=True)
     if machine.state in RUNNING:
         if facts.fault_reason:
             return latch(machine, ThrowState.FAULT, facts.fault_reason, now_ns)

@@ -1,5 +1,6 @@
 """kill -9 at several moments of a throw: each throw ends exactly once, records arrive once and in order."""
 
+import os
 import signal
 import time
 from pathlib import Path
@@ -10,6 +11,8 @@ from machine.messages import ThrowState
 from runtime.records.log_reader import read_throw_log
 from tests.link.yard import Server, wait_for
 
+HANG_NOTICED_S = 0.4
+"""0.2 s, and what a busy computer adds."""
 CONTROL = "runtime.process.control_process"
 LINK = "runtime.process.link_process"
 
@@ -39,9 +42,10 @@ def test_control_killed(yard, moment):
     boot_id = server.state.boot_id
     yard.machine.kill_child(CONTROL)
     assert server.wait_state(ThrowState.FAULT).fault
-    # It comes back by itself, disarmed, with the epoch it knew and the throw it must not repeat.
+    # It comes back by itself, stopped, with the epoch it knew and the throw it must not repeat.
     wait_for(lambda: server.state.boot_id != boot_id)
-    state = server.wait_state(ThrowState.DISARMED)
+    state = server.wait_state(ThrowState.STOPPED)
+    assert "died" in state.latched_reason and state.latch_id
     assert (state.epoch_count, state.throw_id) == (yard.epoch, None)
     assert wait_for_end(server, throw_id) == "interrupted"
     assert server.send(yard.fire_command("", throw_id)).is_repeat
@@ -86,7 +90,7 @@ def test_power_cut(yard, moment):
     # The same throw id after the restart is answered, never executed.
     wait_for(lambda: server.is_alive)
     assert server.send(fire).is_repeat
-    assert server.wait_state(ThrowState.DISARMED).epoch_count == yard.epoch
+    assert server.wait_state(ThrowState.STOPPED).epoch_count == yard.epoch
     assert server.kinds(throw_id).count("throw_accepted") == 1
 
 
@@ -101,17 +105,48 @@ def test_frozen_link_lets_go_before_the_commit_point(yard):
     yard.wait_for_log(throw_id)
 
 
-def test_frozen_control_is_said_and_what_waited_for_it_is_too_old(yard):
+def test_hung_control_is_killed_and_comes_back_stopped_while_stop_is_answered(yard):
     server = yard.server
     fire = yard.fire_command(yard.arm(), throw_id := yard.new_throw_id())
-    yard.machine.kill_child(CONTROL, signal.SIGSTOP)
-    assert "silent" in server.wait_state(ThrowState.FAULT).fault
-    assert server.send(fire, timeout_s=0.3) is None
-    time.sleep(1.0)
-    yard.machine.kill_child(CONTROL, signal.SIGCONT)
-    server.wait_state(ThrowState.ARMED, ThrowState.DISARMED)
-    wait_for(lambda: server.events[-1].kind in ("command_refused", "disarmed"))
+    pid, boot_id = yard.machine.child(CONTROL), server.state.boot_id
+    os.kill(pid, signal.SIGSTOP)
+    stopped_s = time.monotonic()
+    wait_for(lambda: not is_alive(pid), 10.0)
+    assert time.monotonic() - stopped_s < HANG_NOTICED_S
+    stop = server.stop_command()
+    reply = server.send(stop, timeout_s=2.0)
+    assert (reply.accepted, reply.state) == (True, ThrowState.STOPPED)
+    assert reply.latch_id
+    fault = server.wait_state(ThrowState.FAULT)
+    assert fault.fault and fault.stop_latched
+    wait_for(lambda: server.state.boot_id != boot_id)
+    state = server.wait_state(ThrowState.STOPPED)
+    assert state.latch_id == reply.latch_id and "STOP by operator" in state.latched_reason
+    assert not server.send(fire).accepted
     assert server.kinds(throw_id) == []
+
+
+def test_stop_outlives_the_control_process_and_a_power_cut(yard):
+    server = yard.server
+    reply = server.send(server.stop_command())
+    assert (reply.accepted, reply.state) == (True, ThrowState.STOPPED)
+    boot_id = server.state.boot_id
+    yard.machine.kill_child(CONTROL)
+    wait_for(lambda: server.state.boot_id != boot_id)
+    state = server.wait_state(ThrowState.STOPPED)
+    assert (state.latch_id, state.stop_latched) == (reply.latch_id, True)
+    yard.machine.kill()
+    wait_for(lambda: not server.is_alive)
+    server.states.clear()
+    yard.machine.start()
+    wait_for(lambda: server.states)
+    assert server.wait_state(ThrowState.STOPPED).latch_id == reply.latch_id
+    cleared = server.clear(yard.epoch)
+    assert cleared.accepted and cleared.latch_id == ""
+    server.wait_state(ThrowState.DISARMED)
+    assert [e.data["latch_id"] for e in server.events if e.kind == "stop_cleared"][
+        -1
+    ] == reply.latch_id
 
 
 def test_link_cut_in_the_middle_and_lost_acknowledgements(yard):

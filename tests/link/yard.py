@@ -1,6 +1,7 @@
 """A small yard for the fault suite: a real router, a stand-in for the server, real machine processes."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -72,6 +73,7 @@ class Server:
         self.states: list[MachineState] = []
         self.events: list[MachineEvent] = []
         self.repeats = 0
+        self.joints_ns = 0
         self.is_alive = False
         self.acks_lost = 0
         """Acknowledgements still to be lost after the commit."""
@@ -84,6 +86,7 @@ class Server:
         session = self._session = zenoh.open(self._config)
         self._declared = [
             session.declare_subscriber(self._key("state"), self._take_state),
+            session.declare_subscriber(self._key("joints"), self._take_joints),
             session.declare_queryable(self._key("events"), self._take_events),
             session.liveliness().declare_subscriber(
                 self._key("alive"), self._take_token, history=True
@@ -101,7 +104,13 @@ class Server:
         return machine_key(SITE, MACHINE, name)
 
     def _take_state(self, sample: zenoh.Sample) -> None:
-        self.states.append(MachineState.model_validate_json(bytes(sample.payload)))
+        state = MachineState.model_validate_json(bytes(sample.payload))
+        if self.states and self.states[-1].boot_id != state.boot_id:
+            self.joints_ns = 0
+        self.states.append(state)
+
+    def _take_joints(self, sample: zenoh.Sample) -> None:
+        self.joints_ns = json.loads(bytes(sample.payload))["t_mono_ns"]
 
     def _take_token(self, sample: zenoh.Sample) -> None:
         self.is_alive = sample.kind == zenoh.SampleKind.PUT
@@ -127,6 +136,21 @@ class Server:
     @property
     def state(self) -> MachineState:
         return self.states[-1]
+
+    def seen(self) -> dict[str, int]:
+        """The newest time of the machine that came in."""
+        return {"seen_t_mono_ns": max(self.state.t_mono_ns, self.joints_ns)}
+
+    def clear(self, epoch: int) -> CommandReply | None:
+        """Clear whatever is latched."""
+        return self.order(
+            StopClearRequest,
+            epoch_count=epoch,
+            latch_id=self.state.latch_id,
+            sighted_by="olga",
+            reason="nobody near",
+            **self.seen(),
+        )
 
     def send(self, command: Command, timeout_s: float = 20.0) -> CommandReply | None:
         replies = self._session.get(
@@ -169,11 +193,11 @@ class Server:
     def arm(self, plan: ThrowPlan, epoch: int) -> str:
         """Lease, load, arm; returns the nonce."""
         assert self.order(LeaseNotice, epoch_count=epoch).accepted
-        assert self.order(LoadRequest, epoch_count=epoch).accepted
+        assert self.order(LoadRequest, epoch_count=epoch, **self.seen()).accepted
         wait_for(lambda: self.state.payload_held)
 
         def try_to_arm() -> str | None:
-            reply = self.order(ArmRequest, epoch_count=epoch, plan=plan)
+            reply = self.order(ArmRequest, epoch_count=epoch, plan=plan, **self.seen())
             return reply and reply.nonce
 
         return wait_for(try_to_arm)
@@ -185,7 +209,7 @@ class Server:
             throw_id=throw_id,
             nonce=nonce,
             plan_hash=plan.plan_hash,
-            seen_t_mono_ns=self.state.t_mono_ns,
+            **self.seen(),
         )
 
     def hold_button(self, throw_id: str, epoch: int) -> None:
@@ -202,7 +226,7 @@ class Server:
                     epoch_count=epoch,
                     sequence_count=sequence,
                     is_holding=True,
-                    seen_t_mono_ns=self.state.t_mono_ns,
+                    **self.seen(),
                 )
                 with contextlib.suppress(zenoh.ZError, AttributeError):
                     self.put("heartbeat", message.model_dump_json())
@@ -333,7 +357,7 @@ class Yard:
         self.epoch += 1
         # The test before may have killed a process of the machine: until it is back it does not accept.
         wait_for(lambda: self._is_accepted(LeaseNotice))
-        wait_for(lambda: self.server.order(StopClearRequest, epoch_count=self.epoch))
+        wait_for(lambda: (reply := self.server.clear(self.epoch)) and reply.accepted)
         self.server.wait_state(ThrowState.DISARMED)
 
     def _is_accepted(self, kind: type[Any]) -> bool:

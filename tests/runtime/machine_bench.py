@@ -35,6 +35,7 @@ class Bench:
         self.runners = {mode: PolicyRunner(find_policy(policies, mode), SPEC) for mode in Mode}
         fixed = MachineSetup("m001", "boot", SPEC, nominal_calibration(SPEC), self.runners, "test")
         self.control = MachineControl(self.driver, fixed)
+        self.control.remember(0, (), None)
         self.reports: list[TickReport] = []
         self._start_ns = self.driver.now_ns()
         self._period = 0
@@ -76,12 +77,16 @@ class Bench:
             predicted_impact_m=(8.0, 0.0, 0.5),
         )
 
+    def seen(self) -> dict[str, int]:
+        """The machine's present time, as a sender echoes it."""
+        return {"seen_t_mono_ns": self.driver.now_ns()}
+
     def arm(self, mode: Mode = Mode.PLANAR) -> str:
         self.ticks(5)
         assert self.ask(make(LeaseNotice, epoch_count=1)).accepted
-        assert self.ask(make(LoadRequest, epoch_count=1)).accepted
+        assert self.ask(make(LoadRequest, epoch_count=1, **self.seen())).accepted
         self.ticks(12)
-        reply = self.ask(make(ArmRequest, epoch_count=1, plan=self.plan(mode)))
+        reply = self.ask(make(ArmRequest, epoch_count=1, plan=self.plan(mode), **self.seen()))
         assert reply.accepted, reply.detail
         return reply.nonce
 

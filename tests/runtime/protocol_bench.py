@@ -92,6 +92,7 @@ class Bench:
             "machine_id": "m001",
             "issuer": "anna",
             "epoch_count": self.epoch,
+            "seen_t_mono_ns": self.now_ns,
         }
         return {**values, **changes}
 
@@ -122,6 +123,7 @@ class Bench:
             "epoch_count": self.epoch,
             "sequence_count": self.beats,
             "is_holding": True,
+            "seen_t_mono_ns": self.now_ns,
         }
         return self.send(OperatorHeartbeat(**{**values, **changes}))
 
@@ -137,10 +139,12 @@ class Bench:
     def stop(self, **changes: Any) -> Effects:
         values = self.head(**changes)
         values.pop("epoch_count")
+        values.pop("seen_t_mono_ns")
         return self.send(StopRequest(**values))
 
     def clear(self, facts: dict[str, Any] | None = None, **changes: Any) -> Effects:
-        return self.send(StopClearRequest(**self.head(**changes)), **(facts or {}))
+        values = {"latch_id": self.machine.latch_id, "sighted_by": "olga", "reason": "all clear"}
+        return self.send(StopClearRequest(**self.head(**{**values, **changes})), **(facts or {}))
 
     def go_to(self, state: ThrowState) -> None:
         """Into a state by the ordinary way."""

@@ -112,6 +112,7 @@ class Protocol(RuleBasedStateMachine):
             epoch_count=epoch,
             sequence_count=self.sequence,
             is_holding=holding,
+            seen_t_mono_ns=bench.now_ns,
         )
         before, after, _ = self.do(lambda: bench.send(beat))
         if after.heartbeat_ns != before.heartbeat_ns and after.heartbeat_ns:

@@ -131,7 +131,7 @@ def test_log_waits_for_the_impact_of_a_load_still_in_the_air(bench):
 
 
 def test_memory_of_earlier_boots_keeps_epoch_and_throws(bench):
-    bench.control.remember(7, ("old-1", "old-2"))
+    bench.control.remember(7, ("old-1", "old-2"), None)
     bench.tick()
     assert bench.ask(make(LeaseNotice, epoch_count=6)).reason == "stale_epoch"
     fire = make(

@@ -56,7 +56,13 @@ class InboxBench:
         self.outbox = Outbox(folder / "m.db", "m001")
         self.journal = Journal(self.outbox)
         self.control = Control(self.journal)
-        self.inbox = CommandInbox("m001", self.journal, self.control.send)
+        self.inbox = CommandInbox("m001", self.journal, self.control.send, self.stop_alone)
+
+    def stop_alone(self, command: StopRequest) -> CommandReply | None:
+        if self.control.is_running:
+            return None
+        reply = {"command_id": command.command_id, "machine_id": "m001", "accepted": True}
+        return CommandReply(**reply, state=ThrowState.STOPPED, epoch_count=4, latch_id="link-1")
 
     def take(self, command) -> Slot:
         slot = Slot()
@@ -190,3 +196,10 @@ def test_accepted_throw_survives_a_late_refusal_of_its_repeat(inbox):
     inbox.answer(request, body, accepted=False)
     assert not repeat.reply().accepted
     assert inbox.journal.memory().throw_ids == ("t1",)
+
+
+def test_stop_is_answered_without_the_control_process(inbox):
+    inbox.control.is_running = False
+    reply = inbox.take(make(StopRequest)).reply()
+    assert (reply.accepted, reply.state, reply.latch_id) == (True, ThrowState.STOPPED, "link-1")
+    inbox.inbox.take_repeated_stop(make(StopRequest))
