@@ -113,11 +113,18 @@ class ThrowPlan(_ToMachine):
     predicted_ellipse: LandingEllipse | None = None
     site: SiteObjects = ()
     """What stood around the machine when the throw was previewed, frame `machine`."""
+    allowed_radius_m: float | None = Field(default=None, gt=0.0, le=20.0)
+    """Of the region around the target in which the machine's safety gate lets the load come down; None = its
+    own default."""
 
     @property
     def plan_hash(self) -> str:
         """sha256 of the canonical JSON: sorted keys, no spaces, full float precision."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        content = self.model_dump(mode="json")
+        if self.allowed_radius_m is None:
+            # As hashed by software that does not know the field.
+            del content["allowed_radius_m"]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -177,13 +184,13 @@ class DisarmRequest(_AgedCommand):
 
 
 class StopRequest(_Command):
-    """STOP: any role, no lease, no age limit, latched on the machine. Never gets fields older machines refuse."""
+    """STOP: any role, no lease, no age limit; latched. It never gets fields that older machines refuse."""
 
     kind: Literal["stop"] = "stop"
 
 
 class StopClearRequest(_AgedCommand):
-    """Clears one latched stop or fault; needs the privilege, sight of the machine, and a new arm afterwards."""
+    """Clears one latched stop or fault; needs the privilege and sight of the machine, then a new arm."""
 
     kind: Literal["stop_clear"] = "stop_clear"
     epoch_count: int = Field(ge=0)
@@ -252,7 +259,7 @@ class OperatorHeartbeat(_ToMachine):
     sequence_count: int = Field(ge=0)
     is_holding: bool
     seen_t_mono_ns: int | None = Field(default=None, ge=0)
-    """As in a command: a heartbeat counts from this time on, so that one held up on its way does not count."""
+    """As in a command: a heartbeat counts from this time on, so time on its way is silence."""
 
 
 class CheckResult(BaseModel):

@@ -58,6 +58,9 @@ class ValveCommand:
     """(N, 4) spool command -1..1, joint order; positive moves the joint positively."""
     gripper_open: BoolArray
     """(N,) opens the gripper while true."""
+    alive_count: int = -1
+    """Changes with every tick of the control loop. The machine's controller closes the valves when it stands
+    still for 100 ms, although writes go on. -1 = a sender without a loop; then only the writes count."""
 
 
 @runtime_checkable

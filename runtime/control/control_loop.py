@@ -64,8 +64,16 @@ _HOLD, _ALIGN, _THROW, _SETTLE = (
 _CLOSING = int(safety.CLOSING)
 _RELEASE_WAIT_TICKS = round(RELEASE_WAIT_S / CONTROL_PERIOD_S)
 _VIOLATIONS = tuple(
-    int(v) for v in (Violation.SAFETY, Violation.SWING, Violation.IMU, Violation.POLICY)
+    int(v)
+    for v in (
+        Violation.SAFETY,
+        Violation.SWING,
+        Violation.IMU,
+        Violation.POLICY,
+        Violation.RELEASE,
+    )
 )
+_RELEASE_REFUSED = int(safety.Intervention.RELEASE_REFUSED)
 _CLOSING_ON_ITS_OWN = int(safety.CLOSING & ~safety.Intervention.STOPPED)
 
 
@@ -157,7 +165,7 @@ def step(
     )
     throw = policy.memory
     swing, request, aligned, settled = _motions(params, state, inputs, sensed, throw)
-    driven = _drive(params, state, inputs, throw, request, now_ns)
+    driven = _drive(params, state, inputs, sensed, throw, request, now_ns)
     gone = done = throw.released
     if np.count_nonzero(throw.released):
         gone = throw.released & ~sample.payload_held
@@ -175,10 +183,10 @@ def step(
         safety=driven.memory,
     )
     return after, ControlOutputs(
-        command=ValveCommand(driven.gated.valve_ratio, driven.gated.gripper_open),
+        command=ValveCommand(driven.gated.valve_ratio, driven.gated.gripper_open, state.tick_count),
         row=_row(state.tick_count, inputs, sensed, request, driven, now_ns),
         policy_row=policy.row,
-        release_commanded=throw.released,
+        release_commanded=_commanded(throw.released, driven.gated),
         load_gone=gone,
         throw_done=done,
         aligned=aligned,
@@ -280,6 +288,7 @@ def _drive(
     params: ControlParams,
     state: ControlState,
     inputs: ControlInputs,
+    sensed: _Sensed,
     throw: ThrowMemory,
     request: Array,
     now_ns: int,
@@ -294,12 +303,22 @@ def _drive(
     opening = throw.released
     if np.count_nonzero(opening):
         opening = opening & ((motion == _THROW) | (motion == _SETTLE))
-    memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns)
+    tool = safety.ToolEstimate(
+        sensed.position, sensed.velocity, inputs.target_m, inputs.allowed_radius_m
+    )
+    memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns, tool)
     closed: BoolArray = np.not_equal(gated.intervention_count & _CLOSING, 0)
     if np.count_nonzero(closed):
         # A machine whose valves were closed starts again from standstill, not from old wishes.
         controller = controller.forget(closed)
     return _Driven(controller, memory, reference, valve, gated)
+
+
+def _commanded(released: BoolArray, gated: safety.SafetyOutput) -> BoolArray:
+    """Releases (N,) that the gate did not refuse."""
+    if not np.count_nonzero(released):
+        return released
+    return released & (gated.intervention_count & _RELEASE_REFUSED == 0)
 
 
 def _violations(
@@ -321,6 +340,7 @@ def _violations(
         + (needs_imu & swings) * _VIOLATIONS[1]
         + (needs_imu & old) * _VIOLATIONS[2]
         + policy.failed * _VIOLATIONS[3]
+        + (gated.intervention_count & _RELEASE_REFUSED > 0) * _VIOLATIONS[4]
     )
 
 

@@ -1,5 +1,6 @@
 """What the control step is given, remembers and gives; no behaviour."""
 
+import math
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import cached_property
@@ -31,6 +32,8 @@ class Violation(IntFlag):
     """No usable gripper IMU sample for too long while it is needed."""
     POLICY = 8
     """The policy gave a number that is not finite."""
+    RELEASE = 16
+    """The gate refused the release: the load would come down outside the plan's region."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class ControlInputs:
     """(N, 3) frame `machine`; NaN where there is none."""
     pace_ratio: Array | float = DEFAULT_PACE_RATIO
     """(N,), or one for all machines; 0 careful .. 1 fast."""
+    allowed_radius_m: float = math.inf
+    """Of the region around the target in which a load may come down; infinite = no plan says so."""
 
 
 @dataclass(frozen=True, slots=True)

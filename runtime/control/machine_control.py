@@ -37,6 +37,7 @@ from runtime.control.imu_estimator import ImuEstimate
 from runtime.control.policy import PolicyRunner
 from runtime.control.policy_step import initial_throw
 from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
+from runtime.guard.release_window import DEFAULT_RADIUS_M
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
 from runtime.throw.protocol import (
@@ -122,6 +123,7 @@ class MachineControl:
         self._sample: SensorSample = driver.read()
         self._target_m: Array = np.full((1, 3), np.nan)
         self._pace_ratio = DEFAULT_PACE_RATIO
+        self._allowed_radius_m = DEFAULT_RADIUS_M
         self._state: ControlState = initial_state(
             self._params[self._mode], self._sample, np.zeros((1, 3)), self._now_ns
         )
@@ -226,6 +228,7 @@ class MachineControl:
         target = plan.target
         self._target_m = np.array([[target.x_m, target.y_m, target.z_m]])
         self._pace_ratio = plan.pace_ratio
+        self._allowed_radius_m = plan.allowed_radius_m or DEFAULT_RADIUS_M
         if isinstance(self.driver, LandingDriver):
             self.driver.set_solids(Solids.around(plan.site, target))
         if plan.mode is not self._mode:
@@ -234,7 +237,9 @@ class MachineControl:
 
     def _step(self, now_ns: int) -> ControlOutputs | None:
         motion = np.array([int(self.throw.motion)])
-        inputs = ControlInputs(self._sample, motion, self._target_m, self._pace_ratio)
+        inputs = ControlInputs(
+            self._sample, motion, self._target_m, self._pace_ratio, self._allowed_radius_m
+        )
         try:
             self._state, outputs = step(self._params[self._mode], self._state, inputs, now_ns)
         except DownrangeError as error:

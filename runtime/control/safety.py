@@ -1,7 +1,9 @@
 """The last gate before the valves: trusts nobody; knows the spec, the sensors and its own last output.
 
-It shares no helper with the policy and the controller, does its own arithmetic, and clips or closes. It
-never opens a valve that was not asked for, and it is no safety-rated function (docs/safety.md).
+It shares no helper with the policy and the controller, does its own arithmetic, and clips or closes. It is
+a permission: outside a motion that may move the machine, valves only brake; the gripper opens only where the
+load would come down in the plan's region. It never opens a valve that was not asked for, and it is no
+safety-rated function (docs/safety.md).
 """
 
 from enum import IntFlag
@@ -13,6 +15,8 @@ import numpy as np
 from machine.conventions import Array, BoolArray, IntArray, Motion
 from machine.spec import MachineSpec
 from runtime.driver import SensorSample
+from runtime.guard.plausibility import Contradiction, GuardMemory, check, initial_guard
+from runtime.guard.release_window import exceeds_tool_limits, is_allowed
 
 
 class Intervention(IntFlag):
@@ -38,6 +42,22 @@ class Intervention(IntFlag):
     """A request that moved faster than a valve may."""
     GRIPPER_KEPT_CLOSED = 512
     """Opening was asked for outside a throw."""
+    NOT_PERMITTED = 1024
+    """A valve was asked for in a hold that has ended its braking: all valves closed."""
+    SENSOR_JUMP = 2048
+    """Joint position against integrated velocity, or sensor time going back: all valves closed."""
+    SENSOR_FROZEN = 4096
+    """Joint values repeat under fresh time stamps: all valves closed."""
+    VALVE_CONTRADICTED = 8192
+    """A joint does not do what its valve says: all valves closed."""
+    IMU_CONTRADICTED = 16384
+    """The gripper IMU repeats itself, or its time goes back: all valves closed."""
+    TOOL_LIMIT = 32768
+    """Tool speed or overturning moment beyond their limits: all valves closed."""
+    HOLD_CLIPPED = 65536
+    """A hold asked for more than braking needs."""
+    RELEASE_REFUSED = 131072
+    """The load would come down outside the plan's allowed region: the gripper stays closed."""
 
 
 CLOSING = (
@@ -47,9 +67,17 @@ CLOSING = (
     | Intervention.EMERGENCY_STOP
     | Intervention.OVER_SPEED
     | Intervention.STOPPED
+    | Intervention.NOT_PERMITTED
+    | Intervention.SENSOR_JUMP
+    | Intervention.SENSOR_FROZEN
+    | Intervention.VALVE_CONTRADICTED
+    | Intervention.IMU_CONTRADICTED
+    | Intervention.TOOL_LIMIT
 )
 """Bits that close all valves."""
-FAULTS = Intervention.NOT_FINITE | Intervention.STALE_SENSORS | Intervention.OVER_SPEED
+FAULTS = CLOSING & ~(
+    Intervention.LOCAL_DISABLED | Intervention.EMERGENCY_STOP | Intervention.STOPPED
+)
 """Bits that no operator causes on purpose: they end a throw as a fault."""
 
 SENSOR_AGE_MAX_NS = 50_000_000
@@ -62,6 +90,10 @@ STOP_DELAY_S = 0.10
 """From closing a valve until the joint begins to slow: dead time of the arm's valves, with reserve."""
 LIMIT_MARGIN_RAD_M = 0.01
 """Kept before a position limit."""
+HOLD_TICKS = 200
+"""A hold may brake for 2 s: the slew's valve closes 1.3 s after a throw is broken off."""
+HOLD_RESERVE_RATIO = 0.1
+"""A braking valve may exceed what was open when the hold began by so much: lead of the controller."""
 
 
 # Enum members cost 0.1 us at each look-up, and the gate looks 20 times a tick.
@@ -75,15 +107,38 @@ _POSITION_LIMIT = int(Intervention.POSITION_LIMIT)
 _RANGE_CLIPPED = int(Intervention.RANGE_CLIPPED)
 _RATE_CLIPPED = int(Intervention.RATE_CLIPPED)
 _GRIPPER_KEPT_CLOSED = int(Intervention.GRIPPER_KEPT_CLOSED)
-_CLIP_BITS = (_RANGE_CLIPPED, _RATE_CLIPPED, _POSITION_LIMIT)
+_NOT_PERMITTED = int(Intervention.NOT_PERMITTED)
+_TOOL_LIMIT = int(Intervention.TOOL_LIMIT)
+_HOLD_CLIPPED = int(Intervention.HOLD_CLIPPED)
+_RELEASE_REFUSED = int(Intervention.RELEASE_REFUSED)
+_CLIP_BITS = (_RANGE_CLIPPED, _RATE_CLIPPED, _HOLD_CLIPPED, _POSITION_LIMIT)
+_CONTRADICTIONS = (
+    (Contradiction.JUMP | Contradiction.CLOCK, int(Intervention.SENSOR_JUMP)),
+    (Contradiction.FROZEN, int(Intervention.SENSOR_FROZEN)),
+    (Contradiction.FOLLOWING, int(Intervention.VALVE_CONTRADICTED)),
+    (Contradiction.IMU, int(Intervention.IMU_CONTRADICTED)),
+)
 _FADE = TICK_S / STOP_DELAY_S
 _HOLD, _THROW, _SETTLE, _STOP = (
     int(m) for m in (Motion.HOLD, Motion.THROW, Motion.SETTLE, Motion.STOP)
 )
 
 
+class ToolEstimate(NamedTuple):
+    """Where the tool is and what a release is meant to hit."""
+
+    position_rad_m: Array
+    """(N, 6) all joints."""
+    velocity_rad_m_per_s: Array
+    """(N, 6)"""
+    target_m: Array
+    """(N, 3) frame `machine`."""
+    allowed_radius_m: float
+    """Of the plan's region around the target; infinite where there is no plan."""
+
+
 class SafetyMemory(NamedTuple):
-    """What the gate remembers: only what it let through."""
+    """What the gate remembers: what it let through, and what its cross-checks saw."""
 
     valve_ratio: Array
     """(N, 4) last."""
@@ -93,6 +148,12 @@ class SafetyMemory(NamedTuple):
     """(N, 4) the same in the negative direction."""
     gripper_open: BoolArray
     """(N,)"""
+    hold_start_ratio: Array
+    """(N, 4) valves, without sign, when the present hold began."""
+    hold_tick_count: IntArray
+    """(N,) ticks of the present hold; 0 in every other motion."""
+    guard: GuardMemory
+    """Of the cross-checks."""
 
 
 class SafetyOutput(NamedTuple):
@@ -139,7 +200,15 @@ def _limits(spec: MachineSpec) -> _Limits:
 def closed_memory(count: int) -> SafetyMemory:
     """Memory of `count` machines at start-up: everything closed."""
     shut = np.zeros((count, 4))
-    return SafetyMemory(shut, shut, shut, np.zeros(count, dtype=np.bool_))
+    return SafetyMemory(
+        shut,
+        shut,
+        shut,
+        np.zeros(count, dtype=np.bool_),
+        shut,
+        np.zeros(count, dtype=np.int64),
+        initial_guard(count),
+    )
 
 
 def apply(
@@ -150,6 +219,7 @@ def apply(
     sample: SensorSample,
     motion: IntArray,
     now_ns: int,
+    tool: ToolEstimate | None = None,
 ) -> tuple[SafetyMemory, SafetyOutput]:
     """Clip or close what the controller asks for.
 
@@ -161,20 +231,28 @@ def apply(
         sample: joint sensors and switches of this tick.
         motion: (N,) conventions.Motion.
         now_ns: the tick, same clock as the sample.
+        tool: for the limits of the tool and the release window; neither is checked without it.
 
     Returns:
         The memory for the next tick, and what may be written. A closing intervention resets the memory,
         so that the valves open again only through the rate limit.
     """
     limits = _limits(spec)
+    hold_start, hold_ticks, hold_limit = _hold(memory, motion)
     with np.errstate(invalid="ignore", over="ignore"):
+        guard, found = check(spec, memory.guard, sample, memory.valve_ratio, now_ns)
         bits = _closing_bits(limits, requested_ratio, memory, sample, motion, now_ns)
+        bits = bits + _contradiction_bits(found)
+        bits = bits + _permission_bits(requested_ratio, hold_limit, hold_ticks)
+        if tool is not None:
+            wild = exceeds_tool_limits(spec, tool.position_rad_m, tool.velocity_rad_m_per_s)
+            bits = bits + wild * _TOOL_LIMIT
         closed: BoolArray = np.not_equal(bits, 0)
         any_closed = np.count_nonzero(closed) > 0
         if any_closed:
             # Nothing is wanted of machines that are closed; their numbers may be NaN.
             requested_ratio = np.where(closed[:, None], 0.0, requested_ratio)
-        valve, clip_bits = _clip_valves(limits, requested_ratio, sample, memory)
+        valve, clip_bits = _clip_valves(limits, requested_ratio, sample, memory, hold_limit)
     if any_closed:
         valve = np.where(closed[:, None], 0.0, valve)
         clip_bits = np.where(closed, bits, clip_bits)
@@ -182,15 +260,63 @@ def apply(
     opened = open_requested
     if np.count_nonzero(open_requested):
         may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
-        opened = open_requested & may_open & ~closed
-        bits = bits + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED
+        refused = _refused_release(spec, open_requested & may_open & ~memory.gripper_open, tool)
+        opened = open_requested & may_open & ~closed & ~refused
+        bits = bits + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED + refused * _RELEASE_REFUSED
     after = SafetyMemory(
         valve_ratio=valve,
         recent_up_ratio=np.fmax(valve, memory.recent_up_ratio - _FADE),
         recent_down_ratio=np.fmax(-valve, memory.recent_down_ratio - _FADE),
         gripper_open=opened,
+        hold_start_ratio=hold_start,
+        hold_tick_count=hold_ticks,
+        guard=guard,
     )
     return after, SafetyOutput(valve, opened, bits)
+
+
+def _hold(memory: SafetyMemory, motion: IntArray) -> tuple[Array, IntArray, Array]:
+    """Valves (N, 4) at the hold's start, its ticks (N,), and the opening (N, 4) that it may still ask for.
+
+    A hold is no permission to move: it may brake, from what was open, for two seconds.
+    """
+    holding = motion == _HOLD
+    ticks = np.where(holding, memory.hold_tick_count + 1, 0)
+    start = np.where((ticks == 1)[:, None], np.abs(memory.valve_ratio), memory.hold_start_ratio)
+    begun = start + HOLD_RESERVE_RATIO * (start > 0.0).any(axis=1, keepdims=True)
+    left = np.maximum(1.0 - ticks / HOLD_TICKS, 0.0)[:, None]
+    return start, ticks, np.where(holding[:, None], begun * left, 1.0)
+
+
+def _permission_bits(requested_ratio: Array, hold_limit: Array, hold_ticks: IntArray) -> IntArray:
+    """Holds (N,) that ask for a valve when nothing is left to brake."""
+    forbidden = (hold_limit <= 0.0) & (requested_ratio != 0.0)
+    if not np.count_nonzero(forbidden):
+        return np.zeros(hold_ticks.shape, dtype=np.int64)
+    return forbidden.any(axis=1) * _NOT_PERMITTED
+
+
+def _contradiction_bits(found: IntArray) -> IntArray:
+    """Bits of `Intervention` (N,) from those of the cross-checks."""
+    bits = np.zeros_like(found)
+    if np.count_nonzero(found):
+        for cause, bit in _CONTRADICTIONS:
+            bits = bits + (found & int(cause) != 0) * bit
+    return bits
+
+
+def _refused_release(spec: MachineSpec, opening: BoolArray, tool: ToolEstimate | None) -> BoolArray:
+    """Machines (N,) that begin to open now although the load would come down elsewhere."""
+    if tool is None or not np.count_nonzero(opening) or np.isinf(tool.allowed_radius_m):
+        return np.zeros(opening.shape, dtype=np.bool_)
+    allowed = is_allowed(
+        spec,
+        tool.position_rad_m,
+        tool.velocity_rad_m_per_s,
+        tool.target_m,
+        tool.allowed_radius_m,
+    )
+    return opening & ~allowed
 
 
 def _closing_bits(
@@ -224,13 +350,18 @@ def _closing_bits(
 
 
 def _clip_valves(
-    limits: _Limits, wanted: Array, sample: SensorSample, memory: SafetyMemory
+    limits: _Limits,
+    wanted: Array,
+    sample: SensorSample,
+    memory: SafetyMemory,
+    hold_limit: Array,
 ) -> tuple[Array, IntArray]:
-    """Range, rate, and last the position limits, which may close a valve faster than the rate."""
+    """Range, rate, the hold's limit, and last the position limits, which may close faster than the rate."""
     position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
     ranged = np.minimum(np.maximum(wanted, -1.0), 1.0)
     last = np.minimum(np.maximum(memory.valve_ratio, -1.0), 1.0)
     rated = np.minimum(np.maximum(ranged, last - VALVE_STEP_RATIO), last + VALVE_STEP_RATIO)
+    held = np.minimum(np.maximum(rated, -hold_limit), hold_limit)
     # Where each joint would come to rest if its valve closed now, seen in both directions. What is still
     # on its way to the joint may speed it up until then.
     up, down = np.maximum(velocity, 0.0), np.maximum(-velocity, 0.0)
@@ -241,10 +372,10 @@ def _clip_valves(
     slowing = limits.stop_per_speed_squared
     over = position + up * STOP_DELAY_S + slowing * up * up >= limits.high
     under = position - down * STOP_DELAY_S - slowing * down * down <= limits.low
-    stops = ((rated > 0.0) & over) | ((rated < 0.0) & under)
-    clipped = ranged != wanted, rated != ranged, stops
+    stops = ((held > 0.0) & over) | ((held < 0.0) & under)
+    clipped = ranged != wanted, rated != ranged, held != rated, stops
     bits = np.zeros(wanted.shape[0], dtype=np.int64)
     for joints, bit in zip(clipped, _CLIP_BITS, strict=True):
         if np.count_nonzero(joints):
             bits += joints.any(axis=1) * bit
-    return np.where(stops, 0.0, rated), bits
+    return np.where(stops, 0.0, held), bits

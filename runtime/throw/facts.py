@@ -46,6 +46,8 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
         return f"no gripper IMU sample for more than {IMU_AGE_MAX_S:.2f} s; check its radio and battery"
     if Violation.POLICY in found:
         return "the policy gave a number that is not finite; use another policy version"
+    if Violation.RELEASE in found:
+        return "the release was refused: the load would have come down outside the plan's region"
     return ""
 
 
@@ -60,4 +62,21 @@ def fault_reason(safety_code_count: int) -> str:
     if safety.Intervention.OVER_SPEED in found:
         ratio = safety.OVER_SPEED_RATIO
         return f"a joint moved faster than {ratio:.1f} times its limit; check valves and hoses"
+    for bit, text in _CONTRADICTION_TEXTS.items():
+        if bit in found:
+            return text
     return ""
+
+
+_CONTRADICTION_TEXTS = {
+    safety.Intervention.SENSOR_JUMP: (
+        "a joint's position contradicts its velocity; check its encoder before anything moves"
+    ),
+    safety.Intervention.SENSOR_FROZEN: "a joint's sensor repeats itself; check the sensor bus",
+    safety.Intervention.VALVE_CONTRADICTED: (
+        "a joint does not follow its valve; check for a stuck valve, a blocked joint, a dead sensor"
+    ),
+    safety.Intervention.IMU_CONTRADICTED: "the gripper IMU repeats itself or its time goes back",
+    safety.Intervention.TOOL_LIMIT: "the tool was too fast or pulled too hard for the machine",
+    safety.Intervention.NOT_PERMITTED: "a valve was asked for although the machine was to hold",
+}

@@ -259,6 +259,7 @@ def make_plan(policies: Path, mode: Mode = Mode.PLANAR) -> ThrowPlan:
         model_sha256=spec.sha256,
         twin_profile_version=0,
         predicted_impact_m=(8.0, 0.0, 0.0),
+        allowed_radius_m=20.0,
     )
 
 

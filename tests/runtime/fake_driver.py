@@ -66,7 +66,8 @@ class FakeDriver:
             joint_position_rad_m=self._q[None].copy(),
             joint_velocity_rad_m_per_s=self._v[None].copy(),
             imu_t_mono_ns=np.array([1_000_000_000 if self.imu_is_silent else now_ns]),
-            imu_gyro_rad_per_s=np.array([[0.0, 0.0, self._v[0]]]),
+            # A living sensor never repeats itself.
+            imu_gyro_rad_per_s=np.array([[1e-6 * (now_ns // 10_000_000 % 7), 0.0, self._v[0]]]),
             imu_accel_m_per_s2=np.array([[0.0, 0.0, 9.81]]),
             payload_held=np.array([self._is_held]),
             supply_pressure_pa=np.array([self._spec.hydraulics.supply_pressure_pa]),

@@ -75,6 +75,7 @@ class Bench:
             model_sha256=SPEC.sha256,
             twin_profile_version=3,
             predicted_impact_m=(8.0, 0.0, 0.5),
+            allowed_radius_m=20.0,
         )
 
     def seen(self) -> dict[str, int]:

@@ -54,7 +54,12 @@ def test_the_facts_are_those_of_the_machine_asked_for():
 
 @each("bit", list(Violation))
 def test_what_aborts(bit):
-    words = {Violation.SWING: "swung", Violation.IMU: "IMU", Violation.POLICY: "policy"}
+    words = {
+        Violation.SWING: "swung",
+        Violation.IMU: "IMU",
+        Violation.POLICY: "policy",
+        Violation.RELEASE: "refused",
+    }
     reason = abort_reason(int(bit), 1.35)
     # The gate has closed the valves itself; its own bits say why.
     assert (words[bit] in reason) if bit in words else reason == ""
