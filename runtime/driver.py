@@ -58,6 +58,9 @@ class ValveCommand:
     """(N, 4) spool command -1..1, joint order; positive moves the joint positively."""
     gripper_open: BoolArray
     """(N,) opens the gripper while true."""
+    supply_enabled: BoolArray | None = None
+    """(N,) false asks the machine's controller to cut the hydraulic supply of the arm (pilot pressure, pump
+    unloading): a spool that sticks moves a joint whatever its command says. None = not spoken of."""
     alive_count: int = -1
     """Changes with every tick of the control loop. The machine's controller closes the valves when it stands
     still for 100 ms, although writes go on. -1 = a sender without a loop; then only the writes count."""

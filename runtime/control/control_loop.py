@@ -183,7 +183,12 @@ def step(
         safety=driven.memory,
     )
     return after, ControlOutputs(
-        command=ValveCommand(driven.gated.valve_ratio, driven.gated.gripper_open, state.tick_count),
+        command=ValveCommand(
+            driven.gated.valve_ratio,
+            driven.gated.gripper_open,
+            supply_enabled=driven.gated.intervention_count & _CLOSING == 0,
+            alive_count=state.tick_count,
+        ),
         row=_row(state.tick_count, inputs, sensed, request, driven, now_ns),
         policy_row=policy.row,
         release_commanded=_commanded(throw.released, driven.gated),

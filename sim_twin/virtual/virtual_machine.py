@@ -131,6 +131,8 @@ class VirtualMachine:
         self._stopped = np.zeros(count, dtype=np.bool_)
         self._collided = np.zeros(count, dtype=np.bool_)
         self._valve = np.zeros((count, ACTIVE_COUNT))
+        self._supplied = np.ones(count, dtype=np.bool_)
+        self._alive_count = -1
         self._closed = np.zeros((count, ACTIVE_COUNT))
         self._now_ns = self._physics_ns = self._write_ns = START_NS
         self._derived_ns = START_NS
@@ -191,6 +193,9 @@ class VirtualMachine:
     def write(self, command: ValveCommand) -> None:
         """Set valves and grippers; without another write within 100 ms the valves close.
 
+        So they do where writes go on but their `alive_count` stands still. Without supply no joint moves,
+        whatever its spool does.
+
         Raises:
             PlantError: wrong shape or not a number.
         """
@@ -203,7 +208,11 @@ class VirtualMachine:
         if opens.shape != (self.count,):
             raise PlantError(f"gripper commands must be ({self.count},), got shape {opens.shape}")
         np.clip(valve, -1.0, 1.0, out=self._valve)
-        self._write_ns = self._now_ns
+        if command.alive_count < 0 or command.alive_count != self._alive_count:
+            self._write_ns = self._now_ns
+        self._alive_count = command.alive_count
+        enabled = command.supply_enabled
+        self._supplied[:] = True if enabled is None else np.asarray(enabled, dtype=np.bool_)
         self._load.command(opens, self._now_ns)
 
     def load(self) -> None:
@@ -238,6 +247,7 @@ class VirtualMachine:
         self._derived_ns = self._physics_ns
         self._collided = self._contact_count > 0
         self._valve[:] = 0.0
+        self._supplied[:] = True
         self._write_ns = self._now_ns
         self._load.close_grippers()
         self._take_load(np.ones(self.count, dtype=np.bool_), conditions)
@@ -338,6 +348,8 @@ class VirtualMachine:
         faults, command = self._faults, self._command()
         if faults.drive is not None:
             command = faults.drive.command(command, position)
+        if not self._supplied.all():
+            command = command * self._supplied[:, None]
         self._torque[:, active] = self._hydraulics.step(position, velocity, command)
         swing = self._velocity[:, ACTIVE_COUNT:]
         self._torque[:, ACTIVE_COUNT:] = (
