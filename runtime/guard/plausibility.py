@@ -31,12 +31,13 @@ class Contradiction(IntFlag):
 
 
 DRIFT_LIMIT_RAD_M = 0.025
-"""Integrated velocity may miss the position by so much within about 0.1 s: three times the largest of
+"""Integrated velocity may miss the position by so much within about 0.8 s: three times the largest of
 healthy throws (0.0085), whose sensors are 1 to 2 mrad noisy."""
-DRIFT_MEMORY_S = 0.1
-FOLLOWING_LIMIT_RAD_M = np.array([[0.06, 0.06, 0.09, 0.06]])
-"""Integrated difference between a joint's speed and what its valve should give, within about 0.2 s."""
-FOLLOWING_MEMORY_S = 0.2
+DRIFT_MEMORY_S = 0.8
+FOLLOWING_LIMIT_RAD_M = np.array([[0.07, 0.045, 0.085, 0.045]])
+"""Integrated difference between a joint's speed and what its valve should give, within about 0.4 s: one and
+a half times the largest of healthy throws (0.043, 0.025, 0.058, 0.027)."""
+FOLLOWING_MEMORY_S = 0.4
 RESPONSE_DEAD_TICKS = (15, 8, 8, 8)
 RESPONSE_LAG_S = np.array([[0.4, 0.1, 0.1, 0.1]])
 """Dead time (ticks of 10 ms) and lag of the joints' answer to a valve, which the expected speed follows."""
