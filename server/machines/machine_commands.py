@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pydantic import JsonValue
 from sqlalchemy.orm import Session as DatabaseSession
 
-from machine.messages import Command, CommandReply, RejectReason
+from machine.messages import Command, CommandReply, RejectReason, StopRequest
 from server.accounts.audit_chain import Actor, AuditChain, Entry, intent_of
 from server.clock import utc_now
 from server.errors import UnavailableError, UnknownOutcomeError, from_reason
@@ -63,6 +63,7 @@ class MachineCommands:
             UnknownOutcomeError: sent, but no answer.
             ApiError: the machine refused.
         """
+        command = self._with_age(command)
         self._record_intent(command, actor, throw_id, with_intent)
         try:
             reply = self._link.send(command)
@@ -100,6 +101,13 @@ class MachineCommands:
                 {"machine_state": reply.state, "epoch_count": reply.epoch_count},
             )
         return reply
+
+    def _with_age(self, command: Command) -> Command:
+        """The command with the machine's time that was last seen: the machine refuses one that got old."""
+        if isinstance(command, StopRequest) or command.seen_t_mono_ns is not None:
+            return command
+        seen_ns = self._registry.seen_t_mono_ns(command.machine_id)
+        return command.model_copy(update={"seen_t_mono_ns": seen_ns})
 
     def lost_text(self, machine_id: str) -> str:
         """Since when a machine is lost, and what to do."""

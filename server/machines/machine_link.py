@@ -24,6 +24,7 @@ from machine.messages import (
     EventBatch,
     OperatorHeartbeat,
     StopRequest,
+    command_json,
 )
 from server.machines.incoming import (
     IncomingError,
@@ -152,7 +153,7 @@ class MachineLink:
         replies = list(
             session.get(
                 machine_key(self._site, command.machine_id, "command"),
-                payload=command.model_dump_json(),
+                payload=command_json(command, self._protocol_version(command.machine_id)),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=COMMAND_TIMEOUT_S,
@@ -166,6 +167,11 @@ class MachineLink:
         self._registry.note_round_trip(command.machine_id, seconds)
         self._metrics.command_round_trip_s.labels(kind=command.kind).observe(seconds)
         return reply
+
+    def _protocol_version(self, machine_id: str) -> int:
+        """Of the machine as it last said; an older one refuses fields that it does not know."""
+        state = self._registry.get(machine_id).state
+        return 1 if state is None else state.protocol_version
 
     def _only_reply(self, command: Command, replies: list[zenoh.Reply]) -> CommandReply:
         answers = [reply.ok for reply in replies if reply.ok is not None]

@@ -30,6 +30,7 @@ from server.schemas.console import (
     CommandView,
     MachineEnrolRequest,
     MachineView,
+    StopClearBody,
     TargetRequest,
     TargetView,
 )
@@ -133,14 +134,19 @@ def clear_stop(
     leases: LeasesDep,
     stops: StopsDep,
     commands: CommandsDep,
+    body: StopClearBody | None = None,
 ) -> CommandView:
-    """Clear a latched stop or fault; needs the privilege, and a new arm afterwards."""
-    registry.get(machine_id)
+    """Clear a latched stop or fault: names the latch, who sees the machine, and why it may move again."""
+    state = registry.get(machine_id).state
+    given = body or StopClearBody()
     request = StopClearRequest(
         command_id=new_id(),
         machine_id=machine_id,
         issuer=session.username,
         epoch_count=leases.epoch(machine_id),
+        latch_id=given.latch_id or (state.latch_id if state else None),
+        sighted_by=given.sighted_by or session.username,
+        reason=given.reason or "cleared in the console",
     )
     with stops.suspended(machine_id):
         return _view(commands.send(request, session.actor))

@@ -236,6 +236,15 @@ class MachineView(View):
     """STOP was pressed and the machine has not confirmed it yet; it is being repeated."""
 
 
+class StopClearBody(BaseModel):
+    """Who sees the machine, and why it may move again; the latch as it was shown."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    latch_id: str | None = Field(default=None, max_length=100)
+    sighted_by: str | None = Field(default=None, max_length=100)
+    reason: str | None = Field(default=None, max_length=500)
+
+
 class CommandView(View):
     """A command that the machine accepted."""
 
