@@ -1,0 +1,264 @@
+"""Each cross-check at its bound, in both directions, and silent on what healthy sensors say."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from machine.spec import load_spec
+from runtime.guard import plausibility
+from runtime.guard.plausibility import Contradiction, initial_guard
+from tests.cases import each
+from tests.runtime.samples import NOW_NS, at_rest
+
+SPEC = load_spec()
+TICK_NS = 10_000_000
+MIDDLE = np.array([0.0, 0.5, 0.0, 0.5])
+
+
+class Guard:
+    """One machine, tick by tick; joints move as they are told, sensors say so unless changed."""
+
+    def __init__(self, count=1):
+        self.memory = initial_guard(count)
+        self.count = count
+        self.now_ns = NOW_NS
+        self.position = np.tile(MIDDLE, (count, 1))
+        self.noise = np.random.default_rng(0)
+        self.bits = np.zeros(count, dtype=np.int64)
+
+    def tick(self, velocity=(0.0, 0.0, 0.0, 0.0), valve=(0.0, 0.0, 0.0, 0.0), *, gap=1, **sample):
+        self.now_ns += gap * TICK_NS
+        speed = np.tile(np.asarray(velocity, dtype=float), (self.count, 1))
+        self.position = self.position + speed * 0.01 * gap
+        given = at_rest(
+            self.count,
+            self.now_ns,
+            joint_position_rad_m=self.position + self.noise.normal(0.0, 1e-4, (self.count, 4)),
+            joint_velocity_rad_m_per_s=speed,
+            imu_t_mono_ns=np.full(self.count, self.now_ns),
+            imu_gyro_rad_per_s=self.noise.normal(0.0, 1e-3, (self.count, 3)),
+        )
+        given = replace(given, **sample)
+        valves = np.tile(np.asarray(valve, dtype=float), (self.count, 1))
+        self.memory, self.bits = plausibility.check(SPEC, self.memory, given, valves, self.now_ns)
+        return int(self.bits[0])
+
+    def ticks_until(self, bit, limit=200, **tick):
+        for number in range(1, limit + 1):
+            if self.tick(**tick) & int(bit):
+                return number
+        return None
+
+
+def rest(guard, count=5):
+    for _ in range(count):
+        assert guard.tick() == 0
+
+
+def expected(guard, joint, valve, ticks=300):
+    """The speed that the guard expects of a valve in the end."""
+    probe = Guard()
+    probe.position = guard.position.copy()
+    values = np.zeros(4)
+    values[joint] = valve
+    for _ in range(ticks):
+        probe.tick(valve=values, velocity=np.zeros(4))
+    return probe.memory.expected[0, joint]
+
+
+def test_a_machine_at_rest_contradicts_nothing():
+    guard = Guard(3)
+    for _ in range(500):
+        assert guard.tick() == 0
+        assert not guard.bits.any()
+
+
+@each("joint", range(4))
+def test_a_jump_of_an_encoder_is_seen_in_its_first_tick(joint):
+    for size in (0.03, -0.03, 0.5, np.pi / 2):
+        guard = Guard()
+        rest(guard)
+        guard.position[0, joint] += size
+        assert guard.tick() == Contradiction.JUMP
+    guard = Guard()
+    rest(guard)
+    guard.position[0, joint] += 0.02
+    assert guard.tick() == 0
+
+
+@each("joint", range(4))
+def test_positions_that_stand_while_the_velocity_goes_on(joint):
+    for speed in (0.2, -0.2):
+        guard = Guard()
+        rest(guard)
+        velocity = np.zeros(4)
+        velocity[joint] = speed
+        moving = guard.position.copy()
+        ticks = 0
+        while not guard.tick(velocity, joint_position_rad_m=moving + 1e-4 * ticks) & 1:
+            ticks += 1
+        assert 11 <= ticks <= 15  # 0.025 rad at 0.2 rad/s
+
+
+def test_frozen_values_under_fresh_stamps():
+    guard = Guard()
+    rest(guard)
+    frozen = {
+        "joint_position_rad_m": guard.position.copy(),
+        "joint_velocity_rad_m_per_s": np.array([[0.0, 0.031, 0.0, 0.0]]),
+    }
+    number = guard.ticks_until(Contradiction.FROZEN, **frozen)
+    assert number == 6  # the first sample differs from the one before, then 50 ms
+    # Below the noise of the velocity nothing moves: a machine that stands may repeat itself.
+    guard = Guard()
+    still = frozen | {"joint_velocity_rad_m_per_s": np.array([[0.0, 0.03, 0.0, 0.0]])}
+    for _ in range(60):
+        assert not guard.tick(**still) & Contradiction.FROZEN
+
+
+@each("joint, limit", [(0, 21), (1, 14), (2, 14), (3, 14)])
+def test_frozen_values_while_a_valve_is_open(joint, limit):
+    guard = Guard()
+    rest(guard)
+    frozen = {
+        "joint_position_rad_m": guard.position.copy(),
+        "joint_velocity_rad_m_per_s": np.zeros((1, 4)),
+    }
+    for _ in range(30):
+        assert guard.tick(**frozen) == 0
+    valve = np.zeros(4)
+    valve[joint] = 0.13
+    assert guard.ticks_until(Contradiction.FROZEN, valve=valve, **frozen) == limit
+    guard = Guard()
+    valve[joint] = 0.12
+    assert guard.ticks_until(Contradiction.FROZEN, limit=30, valve=valve, **frozen) is None
+
+
+@each("joint, sign", [(j, s) for j in range(4) for s in (1, -1)])
+def test_a_joint_that_moves_by_itself(joint, sign):
+    guard = Guard()
+    rest(guard)
+    velocity = np.zeros(4)
+    velocity[joint] = sign * 0.4
+    limit = plausibility.FOLLOWING_LIMIT_RAD_M[0, joint]
+    number = guard.ticks_until(Contradiction.FOLLOWING, velocity=velocity)
+    assert 0.01 * number * 0.4 < 1.6 * limit + 0.01 < 0.15
+
+
+@each("joint, sign", [(j, s) for j in range(4) for s in (1, -1)])
+def test_a_joint_that_does_not_follow(joint, sign):
+    guard = Guard()
+    rest(guard)
+    valve = np.zeros(4)
+    valve[joint] = sign * 0.8
+    speed = np.zeros(4)
+    number = guard.ticks_until(Contradiction.FOLLOWING, valve=valve, velocity=speed)
+    assert number is not None and number < 60
+
+
+@each("joint, sign", [(j, s) for j in range(4) for s in (1, -1)])
+def test_a_joint_that_follows_its_valve_is_fine(joint, sign):
+    guard = Guard()
+    valve = np.zeros(4)
+    for tick in range(300):
+        valve[joint] = sign * 0.7 * np.sin(0.03 * tick)
+        velocity = np.zeros(4)
+        velocity[joint] = guard.memory.expected[0, joint]
+        assert guard.tick(velocity=velocity, valve=valve) == 0
+
+
+def test_the_expected_speed_is_the_speed_limit_at_a_full_valve():
+    guard = Guard()
+    limits = SPEC.limits
+    for joint in range(4):
+        assert np.isclose(
+            expected(guard, joint, 1.0), limits.speed_positive_rad_m_per_s[joint], rtol=0.01
+        )
+        assert np.isclose(
+            expected(guard, joint, -1.0), -limits.speed_negative_rad_m_per_s[joint], rtol=0.01
+        )
+        assert expected(guard, joint, 0.04) == 0.0
+
+
+def test_the_cylinder_s_moment_arm_is_that_of_the_machine():
+    from machine.kinematics import cylinder_arm_m
+
+    for cylinder in (SPEC.hydraulics.boom_cylinder, SPEC.hydraulics.dipper_cylinder):
+        angle = np.linspace(-1.0, 1.0, 50)
+        found = plausibility.moment_arm_m(cylinder, angle)
+        assert np.allclose(found, np.abs(cylinder_arm_m(cylinder, angle)))
+
+
+def test_an_imu_that_repeats_itself():
+    moving = {"velocity": (0.0, 0.11, 0.0, 0.0)}
+    gyro = np.array([[0.1, 0.2, 0.3]])
+
+    def run(ticks, **tick):
+        guard = Guard()
+        found = 0
+        for _ in range(ticks):
+            guard.memory = guard.memory._replace(following=np.zeros((1, 4)))
+            found |= guard.tick(imu_gyro_rad_per_s=gyro, **tick)
+        return found
+
+    assert run(8, **moving) == 0
+    assert run(9, **moving) == Contradiction.IMU
+    assert run(40) == 0
+    assert run(40, velocity=(0.0, 0.1, 0.0, 0.0)) == 0
+
+
+def test_time_that_goes_back():
+    guard = Guard()
+    rest(guard)
+    assert guard.tick(t_mono_ns=guard.now_ns - 30_000_000) == Contradiction.CLOCK
+    guard = Guard()
+    rest(guard)
+    assert guard.tick(imu_t_mono_ns=np.array([guard.now_ns - 1])) == Contradiction.IMU
+    guard = Guard()
+    rest(guard)
+    assert guard.tick(imu_t_mono_ns=np.array([0])) == 0  # never heard of, not gone back
+
+
+def test_repeated_stamps_are_no_new_samples():
+    guard = Guard()
+    rest(guard)
+    old_ns = guard.now_ns
+    for _ in range(4):
+        far = guard.position + 1.0
+        assert guard.tick(t_mono_ns=old_ns, joint_position_rad_m=far) == 0
+    assert guard.tick() == 0
+
+
+def test_a_gap_begins_anew():
+    guard = Guard()
+    rest(guard)
+    guard.position += 1.0
+    assert guard.tick(gap=4) == 0
+    assert guard.tick() == 0
+    guard.position += 1.0
+    assert guard.tick(gap=3) & Contradiction.JUMP
+    # A second call within the same tick changes nothing and contradicts nothing.
+    guard.now_ns -= TICK_NS
+    assert guard.tick() == 0
+
+
+def test_numbers_that_are_none_leave_the_memory_clean():
+    guard = Guard()
+    rest(guard)
+    for bad in (np.nan, np.inf, -1e300):
+        position = guard.position.copy()
+        position[0, 1] = bad
+        guard.tick(joint_position_rad_m=position, valve=(np.nan, 5.0, -7.0, 0.0))
+        for values in guard.memory:
+            assert np.isfinite(np.asarray(values, dtype=float)).all()
+    fresh = Guard()
+    fresh.tick(joint_position_rad_m=np.full((1, 4), np.nan))
+    assert np.isfinite(fresh.memory.position).all()
+
+
+def test_machines_of_a_batch_do_not_see_each_other():
+    guard = Guard(3)
+    rest(guard)
+    guard.position[1, 2] += 0.5
+    guard.tick()
+    assert guard.bits.tolist() == [0, 1, 0]
