@@ -239,7 +239,6 @@ class LinkProcess:
         interrupted = self._journal.begin_boot(state.boot_id, draft)
         for throw_id in interrupted:
             logger.warning("throw %s was interrupted by a restart", throw_id)
-        self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
         self._report_latches()
         if not has_memory:
             memory = self._journal.memory()
@@ -250,6 +249,8 @@ class LinkProcess:
                 "latch": None if latch is None else asdict(latch),
             }
             self._send(Kind.JOURNAL, answer)
+        # Last: to recover broken-off logs takes a while.
+        self._records.resume(body["log"], is_open=bool(body["is_log_open"]))
         self._hello = None
         self._sender.wake()
 

@@ -4,6 +4,7 @@ One SQLite file in WAL mode with synchronous=FULL: what a method has returned fr
 Motion commands are never stored here. Methods may be called from any thread.
 """
 
+import re
 import sqlite3
 import threading
 from collections.abc import Generator
@@ -79,7 +80,7 @@ def set_damaged_aside(path: Path) -> str:
     damage = _damage(path)
     if not damage:
         return ""
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
+    stamp = re.sub(r"[^0-9T]", "", utc_now().partition(".")[0])
     kept = path.with_name(f"{path.name}.damaged-{stamp}")
     try:
         for suffix in ("", "-wal", "-shm"):
