@@ -495,7 +495,7 @@ export interface paths {
         put?: never;
         /**
          * Clear Stop
-         * @description Clear a latched stop or fault; needs the privilege, and a new arm afterwards.
+         * @description Clear a latched stop or fault: names the latch, who sees the machine, and why it may move again.
          */
         post: operations["clear_stop"];
         delete?: never;
@@ -1675,6 +1675,16 @@ export interface components {
                 number
             ];
             /**
+             * Latch Id
+             * @default
+             */
+            latch_id: string;
+            /**
+             * Latched Reason
+             * @default
+             */
+            latched_reason: string;
+            /**
              * Late Tick Ratio
              * @default 0
              */
@@ -1700,6 +1710,11 @@ export interface components {
             policy_sha256: {
                 [key: string]: string;
             };
+            /**
+             * Protocol Version
+             * @default 1
+             */
+            protocol_version: number;
             /**
              * Recorder Dropped Count
              * @default 0
@@ -2299,6 +2314,18 @@ export interface components {
             /** Share Ratio */
             share_ratio: number;
             stage: components["schemas"]["Stage"];
+        };
+        /**
+         * StopClearBody
+         * @description Who sees the machine, and why it may move again; the latch as it was shown.
+         */
+        StopClearBody: {
+            /** Latch Id */
+            latch_id?: string | null;
+            /** Reason */
+            reason?: string | null;
+            /** Sighted By */
+            sighted_by?: string | null;
         };
         /**
          * StopView
@@ -5840,7 +5867,11 @@ export interface operations {
             };
             cookie?: never;
         };
-        requestBody?: never;
+        requestBody?: {
+            content: {
+                "application/json": components["schemas"]["StopClearBody"] | null;
+            };
+        };
         responses: {
             /** @description Successful Response */
             200: {
