@@ -121,14 +121,20 @@ class CommandInbox:
         pending.slot.answer(reply.model_dump_json().encode())
 
     def give_up(self, age_s: float = 0.0) -> None:
-        """Leave commands unanswered that have waited for this long: the control process will not answer."""
+        """Leave commands unanswered that have waited for this long: the control process will not answer.
+
+        A STOP is answered without it.
+        """
         now_s = time.monotonic()
         with self._lock:
             old = {n: p for n, p in self._pending.items() if now_s - p.since_s >= age_s}
             for request in old:
                 del self._pending[request]
         for pending in old.values():
-            pending.slot.give_up()
+            if isinstance(pending.command, StopRequest):
+                self._stops.submit(self._answer_stop, pending.command, pending.slot)
+            else:
+                pending.slot.give_up()
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:

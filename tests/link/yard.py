@@ -21,6 +21,7 @@ from machine.messages import (
     ArmRequest,
     Command,
     CommandReply,
+    DisarmRequest,
     EventAck,
     EventBatch,
     FireRequest,
@@ -193,7 +194,12 @@ class Server:
     def arm(self, plan: ThrowPlan, epoch: int) -> str:
         """Lease, load, arm; returns the nonce."""
         assert self.order(LeaseNotice, epoch_count=epoch).accepted
-        assert self.order(LoadRequest, epoch_count=epoch, **self.seen()).accepted
+        wait_for(
+            lambda: (
+                (reply := self.order(LoadRequest, epoch_count=epoch, **self.seen()))
+                and reply.accepted
+            )
+        )
         wait_for(lambda: self.state.payload_held)
 
         def try_to_arm() -> str | None:
@@ -376,9 +382,19 @@ class Yard:
         return self.server.fire_command(self.plan, nonce, throw_id, self.epoch)
 
     def fire(self) -> str:
-        """Arm, fire, hold; returns the throw's id."""
-        nonce, throw_id = self.arm(), self.new_throw_id()
-        assert self.server.send(self.fire_command(nonce, throw_id)).accepted
+        """Arm, fire, hold; returns the throw's id. On a busy computer a fire may get too old on its way."""
+
+        def try_to_fire() -> str | None:
+            nonce, throw_id = self.arm(), self.new_throw_id()
+            reply = self.server.send(self.fire_command(nonce, throw_id))
+            if reply is not None and reply.accepted:
+                return throw_id
+            assert reply is None or reply.reason in ("nonce_expired", "not_armed"), reply
+            self.server.order(DisarmRequest, epoch_count=self.epoch)
+            self.server.wait_state(ThrowState.DISARMED)
+            return None
+
+        throw_id = wait_for(try_to_fire)
         self.server.hold_button(throw_id, self.epoch)
         return throw_id
 

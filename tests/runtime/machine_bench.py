@@ -30,12 +30,13 @@ def make(kind: type[Any], **fields: Any) -> Any:
 
 
 class Bench:
-    def __init__(self, policies: Path, driver: Any = None) -> None:
+    def __init__(self, policies: Path, driver: Any = None, *, is_known: bool = True) -> None:
         self.driver = FakeDriver() if driver is None else driver
         self.runners = {mode: PolicyRunner(find_policy(policies, mode), SPEC) for mode in Mode}
         fixed = MachineSetup("m001", "boot", SPEC, nominal_calibration(SPEC), self.runners, "test")
         self.control = MachineControl(self.driver, fixed)
-        self.control.remember(0, (), None)
+        if is_known:
+            self.control.remember(0, (), None)
         self.reports: list[TickReport] = []
         self._start_ns = self.driver.now_ns()
         self._period = 0

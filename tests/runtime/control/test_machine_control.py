@@ -6,7 +6,7 @@ import pytest
 from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.messages import FireRequest, LeaseNotice, StopRequest, ThrowState
-from runtime.throw.protocol import LinkLost
+from runtime.throw.protocol import Latch, LinkLost
 from tests.runtime.fake_driver import IMPACT_M
 from tests.runtime.machine_bench import Bench, make
 
@@ -168,3 +168,64 @@ def test_close_shuts_the_valves(bench: Bench):
     bench.control.close()
     assert bench.driver.is_closed
     assert not bench.driver.commands[-1].valve_ratio.any()
+
+
+def test_a_machine_that_remembers_nothing_is_stopped(quick_policies):
+    bench = Bench(quick_policies, is_known=False)
+    bench.ticks(20)
+    assert bench.control.throw.state is ThrowState.STOPPED
+    state = bench.control.machine_state()
+    assert state.stop_latched and state.latch_id == "boot.0"
+    assert "not been read" in state.latched_reason
+    # A stop that comes before the records is newer than what they say.
+    assert bench.ask(make(StopRequest)).latch_id == "boot.1"
+    bench.control.remember(4, (), None)
+    assert bench.control.throw.state is ThrowState.STOPPED
+    assert bench.control.throw.epoch_count == 4
+
+
+def test_a_latch_of_an_earlier_process_is_taken_over(quick_policies):
+    bench = Bench(quick_policies, is_known=False)
+    bench.control.remember(4, (), Latch("old.3", ThrowState.FAULT, "a hose burst"))
+    bench.ticks(5)
+    state = bench.control.machine_state()
+    assert (state.state, state.latch_id, state.fault) == (
+        ThrowState.FAULT,
+        "old.3",
+        "a hose burst",
+    )
+
+
+def test_a_release_that_would_land_elsewhere_ends_the_throw_with_the_load_held(bench):
+    near = bench.plan().model_copy(update={"allowed_radius_m": 0.5})
+    bench.plan = lambda mode=Mode.PLANAR: near
+    nonce = bench.arm()
+    assert bench.ask(bench.fire_command(nonce)).accepted
+    bench.hold_until("throw_ended")
+    assert "release_commanded" not in bench.kinds
+    (aborted,) = [event for event in bench.events if event.kind == "aborted"]
+    assert "outside the plan's region" in aborted.data["reason"]
+    assert not any(command.gripper_open.any() for command in bench.driver.commands)
+
+
+def test_a_joint_moved_from_outside_latches_a_fault(bench):
+    nonce = bench.arm()
+    assert bench.ask(bench.fire_command(nonce)).accepted
+    bench.hold_until("throw_started")
+    bench.driver._q[1] += 0.3
+    bench.hold_until("fault")
+    assert "contradicts its velocity" in bench.control.throw.latched_reason
+    assert not bench.driver.commands[-1].valve_ratio.any()
+    assert not bench.driver.commands[-1].supply_enabled.any()
+
+
+def test_a_log_context_before_any_plan(bench):
+    context = bench.control.log_context()
+    assert context["throw_id"] is None and "plan" not in context
+
+
+def test_commands_carry_a_counter_that_goes_on(bench):
+    bench.ticks(5)
+    counts = [command.alive_count for command in bench.driver.commands]
+    assert counts == list(range(5))
+    assert all(command.supply_enabled.all() for command in bench.driver.commands)

@@ -203,3 +203,11 @@ def test_stop_is_answered_without_the_control_process(inbox):
     reply = inbox.take(make(StopRequest)).reply()
     assert (reply.accepted, reply.state, reply.latch_id) == (True, ThrowState.STOPPED, "link-1")
     inbox.inbox.take_repeated_stop(make(StopRequest))
+
+
+def test_stop_that_waited_for_a_control_process_that_died_is_answered(inbox):
+    slot = inbox.take(make(StopRequest))
+    inbox.next_sent()
+    inbox.control.is_running = False
+    inbox.inbox.give_up()
+    assert slot.reply().latch_id == "link-1"
