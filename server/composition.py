@@ -236,7 +236,6 @@ def assemble(
     leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
     ingest.on_throw_end.append(holds.end)
     stops.on_stop.append(throw_service.forget)
-
     accounts.on_session_end(leases.end_session)
     for part in (hub, targets, replays):
         accounts.on_session_end(lambda session, part=part: part.end_session(session.session_id))
