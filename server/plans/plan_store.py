@@ -1,7 +1,7 @@
 """Stored plans; those whose preview runs are in memory too. A plan is frozen when it is armed.
 
-The hash of a plan binds what the operator saw to what the machine runs: any version that was shown may be
-frozen, no other.
+The hash of a plan binds what the operator saw to what the machine runs: once its preview is complete, any
+version that was shown may be frozen, no other.
 """
 
 import threading
@@ -126,7 +126,8 @@ class PlanStore:
         """The message to arm with; store it by `store_frozen` in the transaction of the intent.
 
         Raises:
-            ApiError: refused, expired or fired plan, another hash than any shown, or a moved machine.
+            ApiError: refused, incomplete, expired or fired plan, another hash than any shown, or a moved
+                machine.
         """
         row = self.row(plan_id)
         self._check_usable(row, state)
@@ -174,6 +175,12 @@ class PlanStore:
         if row.state == PlanState.FAILED.value:
             raise from_reason(
                 RejectReason.PREVIEW_REFUSED, "The preview of this plan failed. Preview again."
+            )
+        if not row.is_complete:
+            raise from_reason(
+                RejectReason.PREVIEW_REFUSED,
+                "The preview of this plan is not complete: the spread of its landings has not been "
+                "checked yet. Wait for it, or preview again.",
             )
         if is_expired(row):
             raise from_reason(

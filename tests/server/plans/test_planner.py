@@ -146,10 +146,16 @@ def test_an_expired_plan_cannot_be_armed(running, machine, ada):
     assert (reply.status_code, reply.json()["error"]["code"]) == (409, "plan_expired")
 
 
-def test_a_newer_preview_stops_the_older_one(machine, ada):
+def test_an_incomplete_plan_cannot_be_armed_and_a_newer_preview_stops_it(machine, ada):
+    ada.post("/machines/m001/lease")
     older = create(ada, rollout_count=1000)
-    newer = finished(ada, create(ada))
     path = f"/plans/{older['plan_id']}"
+    # It has a hash, but the spread of its landings is not checked.
+    assert older["plan_hash"]
+    early = ada.post(f"{path}/arm", json={"plan_hash": older["plan_hash"]})
+    assert (early.status_code, early.json()["error"]["code"]) == (409, "preview_refused")
+    assert "not complete" in early.json()["error"]["message"]
+    newer = finished(ada, create(ada))
     wait_for(lambda: ada.get(path).json()["state"] in ("failed", "previewing"))
     assert not ada.get(path).json()["is_complete"]
     assert newer["state"] == "ready"
