@@ -1,9 +1,23 @@
 """The table of effects: everything that anyone needs to know of each, in one place.
 
 An effect is a deviation of one machine from its twin profile; its value 0 is no effect.
-To add an effect, add a row here and its physics in valve_effects.py, body_effects.py, load_effects.py or
-sensor_effects.py beside this file, or in sim_twin/twin/base_pose.py.
-The virtual machine reads the same rows and has separate physics in sim_twin/faults.
+
+To add an effect:
+
+1. A row here. schema.py explains the columns.
+2. Its physics in the twin: valve_effects.py, body_effects.py, load_effects.py or sensor_effects.py beside
+   this file, or sim_twin/twin/base_pose.py. A test in tests/sim_twin/effects.
+3. Its physics in the virtual machine, independent of the twin's: sim_twin/faults. It reads the same row, so a
+   fault of the virtual machine has the name, joints and parameters of the effect that it realises. A test in
+   tests/sim_twin/faults; one there fails for a row without physics.
+4. What it is easily taken for: rows in pairs.py.
+5. Where a record of one stage shows it: an option in diagnosis/single_stage (joint_response.py,
+   swing_problem.py or flight_problem.py).
+6. The data that lists all parameters: ``python -m diagnosis.population.estimation FOLDER...`` writes
+   diagnosis/healthy/noise.json, ``python -m challenge.limit_measurement`` writes
+   challenge/detection_limits.json.
+7. ``make tables`` writes docs/effects.md. Special meanings, and the order of effects on a drive
+   (docs/plants.md), are written by hand.
 
 This module only describes: it imports no physics.
 """

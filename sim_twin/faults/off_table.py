@@ -1,6 +1,7 @@
-"""All faults of the virtual machine: the effects of the table, and faults that the table does not have.
+"""All faults of the virtual machine: one for each effect of the table, and some that the table does not have.
 
-A diagnosis names the first (`TABLE_FAULTS`) and must call the second (`OFF_TABLE_FAULTS`) unknown.
+A fault of the first kind (`TABLE_FAULTS`) realises the effect of the same name, by physics independent of the
+twin's; a diagnosis names it. Those of the second kind (`OFF_TABLE_FAULTS`) it must call unknown.
 """
 
 from collections.abc import Mapping
