@@ -52,34 +52,34 @@ class TargetProposals:
         self._policies = policies
         self._hub = hub
         self._lock = threading.Lock()
-        self._outlooks: dict[str, ViewContext] = {}
+        self._contexts: dict[str, ViewContext] = {}
 
-    def _outlook(self, session_id: str) -> ViewContext:
+    def _context(self, session_id: str) -> ViewContext:
         with self._lock:
-            return self._outlooks.setdefault(session_id, ViewContext())
+            return self._contexts.setdefault(session_id, ViewContext())
 
     def target_of(self, session_id: str, machine_id: str) -> TargetView | None:
         """The proposed target of a session for a machine."""
-        target = self._outlook(session_id).targets.get(machine_id)
+        target = self._context(session_id).targets.get(machine_id)
         return None if target is None else TargetView.of(target)
 
     def propose(
         self, session_id: str, machine_id: str, target: Target, mode: Mode | None, source: Source
     ) -> TargetView:
         """Set a session's target and show it."""
-        outlook = self._outlook(session_id)
-        outlook.targets[machine_id] = target
-        outlook.mode = mode or outlook.mode
-        if source == "fields" and outlook.machine_id == machine_id:
+        context = self._context(session_id)
+        context.targets[machine_id] = target
+        context.mode = mode or context.mode
+        if source == "fields" and context.machine_id == machine_id:
             self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
         self._draw_reach(session_id)
         view = TargetView.of(target)
-        self._tell(session_id, machine_id, view, source, self._refusal(target, outlook.mode))
+        self._tell(session_id, machine_id, view, source, self._refusal(target, context.mode))
         return view
 
     def remove(self, session_id: str, machine_id: str) -> None:
         """Remove a session's target and its preview."""
-        self._outlook(session_id).targets.pop(machine_id, None)
+        self._context(session_id).targets.pop(machine_id, None)
         self._scene.set_target(session_id, None)
         self._scene.clear_plan(session_id)
         self._draw_reach(session_id)
@@ -87,28 +87,28 @@ class TargetProposals:
 
     def take_pick(self, session_id: str, point_m: tuple[float, float, float]) -> None:
         """A click in the 3D view."""
-        outlook = self._outlook(session_id)
-        if outlook.machine_id is None:
+        context = self._context(session_id)
+        if context.machine_id is None:
             return
         target = Target(x_m=point_m[0], y_m=point_m[1], z_m=point_m[2])
-        self.propose(session_id, outlook.machine_id, target, None, "pick")
+        self.propose(session_id, context.machine_id, target, None, "pick")
 
     def take_refused_pick(self, session_id: str, error: PickRefusedError) -> None:
         """A click that gave no target."""
-        outlook = self._outlook(session_id)
-        if outlook.machine_id is not None:
-            self._tell(session_id, outlook.machine_id, None, "pick", str(error))
+        context = self._context(session_id)
+        if context.machine_id is not None:
+            self._tell(session_id, context.machine_id, None, "pick", str(error))
 
     def set_view(self, session_id: str, request: ViewRequest) -> None:
         """Change what a session's 3D view shows."""
-        outlook = self._outlook(session_id)
+        context = self._context(session_id)
         if request.machine_id is not None:
-            outlook.machine_id = request.machine_id
+            context.machine_id = request.machine_id
             self._scene.show_machine(session_id, request.machine_id)
             self._impacts.watch(session_id, request.machine_id)
             self._scene.set_site(session_id, self._sites.objects(request.machine_id))
         if request.mode is not None:
-            outlook.mode = request.mode
+            context.mode = request.mode
         if request.machine_id is not None or request.mode is not None:
             self._draw_reach(session_id)
         if request.theme is not None:
@@ -125,8 +125,8 @@ class TargetProposals:
         with self._lock:
             watching = [
                 session_id
-                for session_id, outlook in self._outlooks.items()
-                if outlook.machine_id == machine_id
+                for session_id, context in self._contexts.items()
+                if context.machine_id == machine_id
             ]
         for session_id in watching:
             self._scene.set_site(session_id, self._sites.objects(machine_id))
@@ -135,14 +135,14 @@ class TargetProposals:
         """Forget a session."""
         self._impacts.end_session(session_id)
         with self._lock:
-            self._outlooks.pop(session_id, None)
+            self._contexts.pop(session_id, None)
 
     def _draw_reach(self, session_id: str) -> None:
         """Draw the rings where mode, policies or the height of the session's target have changed."""
-        outlook = self._outlook(session_id)
-        reach = self._reach(outlook.mode, outlook.targets.get(outlook.machine_id or ""))
-        if reach != outlook.reach:
-            outlook.reach = reach
+        context = self._context(session_id)
+        reach = self._reach(context.mode, context.targets.get(context.machine_id or ""))
+        if reach != context.reach:
+            context.reach = reach
             self._scene.set_reach(session_id, reach)
 
     def _reach(self, mode: Mode | None, target: Target | None) -> Reach:

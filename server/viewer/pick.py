@@ -18,7 +18,7 @@ from machine.site.solids import Solids, touch_share
 Point = tuple[float, float, float]
 
 MIN_GRAZING_RAD = math.radians(5.0)
-"""Below this angle one pixel covers metres of ground (design C2)."""
+"""Below this angle one pixel covers metres of ground."""
 MAX_PICK_RANGE_M = 60.0
 """Bound of machine.messages.Target."""
 MARCH_STEP_M = 0.02

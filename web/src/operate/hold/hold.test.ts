@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import {
+  type Action,
   buttonWords,
-  type Effect,
   type Hold,
   type HoldEvent,
   IDLE,
@@ -9,16 +9,16 @@ import {
   reduce,
 } from "./hold";
 
-/** Feed events; collect all effects in order. */
-function play(events: HoldEvent[], from: Hold = IDLE): { state: Hold; effects: Effect[] } {
-  const effects: Effect[] = [];
+/** Feed events; collect all actions in order. */
+function play(events: HoldEvent[], from: Hold = IDLE): { state: Hold; actions: Action[] } {
+  const actions: Action[] = [];
   let state = from;
   for (const event of events) {
     const [next, wanted] = reduce(state, event);
     state = next;
-    effects.push(...wanted);
+    actions.push(...wanted);
   }
-  return { state, effects };
+  return { state, actions };
 }
 
 const press: HoldEvent = { kind: "press" };
@@ -38,20 +38,20 @@ const HELD = [press, ring, armed, fired];
 
 describe("a throw that goes well", () => {
   it("arms after the ring, fires, beats, commits, ends", () => {
-    const { state, effects } = play([
+    const { state, actions } = play([
       ...HELD,
       machine("throwing"),
       machine("committed"),
       machine("settling"),
     ]);
-    expect(effects).toEqual(["start_ring", "arm", "fire", "beat", "rest"]);
+    expect(actions).toEqual(["start_ring", "arm", "fire", "beat", "rest"]);
     expect(state).toEqual(IDLE);
   });
 
   it("ignores a second press while one runs (key repeat, second finger)", () => {
     for (const count of [1, 2, 3, 4]) {
-      const { effects } = play([...HELD.slice(0, count), press, press]);
-      expect(effects.filter((effect) => effect === "start_ring")).toHaveLength(1);
+      const { actions } = play([...HELD.slice(0, count), press, press]);
+      expect(actions.filter((action) => action === "start_ring")).toHaveLength(1);
     }
   });
 
@@ -63,32 +63,32 @@ describe("a throw that goes well", () => {
 
 describe("letting go", () => {
   it("in the ring sends nothing at all", () => {
-    const { state, effects } = play([press, letGo, ring]);
-    expect(effects).toEqual(["start_ring", "stop_ring"]);
+    const { state, actions } = play([press, letGo, ring]);
+    expect(actions).toEqual(["start_ring", "stop_ring"]);
     expect(state.phase).toBe("idle");
   });
 
   it("while arming disarms when the answer comes, and never fires", () => {
-    const { state, effects } = play([press, ring, letGo, armed]);
-    expect(effects).toEqual(["start_ring", "arm", "disarm"]);
+    const { state, actions } = play([press, ring, letGo, armed]);
+    expect(actions).toEqual(["start_ring", "arm", "disarm"]);
     expect(state.phase).toBe("idle");
   });
 
   it("while firing aborts, and aborts again once the throw has a name", () => {
-    const { effects } = play([press, ring, armed, letGo, fired]);
-    expect(effects).toEqual(["start_ring", "arm", "fire", "abort", "rest", "abort"]);
+    const { actions } = play([press, ring, armed, letGo, fired]);
+    expect(actions).toEqual(["start_ring", "arm", "fire", "abort", "rest", "abort"]);
   });
 
   it("before the commit point stops the signal and aborts", () => {
-    const { state, effects } = play([...HELD, letGo]);
-    expect(effects.slice(-2)).toEqual(["rest", "abort"]);
+    const { state, actions } = play([...HELD, letGo]);
+    expect(actions.slice(-2)).toEqual(["rest", "abort"]);
     expect(state.phase).toBe("letting_go");
   });
 
   it("after it only stops the signal, and the state says that it goes on", () => {
-    const { state, effects } = play([...HELD, machine("committed"), letGo]);
-    expect(effects.at(-1)).toBe("rest");
-    expect(effects).not.toContain("abort");
+    const { state, actions } = play([...HELD, machine("committed"), letGo]);
+    expect(actions.at(-1)).toBe("rest");
+    expect(actions).not.toContain("abort");
     expect(state).toMatchObject({ phase: "committed", isPressed: false });
     expect(buttonWords(state)).toMatch(/no longer stops/);
   });
@@ -99,42 +99,42 @@ describe("letting go", () => {
   });
 
   it.each(["blur", "hidden", "cancelled", "disabled"] as const)("by %s is letting go", (cause) => {
-    const { state, effects } = play([...HELD, { kind: "release", cause }]);
-    expect(effects.slice(-2)).toEqual(["rest", "abort"]);
+    const { state, actions } = play([...HELD, { kind: "release", cause }]);
+    expect(actions.slice(-2)).toEqual(["rest", "abort"]);
     const end = play([machine("settling")], state).state;
     expect(end).toMatchObject({ phase: "idle" });
     expect((end as { note: string }).note).toMatch(/aborted/);
   });
 
   it("twice is letting go once", () => {
-    const { effects } = play([...HELD, letGo, letGo, { kind: "release", cause: "blur" }]);
-    expect(effects.filter((effect) => effect === "abort")).toHaveLength(1);
+    const { actions } = play([...HELD, letGo, letGo, { kind: "release", cause: "blur" }]);
+    expect(actions.filter((action) => action === "abort")).toHaveLength(1);
   });
 });
 
 describe("what can fail", () => {
   it("shows a refusal to arm and sends nothing more", () => {
-    const { state, effects } = play([press, ring, { kind: "failed", text: "Load first." }]);
+    const { state, actions } = play([press, ring, { kind: "failed", text: "Load first." }]);
     expect(state).toEqual({ phase: "idle", note: "Load first." });
-    expect(effects).toEqual(["start_ring", "arm"]);
+    expect(actions).toEqual(["start_ring", "arm"]);
   });
 
   it("aborts after a fire whose answer was lost", () => {
-    const { effects } = play([press, ring, armed, { kind: "failed", text: "Unknown." }]);
-    expect(effects.slice(-2)).toEqual(["rest", "abort"]);
+    const { actions } = play([press, ring, armed, { kind: "failed", text: "Unknown." }]);
+    expect(actions.slice(-2)).toEqual(["rest", "abort"]);
   });
 
   it("lets go when the hold signal breaks", () => {
-    const { state, effects } = play([...HELD, { kind: "link_lost" }]);
-    expect(effects.slice(-2)).toEqual(["rest", "abort"]);
+    const { state, actions } = play([...HELD, { kind: "link_lost" }]);
+    expect(actions.slice(-2)).toEqual(["rest", "abort"]);
     expect(state).toMatchObject({ phase: "idle" });
   });
 
   it("ends at once on STOP, in every phase after arming", () => {
     for (const events of [HELD, [...HELD, letGo], [...HELD, machine("committed")]]) {
-      const { state, effects } = play([...events, machine("stopped")]);
+      const { state, actions } = play([...events, machine("stopped")]);
       expect(state).toEqual({ phase: "idle", note: "STOP is latched." });
-      expect(effects.at(-1)).toBe("rest");
+      expect(actions.at(-1)).toBe("rest");
     }
   });
 
@@ -160,9 +160,9 @@ describe("every short history", () => {
     const walk = (state: Hold, isHeld: boolean, depth: number): void => {
       if (depth === 0) return;
       for (const event of all) {
-        const [next, effects] = reduce(state, event);
+        const [next, actions] = reduce(state, event);
         const held = event.kind === "press" || (isHeld && event.kind !== "release");
-        if (effects.includes("fire") || effects.includes("beat")) expect(held).toBe(true);
+        if (actions.includes("fire") || actions.includes("beat")) expect(held).toBe(true);
         if (isAbortable(next) && next !== state) expect(held).toBe(true);
         walk(next, held, depth - 1);
       }

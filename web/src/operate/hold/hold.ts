@@ -1,5 +1,5 @@
 /**
- * The hold button as a pure state machine: `reduce(state, event) -> [state, effects]`.
+ * The hold button as a pure state machine: `reduce(state, event) -> [state, actions]`.
  *
  * Letting go always wins: whatever is on its way is followed by its undoing. After the commit point
  * letting go changes nothing on the machine, and the state says so.
@@ -32,7 +32,7 @@ export type HoldEvent =
   | { kind: "machine"; phase: MachinePhase; throwId: string | null }
   | { kind: "ended"; throwId: string };
 
-export type Effect =
+export type Action =
   | "start_ring"
   | "stop_ring"
   | "arm"
@@ -52,7 +52,7 @@ const CAUSE_WORDS: Record<ReleaseCause, string> = {
   disabled: "Control was lost: the throw was aborted.",
 };
 
-type Step = [Hold, Effect[]];
+type Step = [Hold, Action[]];
 
 export function reduce(state: Hold, event: HoldEvent): Step {
   switch (event.kind) {
@@ -77,8 +77,8 @@ export function reduce(state: Hold, event: HoldEvent): Step {
   }
 }
 
-function idle(note: string | null, effects: Effect[]): Step {
-  return [{ phase: "idle", note }, effects];
+function idle(note: string | null, actions: Action[]): Step {
+  return [{ phase: "idle", note }, actions];
 }
 
 function letGo(state: Hold, cause: ReleaseCause): Step {

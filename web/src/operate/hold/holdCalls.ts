@@ -3,7 +3,7 @@
 import { api, take } from "../../session/client";
 import type { Plan } from "../../session/live";
 import { errorWords } from "../../words/errors";
-import { ARM_RING_MS, type Effect, type Hold, type HoldEvent } from "./hold";
+import { type Action, ARM_RING_MS, type Hold, type HoldEvent } from "./hold";
 import { holdUrl } from "./holdLink";
 import { HoldPort } from "./holdPort";
 
@@ -23,8 +23,8 @@ export class HoldCalls {
     this.link = new HoldPort(holdUrl(machineId), () => send({ kind: "link_lost" }));
   }
 
-  run(effect: Effect, state: Hold): void {
-    switch (effect) {
+  run(action: Action, state: Hold): void {
+    switch (action) {
       case "stop_ring":
         clearTimeout(this.ring);
         return;
@@ -36,7 +36,7 @@ export class HoldCalls {
         return;
       case "disarm":
       case "abort":
-        void this.undo(effect);
+        void this.undo(action);
         return;
       case "beat":
         if (state.phase === "holding") this.link.beat(state.throwId);

@@ -1,8 +1,8 @@
-/** Runs the hold machine: turns its effects into calls, and what happens into its events. */
+/** Runs the hold machine: turns its actions into calls, and what happens into its events. */
 
 import { useCallback, useEffect, useRef, useState } from "react";
 import type { Machine, Plan, Throw } from "../../session/live";
-import { type Effect, type Hold, type HoldEvent, IDLE, type ReleaseCause, reduce } from "./hold";
+import { type Action, type Hold, type HoldEvent, IDLE, type ReleaseCause, reduce } from "./hold";
 import { HoldCalls } from "./holdCalls";
 
 export type HoldControl = {
@@ -21,24 +21,24 @@ export function useHold(facts: Facts, thrown: Throw | null, onThrow: (id: string
   latest.current = { facts, onThrow };
 
   const send = useCallback((event: HoldEvent) => {
-    const [next, effects] = reduce(state.current, event);
-    if (next === state.current && effects.length === 0) return;
+    const [next, actions] = reduce(state.current, event);
+    if (next === state.current && actions.length === 0) return;
     state.current = next;
     setHold(next);
     if (event.kind === "fired") latest.current.onThrow(event.throwId);
-    for (const effect of effects) run(effect);
+    for (const action of actions) run(action);
     if (next.phase === "idle") {
       calls.current?.close();
       calls.current = null;
     }
 
-    function run(effect: Effect): void {
+    function run(action: Action): void {
       const { machine, plan } = latest.current.facts;
-      if (effect === "start_ring") {
+      if (action === "start_ring") {
         if (machine && plan) calls.current = new HoldCalls(machine.machine_id, plan, send);
         return;
       }
-      calls.current?.run(effect, next);
+      calls.current?.run(action, next);
     }
   }, []);
 
