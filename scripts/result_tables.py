@@ -217,9 +217,9 @@ def pivoted(
 
 
 def source(result: Result, layout: Layout, count: set[int]) -> str:
-    """Where the numbers come from, in one line; commit and host stand in the file."""
+    """Where the numbers come from, in one line; the host stands in the file."""
     facts = [f"n {next(iter(count))}"] if len(count) == 1 and count != {1} else []
-    facts.append(result.date)
+    facts += [f"code {result.commit}", result.date]
     has_interval = any(v.low is not None for row in result.rows for v in row.values.values())
     if has_interval and layout.intervals:
         facts.append(

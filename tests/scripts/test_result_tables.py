@@ -29,7 +29,7 @@ def test_values_are_columns_with_units_digits_and_intervals():
     lines = result_table(result(*SPREAD), read_layout(["where=mode:2d"])).splitlines()
     assert lines[0] == "|target, m|sd, m|"
     assert lines[2:4] == ["|8|0.050 [0.025, 0.100]|", "|9|0.101 [0.051, 0.202]|"]
-    assert "n 10, 2026-01-01, 95 % intervals" in lines[-1]
+    assert "n 10, code abc1234, 2026-01-01, 95 % intervals" in lines[-1]
 
 
 def test_a_label_can_make_the_columns():
