@@ -1,7 +1,7 @@
 """Configurations of a training: task, randomisation, reward and learner.
 
 A task is a function that returns a configuration. The resolved configuration is saved in the policy's card.
-Sources: "paper" is *Dynamic Throwing with Robotic Material Handling Machines*; docs/training.md maps its
+Sources: "paper" is *Dynamic Throwing with Robotic Material Handling Machines*; docs/paper_items.md maps its
 items to symbols.
 """
 
@@ -62,7 +62,7 @@ class ResponseConfig:
 def widened(response: ResponseConfig, factor_ratio: float) -> ResponseConfig:
     """The same response with every range but the first-order lag's stretched about its middle.
 
-    Wider randomisation makes a policy's accuracy more uniform over machines (docs/training.md). No value
+    Wider randomisation makes a policy's accuracy more uniform over machines. No value
     falls below 0.001.
     """
     stretched: dict[str, Four] = {}
