@@ -25,6 +25,7 @@ class FakeDriver:
         self.is_closed = False
         self.imu_is_silent = False
         self.emergency_stop = False
+        self.local_enable = True
         self._spec = load_spec()
         self._tables = nominal_calibration(self._spec).tables
         self._low, self._high = self._spec.position_range_rad_m
@@ -71,7 +72,7 @@ class FakeDriver:
             imu_accel_m_per_s2=np.array([[0.0, 0.0, 9.81]]),
             payload_held=np.array([self._is_held]),
             supply_pressure_pa=np.array([self._spec.hydraulics.supply_pressure_pa]),
-            local_enable=np.array([True]),
+            local_enable=np.array([self.local_enable]),
             emergency_stop=np.array([self.emergency_stop]),
             ball_t_mono_ns=np.array([now_ns if is_flying else 0]),
             ball_position_m=np.array([[7.0, 0.4, 1.0] if is_flying else [np.nan] * 3]),

@@ -208,6 +208,33 @@ def test_a_release_that_would_land_elsewhere_ends_the_throw_with_the_load_held(b
     assert not any(command.gripper_open.any() for command in bench.driver.commands)
 
 
+def test_enable_off_in_the_tick_of_the_release_keeps_the_load_and_the_commit_point_away(
+    quick_policies,
+):
+    def throw(disable_at: int) -> tuple[Bench, int]:
+        """A throw without the enable switch from a tick on; the tick in which the gripper opens, or -1."""
+        bench = Bench(quick_policies)
+        assert bench.ask(bench.fire_command(bench.arm())).accepted
+        for tick in range(3000):
+            bench.driver.local_enable = tick < disable_at
+            bench.tick(bench.beat())
+            if bench.driver.commands[-1].gripper_open.any():
+                return bench, tick
+            if "throw_ended" in bench.kinds:
+                return bench, -1
+        raise AssertionError(bench.kinds)
+
+    bench, release_tick = throw(3000)
+    assert bench.control.throw.state is ThrowState.THROWING
+    bench.tick(bench.beat())
+    assert bench.control.throw.state is ThrowState.COMMITTED
+    bench, tick = throw(release_tick)
+    assert tick == -1
+    assert "release_commanded" not in bench.kinds
+    assert bench.events[-1].data["outcome"] == "aborted"
+    assert "enable switch" in bench.events[-1].data["detail"]
+
+
 def test_a_joint_moved_from_outside_latches_a_fault(bench):
     nonce = bench.arm()
     assert bench.ask(bench.fire_command(nonce)).accepted
