@@ -33,7 +33,7 @@ class ThrowState(StrEnum):
 
 
 class RejectReason(StrEnum):
-    """Why a machine or the server refuses; shared by runtime, server and console."""
+    """Why a machine or the server refuses a command or a plan; shared by runtime, server and console."""
 
     WRONG_MACHINE = "wrong_machine"
     STALE_EPOCH = "stale_epoch"

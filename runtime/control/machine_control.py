@@ -43,7 +43,7 @@ from runtime.throw.facts import with_control
 from runtime.throw.protocol import (
     RUNNING,
     WAITING,
-    Effects,
+    Actions,
     Facts,
     Latch,
     ThrowEvent,
@@ -202,24 +202,24 @@ class MachineControl:
         self, request: int, message: Message, facts: Facts, now_ns: int, report: TickReport
     ) -> None:
         before = self.throw
-        self.throw, effects = update(before, message, facts, now_ns)
-        self._follow(before, effects, request, report)
+        self.throw, actions = update(before, message, facts, now_ns)
+        self._follow(before, actions, request, report)
 
     def _follow(
-        self, before: ThrowMachine, effects: Effects, request: int, report: TickReport
+        self, before: ThrowMachine, actions: Actions, request: int, report: TickReport
     ) -> None:
         if self.throw.nonce != before.nonce:
             self._nonce = secrets.token_hex(16)
         if self.throw.plan is not before.plan:
             self._take_plan()
-        if effects.load:
+        if actions.load:
             self.driver.load()
-        for event in effects.events:
+        for event in actions.events:
             report.events.append(self._tracker.enrich(event, self._tick_count, self._now_ns))
             if event.kind is EventKind.THROW_ACCEPTED:
                 report.log_begins = self.log_context()
-        if effects.reply is not None:
-            report.replies.append((request, effects.reply))
+        if actions.reply is not None:
+            report.replies.append((request, actions.reply))
 
     def _take_plan(self) -> None:
         plan = self.throw.plan

@@ -1,8 +1,8 @@
 """Takes commands from the link to the control process and brings the answers back.
 
-A fire is written down before it is passed on, and nothing is passed on twice. It judges
-no command: what can be read goes to the control process. A command without an answer stays unanswered, and
-the asker sees an unknown outcome; only what was certainly not passed on is refused here.
+A fire is written down before it is passed on, and nothing is passed on twice. It judges no command: what can
+be read goes to the control process. A command without an answer stays unanswered, and the asker sees an
+unknown outcome; only what was certainly not passed on is refused here.
 """
 
 import json

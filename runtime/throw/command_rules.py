@@ -28,8 +28,8 @@ from runtime.throw.protocol import (
     BEFORE_COMMIT,
     LATCHED,
     NONCE_VALID_S,
+    Actions,
     CommandRefusal,
-    Effects,
     Facts,
     ThrowEvent,
     ThrowMachine,
@@ -44,11 +44,11 @@ Answer = tuple[ThrowMachine, CommandRefusal | None, tuple[ThrowEvent, ...]]
 
 def handle_command(
     machine: ThrowMachine, command: Command, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, Effects]:
+) -> tuple[ThrowMachine, Actions]:
     """Execute or refuse one command and answer it; a repeated id gets its first answer."""
     known = _first_answer(machine, command)
     if known is not None:
-        return machine, Effects(reply=_repeat(machine, command, known))
+        return machine, Actions(reply=_repeat(machine, command, known))
     machine, refusal, events = _execute(machine, command, facts, now_ns)
     reply = _reply(machine, command, refusal)
     if refusal is not None:
@@ -64,7 +64,7 @@ def handle_command(
             kept = keep_reply(machine.throw_replies, command.throw_id, reply)
             machine = replace(machine, throw_replies=kept)
     load = isinstance(command, LoadRequest) and refusal is None and not facts.payload_held
-    return machine, Effects(reply=reply, events=events, load=load)
+    return machine, Actions(reply=reply, events=events, load=load)
 
 
 def _first_answer(machine: ThrowMachine, command: Command) -> CommandReply | None:

@@ -18,9 +18,9 @@ from machine.messages import (
 from machine.policy_card import PolicyCard
 
 NONCE_VALID_S = 10.0
-"""How long an armed machine waits for its fire (design: protocol, step 3)."""
+"""How long an armed machine waits for its fire."""
 HEARTBEAT_SILENCE_S = 0.30
-"""Silence that lets go before the commit point (design: protocol, step 5)."""
+"""Silence that lets go before the commit point."""
 FIRST_HEARTBEAT_S = 1.0
 """The machine stands still until the first heartbeat of a throw, for so long."""
 ALIGN_TIMEOUT_S = 40.0
@@ -37,6 +37,7 @@ REPLY_MEMORY_COUNT = 256
 
 WAITING = frozenset({ThrowState.DISARMED, ThrowState.ARMED})
 BEFORE_COMMIT = frozenset({ThrowState.ALIGNING, ThrowState.THROWING})
+"""Of a throw that was fired: aborted to a hold. ARMED is not among them: it is only disarmed."""
 RUNNING = BEFORE_COMMIT | {ThrowState.COMMITTED, ThrowState.SETTLING}
 LATCHED = frozenset({ThrowState.STOPPED, ThrowState.FAULT})
 
@@ -73,7 +74,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class LinkLost:
-    """The server is gone."""
+    """The server cannot be reached: its link is down, or the link process or the supervisor has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +172,7 @@ class ThrowEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class Effects:
+class Actions:
     """What follows from one message: answer it, emit these, take up a load."""
 
     reply: CommandReply | None = None

@@ -25,7 +25,7 @@ from runtime.throw.protocol import (
     RELEASE_TIMEOUT_S,
     RUNNING,
     SETTLE_TIMEOUT_S,
-    Effects,
+    Actions,
     Facts,
     LinkLost,
     ThrowEvent,
@@ -39,12 +39,12 @@ Message = Command | OperatorHeartbeat | Tick | LinkLost
 
 def update(
     machine: ThrowMachine, message: Message, facts: Facts, now_ns: int
-) -> tuple[ThrowMachine, Effects]:
-    """One message; returns the machine after it, and its effects.
+) -> tuple[ThrowMachine, Actions]:
+    """One message; returns the machine after it, and its actions.
 
     Args:
         machine: state so far.
-        message: a command, a heartbeat, or that time passes or the server is gone.
+        message: a command, a heartbeat, that time passes, or that the server cannot be reached.
         facts: what is true now.
         now_ns: machine's monotonic clock; never goes back.
     """
@@ -58,9 +58,9 @@ def update(
     elif isinstance(message, Tick):
         more = ()
     else:
-        machine, effects = handle_command(machine, message, facts, now_ns)
-        reply, more, load = effects.reply, effects.events, effects.load
-    return machine, Effects(reply, (*events, *more), load)
+        machine, actions = handle_command(machine, message, facts, now_ns)
+        reply, more, load = actions.reply, actions.events, actions.load
+    return machine, Actions(reply, (*events, *more), load)
 
 
 def _heartbeat(
@@ -133,7 +133,9 @@ def _running(
         return _committed(machine, facts, now_ns)
     if machine.state is ThrowState.SETTLING:
         return _settling(machine, facts, now_ns)
-    # The gripper opens in the very tick that commands it: from here on the throw is completed.
+    # The facts are those of the last control step. A release that its gate did not let through cannot be
+    # among them: a refused one is not reported, a fault was latched above, and an enable switch that is off
+    # aborted the throw before that step. From here on the throw is completed.
     if machine.state is ThrowState.THROWING and (
         facts.motion is Motion.THROW and facts.release_commanded
     ):

@@ -19,7 +19,7 @@ from machine.messages import (
     ThrowState,
 )
 from machine.policy_card import PolicyCard
-from runtime.throw.protocol import Effects, Facts, ThrowMachine, Tick
+from runtime.throw.protocol import Actions, Facts, ThrowMachine, Tick
 from runtime.throw.states import update
 
 MODEL = "a" * 64
@@ -66,7 +66,7 @@ FACTS = Facts(
 
 
 class Bench:
-    """One machine with a clock; every call is one message, its effects are kept."""
+    """One machine with a clock; every call is one message, its actions are kept."""
 
     def __init__(self, epoch: int = 3, **state: Any) -> None:
         self.machine = ThrowMachine("m001", epoch_count=epoch, lease_issuer="anna", **state)
@@ -75,12 +75,12 @@ class Bench:
         self.epoch = epoch
         self.numbers = 0
         self.beats = 0
-        self.effects = Effects()
+        self.actions = Actions()
 
-    def send(self, message: Any, **facts: Any) -> Effects:
+    def send(self, message: Any, **facts: Any) -> Actions:
         given = replace(self.facts, **facts)
-        self.machine, self.effects = update(self.machine, message, given, self.now_ns)
-        return self.effects
+        self.machine, self.actions = update(self.machine, message, given, self.now_ns)
+        return self.actions
 
     def wait(self, seconds: float) -> None:
         self.now_ns += round(seconds * SECOND_NS)
@@ -96,10 +96,10 @@ class Bench:
         }
         return {**values, **changes}
 
-    def tick(self, **facts: Any) -> Effects:
+    def tick(self, **facts: Any) -> Actions:
         return self.send(Tick(), **facts)
 
-    def lease(self, **changes: Any) -> Effects:
+    def lease(self, **changes: Any) -> Actions:
         return self.send(LeaseNotice(**self.head(**changes)))
 
     def arm(
@@ -107,15 +107,15 @@ class Bench:
         with_plan: ThrowPlan | None = None,
         facts: dict[str, Any] | None = None,
         **changes: Any,
-    ) -> Effects:
+    ) -> Actions:
         message = ArmRequest(plan=with_plan or plan(), **self.head(**changes))
         return self.send(message, **(facts or {}))
 
-    def fire(self, facts: dict[str, Any] | None = None, **changes: Any) -> Effects:
+    def fire(self, facts: dict[str, Any] | None = None, **changes: Any) -> Actions:
         values = {"throw_id": "t1", "nonce": self.machine.nonce, "plan_hash": plan().plan_hash}
         return self.send(FireRequest(**self.head(**{**values, **changes})), **(facts or {}))
 
-    def beat(self, **changes: Any) -> Effects:
+    def beat(self, **changes: Any) -> Actions:
         self.beats += 1
         values = {
             "machine_id": "m001",
@@ -127,22 +127,22 @@ class Bench:
         }
         return self.send(OperatorHeartbeat(**{**values, **changes}))
 
-    def abort(self, **changes: Any) -> Effects:
+    def abort(self, **changes: Any) -> Actions:
         return self.send(AbortRequest(**self.head(**changes)))
 
-    def disarm(self, **changes: Any) -> Effects:
+    def disarm(self, **changes: Any) -> Actions:
         return self.send(DisarmRequest(**self.head(**changes)))
 
-    def load(self, facts: dict[str, Any] | None = None, **changes: Any) -> Effects:
+    def load(self, facts: dict[str, Any] | None = None, **changes: Any) -> Actions:
         return self.send(LoadRequest(**self.head(**changes)), **(facts or {}))
 
-    def stop(self, **changes: Any) -> Effects:
+    def stop(self, **changes: Any) -> Actions:
         values = self.head(**changes)
         values.pop("epoch_count")
         values.pop("seen_t_mono_ns")
         return self.send(StopRequest(**values))
 
-    def clear(self, facts: dict[str, Any] | None = None, **changes: Any) -> Effects:
+    def clear(self, facts: dict[str, Any] | None = None, **changes: Any) -> Actions:
         values = {"latch_id": self.machine.latch_id, "sighted_by": "olga", "reason": "all clear"}
         return self.send(StopClearRequest(**self.head(**{**values, **changes})), **(facts or {}))
 
@@ -173,11 +173,11 @@ class Bench:
 
     @property
     def reply(self):
-        return self.effects.reply
+        return self.actions.reply
 
     @property
     def kinds(self) -> list[str]:
-        return [event.kind.value for event in self.effects.events]
+        return [event.kind.value for event in self.actions.events]
 
     @property
     def outcome(self):

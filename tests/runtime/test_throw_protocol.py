@@ -1,4 +1,4 @@
-"""What must hold for every sequence of messages, facts and delays (design: protocol, C4)."""
+"""What must hold for every sequence of messages, facts and delays."""
 
 from dataclasses import replace
 
@@ -38,17 +38,17 @@ class Protocol(RuleBasedStateMachine):
         """Run one message and check the step it made."""
         before, now_ns = self.bench.machine, self.bench.now_ns
         act()
-        after, effects = self.bench.machine, self.bench.effects
+        after, actions = self.bench.machine, self.bench.actions
         assert after.epoch_count >= before.epoch_count
-        for event in effects.events:
+        for event in actions.events:
             if event.kind.value == "throw_started":
                 self.started.append(event.throw_id)
                 self.check_start(event.throw_id, now_ns)
-        if effects.reply and effects.reply.nonce:
-            assert effects.reply.nonce not in self.nonces
-            self.nonces.append(effects.reply.nonce)
-            self.given[effects.reply.nonce] = now_ns
-        return before, after, effects
+        if actions.reply and actions.reply.nonce:
+            assert actions.reply.nonce not in self.nonces
+            self.nonces.append(actions.reply.nonce)
+            self.given[actions.reply.nonce] = now_ns
+        return before, after, actions
 
     def check_start(self, throw_id, now_ns):
         assert self.started.count(throw_id) == 1, "a throw id ran twice"
@@ -66,17 +66,17 @@ class Protocol(RuleBasedStateMachine):
 
     @rule(epoch=EPOCHS, issuer=ISSUERS)
     def lease(self, epoch, issuer):
-        before, after, effects = self.do(lambda: self.bench.lease(epoch_count=epoch, issuer=issuer))
+        before, after, actions = self.do(lambda: self.bench.lease(epoch_count=epoch, issuer=issuer))
         if epoch < before.epoch_count:
-            assert not effects.reply.accepted and after.state is before.state
+            assert not actions.reply.accepted and after.state is before.state
 
     @rule(current=st.booleans(), epoch=EPOCHS, issuer=ISSUERS)
     def arm(self, current, epoch, issuer):
         self.fresh += 1
         self.bench.facts = replace(FACTS, fresh_nonce=f"nonce-{self.fresh}")
         epoch = self.bench.machine.epoch_count if current else epoch
-        before, _, effects = self.do(lambda: self.bench.arm(epoch_count=epoch, issuer=issuer))
-        if effects.reply.accepted:
+        before, _, actions = self.do(lambda: self.bench.arm(epoch_count=epoch, issuer=issuer))
+        if actions.reply.accepted:
             assert before.state is S.DISARMED and epoch == before.epoch_count > 0
 
     @rule(current=st.booleans(), epoch=EPOCHS, issuer=ISSUERS, throw_id=IDS, data=st.data())
@@ -86,10 +86,10 @@ class Protocol(RuleBasedStateMachine):
 
     def fire_with(self, epoch, issuer, throw_id, nonce):
         bench = self.bench
-        before, after, effects = self.do(
+        before, after, actions = self.do(
             lambda: bench.fire(epoch_count=epoch, issuer=issuer, throw_id=throw_id, nonce=nonce)
         )
-        if effects.reply.accepted and not effects.reply.is_repeat:
+        if actions.reply.accepted and not actions.reply.is_repeat:
             assert before.state is S.ARMED and epoch == before.epoch_count
             assert nonce == before.nonce != ""
             assert bench.now_ns - self.given[nonce] <= 10_000_000_000
@@ -127,27 +127,27 @@ class Protocol(RuleBasedStateMachine):
     )
     def other_command(self, current, epoch, verb, issuer):
         epoch = self.bench.machine.epoch_count if current else epoch
-        before, after, effects = self.do(
+        before, after, actions = self.do(
             lambda: getattr(self.bench, verb)(epoch_count=epoch, issuer=issuer)
         )
         if epoch < before.epoch_count:
-            assert not effects.reply.accepted
+            assert not actions.reply.accepted
             # Time that has passed may have acted; the stale command itself may not have.
             assert after.state is before.state or "command_refused" not in self.bench.kinds[:1]
 
     @rule()
     def stop(self):
-        _, after, effects = self.do(lambda: self.bench.stop(issuer="anybody"))
-        assert effects.reply.accepted
+        _, after, actions = self.do(lambda: self.bench.stop(issuer="anybody"))
+        assert actions.reply.accepted
         assert after.state is S.STOPPED and after.motion is Motion.STOP
         self.stopped = True
 
     @rule(current=st.booleans(), epoch=EPOCHS)
     def clear(self, current, epoch):
         epoch = self.bench.machine.epoch_count if current else epoch
-        before, after, effects = self.do(lambda: self.bench.clear(epoch_count=epoch))
+        before, after, actions = self.do(lambda: self.bench.clear(epoch_count=epoch))
         if before.state is S.STOPPED and after.state is not S.STOPPED:
-            assert epoch == before.epoch_count and effects.reply.accepted
+            assert epoch == before.epoch_count and actions.reply.accepted
             self.stopped = False
 
     @rule()

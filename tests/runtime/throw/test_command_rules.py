@@ -24,7 +24,7 @@ def refused(bench: Bench, reason: RejectReason) -> str:
     assert bench.reply.reason is reason
     assert bench.reply.detail
     assert bench.kinds[-1] == "command_refused"
-    assert bench.effects.events[-1].data["reason"] == reason.value
+    assert bench.actions.events[-1].data["reason"] == reason.value
     return bench.reply.detail
 
 
@@ -283,7 +283,7 @@ def test_fire_with_another_plan():
 def test_an_accepted_fire_names_throw_and_plan():
     bench = at(S.ARMED)
     bench.fire()
-    (event,) = bench.effects.events
+    (event,) = bench.actions.events
     assert (event.kind.value, event.throw_id, event.plan_id) == ("throw_accepted", "t1", "plan-1")
     assert event.data == {"issuer": "anna", "epoch_count": 3}
 
@@ -298,7 +298,7 @@ def test_a_repeated_command_is_answered_and_not_executed():
     again = bench.arm(command_id="same").reply
     assert bench.machine.state is S.DISARMED
     assert again == first.model_copy(update={"is_repeat": True})
-    assert bench.effects.events == ()
+    assert bench.actions.events == ()
 
 
 def test_a_repeated_throw_id_gets_the_first_answer_under_its_own_command_id():
@@ -367,7 +367,7 @@ def test_anybody_stops_from_every_state(state):
         assert bench.kinds[0] == "stop_latched"
         assert bench.machine.latched_reason == "STOP by a viewer"
     if state in (*PRE, S.COMMITTED, S.SETTLING):
-        assert bench.effects.events[1].data["outcome"] == "stopped"
+        assert bench.actions.events[1].data["outcome"] == "stopped"
 
 
 @each("state", EVERY)
@@ -380,7 +380,7 @@ def test_clear_in_every_state(state):
     assert bench.kinds == (["stop_cleared"] if latched else [])
     if latched:
         assert bench.machine.latched_reason == ""
-        assert bench.effects.events[0].data["was"] == state.value
+        assert bench.actions.events[0].data["was"] == state.value
 
 
 def test_clear_needs_the_cause_to_be_gone():
@@ -441,8 +441,8 @@ def test_load_in_every_state(state, held):
     bench.load(facts={"payload_held": held})
     if state is S.DISARMED:
         assert bench.reply.accepted
-        assert bench.effects.load is not held
+        assert bench.actions.load is not held
         return
-    assert bench.effects.load is False
+    assert bench.actions.load is False
     if not (running and not held and state is not S.ARMED):
         refused(bench, {S.STOPPED: R.STOP_LATCHED, S.FAULT: R.FAULT}.get(state, R.NOT_DISARMED))

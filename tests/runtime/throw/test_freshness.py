@@ -84,7 +84,7 @@ def test_no_old_command_is_executed():
         getattr(bench, verb)(seen_t_mono_ns=sent_ns)
         assert (bench.reply.accepted, bench.reply.reason) == (False, "nonce_expired"), verb
         assert bench.machine.state is before.state, verb
-        assert not bench.effects.load
+        assert not bench.actions.load
         getattr(bench, verb)(seen_t_mono_ns=bench.now_ns - 500_000_000, throw_id="t9") if (
             verb == "fire"
         ) else getattr(bench, verb)(seen_t_mono_ns=bench.now_ns - 500_000_000)

@@ -29,7 +29,7 @@ def test_a_stop_while_stopped_is_a_latch_of_its_own():
     first = bench.machine.latch_id
     bench.stop(issuer="somebody else")
     assert bench.kinds == ["stop_latched"]
-    assert bench.effects.events[0].data["latch_id"] == bench.machine.latch_id != first
+    assert bench.actions.events[0].data["latch_id"] == bench.machine.latch_id != first
     bench.clear(latch_id=first)
     assert bench.machine.state is S.STOPPED
 
@@ -99,7 +99,7 @@ def test_a_clear_states_who_sees_the_machine_and_why():
         assert bench.machine.state is state
         latch_id = bench.machine.latch_id
         bench.clear()
-        assert bench.effects.events[0].data == {
+        assert bench.actions.events[0].data == {
             "issuer": "anna",
             "was": state.value,
             "latch_id": latch_id,

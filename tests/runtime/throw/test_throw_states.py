@@ -51,7 +51,7 @@ def test_a_throw_from_arm_to_rest():
     bench.wait(6.0)
     bench.tick(motion=Motion.SETTLE, settled=True, payload_held=False)
     assert bench.outcome == (S.DISARMED, Motion.HOLD)
-    (event,) = bench.effects.events
+    (event,) = bench.actions.events
     assert (event.kind.value, event.throw_id, event.plan_id) == ("throw_ended", "t1", "plan-1")
     assert event.data["outcome"] == "landed"
     assert event.data["throw_duration_s"] == pytest.approx(0.25)
@@ -79,7 +79,7 @@ def test_a_quiet_tick_changes_nothing(state):
     before = bench.machine
     bench.tick()
     assert bench.machine is before
-    assert bench.effects.events == () and bench.reply is None and not bench.effects.load
+    assert bench.actions.events == () and bench.reply is None and not bench.actions.load
 
 
 # Heartbeats
@@ -185,16 +185,16 @@ def test_events_of_a_throw_carry_its_plan():
     bench = Bench()
     bench.arm()
     bench.disarm()
-    assert bench.effects.events[0].plan_id == "plan-1"
+    assert bench.actions.events[0].plan_id == "plan-1"
     bench = Bench()
     seen = []
     for state in (S.ARMED, S.ALIGNING, S.THROWING, S.COMMITTED):
         bench = at(state)
-        seen += bench.effects.events
+        seen += bench.actions.events
         bench.beat(is_holding=False)
-        seen += bench.effects.events
+        seen += bench.actions.events
         bench.stop()
-        seen += bench.effects.events
+        seen += bench.actions.events
     kinds = {event.kind.value for event in seen}
     assert {"armed", "throw_started", "release_commanded", "aborted", "throw_ended"} <= kinds
     assert {event.plan_id for event in seen} == {"plan-1"}
@@ -250,8 +250,8 @@ def test_a_fault_stops_what_runs(state):
     if state in (S.ALIGNING, S.THROWING, S.COMMITTED, S.SETTLING):
         assert bench.outcome == (S.FAULT, Motion.STOP)
         assert bench.kinds == ["fault", "throw_ended"]
-        assert bench.effects.events[1].data["outcome"] == "fault"
-        assert bench.effects.events[1].throw_id == "t1"
+        assert bench.actions.events[1].data["outcome"] == "fault"
+        assert bench.actions.events[1].throw_id == "t1"
         assert bench.machine.latched_reason == "a sensor died"
     else:
         assert bench.machine is before
@@ -277,7 +277,7 @@ def test_a_stop_after_the_release_tells_when_it_was():
     bench.wait(0.2)
     bench.tick(motion=Motion.THROW, release_commanded=True)
     bench.tick(emergency_stop=True)
-    end = bench.effects.events[1].data
+    end = bench.actions.events[1].data
     assert (end["outcome"], end["throw_duration_s"]) == ("stopped", pytest.approx(0.2))
 
 
@@ -303,7 +303,7 @@ def test_a_failing_check_disarms_only_as_an_error(severity, disarms):
     bench.tick(checks=(failed(severity),))
     assert (bench.machine.state is S.DISARMED) is disarms
     if disarms:
-        assert bench.effects.events[0].data == {"reason": "Bad thing."}
+        assert bench.actions.events[0].data == {"reason": "Bad thing."}
         bench.tick()
         assert bench.machine.state is S.DISARMED
 
@@ -392,14 +392,14 @@ def test_throwing_may_begin_late_in_aligning():
 def test_an_abort_holds_for_1_5_s_and_ends_the_throw():
     bench = at(S.THROWING)
     bench.beat(is_holding=False)
-    assert bench.effects.events[0].data == {"reason": "the operator let go"}
+    assert bench.actions.events[0].data == {"reason": "the operator let go"}
     bench.wait(1.5)
     bench.tick(motion=Motion.SETTLE, settled=True)
     assert bench.outcome == (S.SETTLING, Motion.HOLD)
     bench.wait(1e-9)
     bench.tick()
     assert bench.machine.state is S.DISARMED
-    (event,) = bench.effects.events
+    (event,) = bench.actions.events
     assert event.data["outcome"] == "aborted"
     assert event.data["detail"] == "the operator let go"
     assert event.data["throw_duration_s"] is None
@@ -435,7 +435,7 @@ def test_settling_ends_by_itself_after_45_s_or_with_the_switch():
     bench.wait(1e-9)
     bench.tick(motion=Motion.SETTLE)
     assert bench.machine.state is S.DISARMED
-    assert bench.effects.events[0].data["outcome"] == "landed"
+    assert bench.actions.events[0].data["outcome"] == "landed"
     bench = at(S.SETTLING)
     bench.tick(motion=Motion.SETTLE, local_enable=False)
     assert bench.machine.state is S.DISARMED
