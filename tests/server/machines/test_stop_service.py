@@ -2,8 +2,11 @@ import threading
 import time
 
 import pytest
+import zenoh
 
+from machine.channels import machine_key
 from machine.messages import RejectReason, ThrowState
+from runtime.link.zenoh_config import client_config
 from server.store.models import Audit, Machine
 from tests.server.server_bench import add_people, make_settings, running_server, wait_for
 
@@ -156,3 +159,30 @@ def test_stop_for_a_lost_machine_is_delivered_when_it_returns_even_after_a_resta
         wait_for(lambda: machine.stop_latched)
         wait_for(lambda: not second.parts.stops.is_pending("m001"))
         assert machine.state is ThrowState.STOPPED
+
+
+def test_huge_states_of_another_machine_do_not_hold_stop_up(running, machine, clear):
+    """Without a cap their parsing holds the interpreter for seconds at a time."""
+    password = running.parts.registry.secret_path("m002").read_text().strip()
+    payload = b"[" + b"0," * (17 * 1024 * 512) + b"0]"
+    config = client_config(connect=(running.settings.link_listen,), user="m002", password=password)
+    end = threading.Event()
+    with zenoh.open(config) as session, running.client("vic") as viewer:
+        publisher = session.declare_publisher(machine_key("yard", "m002", "state"))
+
+        def attack():
+            while not end.is_set():
+                publisher.put(payload)
+
+        attacker = threading.Thread(target=attack)
+        attacker.start()
+        try:
+            time.sleep(1.0)
+            began_s = time.monotonic()
+            viewer.post("/machines/m001/stop").raise_for_status()
+            assert machine.stop_latched
+            assert time.monotonic() - began_s < 2.0
+        finally:
+            end.set()
+            attacker.join()
+    clear()
