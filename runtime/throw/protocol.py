@@ -74,7 +74,10 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class LinkLost:
-    """The server cannot be reached: its link is down, or the link process or the supervisor has ended."""
+    """The server cannot be reached: no router, or the link process or the supervisor has ended.
+
+    A server that falls silent behind a router sends no heartbeats: that is noticed by their silence.
+    """
 
 
 @dataclass(frozen=True, slots=True)
