@@ -10,7 +10,7 @@ export UV_PYTHON_DOWNLOADS = never
 export NPM_CONFIG_UPDATE_NOTIFIER = false
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: help setup runtime web demo test e2e check lint types tables spec bench clean
+.PHONY: coverage mutation help setup runtime web demo test e2e check lint types tables spec bench clean
 help:  ## Show this list
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
@@ -81,6 +81,17 @@ types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI desc
 	@$(BIN)/downrange openapi --out web/openapi.json
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent types -- src/api/schema.ts
 	@$(BIN)/python scripts/vocabulary.py web/src/api/vocabulary.ts
+
+SAFETY_FILES := runtime/control/safety.py,runtime/guard/*,runtime/throw/*,runtime/control/control_loop.py,runtime/control/machine_control.py
+SAFETY_TESTS := tests/runtime/control/test_safety.py tests/runtime/control/test_control_loop.py \
+	tests/runtime/control/test_machine_control.py tests/runtime/guard tests/runtime/throw
+
+coverage: $(STAMP)/python  ## Branch coverage of gate, guard, throw protocol and their callers; fails below 100 %
+	@$(BIN)/coverage run --branch --data-file=build/coverage --include='$(SAFETY_FILES)' -m pytest -q $(SAFETY_TESTS)
+	@$(BIN)/coverage report --data-file=build/coverage --show-missing --fail-under=100
+
+mutation: $(STAMP)/python  ## Change the safety code in small ways; lists the changes that no test notices
+	@$(BIN)/python -m benchmarks.mutation
 
 tables: $(STAMP)/python  ## Regenerate the documents' tables from benchmarks/results and the effects
 	@$(BIN)/python -m scripts.result_tables

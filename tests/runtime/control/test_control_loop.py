@@ -323,3 +323,13 @@ def test_a_throw_of_the_twin_moves_the_arm_within_its_limits(throw):
     assert (rows["safety_code_count"] & int(safety.CLOSING) == 0).all()
     tracking = rows["joint_velocity_rad_m_per_s"][20:, :2, 1:4]
     assert np.abs(tracking).max() > 0.05
+
+
+def test_a_refused_release_is_no_release():
+    loop = Loop(2, policy=Scripted((0.0, 0.0, 0.0, 1.0)), target=np.array([[30.0, 0.0, 0.0]]))
+    sample = at_rest(2, loop.now_ns)
+    inputs = ControlInputs(sample, np.array([2, 2]), loop.target, allowed_radius_m=2.5)
+    _, out = control_loop.step(loop.params, loop.state, inputs, loop.now_ns)
+    assert not out.release_commanded.any() and not out.command.gripper_open.any()
+    assert (out.violation_count == int(Violation.RELEASE)).all()
+    assert (out.row["safety_code_count"] & safety.Intervention.RELEASE_REFUSED).all()

@@ -249,6 +249,7 @@ def test_a_joint_moved_from_outside_latches_a_fault(bench):
 def test_a_log_context_before_any_plan(bench):
     context = bench.control.log_context()
     assert context["throw_id"] is None and "plan" not in context
+    assert bench.control.log_throw_id is None
 
 
 def test_commands_carry_a_counter_that_goes_on(bench):
@@ -256,3 +257,9 @@ def test_commands_carry_a_counter_that_goes_on(bench):
     counts = [command.alive_count for command in bench.driver.commands]
     assert counts == list(range(5))
     assert all(command.supply_enabled.all() for command in bench.driver.commands)
+
+
+def test_an_impact_without_a_throw_is_nobody_s(bench):
+    bench.driver._left_ns = 1
+    bench.ticks(80)
+    assert "impact" not in bench.kinds

@@ -288,3 +288,30 @@ def test_wrong_calls_are_refused_with_the_numbers():
         machine.write(ValveCommand(np.zeros((1, 4)), np.zeros(2, bool)))
     with pytest.raises(PlantError, match=r"\(1, 6\)"):
         machine.reset(np.zeros((1, 5)), 0)
+
+
+def moved_while(machine, command_of, ticks=60):
+    """Way of the dipper (N,) from the twentieth tick on, under the commands of each tick."""
+    start = 0.0
+    for tick in range(ticks):
+        machine.write(command_of(tick))
+        machine.advance(machine.now_ns() + TICK_NS)
+        if tick == 29:
+            start = machine.truth().joint_position_rad_m[:, 2].copy()
+    return np.abs(machine.truth().joint_position_rad_m[:, 2] - start)
+
+
+def test_a_counter_that_stands_still_closes_the_valves_although_writes_go_on():
+    valve, shut = np.array([[0.0, 0.0, 0.6, 0.0]]), np.zeros(1, bool)
+    going = moved_while(make(), lambda tick: ValveCommand(valve, shut, alive_count=tick))
+    standing = moved_while(make(), lambda tick: ValveCommand(valve, shut, alive_count=min(tick, 5)))
+    without = moved_while(make(), lambda tick: ValveCommand(valve, shut))
+    assert going[0] > 0.05 and without[0] > 0.05
+    assert standing[0] < 0.01
+
+
+def test_without_supply_no_joint_moves_whatever_its_valve_says():
+    valve, shut = np.tile([0.0, 0.0, 0.6, 0.0], (2, 1)), np.zeros(2, bool)
+    supply = np.array([True, False])
+    way = moved_while(make(count=2), lambda _: ValveCommand(valve, shut, supply_enabled=supply))
+    assert way[0] > 0.05 and way[1] < 0.01
