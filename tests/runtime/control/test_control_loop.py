@@ -131,6 +131,8 @@ def test_next_motion():
     flags = np.array([True, False, True, False, True, True])
     out = replace(out, aligned=flags, throw_done=flags)
     motion = np.array([1, 1, 2, 2, 3, 0])
+    quiet = np.zeros(6, dtype=np.bool_)
+    assert next_motion(motion, replace(out, aligned=quiet, throw_done=quiet)) is motion
     assert next_motion(motion, out).tolist() == [2, 1, 3, 2, 3, 0]
     out = replace(out, aligned=flags, throw_done=~flags)
     assert next_motion(motion, out).tolist() == [2, 1, 2, 3, 3, 0]
