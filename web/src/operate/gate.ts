@@ -1,6 +1,7 @@
 /**
  * What stands between the operator and a throw, most urgent first: one sentence and one next action
  * for each state. `null` means: nothing, hold to throw.
+ * It only spares useless attempts: server and machine check all of it again. It is not the safety gate.
  */
 
 import { isMoving } from "../machine/phase";

@@ -3,6 +3,7 @@
  *
  * Letting go always wins: whatever is on its way is followed by its undoing. After the commit point
  * letting go changes nothing on the machine, and the state says so.
+ * `release` here is that of the button; the load's is a matter of the machine.
  */
 
 import type { MachinePhase } from "../../machine/phase";
