@@ -23,7 +23,7 @@ from machine.starts import sample_starts
 from runtime.control import control_loop
 from runtime.control.control_loop import ControlInputs, ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
-from runtime.control.safety import FAULTS
+from runtime.control.safety import LATCHING
 from runtime.driver import SensorSample, ValveCommand
 from runtime.guard.release_window import DEFAULT_RADIUS_M
 from sim_twin.virtual.virtual_machine import VirtualMachine
@@ -171,7 +171,7 @@ def throw(
             )
         plant.write(command)
         plant.advance(now_ns + CONTROL_PERIOD_NS)
-        tripped = (out.row["safety_code_count"] & int(FAULTS) != 0) | (out.violation_count != 0)
+        tripped = (out.row["safety_code_count"] & int(LATCHING) != 0) | (out.violation_count != 0)
         fresh = tripped & (noticed < 0)
         noticed[fresh] = tick
         if known is not None and fresh.any():

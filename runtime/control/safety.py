@@ -75,10 +75,10 @@ CLOSING = (
     | Intervention.TOOL_LIMIT
 )
 """Bits that close all valves."""
-FAULTS = CLOSING & ~(
+LATCHING = CLOSING & ~(
     Intervention.LOCAL_DISABLED | Intervention.EMERGENCY_STOP | Intervention.STOPPED
 )
-"""Bits that no operator causes on purpose: they end a throw as a fault."""
+"""Bits that no operator causes on purpose: they latch FAULT."""
 
 SENSOR_AGE_MAX_NS = 50_000_000
 """Five control ticks without joint sensors."""

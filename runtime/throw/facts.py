@@ -53,7 +53,7 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
 
 def fault_reason(safety_code_count: int) -> str:
     """Why the machine may not move, from `safety.Intervention` bits; empty = it may."""
-    found = safety.Intervention(safety_code_count) & safety.FAULTS
+    found = safety.Intervention(safety_code_count) & safety.LATCHING
     if safety.Intervention.NOT_FINITE in found:
         return "a joint sensor or a valve request was not a number; check the sensors' wiring"
     if safety.Intervention.STALE_SENSORS in found:

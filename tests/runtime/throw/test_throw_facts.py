@@ -67,7 +67,7 @@ def test_what_aborts(bit):
 
 @each("bit", list(safety.Intervention))
 def test_what_is_a_fault(bit):
-    assert bool(fault_reason(int(bit))) is bool(bit & safety.FAULTS)
+    assert bool(fault_reason(int(bit))) is bool(bit & safety.LATCHING)
 
 
 def test_fault_texts_differ():
