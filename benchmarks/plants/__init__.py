@@ -1,0 +1,1 @@
+"""Independent plants: machines written apart from the twin and its diagnosis, to measure both on."""

@@ -1,0 +1,1 @@
+"""The plant `ring`: rigid arm in C with load-sensing hydraulics and an oil spring in every drive."""
