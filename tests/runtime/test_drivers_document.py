@@ -20,7 +20,7 @@ from tests.runtime.machine_bench import Bench, make
 
 DOCUMENT = Path(__file__).parents[2] / "docs/drivers.md"
 SENSORS = struct.Struct("<4f4f3f3fH")
-VALVES = struct.Struct("<4fB")
+VALVES = struct.Struct("<4f2Bq")
 
 
 class Controller:
@@ -85,12 +85,15 @@ def open_driver(module_name: str, controller: Controller, monkeypatch) -> Driver
 def test_example_runs_under_the_control_step(module_name, controller, quick_policies, monkeypatch):
     driver = open_driver(module_name, controller, monkeypatch)
     bench = Bench(quick_policies, driver)
+    counts = []
     for _ in range(30):
         controller.send()
         bench.tick()
-        *ratios, gripper = controller.valves()
+        *ratios, gripper, supply, count = controller.valves()
         assert np.abs(ratios).max() <= 1.0
-        assert gripper == 0
+        assert (gripper, supply) == (0, 1)
+        counts.append(count)
+    assert np.diff(counts).tolist() == [1] * 29
     state = bench.control.machine_state()
     assert state.state is ThrowState.DISARMED
     assert state.payload_held
@@ -104,7 +107,9 @@ def test_example_runs_under_the_control_step(module_name, controller, quick_poli
     assert bench.ask(make(StopRequest)).accepted
     bench.control.close()
     sent = [controller.valves() for _ in range(4)]
-    assert sent[-1] == (0.0, 0.0, 0.0, 0.0, 0)
+    # Stopped: the controller is to cut the supply. Closed: it stays cut.
+    assert [one[5] for one in sent[:2]] == [0, 0]
+    assert sent[-1][:6] == (0.0, 0.0, 0.0, 0.0, 0, 0)
 
 
 def test_example_unwraps_the_slew_angle(module_name, controller, monkeypatch):
