@@ -43,6 +43,7 @@ class RejectReason(StrEnum):
     NOT_ARMED = "not_armed"
     NONCE_UNKNOWN = "nonce_unknown"
     NONCE_EXPIRED = "nonce_expired"
+    """A fire's nonce has run out, or a command of any kind is too old to act on."""
     PLAN_MISMATCH = "plan_mismatch"
     MODEL_MISMATCH = "model_mismatch"
     POLICY_MISMATCH = "policy_mismatch"

@@ -99,7 +99,7 @@ class ControlProcess:
             messages = self._messages()
             if self._supervisor.is_gone:
                 if closing_ticks == 0:
-                    messages.append((0, LinkLost()))
+                    messages.append((0, LinkLost("the supervisor has ended")))
                 elif self._control.is_waiting:
                     break
                 closing_ticks += 1
@@ -129,7 +129,7 @@ class ControlProcess:
                 self._take(packet, messages)
         except PeerGoneError:
             self._disconnect()
-            messages.append((0, LinkLost()))
+            messages.append((0, LinkLost("the link process has ended")))
         return messages
 
     def _take(self, packet: Packet, messages: list[tuple[int, Message]]) -> None:

@@ -3,7 +3,8 @@
 A link that stalls and heals delivers what it held, in order and without loss. Neither epoch nor nonce tell
 such a command from a fresh one. No clocks are compared: the echo is a time of this machine, of this boot.
 
-STOP, abort, disarm and lease have no limit: they only take permission away.
+STOP, abort, disarm and lease have no limit: they only take permission away. The others are refused as
+NONCE_EXPIRED, whether they carry a nonce or not.
 """
 
 from typing import Final

@@ -79,6 +79,8 @@ class LinkLost:
     A server that falls silent behind a router sends no heartbeats: that is noticed by their silence.
     """
 
+    cause: str = "the link to the server is down"
+
 
 @dataclass(frozen=True, slots=True)
 class ThrowMachine:

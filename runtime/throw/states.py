@@ -1,11 +1,12 @@
 """The throw protocol on the machine: lease epoch, arm, fire, hold, commit, settle, STOP; pure and scalar.
 
 `update` takes one message (or the passing of time) and the facts of the moment, and returns the new state
-and what to answer and emit. Nothing else decides motion. It sends nothing, waits for nothing, and never
-acts on a stale epoch, a used nonce, or a throw id it has seen.
+and what to answer and emit. It alone asks for a motion; the safety gate permits it or closes the valves. It
+sends nothing, waits for nothing, and never acts on a stale epoch, a used nonce, or a throw id it has seen.
 
-Commit point: the release command. Before it, letting go of the button, silence, a lost server, an abort
-or a broken check bring the machine to hold; after it the machine completes the throw.
+Commit point: the gripper opens. Before it, letting go of the button, silence, a lost server, an abort or a
+broken check bring the machine to hold; after it the machine completes the throw, unless STOP, the emergency
+stop or a fault latches.
 """
 
 from dataclasses import replace
@@ -54,7 +55,7 @@ def update(
     if isinstance(message, OperatorHeartbeat):
         machine, more = _heartbeat(machine, message, now_ns)
     elif isinstance(message, LinkLost):
-        machine, more = _let_go(machine, "the server is gone", now_ns)
+        machine, more = _let_go(machine, message.cause, now_ns)
     elif isinstance(message, Tick):
         more = ()
     else:

@@ -200,7 +200,7 @@ def test_events_of_a_throw_carry_its_plan():
     assert {event.plan_id for event in seen} == {"plan-1"}
 
 
-# The server is gone
+# The server cannot be reached
 
 
 @each("state", EVERY)
