@@ -1,7 +1,7 @@
 """A machine that speaks the real protocol over a real Zenoh session, and fails on demand.
 
 It stands in for `downrange machine` where a test needs to decide what the machine does: it keeps epochs,
-nonces and idempotent throw ids as a machine must, "throws" in a few hundredths of a second, and can be told
+nonces and idempotent throw ids as a machine must, "throws" in a few hundredths of a second, and can be made
 to lose replies, to refuse, to fall silent or to keep its events.
 """
 

@@ -35,7 +35,7 @@ def add_throws(
     has_log: bool = True,
     outcome: str = "landed",
 ) -> list[str]:
-    """Rows of throws and, unless told otherwise, their logs; without files the logs hold nothing."""
+    """Rows of throws and, by default, their logs; without files the logs hold nothing."""
     session = Session(new_id(), "ada", Role.OPERATOR, utc_now())
     throw_ids: list[str] = []
     for number in range(count):

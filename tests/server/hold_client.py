@@ -1,4 +1,4 @@
-"""A browser's hold for tests: sends 20 times a second until told to let go."""
+"""A browser's hold for tests: sends 20 times a second until it is released."""
 
 import json
 import threading

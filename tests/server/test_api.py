@@ -314,7 +314,7 @@ def test_metrics_are_for_the_token_and_for_auditors(running, ada):
             assert httpx.get(address, cookies=cookies).status_code == status_code
 
 
-def test_a_full_disk_is_told_by_health(running, ada, monkeypatch):
+def test_a_full_disk_shows_in_health(running, ada, monkeypatch):
     assert ada.get("/health").json()["disk"] == "ok"
     monkeypatch.setattr(health, "disk_standing", lambda *_: "full: 3 MB free, 268 MB needed")
     reply = ada.get("/health")

@@ -198,7 +198,7 @@ def test_a_quiet_socket_says_that_the_server_is_there(running, ada):
 @each(
     "headers", [{"Origin": "https://evil.example"}, {"Cookie": ""}, {"Cookie": f"{COOKIE}=guess"}]
 )
-def test_strangers_have_no_events(running, ada, headers):
+def test_other_callers_get_no_events(running, ada, headers):
     with pytest.raises(InvalidStatus) as caught, open_events(running, ada, **headers):
         pass
     assert caught.value.response.status_code == 403

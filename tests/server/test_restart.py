@@ -124,7 +124,7 @@ def test_a_used_link_endpoint_is_a_clear_error(running, tmp_path):
         pass
 
 
-def test_an_older_or_newer_database_is_told_in_one_line(tmp_path, swing_policies):
+def test_an_older_or_newer_database_is_reported_in_one_line(tmp_path, swing_policies):
     settings = make_settings(tmp_path / "data", swing_policies)
     upgrade(settings.resolved_database_url)
     database = Database(settings.resolved_database_url)

@@ -40,7 +40,7 @@ def throw(index, machine_id="m001", along_m: float | None = 0.25, across_m=-0.1)
 
 @pytest.fixture
 def shown(assembled, monkeypatch):
-    """What the scene was told, newest last: session, number of old marks, newest mark, its words."""
+    """Calls of the scene, newest last: session, number of old marks, newest mark, its words."""
     calls = []
 
     def note(session_id, points_m, *, latest=None, latest_text=""):

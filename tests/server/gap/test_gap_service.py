@@ -164,7 +164,7 @@ def test_damaged_logs_are_bad_data_not_a_failure(ada, throws):
     assert view["row"]["verdict"] == "bad_data"
     refused = view["result"]["evidence"]["refused"]
     assert len(refused) == 6
-    # Told by the throw, not by where the server keeps the file.
+    # Named by the throw, not by the path of the file.
     for entry in refused:
         assert entry["path"].startswith("throw of 20")
         assert entry["reason"].startswith("it is not a readable throw log")

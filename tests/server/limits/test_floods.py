@@ -83,7 +83,7 @@ def test_one_person_opens_so_many_event_streams_and_no_more(running, ada):
     assert hub.client_count == listening_count
 
 
-def test_a_page_is_told_why_it_gets_no_events(running, ada):
+def test_a_page_learns_why_it_gets_no_events(running, ada):
     streams, hub = running.parts.streams, running.parts.hub
     listening_count = hub.client_count
     with contextlib.ExitStack() as stack:

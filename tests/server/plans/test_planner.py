@@ -118,7 +118,7 @@ def test_a_lost_machine_cannot_be_previewed(running, ada):
     assert (reply.status_code, reply.json()["error"]["code"]) == (503, "machine_lost")
 
 
-def test_without_a_usable_policy_the_cause_is_told(running, machine, ada):
+def test_without_a_usable_policy_the_cause_is_reported(running, machine, ada):
     policies = running.parts.policies
     active = running.settings.policies_dir / "active.json"
     text = active.read_text()

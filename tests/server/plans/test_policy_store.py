@@ -79,7 +79,7 @@ def test_a_policy_for_another_machine_is_not_used(policies, folder):
         ('{"2d": "swing-3d"}', "not for mode 2d"),
     ],
 )
-def test_a_strange_active_file_is_told(policies, folder, text, words):
+def test_a_malformed_active_file_is_reported(policies, folder, text, words):
     (folder / "active.json").write_text(text)
     look_again(policies)
     with pytest.raises(ApiError, match=words):

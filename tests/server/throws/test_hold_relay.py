@@ -32,7 +32,7 @@ def open_hold(running, client, machine_id="m001", **headers):
         {"Cookie": f"{COOKIE}=guess"},
     ],
 )
-def test_strangers_are_not_let_in(running, ada, headers):
+def test_other_callers_are_refused(running, ada, headers):
     with pytest.raises(InvalidStatus) as caught, open_hold(running, ada, **headers):
         pass
     assert caught.value.response.status_code == 403

@@ -297,7 +297,7 @@ def test_a_replay_is_given_the_site_of_its_plan(kept, names):
 
 
 def test_marks_are_added_never_overwritten(running, ada, throw_id):
-    first = {"downrange_error_m": 0.3, "crossrange_error_m": -0.2, "note": "by eye"}
+    first = {"downrange_error_m": 0.3, "crossrange_error_m": -0.2, "note": "seen"}
     assert ada.post(f"/throws/{throw_id}/impacts", json=first).json()["x_m"] == pytest.approx(9.3)
     second = ada.post(f"/throws/{throw_id}/impacts", json={"x_m": 9.5, "y_m": 0.1}).json()
     assert second["downrange_error_m"] == pytest.approx(0.5)

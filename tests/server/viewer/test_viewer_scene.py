@@ -199,7 +199,7 @@ def test_what_stands_around_is_drawn_changed_and_outlives_the_colours(
     assert "/ground" in client.nodes
 
 
-def test_clicks_that_give_no_target_are_told_and_draw_nothing(
+def test_clicks_that_give_no_target_are_reported_and_draw_nothing(
     app: ViewerApp, session: str, client: ViewClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picks, refusals = len(app.picks), len(app.refusals)
