@@ -36,13 +36,6 @@ def test_one_effect_is_named_sized_and_removed() -> None:
     assert Diagnosis.model_validate_json(found.model_dump_json()) == found
 
 
-def test_nothing_is_named_on_a_healthy_machine() -> None:
-    found = diagnosed()
-    assert found.verdict is VerdictKind.NONE
-    assert found.causes[0].name == "none"
-    assert found.shrink is None
-
-
 def test_too_few_throws_are_refused() -> None:
     loaded = throws((), 5)
     found = diagnose_throws(replace(loaded, throws=loaded.throws[:2]), profile(), health=health())

@@ -36,9 +36,9 @@ def _sets(
 
 
 def test_both_levels_are_learned() -> None:
-    sets, _ = _sets(np.random.default_rng(0), 400, 4)
+    sets, _ = _sets(np.random.default_rng(0), 200, 4)
     first = Levels(np.zeros(2), np.eye(2), np.eye(2))
-    levels = learn(sets, first, has_mean=np.array([True, False]), rounds=300)
+    levels = learn(sets, first, has_mean=np.array([True, False]), rounds=60)
     np.testing.assert_allclose(levels.mean, [1.0, 0.0], atol=0.4)
     assert levels.mean[1] == 0.0
     np.testing.assert_allclose(np.sqrt(np.diag(levels.machine)), MACHINE_SD, rtol=0.25)
