@@ -64,20 +64,20 @@ SINGLES = (
     known("valve_gain", "telescope", positive_ratio=0.25, negative_ratio=0.25),
     known("speed_limit", "dipper", reduction_ratio=0.35),
     known("speed_limit", "telescope", reduction_ratio=0.35),
-    known("passive_viscous_friction", extra_viscous_per_s=0.30),
-    known("passive_coulomb_friction", extra_coulomb_rad_per_s2=0.35),
+    known("passive_viscous_friction", extra_viscous_per_s=0.5),
+    known("passive_coulomb_friction", extra_coulomb_rad_per_s2=0.5),
     known("gripper_length", extra_length_m=0.18),
     known("gripper_length", extra_length_m=-0.18),
     known("release_delay", extra_delay_s=0.08),
     known("release_delay", extra_delay_s=-0.07),
     known("sticky_release", slowdown_ratio=0.15),
-    known("air_drag", extra_drag_coefficient_ratio=1.5),
+    known("air_drag", extra_drag_coefficient_ratio=2.0),
     known("wind", x_m_per_s=-6.0, y_m_per_s=3.0),
     known("joint_sensor_bias", "boom", bias_rad_m=0.045),
     known("joint_sensor_bias", "dipper", bias_rad_m=-0.05),
     known("joint_sensor_bias", "slew", bias_rad_m=0.04),
     known("base_tilt", roll_rad=0.0, pitch_rad=0.06),
-    known("base_tilt", roll_rad=0.05, pitch_rad=-0.03),
+    known("base_tilt", roll_rad=0.08, pitch_rad=-0.06),
 )
 PAIRS = (
     (SINGLES[0], SINGLES[15]),
@@ -92,7 +92,7 @@ PAIRS = (
 UNKNOWNS = (
     unknown("sticking_spool", 0.25, "dipper"),
     unknown("sticking_spool", 0.30, "slew"),
-    unknown("leaking_piston", 2.5, "dipper"),
+    unknown("leaking_piston", 20.0, "dipper"),
     unknown("engine_sag", 1.2),
     unknown("half_opening_gripper", 0.30),
     unknown("dragging_slew_ring", 26.0e3),
@@ -100,7 +100,7 @@ UNKNOWNS = (
     unknown("position_dependent_gain", 0.45, "telescope"),
     unknown("air_in_oil", 0.75, "dipper"),
     unknown("pump_hunting", 0.7),
-    unknown("slow_opening_spool", 0.25, "telescope"),
+    unknown("slow_opening_spool", 0.5, "telescope"),
 )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from machine.spec import load_spec
+from machine.spec import MachineSpec, load_spec
 
 Parameters = dict[str, Any]
 """By field of the C struct: an array of its length, or one of length 1."""
@@ -29,30 +29,16 @@ def field_sizes(names: str) -> dict[str, int]:
 def nominal(sizes: Mapping[str, int]) -> Parameters:
     """The machine of the drawing."""
     spec = load_spec()
-    geometry, limits, hydraulics = spec.geometry, spec.limits, spec.hydraulics
-    passive, ball = spec.passive, spec.ball
-    bore = (
-        0.25
-        * np.pi
-        * np.square(
-            [
-                hydraulics.boom_cylinder.bore_m,
-                hydraulics.dipper_cylinder.bore_m,
-                hydraulics.telescope_bore_m,
-            ]
-        )
-    )
-    annulus = bore - 0.25 * np.pi * np.square(
-        [
-            hydraulics.boom_cylinder.rod_m,
-            hydraulics.dipper_cylinder.rod_m,
-            hydraulics.telescope_rod_m,
-        ]
-    )
-    slew = hydraulics.slew_displacement_m3_per_rad
-    low = [-1e9 if value is None else value for value in limits.position_min_rad_m]
-    high = [1e9 if value is None else value for value in limits.position_max_rad_m]
-    values: dict[str, Any] = {
+    made = {name: np.zeros(size) for name, size in sizes.items()}
+    for name, value in (_bodies(spec) | _drives(spec) | _swing_and_sensors(spec)).items():
+        made[name][:] = value
+    return made
+
+
+def _bodies(spec: MachineSpec) -> dict[str, Any]:
+    """Lengths, masses and inertias."""
+    geometry, passive, ball = spec.geometry, spec.passive, spec.ball
+    return {
         "slew_height": geometry.slew_frame_height_m,
         "boom_pivot": geometry.boom_pivot_m,
         "boom_length": geometry.boom_length_m,
@@ -83,6 +69,34 @@ def nominal(sizes: Mapping[str, int]) -> Parameters:
         "load_radius": ball.radius_m,
         "load_drag": ball.drag_coefficient_ratio,
         "air_density": ball.air_density_kg_per_m3,
+    }
+
+
+def _drives(spec: MachineSpec) -> dict[str, Any]:
+    """Limits, cylinders, pump, valves, oil springs and friction of the driven joints."""
+    limits, hydraulics = spec.limits, spec.hydraulics
+    bore = (
+        0.25
+        * np.pi
+        * np.square(
+            [
+                hydraulics.boom_cylinder.bore_m,
+                hydraulics.dipper_cylinder.bore_m,
+                hydraulics.telescope_bore_m,
+            ]
+        )
+    )
+    annulus = bore - 0.25 * np.pi * np.square(
+        [
+            hydraulics.boom_cylinder.rod_m,
+            hydraulics.dipper_cylinder.rod_m,
+            hydraulics.telescope_rod_m,
+        ]
+    )
+    slew = hydraulics.slew_displacement_m3_per_rad
+    low = [-1e9 if value is None else value for value in limits.position_min_rad_m]
+    high = [1e9 if value is None else value for value in limits.position_max_rad_m]
+    return {
         "position_min": low,
         "position_max": high,
         "rated_positive": limits.speed_positive_rad_m_per_s,
@@ -120,6 +134,13 @@ def nominal(sizes: Mapping[str, int]) -> Parameters:
         "breakaway": [2600.0, 1300.0, 750.0, 1000.0],
         "viscous": [1500.0, 1500.0, 800.0, 1500.0],
         "stribeck_speed": 0.03,
+    }
+
+
+def _swing_and_sensors(spec: MachineSpec) -> dict[str, Any]:
+    """Friction of the free joints, release, sensors."""
+    passive = spec.passive
+    return {
         "swing_viscous": passive.viscous_friction_per_s,
         "swing_coulomb": passive.coulomb_friction_rad_per_s2,
         "swing_breakaway": 1.15 * passive.coulomb_friction_rad_per_s2,
@@ -130,10 +151,6 @@ def nominal(sizes: Mapping[str, int]) -> Parameters:
         "quantum": [1.0e-4, 1.0e-4, 1.0e-4, 1.0e-4],
         "noise": 1.0,
     }
-    made = {name: np.zeros(size) for name, size in sizes.items()}
-    for name, value in values.items():
-        made[name][:] = value
-    return made
 
 
 def vary_unit(p: Parameters, seed: int) -> None:
