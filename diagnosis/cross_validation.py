@@ -17,7 +17,7 @@ from diagnosis.hypotheses.exploration import Hypothesis
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.inference.evidence import members_index, screen, total, weigh
 from diagnosis.linearisation.open_loop import impacts
-from diagnosis.linearisation.parameters import View, library
+from diagnosis.linearisation.parameters import ReplayKind, library
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, residual_power
 from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.linearisation.unmodelled_effects import unmodelled_names
@@ -93,7 +93,7 @@ def _under(
             problem.healthy,
             problem.linear,
             [(effects, ())],
-            tuple(view for view in View if view in views),
+            tuple(view for view in ReplayKind if view in views),
         )
     )
 

@@ -30,7 +30,13 @@ from diagnosis.inference.evidence import (
 )
 from diagnosis.linearisation.basis_functions import play_columns
 from diagnosis.linearisation.model_error import nonsmooth_blocks, with_excited_joints
-from diagnosis.linearisation.parameters import Parameter, ParameterLayout, View, effects_of, library
+from diagnosis.linearisation.parameters import (
+    Parameter,
+    ParameterLayout,
+    ReplayKind,
+    effects_of,
+    library,
+)
 from diagnosis.linearisation.residual_power import levels
 from diagnosis.linearisation.sensitivities import LinearThrow, extrapolated_to_none, relinearise
 from diagnosis.linearisation.unmodelled_effects import (
@@ -191,11 +197,11 @@ def _evaluate(
     return candidates
 
 
-def _followed(*, is_preview: bool, is_last: bool) -> tuple[View, ...]:
+def _followed(*, is_preview: bool, is_last: bool) -> tuple[ReplayKind, ...]:
     """Views in which all slopes are taken at the set (`relinearise`)."""
     if is_preview:
         return ()
-    return (View.ACTUATION, View.SWING) if is_last else (View.ACTUATION,)
+    return (ReplayKind.ACTUATION, ReplayKind.SWING) if is_last else (ReplayKind.ACTUATION,)
 
 
 def widely_varying_parameters() -> list[Parameter]:

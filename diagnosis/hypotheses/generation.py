@@ -24,7 +24,7 @@ from diagnosis.hypotheses.refinement import (
 )
 from diagnosis.inference.evidence import Set, SetEvidence, weigh
 from diagnosis.inference.model_selection import search, subsets
-from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, Group, View, library
+from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, Group, ReplayKind, library
 from diagnosis.linearisation.simulation_batch import FIXED_SLOPE_EFFECTS
 from diagnosis.linearisation.unmodelled_effects import UNMODELLED, group_of
 from diagnosis.tuning import (
@@ -313,11 +313,11 @@ def _has_stale_slopes(problem: GapProblem, candidate: CandidateSet, group: int) 
     """
     own, *moved = (_views(problem, g) for g in (group, *candidate.members))
     if problem.layout.groups[group][0] in FIXED_SLOPE_EFFECTS:
-        own = own - {View.ACTUATION}
-    return any(own & other and View.ACTUATION not in own | other for other in moved)
+        own = own - {ReplayKind.ACTUATION}
+    return any(own & other and ReplayKind.ACTUATION not in own | other for other in moved)
 
 
-def _views(problem: GapProblem, group: int) -> set[View]:
+def _views(problem: GapProblem, group: int) -> set[ReplayKind]:
     """Views that a constant effect moves; empty for a drift."""
     named = problem.layout.groups[group]
     return {view for p in library() if p.group == named for view in p.views}

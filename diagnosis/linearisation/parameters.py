@@ -28,7 +28,7 @@ from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import EFFECTS, effects_where
 
 
-class View(StrEnum):
+class ReplayKind(StrEnum):
     """Which links of the chain are taken as measured in a simulation, so that one part is under test."""
 
     ACTUATION = "actuation"
@@ -67,7 +67,7 @@ class Parameter:
     tolerance: float
     prior_sd: float
     step: float
-    views: tuple[View, ...]
+    views: tuple[ReplayKind, ...]
 
     @property
     def key(self) -> str:
@@ -103,7 +103,7 @@ def library() -> tuple[Parameter, ...]:
             tolerance=p.tolerance,
             prior_sd=p.prior_sd,
             step=p.step,
-            views=tuple(View(replay) for replay in spec.replays),
+            views=tuple(ReplayKind(replay) for replay in spec.replays),
         )
         for spec in EFFECTS.values()
         if spec.name != DRIFT and not spec.is_random

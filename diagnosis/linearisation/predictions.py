@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from diagnosis.healthy.filters import HealthyModel, correction
-from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, View, joint_index
+from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, ReplayKind, joint_index
 from diagnosis.linearisation.simulation import Simulated, late
 from diagnosis.loading.prepared import AXES, Block, PreparedThrow
 from machine.conventions import (
@@ -23,22 +23,22 @@ FORCE_AFTER_TICK_S = 0.5 * CONTROL_PERIOD_S
 passive joints' angles are half a tick ahead."""
 
 
-def view_of(block: Block) -> View | None:
+def view_of(block: Block) -> ReplayKind | None:
     """The simulation that a block is compared with; none for the switch."""
     return _view_of(block.name)
 
 
 @cache
-def _view_of(name: str) -> View | None:
+def _view_of(name: str) -> ReplayKind | None:
     stage = name.partition(".")[0]
-    return View(stage) if stage in tuple(View) else None
+    return ReplayKind(stage) if stage in tuple(ReplayKind) else None
 
 
 def predict(
     prepared: PreparedThrow,
     output: Simulated,
     elements: IntArray,
-    view: View,
+    view: ReplayKind,
     effects: Sequence[Effect],
     healthy: HealthyModel,
 ) -> Array:
@@ -50,7 +50,7 @@ def predict(
         if view_of(block) is not view:
             continue
         channel = block.name.partition(".")[2]
-        if view is View.ACTUATION:
+        if view is ReplayKind.ACTUATION:
             joint, rows = joint_index(channel), prepared.motion.t_s.size
             track = output.joint_velocity_rad_m_per_s[elements, :rows, joint]
             # The misfit of every machine follows the motion under the effects.
@@ -61,7 +61,7 @@ def predict(
             latency_s = output.joint_latency_s[elements, joint]
             track = np.stack([late(one, s) for one, s in zip(track, latency_s, strict=True)])
             out[:, block.rows] = _at(track, prepared.joint_at_s) @ prepared.joint_pair.T
-        elif view is View.SWING:
+        elif view is ReplayKind.SWING:
             kind, letter = channel.split(".")
             is_rate = kind == "gyro"
             source = output.gyro_rad_per_s if is_rate else output.accel_m_per_s2

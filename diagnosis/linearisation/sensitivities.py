@@ -1,8 +1,8 @@
 """Residuals and slopes of throws: measured minus twin, each stage driven by the measured motion before it.
 
-Three simulations of every throw (`View`): the joints from their valve commands; the swing from the measured
-joints; the flight from the measured joints, swing and opening. Slopes are finite differences of the same
-simulations, in one batch. Blocks (channels) of a throw:
+Three simulations of every throw (`ReplayKind`): the joints from their valve commands; the swing from the
+measured joints; the flight from the measured joints, swing and opening. Slopes are finite differences of the
+same simulations, in one batch. Blocks (channels) of a throw:
 
     actuation.<joint>   joint velocity, rad/s or m/s, given the valve commands
     swing.gyro.<axis>, swing.accel.<axis>   IMU, given the measured joints
@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from diagnosis.healthy.filters import HealthyModel
-from diagnosis.linearisation.parameters import Parameter, View, index_of, library
+from diagnosis.linearisation.parameters import Parameter, ReplayKind, index_of, library
 from diagnosis.linearisation.predictions import predict, view_of
 from diagnosis.linearisation.simulation import Simulated, simulate
 from diagnosis.linearisation.simulation_batch import (
@@ -45,7 +45,7 @@ from sim_twin.effects.effect import Effect, resolve
 from sim_twin.twin.profile import TwinProfile
 
 LANDING_STEP = 1e-3
-Predicted = Mapping[View, Mapping[int, Array]]
+Predicted = Mapping[ReplayKind, Mapping[int, Array]]
 """The twin's prediction of the throw's vector, by view and element."""
 Known = dict[int, dict[int, Array]]
 """Predictions of the throw's vector by element, for the base of each view that was already evaluated."""
@@ -102,9 +102,9 @@ def linear_throw(
     """A throw's residual and slopes from the batch; views that were not simulated are as in `first`."""
     predicted = _predicted(prepared, output, part, effects, healthy, known)
     velocity = np.zeros((0, ACTIVE_COUNT)) if first is None else first.predicted_velocity
-    if View.ACTUATION in part.bases:
+    if ReplayKind.ACTUATION in part.bases:
         rows = slice(prepared.motion.t_s.size)
-        velocity = output.joint_velocity_rad_m_per_s[part.bases[View.ACTUATION], rows]
+        velocity = output.joint_velocity_rad_m_per_s[part.bases[ReplayKind.ACTUATION], rows]
     residual = _residual(prepared, predicted, part, first)
     jacobian = _jacobian(prepared, predicted, part, effects, first)
     start, opening, scale = (
@@ -121,7 +121,7 @@ def linear_throw(
             predicted_velocity=velocity,
             change=np.nan_to_num(first.residual - residual),
         )
-    flight = part.bases[View.FLIGHT]
+    flight = part.bases[ReplayKind.FLIGHT]
     slope = _landing_slope(
         output.release_position_m[flight],
         output.release_velocity_m_per_s[flight],
@@ -168,7 +168,7 @@ def _jacobian(
         joint = library()[parameter].joint
         for block in (b for b in prepared.blocks if view_of(b) is view):
             # A joint follows its own valve alone; only IMU and load follow all joints.
-            own = view is not View.ACTUATION or joint is None or block.name.endswith(joint)
+            own = view is not ReplayKind.ACTUATION or joint is None or block.name.endswith(joint)
             jacobian[block.rows, parameter] = np.nan_to_num(slope[block.rows]) if own else 0.0
     return jacobian
 
@@ -179,7 +179,7 @@ def _reported_late(prepared: PreparedThrow, effects: tuple[Effect, ...], slopes:
     sizes = resolve(effects, prepared.input.progress_ratio)
     latency_s = sizes.get(("imu_latency", None, "extra_latency_s"), 0.0)
     for block in prepared.blocks if latency_s > 0.0 else ():
-        if view_of(block) is View.SWING:
+        if view_of(block) is ReplayKind.SWING:
             at_s = np.maximum(block.t_s - latency_s, block.t_s[0])
             rows = slopes[block.rows]
             known = rows.any(axis=0)
@@ -196,19 +196,19 @@ def _input_slopes(
         raise ValueError("slopes by what was measured need their elements")
     base = {view: rows[part.bases[view]] for view, rows in predicted.items()}
 
-    def slope(view: View, element: int, step: float) -> Array:
+    def slope(view: ReplayKind, element: int, step: float) -> Array:
         return np.nan_to_num((predicted[view][element] - base[view]) / step)
 
     steps = (START_STEP_RAD,) * 2 + (START_RATE_STEP_RAD_PER_S,) * 2
-    starts = [slope(View.SWING, e, step) for e, step in zip(moved.start, steps, strict=True)]
+    starts = [slope(ReplayKind.SWING, e, step) for e, step in zip(moved.start, steps, strict=True)]
     scale = np.zeros((n, ACTIVE_COUNT))
     for joint, (swing, flight) in enumerate(moved.scale):
-        scale[:, joint] = slope(View.SWING, swing, SCALE_STEP_RATIO)
-        scale[:, joint] += slope(View.FLIGHT, flight, SCALE_STEP_RATIO)
-        block = prepared.block(f"{View.ACTUATION}.{ACTIVE_JOINTS[joint]}")
+        scale[:, joint] = slope(ReplayKind.SWING, swing, SCALE_STEP_RATIO)
+        scale[:, joint] += slope(ReplayKind.FLIGHT, flight, SCALE_STEP_RATIO)
+        block = prepared.block(f"{ReplayKind.ACTUATION}.{ACTIVE_JOINTS[joint]}")
         if block is not None:
-            scale[block.rows, joint] = np.nan_to_num(base[View.ACTUATION][block.rows])
-    return np.stack(starts, axis=1), slope(View.FLIGHT, moved.opening, OPENING_STEP_S), scale
+            scale[block.rows, joint] = np.nan_to_num(base[ReplayKind.ACTUATION][block.rows])
+    return np.stack(starts, axis=1), slope(ReplayKind.FLIGHT, moved.opening, OPENING_STEP_S), scale
 
 
 def _predicted(
@@ -218,9 +218,9 @@ def _predicted(
     effects: Sequence[Effect],
     healthy: HealthyModel,
     known: Known,
-) -> dict[View, dict[int, Array]]:
+) -> dict[ReplayKind, dict[int, Array]]:
     """Predictions (n,) of each simulated view by element; adds to `known`."""
-    elements: dict[View, list[int]] = {view: [base] for view, base in part.bases.items()}
+    elements: dict[ReplayKind, list[int]] = {view: [base] for view, base in part.bases.items()}
     for (_, view), (element, _) in part.moves.items():
         if element not in elements[view]:
             elements[view].append(element)
@@ -306,8 +306,8 @@ def _linearise(
     plan = SimulationBatch()
     parts: list[ThrowElements] = []
     for i in range(len(prepared)):
-        bases = {view: plan.add(i, (), view) for view in View}
-        moves = perturbed_parameters(plan, i, (), library(), tuple(View))
+        bases = {view: plan.add(i, (), view) for view in ReplayKind}
+        moves = perturbed_parameters(plan, i, (), library(), tuple(ReplayKind))
         parts.append(ThrowElements(bases, moves, perturbed_inputs(plan, inputs, i)))
     output = simulate(inputs, plan.elements, plan.views, profile, calibration)
     return [
@@ -323,9 +323,9 @@ def relinearise(
     healthy: HealthyModel,
     first: Sequence[LinearThrow],
     requests: Sequence[tuple[tuple[Effect, ...], Sequence[Parameter]]],
-    views: Sequence[View] | None = None,
+    views: Sequence[ReplayKind] | None = None,
     *,
-    followed: Collection[View] = (View.ACTUATION,),
+    followed: Collection[ReplayKind] = (ReplayKind.ACTUATION,),
 ) -> Iterator[list[LinearThrow]]:
     """Every throw about several sets of effects, set after set, simulated together.
 
@@ -352,7 +352,7 @@ def relinearise(
         parts: list[list[ThrowElements]] = []
         while len(parts) < len(waiting) and len(plan.elements) < BATCH_COUNT:
             effects, wanted = waiting[len(parts)]
-            moved = tuple(view for view in View if any(view in p.views for p in wanted))
+            moved = tuple(view for view in ReplayKind if any(view in p.views for p in wanted))
             about = effects, wanted, moved if views is None else tuple(views)
             throws = range(len(prepared))
             parts.append(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.linearisation.parameters import View
+from diagnosis.linearisation.parameters import ReplayKind
 from diagnosis.loading.prepared import IMU_UNTIL_AFTER_OPENING_S
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
@@ -54,7 +54,7 @@ class Simulated(NamedTuple):
 def simulate(
     inputs: Sequence[ReplayInput],
     elements: Sequence[ReplayElement],
-    views: Sequence[View],
+    views: Sequence[ReplayKind],
     profile: TwinProfile,
     calibration: ValveCalibration,
 ) -> Simulated:
@@ -82,13 +82,13 @@ def simulate(
     def rows_of(*chosen: bool) -> list[int]:
         return [row for row, is_one in enumerate(chosen) if is_one]
 
-    drives = rows_of(*(view is View.ACTUATION for view in views))
-    swings = rows_of(*(view is View.SWING for view in views))
+    drives = rows_of(*(view is ReplayKind.ACTUATION for view in views))
+    swings = rows_of(*(view is ReplayKind.SWING for view in views))
     slow = [
-        view is View.FLIGHT and _has_memory((*profile.effects, *element.effects))
+        view is ReplayKind.FLIGHT and _has_memory((*profile.effects, *element.effects))
         for view, element in zip(views, elements, strict=True)
     ]
-    quick = [view is View.FLIGHT and not one for view, one in zip(views, slow, strict=True)]
+    quick = [view is ReplayKind.FLIGHT and not one for view, one in zip(views, slow, strict=True)]
     if drives:
         chosen = [elements[r] for r in drives]
         velocity = replay_drives(inputs, chosen, profile, calibration, as_measured=True)

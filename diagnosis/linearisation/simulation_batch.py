@@ -7,7 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.linearisation.parameters import NONSMOOTH_EFFECTS, Parameter, View, index_of, library
+from diagnosis.linearisation.parameters import (
+    NONSMOOTH_EFFECTS,
+    Parameter,
+    ReplayKind,
+    index_of,
+    library,
+)
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.effects.effect import Effect, acting_effect
 from sim_twin.effects.table import effects_where
@@ -33,17 +39,17 @@ class SimulationBatch:
 
     def __init__(self) -> None:
         self.elements: list[ReplayElement] = []
-        self.views: list[View] = []
+        self.views: list[ReplayKind] = []
 
-    def add(self, throw: int, effects: tuple[Effect, ...], view: View) -> int:
+    def add(self, throw: int, effects: tuple[Effect, ...], view: ReplayKind) -> int:
         """Index of the new element."""
-        flight = view is View.FLIGHT
+        flight = view is ReplayKind.FLIGHT
         self.views.append(view)
         self.elements.append(
             ReplayElement(
                 throw=throw,
                 effects=effects,
-                measured_joints=NONE if view is View.ACTUATION else ALL,
+                measured_joints=NONE if view is ReplayKind.ACTUATION else ALL,
                 measured_swing=flight,
                 measured_opening=flight,
             )
@@ -51,7 +57,7 @@ class SimulationBatch:
         return len(self.elements) - 1
 
 
-Perturbations = dict[tuple[int, View], tuple[int, float]]
+Perturbations = dict[tuple[int, ReplayKind], tuple[int, float]]
 """(parameter, view) -> (element, step)."""
 
 
@@ -64,10 +70,10 @@ class PerturbedInputs(NamedTuple):
     scale: list[tuple[int, int]]
     """With a scaled sensor of each driven joint (4): elements of the swing and of the flight view."""
 
-    def of_view(self, view: View) -> list[int]:
+    def of_view(self, view: ReplayKind) -> list[int]:
         """All elements of a view."""
-        of_scale = [pair[0 if view is View.SWING else 1] for pair in self.scale]
-        first = {View.SWING: self.start, View.FLIGHT: [self.opening]}
+        of_scale = [pair[0 if view is ReplayKind.SWING else 1] for pair in self.scale]
+        first = {ReplayKind.SWING: self.start, ReplayKind.FLIGHT: [self.opening]}
         return [*first[view], *of_scale] if view in first else []
 
 
@@ -75,7 +81,7 @@ class PerturbedInputs(NamedTuple):
 class ThrowElements:
     """Elements of one throw about one set of effects."""
 
-    bases: dict[View, int]
+    bases: dict[ReplayKind, int]
     moves: Perturbations
     inputs: PerturbedInputs | None
 
@@ -85,7 +91,7 @@ def perturbed_parameters(
     throw: int,
     base: tuple[Effect, ...],
     wanted: Sequence[Parameter],
-    views: tuple[View, ...],
+    views: tuple[ReplayKind, ...],
 ) -> Perturbations:
     """Elements that perturb one parameter each; in the actuation view one element perturbs it at all joints.
 
@@ -95,38 +101,40 @@ def perturbed_parameters(
     together: dict[str, list[Parameter]] = {}
     for p in wanted:
         for view in (v for v in p.views if v in views):
-            if view is View.ACTUATION and p.joint is not None:
+            if view is ReplayKind.ACTUATION and p.joint is not None:
                 together.setdefault(f"{p.effect}.{p.name}", []).append(p)
                 continue
             moved = plan.add(throw, (*base, p.at(p.step)), view)
             moves[index_of()[p.key], view] = (moved, p.step)
     for parameters in together.values():
         effects = tuple(p.at(p.step) for p in parameters)
-        element = plan.add(throw, (*base, *effects), View.ACTUATION)
+        element = plan.add(throw, (*base, *effects), ReplayKind.ACTUATION)
         for p in parameters:
-            moves[index_of()[p.key], View.ACTUATION] = (element, p.step)
+            moves[index_of()[p.key], ReplayKind.ACTUATION] = (element, p.step)
     return moves
 
 
 @cache
-def _others(view: View) -> tuple[Parameter, ...]:
+def _others(view: ReplayKind) -> tuple[Parameter, ...]:
     """Parameters whose slopes a view shows; joints that stand have none."""
     shown = (p for p in library() if view in p.views and p.effect not in NONSMOOTH_EFFECTS)
     return tuple(p for p in shown if _is_updated(p, view))
 
 
 @cache
-def _views_of(effect: str) -> frozenset[View]:
+def _views_of(effect: str) -> frozenset[ReplayKind]:
     """Views in which an effect of the library acts."""
     return frozenset(view for p in library() if p.effect == effect for view in p.views)
 
 
-def _is_updated(parameter: Parameter, view: View) -> bool:
+def _is_updated(parameter: Parameter, view: ReplayKind) -> bool:
     """Whether a parameter's slopes are taken at the set of effects."""
-    return view is View.ACTUATION or parameter.effect not in FIXED_SLOPE_EFFECTS
+    return view is ReplayKind.ACTUATION or parameter.effect not in FIXED_SLOPE_EFFECTS
 
 
-Shared = dict[tuple[int, View, tuple[Effect, ...], tuple[str, ...]], tuple[int, Perturbations]]
+Shared = dict[
+    tuple[int, ReplayKind, tuple[Effect, ...], tuple[str, ...]], tuple[int, Perturbations]
+]
 """By throw, view, effects that act there and parameters wanted there: the base and its perturbations."""
 
 
@@ -136,15 +144,15 @@ def elements_about(
     throw: int,
     effects: tuple[Effect, ...],
     wanted: Sequence[Parameter],
-    views: Sequence[View],
+    views: Sequence[ReplayKind],
     *,
-    followed: Collection[View],
+    followed: Collection[ReplayKind],
 ) -> ThrowElements:
     """Elements of a throw about a set of effects; views that are equal for another set are shared with it.
 
     Beside the wanted parameters, a view that is `followed` has all others (`_others`).
     """
-    bases: dict[View, int] = {}
+    bases: dict[ReplayKind, int] = {}
     moves: Perturbations = {}
     for view in views:
         acting = tuple(e for e in effects if view in _views_of(acting_effect(e)))
@@ -167,7 +175,7 @@ def perturbed_inputs(
     """Elements of a throw with perturbed measurements; adds the perturbed inputs."""
     data = inputs[throw]
 
-    def added(moved: ReplayInput, view: View) -> int:
+    def added(moved: ReplayInput, view: ReplayKind) -> int:
         inputs.append(moved)
         return plan.add(len(inputs) - 1, (), view)
 
@@ -179,13 +187,13 @@ def perturbed_inputs(
         else:
             rate[axis - 2] += START_RATE_STEP_RAD_PER_S
         moved = data._replace(swing_start_rad=angle, swing_rate_start_rad_per_s=rate)
-        starts.append(added(moved, View.SWING))
+        starts.append(added(moved, ReplayKind.SWING))
     late = data._replace(opening_t_s=data.opening_t_s + OPENING_STEP_S)
     scales: list[tuple[int, int]] = []
     for joint in range(ACTIVE_COUNT):
         moved = _unscaled(data, joint)
-        scales.append((added(moved, View.SWING), added(moved, View.FLIGHT)))
-    return PerturbedInputs(starts, added(late, View.FLIGHT), scales)
+        scales.append((added(moved, ReplayKind.SWING), added(moved, ReplayKind.FLIGHT)))
+    return PerturbedInputs(starts, added(late, ReplayKind.FLIGHT), scales)
 
 
 def _unscaled(data: ReplayInput, joint: int) -> ReplayInput:

@@ -1,8 +1,8 @@
 """The supervisor: starts the control and the link process of one machine, and starts again what dies.
 
 It touches neither hardware nor network. Control dead: the link says so, and a new control process begins
-STOPPED. Control hung: killed within 0.2 s, then the same. Link dead: control lets go before the commit
-point, completes after it, and gets a new link.
+STOPPED. Control hung: killed (hang_watch.py says after what time), then the same. Link dead: control lets go
+before the commit point, completes after it, and gets a new link.
 """
 
 import fcntl

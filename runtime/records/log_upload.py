@@ -28,7 +28,7 @@ FINAL_REFUSALS: Final = frozenset({400, 409, 413, 415, 422})
 """The server has looked at this content and will never take it; the file stays on the machine."""
 
 
-class Outcome(Enum):
+class UploadOutcome(Enum):
     """How one attempt went."""
 
     STORED = "stored"
@@ -46,7 +46,7 @@ class UploadTarget:
     token: str
 
 
-def upload_log(target: UploadTarget, throw_id: str, content: bytes) -> Outcome:
+def upload_log(target: UploadTarget, throw_id: str, content: bytes) -> UploadOutcome:
     """PUT one log; never raises for what a network or server may do."""
     request = urllib.request.Request(
         f"{target.server_url.rstrip('/')}/api/v1/machines/{target.machine_id}/throw-logs/{throw_id}",
@@ -62,15 +62,15 @@ def upload_log(target: UploadTarget, throw_id: str, content: bytes) -> Outcome:
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
             answer.read()
-        return Outcome.STORED
+        return UploadOutcome.STORED
     except urllib.error.HTTPError as error:
         with error:
             text = error.read(500).decode(errors="replace")
         logger.warning("server answers %d to the log of %s: %s", error.code, throw_id, text)
-        return Outcome.REFUSED if error.code in FINAL_REFUSALS else Outcome.RETRY
+        return UploadOutcome.REFUSED if error.code in FINAL_REFUSALS else UploadOutcome.RETRY
     except (OSError, http.client.HTTPException) as error:
         logger.info("log of %s could not be sent: %s", throw_id, error)
-        return Outcome.RETRY
+        return UploadOutcome.RETRY
 
 
 class LogUploader:
@@ -125,15 +125,15 @@ class LogUploader:
         for throw_id in throw_ids:
             if self._is_closing.is_set():
                 break
-            if self._send(throw_id) is not Outcome.RETRY:
+            if self._send(throw_id) is not UploadOutcome.RETRY:
                 self._journal.mark_uploaded(throw_id)
                 has_progress = True
         return not throw_ids, has_progress
 
-    def _send(self, throw_id: str) -> Outcome:
+    def _send(self, throw_id: str) -> UploadOutcome:
         try:
             content = log_path(self._folder, throw_id).read_bytes()
         except OSError as error:
             logger.error("the log of %s is gone from the disk (%s); not uploaded", throw_id, error)
-            return Outcome.REFUSED
+            return UploadOutcome.REFUSED
         return upload_log(self._target, throw_id, content)

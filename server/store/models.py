@@ -250,7 +250,7 @@ class Event(Base):
     __table_args__ = (UniqueConstraint("machine_id", "boot_id", "sequence_count"),)
 
 
-class ThrowLog(Base):
+class StoredThrowLog(Base):
     """A throw's log file, kept under the data folder by its hash."""
 
     __tablename__ = "throw_logs"

@@ -9,13 +9,13 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from machine.errors import LogError
-from runtime.records.throw_log import ThrowLog as LogContent
+from runtime.records.throw_log import ThrowLog
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.clock import utc_now
 from server.errors import ApiError, ConflictError, ForbiddenError, NotFoundError, UnavailableError
 from server.schemas.history import ThrowLogView
 from server.store.database import Database
-from server.store.models import Throw, ThrowLog
+from server.store.models import StoredThrowLog, Throw
 from server.throws.limited_reader import LimitedLogReader
 
 FOLDER = "throws"
@@ -40,7 +40,7 @@ class LogStore:
         self._max_bytes = max_bytes
         self._lock = threading.Lock()
         self._reader = LimitedLogReader()
-        self._cache: OrderedDict[str, LogContent] = OrderedDict()
+        self._cache: OrderedDict[str, ThrowLog] = OrderedDict()
 
     def close(self) -> None:
         """End the reader's process."""
@@ -104,7 +104,7 @@ class LogStore:
         try:
             with self._database.write() as database:
                 throw = database.get(Throw, throw_id)
-                row = database.get(ThrowLog, throw_id)
+                row = database.get(StoredThrowLog, throw_id)
                 throw = _own_throw(throw, machine_id, throw_id)
                 if row is not None and row.log_sha256 == log_sha256 and target.exists():
                     return False
@@ -118,7 +118,7 @@ class LogStore:
                     "received_utc": utc_now(),
                 }
                 if row is None:
-                    database.add(ThrowLog(throw_id=throw_id, **values))
+                    database.add(StoredThrowLog(throw_id=throw_id, **values))
                 else:
                     for name, value in values.items():
                         setattr(row, name, value)
@@ -141,7 +141,7 @@ class LogStore:
     def view(self, throw_id: str) -> ThrowLogView | None:
         """What is known about a throw's log."""
         with self._database.read() as database:
-            row = database.get(ThrowLog, throw_id)
+            row = database.get(StoredThrowLog, throw_id)
         if row is None:
             return None
         return ThrowLogView(
@@ -155,7 +155,7 @@ class LogStore:
             NotFoundError: none has arrived, or its file is gone.
         """
         with self._database.read() as database:
-            row = database.get(ThrowLog, throw_id)
+            row = database.get(StoredThrowLog, throw_id)
         if row is None:
             raise NotFoundError("no_log", f"No log of throw {throw_id[:40]} has arrived (yet).")
         path = self._root / row.path
@@ -163,7 +163,7 @@ class LogStore:
             raise NotFoundError("no_log", f"The log file of throw {throw_id} is gone: {row.path}.")
         return path
 
-    def read(self, throw_id: str) -> LogContent:
+    def read(self, throw_id: str) -> ThrowLog:
         """The content of a throw's log.
 
         Raises:

@@ -9,7 +9,7 @@ import viser
 from machine.conventions import Array
 from server.viewer import shapes
 from server.viewer.ground import GroundNodes
-from server.viewer.state import ImpactMarks, PlanView, Point, SessionView
+from server.viewer.state import ImpactMarks, Point, ShownPlan, ShownSession
 from server.viewer.theme import THEMES, Rgb, Theme
 
 Node = viser.SceneNodeHandle
@@ -28,7 +28,7 @@ class MarkNodes:
         self._scene = client.scene
         self._groups: dict[str, list[Node]] = {}
 
-    def draw_all(self, state: SessionView, ground: GroundNodes) -> None:
+    def draw_all(self, state: ShownSession, ground: GroundNodes) -> None:
         """Draw every group anew, in the session's colours."""
         self._clear("target")
         self.draw_reach(state, ground)
@@ -85,7 +85,7 @@ class MarkNodes:
             position=at,
         )
 
-    def draw_reach(self, state: SessionView, ground: GroundNodes) -> None:
+    def draw_reach(self, state: ShownSession, ground: GroundNodes) -> None:
         """Range rings with labels, that of the target's height too, and the dimmed ground out of reach."""
         nodes = self._clear("reach")
         reach = state.reach
@@ -125,7 +125,7 @@ class MarkNodes:
             self._label(f"/reach/{name}_label", text, at, 1.0),
         ]
 
-    def draw_impacts(self, state: SessionView) -> None:
+    def draw_impacts(self, state: ShownSession) -> None:
         """Past impacts as crosses; the newest one larger, with its miss in words."""
         nodes = self._clear("impacts")
         marks: ImpactMarks = state.impacts
@@ -144,7 +144,7 @@ class MarkNodes:
                 name = "/impacts/latest_label"
                 nodes.append(self._label(name, marks.latest_text, at, anchor="top-center"))
 
-    def draw_target(self, state: SessionView, *, flush: bool = False) -> None:
+    def draw_target(self, state: ShownSession, *, flush: bool = False) -> None:
         """The target mark with range and bearing; moved, not made anew, while it exists."""
         nodes = self._groups.get("target", [])
         if state.target_m is None:
@@ -172,7 +172,7 @@ class MarkNodes:
         if flush:
             self._client.flush()
 
-    def draw_plan(self, state: SessionView) -> None:
+    def draw_plan(self, state: ShownSession) -> None:
         """Predicted path of the load, landing ellipses of 1 and 2 sigma, predicted impact."""
         nodes = self._clear("plan")
         plan = state.plan
@@ -188,7 +188,7 @@ class MarkNodes:
             at = (0.0, 0.0, LIFT_M - plan.impact_m[2] + plan.target_m[2])
             nodes.append(self._lines("/plan/impact", cross, theme.accent, 2.5, at))
 
-    def _ellipses(self, plan: PlanView, theme: Theme) -> list[Node]:
+    def _ellipses(self, plan: ShownPlan, theme: Theme) -> list[Node]:
         if plan.ellipse is None:
             return []
         nodes: list[Node] = []

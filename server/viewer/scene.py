@@ -18,11 +18,11 @@ from server.viewer.stage import OnPick, OnPickRefused, ViewerStage
 from server.viewer.state import (
     ImpactMarks,
     LiveSample,
-    PlanView,
     Point,
     Reach,
     ReplayState,
-    SessionView,
+    ShownPlan,
+    ShownSession,
     as_joints,
 )
 from server.viewer.theme import THEMES, VIEWPOINTS, CameraPreset, ThemeName
@@ -99,15 +99,15 @@ class ViewerScene:
     def show_machine(self, session_id: str, machine_id: str | None) -> None:
         """Choose the machine that a session watches; plan, replay and marks of another one go."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             if state.machine_id == machine_id:
                 return
             kept = (state.theme, state.camera, state.camera_count, state.is_picking)
-            fresh = SessionView(machine_id=machine_id)
+            fresh = ShownSession(machine_id=machine_id)
             fresh.theme, fresh.camera, fresh.camera_count, fresh.is_picking = kept
             state.__dict__.update(fresh.__dict__)
 
-        def draw(view: ClientView, state: SessionView) -> None:
+        def draw(view: ClientView, state: ShownSession) -> None:
             view.show_live(None, is_hidden=False)
             view.show_replay(None)
             view.show_ghost(None, state)
@@ -122,7 +122,7 @@ class ViewerScene:
     def set_site(self, session_id: str, objects: Sequence[SiteObject]) -> None:
         """Show what stands around the machine; clicks place the target on it."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.site = tuple(objects)
 
         self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
@@ -148,7 +148,7 @@ class ViewerScene:
         if theme not in THEMES:
             raise ValueError(f"Theme {theme!r} is not one of {', '.join(THEMES)}.")
 
-        def draw(view: ClientView, state: SessionView) -> None:
+        def draw(view: ClientView, state: ShownSession) -> None:
             view.rebuild(state)
 
         self._stage.apply(session_id, lambda state: setattr(state, "theme", theme), draw)
@@ -158,7 +158,7 @@ class ViewerScene:
         if preset not in VIEWPOINTS:
             raise ValueError(f"Camera {preset!r} is not one of {', '.join(VIEWPOINTS)}.")
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.camera = preset
             state.camera_count += 1
 
@@ -181,13 +181,13 @@ class ViewerScene:
         play: bool = True,
     ) -> None:
         """Show a preview: path and impact; the ghost machine plays once if asked."""
-        plan = PlanView(target_m, motion, impact_m, ellipse)
+        plan = ShownPlan(target_m, motion, impact_m, ellipse)
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.plan, state.target_m = plan, target_m
             state.preview = Playback(motion) if play else None
 
-        def draw(view: ClientView, state: SessionView) -> None:
+        def draw(view: ClientView, state: ShownSession) -> None:
             view.marks.draw_target(state)
             view.marks.draw_plan(state)
 
@@ -196,17 +196,17 @@ class ViewerScene:
     def update_ellipse(self, session_id: str, ellipse: LandingEllipse) -> None:
         """Show a landing ellipse that came after the preview."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             if state.plan is not None:
                 plan = state.plan
-                state.plan = PlanView(plan.target_m, plan.motion, plan.impact_m, ellipse)
+                state.plan = ShownPlan(plan.target_m, plan.motion, plan.impact_m, ellipse)
 
         self._stage.apply(session_id, change, lambda view, state: view.marks.draw_plan(state))
 
     def play_preview(self, session_id: str) -> None:
         """Play the plan's ghost once more."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             if state.plan is not None:
                 state.preview = Playback(state.plan.motion)
 
@@ -215,10 +215,10 @@ class ViewerScene:
     def clear_plan(self, session_id: str) -> None:
         """Take the preview away; the target mark stays."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.plan = state.preview = None
 
-        def draw(view: ClientView, state: SessionView) -> None:
+        def draw(view: ClientView, state: ShownSession) -> None:
             view.marks.draw_plan(state)
             view.show_ghost(None, state)
 
@@ -260,7 +260,7 @@ class ViewerScene:
             site: what stood around the machine then; None draws what stands there now.
         """
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.replay = Playback(motion, is_playing=is_playing)
             state.replay_ghost = None if predicted is None else Playback(predicted, False)
             state.replay_site = None if site is None else tuple(site)
@@ -277,7 +277,7 @@ class ViewerScene:
     ) -> None:
         """Seek, play or pause the running replay."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             if state.replay is None:
                 return
             if is_playing is not None:
@@ -290,10 +290,10 @@ class ViewerScene:
     def stop_replay(self, session_id: str) -> None:
         """Return to the live machine."""
 
-        def change(state: SessionView) -> None:
+        def change(state: ShownSession) -> None:
             state.replay = state.replay_ghost = state.replay_site = None
 
-        def draw(view: ClientView, state: SessionView) -> None:
+        def draw(view: ClientView, state: ShownSession) -> None:
             view.draw_site(state)
             view.show_replay(None)
             view.show_ghost(None, state)

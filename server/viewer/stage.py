@@ -16,7 +16,7 @@ import viser
 from machine.spec import MachineSpec
 from server.viewer.nodes import MachineKit
 from server.viewer.pick import PickRefusedError, Ray, pick_surface
-from server.viewer.state import LiveSample, Point, SessionView
+from server.viewer.state import LiveSample, Point, ShownSession
 from server.viewer.theme import VIEWPOINTS
 from server.viewer.view import ClientView
 from server.viewer.viewer_server import ViewerServer
@@ -35,8 +35,8 @@ MAX_SESSIONS = 1000
 
 OnPick = Callable[[str, Point], None]
 OnPickRefused = Callable[[str, PickRefusedError], None]
-Change = Callable[[SessionView], None]
-Draw = Callable[[ClientView, SessionView], None]
+Change = Callable[[ShownSession], None]
+Draw = Callable[[ClientView, ShownSession], None]
 
 
 class ViewerStage:
@@ -60,7 +60,7 @@ class ViewerStage:
         self._gate: ViewerServer | None = None
         self._thread: threading.Thread | None = None
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._sessions: dict[str, SessionView] = {}
+        self._sessions: dict[str, ShownSession] = {}
         self._views: dict[int, tuple[str, ClientView]] = {}
         self._lock = threading.Lock()
         self._samples: dict[str, LiveSample] = {}
@@ -99,7 +99,7 @@ class ViewerStage:
         """How many browsers of a session are connected and drawn."""
         return sum(owner == session_id for owner, _ in list(self._views.values()))
 
-    def session(self, session_id: str) -> SessionView | None:
+    def session(self, session_id: str) -> ShownSession | None:
         """What a session shows, to be read only."""
         return self._sessions.get(session_id)
 
@@ -130,12 +130,12 @@ class ViewerStage:
 
         self._jobs.put(job)
 
-    def _state_of(self, session_id: str) -> SessionView:
+    def _state_of(self, session_id: str) -> ShownSession:
         if session_id not in self._sessions and len(self._sessions) >= MAX_SESSIONS:
             watched = {owner for owner, _ in self._views.values()}
             oldest = next((name for name in self._sessions if name not in watched), None)
             self._sessions.pop(oldest or "", None)
-        return self._sessions.setdefault(session_id, SessionView())
+        return self._sessions.setdefault(session_id, ShownSession())
 
     def forget(self, session_id: str) -> None:
         """Drop a session and stop drawing its browsers."""
@@ -187,7 +187,7 @@ class ViewerStage:
                 self._play(state, views, now)
 
     @staticmethod
-    def _play(state: SessionView, views: list[ClientView], now_s: float) -> None:
+    def _play(state: ShownSession, views: list[ClientView], now_s: float) -> None:
         if state.replay is not None:
             moment = state.replay.advance(now_s)
             ghost = None

@@ -40,7 +40,7 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class PlanView:
+class ShownPlan:
     """A previewed throw."""
 
     target_m: Point
@@ -80,7 +80,7 @@ class ReplayState:
 
 
 @dataclass
-class SessionView:
+class ShownSession:
     """Everything drawn for one session."""
 
     machine_id: str | None = None
@@ -88,7 +88,7 @@ class SessionView:
     site: tuple[SiteObject, ...] = ()
     is_picking: bool = True
     reach: Reach | None = None
-    plan: PlanView | None = None
+    plan: ShownPlan | None = None
     preview: Playback | None = None
     impacts: ImpactMarks = field(default_factory=ImpactMarks)
     replay: Playback | None = None

@@ -8,7 +8,7 @@ from server.viewer.ground import GroundNodes
 from server.viewer.marks import MarkNodes
 from server.viewer.nodes import PAYLOAD, MachineKit, MachineNodes, Tint
 from server.viewer.replay import Moment
-from server.viewer.state import LiveSample, Point, SessionView
+from server.viewer.state import LiveSample, Point, ShownSession
 from server.viewer.theme import MAX_ORBIT_M, MIN_ORBIT_M, THEMES, VIEWPOINTS
 
 GHOST_RATIO = 0.34
@@ -20,7 +20,7 @@ class ClientView:
     """The nodes of one connected browser."""
 
     def __init__(
-        self, client: viser.ClientHandle, kit: MachineKit, state: SessionView, *, shadows: bool
+        self, client: viser.ClientHandle, kit: MachineKit, state: ShownSession, *, shadows: bool
     ) -> None:
         self.client = client
         self.marks = MarkNodes(client)
@@ -39,30 +39,30 @@ class ClientView:
         client.camera.min_orbit_distance = MIN_ORBIT_M
         client.camera.max_orbit_distance = MAX_ORBIT_M
 
-    def _make_ground(self, state: SessionView) -> GroundNodes:
+    def _make_ground(self, state: ShownSession) -> GroundNodes:
         theme = THEMES[state.theme]
         self.client.gui.configure_theme(
             dark_mode=theme.is_dark, show_logo=False, show_share_button=False
         )
         return GroundNodes(self._scene, theme, shadows=self._shadows)
 
-    def rebuild(self, state: SessionView) -> None:
+    def rebuild(self, state: ShownSession) -> None:
         """Draw everything anew in the session's theme."""
         self.ground.remove()
         self.ground = self._make_ground(state)
         self.draw_all(state)
 
-    def draw_site(self, state: SessionView) -> None:
+    def draw_site(self, state: ShownSession) -> None:
         """Draw what stands around the machine."""
         self.ground.draw_site(state.drawn_site)
 
-    def draw_all(self, state: SessionView) -> None:
+    def draw_all(self, state: ShownSession) -> None:
         """Draw all marks of the session and place the camera; the machine follows with its sample."""
         self.draw_site(state)
         self.marks.draw_all(state, self.ground)
         self.place_camera(state)
 
-    def place_camera(self, state: SessionView) -> None:
+    def place_camera(self, state: ShownSession) -> None:
         """Go to the asked camera preset, once an asking."""
         if state.camera_count == self._camera_count:
             return
@@ -73,7 +73,7 @@ class ClientView:
             self.client.camera.position = view.position_m
             self.client.camera.look_at = view.look_at_m
 
-    def fit_camera(self, state: SessionView) -> None:
+    def fit_camera(self, state: ShownSession) -> None:
         """Show as much from left to right after the picture got another shape, from the same place."""
         camera = self.client.camera
         camera.fov = VIEWPOINTS[state.camera].fov_of(camera.aspect)
@@ -98,7 +98,7 @@ class ClientView:
             self._live.show_load(sample.is_load_held)
             self._show_ball("live", None if is_hidden else sample.ball_m)
 
-    def show_lost(self, text: str | None, state: SessionView) -> None:
+    def show_lost(self, text: str | None, state: ShownSession) -> None:
         """Say that the live machine is lost and grey it; None takes that back."""
         if text == self._lost_text or self._live is None:
             return
@@ -108,7 +108,7 @@ class ClientView:
         self._lost_text = text
         self.marks.draw_lost(text)
 
-    def show_ghost(self, moment: Moment | None, state: SessionView) -> None:
+    def show_ghost(self, moment: Moment | None, state: ShownSession) -> None:
         """Draw what moves of the previewed machine at a moment; None takes it away."""
         if moment is None:
             self._drop_ghost()
@@ -122,7 +122,7 @@ class ClientView:
             self._ghost.show_load(moment.ball_m is None)
             self._show_ball("ghost", moment.ball_m)
 
-    def _ghost_skips(self, state: SessionView) -> frozenset[str]:
+    def _ghost_skips(self, state: ShownSession) -> frozenset[str]:
         """What stands where the solid machine's stands, and would only muddy its colours."""
         playback = state.replay_ghost or state.preview
         solid = self._replay or self._live

@@ -3,7 +3,7 @@
 import numpy as np
 
 from diagnosis.healthy.filters import nothing
-from diagnosis.linearisation.parameters import View
+from diagnosis.linearisation.parameters import ReplayKind
 from diagnosis.linearisation.predictions import predict
 from diagnosis.linearisation.simulation import simulate
 from diagnosis.linearisation.simulation_batch import ALL
@@ -25,8 +25,8 @@ def free_swing(prepared: PreparedThrow, twin: TwinProfile) -> Array:
         hung_at_rest=False,
     )
     elements = [ReplayElement(0, (), ALL)]
-    output = simulate([still], elements, [View.SWING], twin, prepared.throw.calibration)
-    return predict(prepared, output, np.array([0]), View.SWING, (), nothing())[0]
+    output = simulate([still], elements, [ReplayKind.SWING], twin, prepared.throw.calibration)
+    return predict(prepared, output, np.array([0]), ReplayKind.SWING, (), nothing())[0]
 
 
 def left_if_early(at_s: Array, rate: Array, force: Array, early_s: float) -> float:

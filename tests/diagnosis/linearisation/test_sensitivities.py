@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.healthy.filters import HealthyModel, nothing
-from diagnosis.linearisation.parameters import View, index_of, library
+from diagnosis.linearisation.parameters import ReplayKind, index_of, library
 from diagnosis.linearisation.sensitivities import LinearThrow, linearise, relinearise
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from sim_twin.effects.effect import Effect
@@ -183,7 +183,7 @@ def test_slopes_of_the_swing_are_updated_on_request(
         for one in (
             first[0],
             next(relinearise(*args))[0],
-            next(relinearise(*args, followed=(View.SWING,)))[0],
+            next(relinearise(*args, followed=(ReplayKind.SWING,)))[0],
         )
     )
     np.testing.assert_array_equal(usual, before)
@@ -224,7 +224,7 @@ def test_delay_of_the_opening_shows_at_the_switch() -> None:
     block = prepared[0].block("release.switch")
     assert block is not None
     assert late[0].residual[block.rows][0] == pytest.approx(0.05, abs=1e-6)
-    assert View.FLIGHT not in library()[index_of()["release_delay.extra_delay_s"]].views
+    assert ReplayKind.FLIGHT not in library()[index_of()["release_delay.extra_delay_s"]].views
 
 
 def test_a_delay_of_the_opening_needs_no_simulation(

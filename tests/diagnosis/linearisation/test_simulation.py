@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.linearisation.parameters import View
+from diagnosis.linearisation.parameters import ReplayKind
 from diagnosis.linearisation.simulation import Simulated, late, simulate
 from diagnosis.linearisation.simulation_batch import ALL
 from diagnosis.loading.prepared import IMU_UNTIL_AFTER_OPENING_S, PreparedThrow, prepare
@@ -25,8 +25,8 @@ def prepared() -> list[PreparedThrow]:
     return prepare(throws(count=3).throws, profile())
 
 
-def both(prepared: list[PreparedThrow], view: View) -> tuple[Simulated, ReplayOutput]:
-    flight = view is View.FLIGHT
+def both(prepared: list[PreparedThrow], view: ReplayKind) -> tuple[Simulated, ReplayOutput]:
+    flight = view is ReplayKind.FLIGHT
     elements = [
         ReplayElement(1, effects, ALL, measured_swing=flight, measured_opening=flight)
         for effects in EFFECTS
@@ -37,7 +37,7 @@ def both(prepared: list[PreparedThrow], view: View) -> tuple[Simulated, ReplayOu
 
 
 def test_a_shortened_flight_ends_where_the_whole_one_does(prepared: list[PreparedThrow]) -> None:
-    short, whole = both(prepared, View.FLIGHT)
+    short, whole = both(prepared, ReplayKind.FLIGHT)
     np.testing.assert_allclose(short.impact_m, whole.impact_m, atol=1e-6)
     np.testing.assert_allclose(short.release_t_s, whole.release_t_s, atol=1e-9)
     for track, points in zip(short.ball, whole.ball_position_m, strict=True):
@@ -52,7 +52,7 @@ def test_a_shortened_flight_ends_where_the_whole_one_does(prepared: list[Prepare
 
 
 def test_a_shortened_swing_is_the_same_while_it_is_compared(prepared: list[PreparedThrow]) -> None:
-    short, whole = both(prepared, View.SWING)
+    short, whole = both(prepared, ReplayKind.SWING)
     ticks = int((prepared[1].input.opening_t_s + IMU_UNTIL_AFTER_OPENING_S) / 0.01)
     np.testing.assert_allclose(
         short.gyro_rad_per_s[:, :ticks], whole.gyro_rad_per_s[:, :ticks], atol=1e-9

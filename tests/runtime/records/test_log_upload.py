@@ -10,7 +10,7 @@ import pytest
 
 from machine.messages import EventKind
 from runtime.records.journal import Journal
-from runtime.records.log_upload import LogUploader, Outcome, UploadTarget, upload_log
+from runtime.records.log_upload import LogUploader, UploadOutcome, UploadTarget, upload_log
 from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import EventDraft, Outbox
 from runtime.records.recorder import log_path
@@ -87,7 +87,7 @@ def target(server: Server) -> UploadTarget:
 
 
 def test_request_carries_token_and_hash(server):
-    assert upload_log(target(server), "t1", b"content") is Outcome.STORED
+    assert upload_log(target(server), "t1", b"content") is UploadOutcome.STORED
     (headers,) = server.headers
     assert headers["path"] == "/api/v1/machines/m001/throw-logs/t1"
     assert headers["Authorization"] == "Bearer secret"
@@ -98,12 +98,12 @@ def test_request_carries_token_and_hash(server):
 @pytest.mark.parametrize(
     ("status", "outcome"),
     [
-        (204, Outcome.STORED),
-        (413, Outcome.REFUSED),
-        (422, Outcome.REFUSED),
-        (401, Outcome.RETRY),
-        (404, Outcome.RETRY),
-        (503, Outcome.RETRY),
+        (204, UploadOutcome.STORED),
+        (413, UploadOutcome.REFUSED),
+        (422, UploadOutcome.REFUSED),
+        (401, UploadOutcome.RETRY),
+        (404, UploadOutcome.RETRY),
+        (503, UploadOutcome.RETRY),
     ],
 )
 def test_statuses_decide_whether_to_try_again(server, status, outcome):
@@ -112,7 +112,10 @@ def test_statuses_decide_whether_to_try_again(server, status, outcome):
 
 
 def test_nobody_there_is_a_reason_to_try_again():
-    assert upload_log(UploadTarget("http://127.0.0.1:9", "m001", "s"), "t1", b"x") is Outcome.RETRY
+    assert (
+        upload_log(UploadTarget("http://127.0.0.1:9", "m001", "s"), "t1", b"x")
+        is UploadOutcome.RETRY
+    )
 
 
 def test_one_unwanted_log_holds_up_no_other(server, journal, tmp_path):
