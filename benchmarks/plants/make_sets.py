@@ -134,8 +134,9 @@ def record(
     calibration: Path,
 ) -> None:
     """Record `throws` throws of a day, half of them in each mode, into `out`/2d and `out`/3d."""
-    options = json.dumps({"day_seed": day, "effects": list(effects)})
-    for mode, count in (("2d", throws // 2), ("3d", throws - throws // 2)):
+    halves = (("2d", throws // 2, 0), ("3d", throws - throws // 2, 3600))
+    for mode, count, start_s in halves:
+        options = json.dumps({"day_seed": day, "effects": list(effects), "start_s": start_s})
         arguments = ["record", "--plant", PLANT, "--unit-seed", str(unit), "--mode", mode]
         arguments += [
             "--throws",

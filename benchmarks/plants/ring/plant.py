@@ -40,7 +40,8 @@ class Ring:
     """`count` copies of machine number `unit_seed` on day `day_seed`, with `effects` wrong with it.
 
     Where `day_seed` or `effects` is not given, it comes from the environment variable ``RING_OPTIONS``, a
-    JSON object with these names: commands construct a plant with `count` and `unit_seed` alone.
+    JSON object with these names: commands construct a plant with `count` and `unit_seed` alone. Its `start_s`
+    is the time of day at which the plant's clock starts, s.
     """
 
     def __init__(
@@ -67,7 +68,10 @@ class Ring:
         for effect in wrong:
             ring_effects.apply(effect, self.parameters)
         self._seed = [int(unit_seed), day]
-        self._now_ns = 1_000_000_000 + day * DAY_NS
+        self._now_ns = (
+            round((1.0 + float(options.get("start_s", 0.0))) * 100) * CONTROL_PERIOD_NS
+            + day * DAY_NS
+        )
         self._machines = self._library.ring_new(self.count)
         packed = np.concatenate([self.parameters[name] for name in sizes])
         for index in range(self.count):
