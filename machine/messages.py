@@ -260,7 +260,7 @@ class OperatorHeartbeat(_ToMachine):
     sequence_count: int = Field(ge=0)
     is_holding: bool
     seen_t_mono_ns: int | None = Field(default=None, ge=0)
-    """As in a command: a heartbeat counts from this time on, so time on its way is silence."""
+    """The machine's time at which it was sent, as far as its sender knows it: time on its way is silence."""
 
 
 class CheckResult(BaseModel):

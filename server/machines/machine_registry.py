@@ -18,6 +18,7 @@ from machine.messages import JointStream, MachineState
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.clock import utc_now
 from server.errors import NotFoundError
+from server.machines.machine_clock import MachineClock
 from server.secret_files import write_secret
 from server.store.database import Database
 from server.store.models import Lease, Machine
@@ -26,6 +27,8 @@ FRESH_S = 1.0
 """A state older than this is not the present (targets: loss seen within 1 s)."""
 SECRETS_FOLDER = "machines"
 _RATE_SMOOTHING_RATIO = 0.1
+_REBOOT_NS = 1_000_000_000
+"""A state older than the newest one by more is of another boot."""
 _SEEN_PERIOD_S = 10.0
 """How often `last_seen_utc` is written while a machine is there."""
 
@@ -47,8 +50,8 @@ class KnownMachine:
     round_trip_s: float | None = None
     state_rate_hz: float | None = None
     is_marked_lost: bool = True
-    seen_t_mono_ns: int | None = None
-    """Newest time of the machine's own clock in its messages; echoed so that it can tell a stale command."""
+    clock: MachineClock | None = None
+    """The machine's own time, which commands and heartbeats carry so that it can tell a stale one."""
 
     @property
     def age_s(self) -> float:
@@ -198,7 +201,11 @@ class MachineRegistry:
                 old_hz = known.state_rate_hz or rate_hz
                 known.state_rate_hz = old_hz + _RATE_SMOOTHING_RATIO * (rate_hz - old_hz)
             known.state, known.received_s = state, now_s
-            known.seen_t_mono_ns = state.t_mono_ns
+            received_ns = time.monotonic_ns()
+            if known.clock is None or state.t_mono_ns < known.clock.seen_ns - _REBOOT_NS:
+                known.clock = MachineClock.first(state.t_mono_ns, received_ns)
+            else:
+                known.clock.take(state.t_mono_ns, received_ns)
             known.last_seen_utc = utc_now()
             is_found = known.is_marked_lost and known.has_token
             if is_found:
@@ -221,8 +228,8 @@ class MachineRegistry:
             if known is None:
                 return
             # A state of another boot resets the clock; joints only move it on.
-            if known.seen_t_mono_ns is not None:
-                known.seen_t_mono_ns = max(known.seen_t_mono_ns, joints.t_mono_ns)
+            if known.clock is not None:
+                known.clock.take(joints.t_mono_ns, time.monotonic_ns())
         for listener in self.on_joints:
             listener(joints)
 
@@ -286,7 +293,15 @@ class MachineRegistry:
         """Newest time of the machine's own clock that has been seen."""
         with self._lock:
             known = self._known.get(machine_id)
-        return None if known is None else known.seen_t_mono_ns
+            return None if known is None or known.clock is None else known.clock.seen_ns
+
+    def machine_t_mono_ns(self, machine_id: str) -> int | None:
+        """Present time of the machine's own clock, as far as its messages show it."""
+        with self._lock:
+            known = self._known.get(machine_id)
+            if known is None or known.clock is None:
+                return None
+            return known.clock.now_ns(time.monotonic_ns())
 
     def is_connected(self, machine_id: str) -> bool:
         """Whether a command can be sent now."""

@@ -90,7 +90,7 @@ class HoldRelay:
                 epoch_count=grant.epoch_count,
                 sequence_count=grant.sequence_count,
                 is_holding=is_holding,
-                seen_t_mono_ns=self._registry.seen_t_mono_ns(machine_id),
+                seen_t_mono_ns=self._registry.machine_t_mono_ns(machine_id),
             )
         self._link.put_heartbeat(heartbeat)
         self._metrics.heartbeats_count.labels(result="relayed").inc()
