@@ -266,9 +266,8 @@ class LinkProcess:
 
     def _latch(self, reason: str) -> None:
         """Latch STOPPED without the control process; an earlier latch stays."""
-        if self._latches.latch is None:
-            latch = Latch(f"link-{uuid.uuid4().hex[:12]}", ThrowState.STOPPED, reason)
-            self._intake.latch(latch)
+        latch = Latch(f"link-{uuid.uuid4().hex[:12]}", ThrowState.STOPPED, reason)
+        if self._intake.latch_unless_latched(latch):
             self._news.append(latch)
 
     def _report_latches(self) -> None:

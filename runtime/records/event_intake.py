@@ -103,6 +103,14 @@ class EventIntake:
             self._unwritten_latch = None
             return True
 
+    def latch_unless_latched(self, latch: Latch) -> bool:
+        """Remember a latch where none stands, so that another thread's STOP stays; whether none stood."""
+        with self._lock:
+            if self._latches.latch is not None or self._unwritten_latch is not None:
+                return False
+            self.latch(latch)
+            return True
+
     def is_durable(self, latch_id: str) -> bool:
         """Whether this latch, or the absence of one (empty), is what the disk says."""
         known = self._latches.latch

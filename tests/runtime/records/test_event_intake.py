@@ -45,6 +45,17 @@ def refuse(disk, monkeypatch):
     monkeypatch.setattr(disk.journal, "record", fail)
 
 
+def test_a_latch_that_stands_is_not_replaced_by_the_link_process(disk):
+    stop = Latch("link-1", ThrowState.STOPPED, "STOP by anna")
+    died = Latch("link-2", ThrowState.STOPPED, "the control process died")
+    assert disk.intake.latch(stop)
+    assert not disk.intake.latch_unless_latched(died)
+    assert disk.latches.latch == stop
+    disk.latches.write(None)
+    assert disk.intake.latch_unless_latched(died)
+    assert disk.latches.latch == died
+
+
 def test_stop_and_fault_are_latched_and_cleared_by_name(disk):
     assert disk.take(EventKind.STOP_LATCHED, latch_id="b.1", reason="STOP by anna")
     assert disk.latches.latch == Latch("b.1", ThrowState.STOPPED, "STOP by anna")
