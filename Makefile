@@ -71,7 +71,9 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 
 test: check $(STAMP)/browser  ## All checks and tests, those of the whole demo in a real browser included
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
-	@$(BIN)/pytest -n 2 --dist loadfile --ignore tests/e2e
+	@$(BIN)/pytest -n 2 --dist loadfile --ignore tests/e2e --ignore tests/link
+	@# Real machines at 100 Hz on few cores: not beside other tests.
+	@$(BIN)/pytest tests/link
 	@$(MAKE) --no-print-directory e2e
 
 e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, preview, hold, impact, STOP
