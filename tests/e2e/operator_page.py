@@ -9,8 +9,8 @@ from tests.e2e.stack import Stack
 
 HOLD = '[data-testid="hold"]'
 STARVED = ("heartbeat", "did not confirm")
-"""Words for a hold signal that came too late, and for a command that was not answered in time. A busy computer
-may starve either, and the machine then aborts or stays still, as it must."""
+"""Words for a hold signal that came too late, and for a command that was not answered in time. A busy
+computer may starve either, and the machine then aborts or stays still, as it must."""
 
 
 def sign_in(page: Page, stack: Stack, username: str = "operator", path: str = "/operate") -> None:
