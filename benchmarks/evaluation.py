@@ -22,9 +22,10 @@ from machine.starts import safe_pose, sample_starts
 from runtime.control import control_loop
 from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
+from sim_twin.commissioning.plant_data import plant_calibration
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.throws.campaign import run_throws
-from sim_twin.throws.plants import plant_calibration, plant_maker
-from sim_twin.twin.model import twin_model
+from sim_twin.throws.plants import plant_maker
 
 TARGET_FACTOR = {"twin": 300.0, "virtual": 100.0}
 

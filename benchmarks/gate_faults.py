@@ -26,7 +26,7 @@ from runtime.control.policy import PolicyRunner, find_policy
 from runtime.control.safety import LATCHING
 from runtime.driver import SensorSample, ValveCommand
 from runtime.guard.release_window import DEFAULT_RADIUS_M
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 
 SPEC = load_spec()
 POLICIES = Path(__file__).parents[1] / "policies"

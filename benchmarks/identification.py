@@ -28,8 +28,9 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from sim_twin.commissioning.motions import TestKind, motion_program
+from sim_twin.commissioning.plant_data import plant_calibration
 from sim_twin.commissioning.recording import record_test
-from sim_twin.throws.plants import VIRTUAL, plant_calibration, plant_maker
+from sim_twin.throws.plants import VIRTUAL, plant_maker
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.virtual.body import build_body
 from sim_twin.virtual.units import make_unit

@@ -20,9 +20,9 @@ from benchmarks.result_file import RESULTS, Row, describe, row, write_result
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS
 from machine.spec import load_spec
-from runtime.control.machine_control import MachineControl, MachineSetup
+from runtime.link.ipc import Kind, PacketSocket, pack_rows, packet_pair
 from runtime.process.driver_loader import load_driver
-from runtime.process.ipc import Kind, PacketSocket, pack_rows, packet_pair
+from runtime.process.machine_control import MachineControl, MachineSetup
 from runtime.process.real_time import IdleGarbageCollector, become_real_time
 from runtime.process.ticker import LATE_TICK_NS, RealTimeClock, Ticker
 
@@ -87,7 +87,7 @@ def measure(ticks: int, driver: str, is_real_time: bool, busy_count: int) -> dic
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--ticks", type=int, default=2000)
-    parser.add_argument("--driver", default="sim_twin.virtual.virtual_machine:VirtualMachine")
+    parser.add_argument("--driver", default="sim_twin.virtual_machine:VirtualMachine")
     parser.add_argument("--json", type=Path, default=RESULTS / "loop.json")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")

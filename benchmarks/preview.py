@@ -26,8 +26,8 @@ from machine.messages import Target
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
-from sim_twin.twin.model import twin_model
 from sim_twin.twin.profile import nominal_profile
 
 TARGET_MS = {"shown": 150.0, "ellipse": 2000.0}

@@ -15,7 +15,7 @@ from benchmarks.result_file import RESULTS, Row, describe, row, write_result
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 
 TICK_NS = 10_000_000
 LOW = ((0.9, 0.2, 0.5), (0.55, 0.5, 0.3), (0.8, 0.0, 0.5), (0.8, 0.2, 0.3))

@@ -21,7 +21,7 @@ from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_prof
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import TwinProfile
 from sim_twin.virtual.units import UNIT_HALF_WIDTH, MachineUnit, make_unit, nominal_unit
-from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+from sim_twin.virtual_machine import Condition, VirtualMachine
 
 IDENTIFIED_FIELDS: Final = (
     "dead_time_s",

@@ -36,7 +36,7 @@ from sim_twin.effects.table import EFFECTS
 from sim_twin.faults.fault import PlantEffect
 from sim_twin.faults.off_table import FAULTS, TABLE_FAULTS
 from sim_twin.throws.campaign import ThrowResult, run_throws
-from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+from sim_twin.virtual_machine import Condition, VirtualMachine
 
 IMPACT_M: Final = 0.03
 CHANNEL_SD: Final = 3.0

@@ -32,7 +32,7 @@ from runtime.records.throw_log import ThrowLog
 from sim_twin.throws.campaign import ThrowOutcome, run_throws
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.twin.profile import save_profile
-from sim_twin.virtual.virtual_machine import STEP_NS, Condition, VirtualMachine
+from sim_twin.virtual_machine import STEP_NS, Condition, VirtualMachine
 
 RANGE_M: Final = (7.0, 10.0)
 LOST_ROW_RATIO: Final = 0.01

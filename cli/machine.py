@@ -11,7 +11,7 @@ from machine.errors import UsageError
 from runtime.process.machine_process import run_machine
 from runtime.process.machine_settings import MachineSettings
 
-VIRTUAL_DRIVER = "sim_twin.virtual.virtual_machine:VirtualMachine"
+VIRTUAL_DRIVER = "sim_twin.virtual_machine:VirtualMachine"
 
 
 def run(

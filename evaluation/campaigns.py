@@ -17,8 +17,9 @@ from machine.spec import MachineSpec, load_spec
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.commissioning.plant_data import plant_calibration
 from sim_twin.throws.campaign import ThrowResult, TickRecorder, run_throws
-from sim_twin.throws.plants import TWIN, PlantMaker, plant_calibration, plant_maker
+from sim_twin.throws.plants import TWIN, PlantMaker, plant_maker
 from sim_twin.twin.profile import load_profile
 
 MAX_TARGET_COUNT = 200

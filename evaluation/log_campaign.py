@@ -13,9 +13,10 @@ from machine.errors import UsageError
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from sim_twin.commissioning.motions import TestKind, motion_program
+from sim_twin.commissioning.plant_data import plant_profile
 from sim_twin.commissioning.recording import record_test
 from sim_twin.throws.campaign import ThrowResult, run_throws
-from sim_twin.throws.plants import TWIN, VIRTUAL, plant_profile
+from sim_twin.throws.plants import TWIN, VIRTUAL
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 

@@ -29,7 +29,7 @@ from sim_twin.throws.plants import TWIN, VIRTUAL
 from sim_twin.throws.throw_logs import FailureRecorder, LogContext
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 from sim_twin.twin.twin import Twin
-from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+from sim_twin.virtual_machine import Condition, VirtualMachine
 
 MAX_LOG_COUNT = 20
 """Logs of failed throws that are kept."""

@@ -22,7 +22,7 @@ from sim_twin.confidence_intervals import Interval
 from sim_twin.throws.campaign import ThrowResult
 from sim_twin.virtual.properties import PROPERTIES, as_drawn
 from sim_twin.virtual.units import MachineUnit, make_unit
-from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+from sim_twin.virtual_machine import Condition, VirtualMachine
 
 Direction = Literal["downrange", "crossrange"]
 BOOTSTRAP_COUNT = 4000

@@ -19,7 +19,7 @@ from diagnosis.linearisation.unmodelled_effects import (
 from diagnosis.loading.prepared import Block, PreparedThrow
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from machine.spec import load_spec
-from sim_twin.twin.grip_point import gripper_axes
+from sim_twin.rigid_body.grip_point import gripper_axes
 
 DIRECTIONS = ("positive", "negative")
 BUMP_WIDTH_RAD_M = 0.12

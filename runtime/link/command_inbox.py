@@ -25,8 +25,8 @@ from machine.messages import (
     StopRequest,
     ThrowState,
 )
+from runtime.link.ipc import Kind
 from runtime.link.server_link import ReplySlot
-from runtime.process.ipc import Kind
 from runtime.records.journal import Journal
 from runtime.records.outbox import OutboxError
 

@@ -19,11 +19,8 @@ from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.errors import DownrangeError, PolicyError
 from machine.messages import Command, OperatorHeartbeat, StopRequest, ThrowState
 from machine.spec import load_spec
-from runtime.control.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.control.policy import PolicyRunner, find_policy
-from runtime.process.alive_counter import AliveCounter
-from runtime.process.driver_loader import load_driver
-from runtime.process.ipc import (
+from runtime.link.ipc import (
     TICK_ROW,
     TICK_TAGS,
     Kind,
@@ -32,6 +29,9 @@ from runtime.process.ipc import (
     PeerGoneError,
     pack_rows,
 )
+from runtime.process.alive_counter import AliveCounter
+from runtime.process.driver_loader import load_driver
+from runtime.process.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.real_time import IdleGarbageCollector, become_real_time
 from runtime.process.supervisor_connection import SupervisorConnection

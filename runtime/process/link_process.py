@@ -29,9 +29,7 @@ from machine.messages import (
     ThrowState,
 )
 from runtime.link.command_inbox import COMMANDS, CommandInbox
-from runtime.link.server_link import ReplySlot, ServerLink
-from runtime.link.zenoh_config import client_config
-from runtime.process.ipc import (
+from runtime.link.ipc import (
     TICK_DTYPES,
     TICK_TAGS,
     Kind,
@@ -40,6 +38,8 @@ from runtime.process.ipc import (
     PeerGoneError,
     unpack_rows,
 )
+from runtime.link.server_link import ReplySlot, ServerLink
+from runtime.link.zenoh_config import client_config
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import SupervisorConnection
 from runtime.records.event_intake import ControlEvent, EventIntake

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from machine.errors import DownrangeError, UsageError
+from runtime.link.ipc import packet_pair
 from runtime.process.alive_counter import AliveCounter, process_state
 from runtime.process.hang_watch import HangWatch
-from runtime.process.ipc import packet_pair
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import MESSAGE_LIMIT_BYTES, hand_port
 

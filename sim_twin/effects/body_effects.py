@@ -10,7 +10,7 @@ import numpy as np
 
 from machine.conventions import Array
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.twin.model import twin_model
+from sim_twin.rigid_body.model import twin_model
 
 
 class BodyEffects:

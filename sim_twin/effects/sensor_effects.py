@@ -9,7 +9,7 @@ import numpy as np
 
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, JOINT_COUNT, Array, IntArray
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.twin.grip_point import rotation_zyx
+from sim_twin.rigid_body.grip_point import rotation_zyx
 
 _ANGLES = ("yaw", "pitch", "roll")
 

@@ -12,7 +12,7 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
-from sim_twin.twin.arm_load import gravity_load_ratio
+from sim_twin.rigid_body.arm_load import gravity_load_ratio
 
 MIN_LAG_S = 0.01
 """A mean lag cannot be taken away beyond this: one control tick."""

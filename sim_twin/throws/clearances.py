@@ -10,7 +10,7 @@ from machine.conventions import ACTIVE_JOINTS, Array
 from machine.site.objects import SiteKind
 from machine.site.solids import Solids
 from machine.spec import MachineSpec
-from sim_twin.twin.model import twin_model
+from sim_twin.rigid_body.model import twin_model
 
 FAR_M = 20.0
 """Largest distance that is evaluated."""

@@ -9,9 +9,9 @@ from machine.conventions import GRAVITY_M_PER_S2, Array, IntArray
 from machine.kinematics import ToolState, pin_in_plane, rotate_z
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
+from sim_twin.rigid_body.grip_point import gripper_axes, rotation_zyx
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.chassis_sway import ChassisSway
-from sim_twin.twin.grip_point import gripper_axes, rotation_zyx
-from sim_twin.twin.model import twin_model
 
 DIFFERENCE_S = 1e-4
 """Half of the time step of numerical derivatives."""

@@ -13,7 +13,7 @@ from machine.conventions import (
     Array,
 )
 from machine.spec import MachineSpec
-from sim_twin.twin.arm_load import largest_tipping_moment, tipping_ratio
+from sim_twin.rigid_body.arm_load import largest_tipping_moment, tipping_ratio
 from sim_twin.twin.response import lag_matrices
 
 BASE_INERTIA_KG_M2 = (24_000.0, 36_000.0)

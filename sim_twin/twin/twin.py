@@ -27,7 +27,7 @@ from machine.spec import MachineSpec, load_spec
 from runtime.driver import SensorSample, ValveCommand
 from sim_twin.effects.arrays import effect_arrays
 from sim_twin.effects.effect import Effect
-from sim_twin.twin.model import model_variant, twin_model
+from sim_twin.rigid_body.model import model_variant, twin_model
 from sim_twin.twin.noise import NOISE_TABLE_SIZE, noise_at, noise_sd
 from sim_twin.twin.payload import Payload
 from sim_twin.twin.profile import TwinProfile, nominal_profile

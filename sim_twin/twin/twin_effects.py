@@ -10,9 +10,9 @@ from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
 from sim_twin.effects.body_effects import BodyEffects
 from sim_twin.effects.sensor_effects import SensorEffects
+from sim_twin.rigid_body.grip_point import grip_point
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.base_pose import BasePose
-from sim_twin.twin.grip_point import grip_point
-from sim_twin.twin.model import twin_model
 
 
 class PrescribedMotion(NamedTuple):

@@ -17,8 +17,8 @@ from machine.messages import (
     ThrowPlan,
 )
 from machine.spec import load_spec
-from runtime.control.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.control.policy import PolicyRunner, find_policy
+from runtime.process.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.throw.protocol import ThrowEvent
 from tests.runtime.fake_driver import FakeDriver
 

@@ -12,7 +12,7 @@ from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.throws.campaign import ThrowOutcome, run_throws
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 from tests.cases import each
 
 SPEC = load_spec()

@@ -70,6 +70,17 @@ def test_modules_import_each_other_in_no_circle(imports: Edges):
     assert sorted_out(imports)[1] == []
 
 
+def test_folders_import_each_other_in_one_direction(imports: Edges):
+    inside = {path.parent.relative_to(ROOT).parts for path in python_files()}
+    names = {".".join(parts) for parts in inside if len(parts) == 2}
+    folders: Edges = {name: set() for name in names}
+    for name, targets in imports.items():
+        folder = name.rpartition(".")[0]
+        if folder in names:
+            folders[folder] |= {target.rpartition(".")[0] for target in targets} & names - {folder}
+    assert sorted_out(folders)[1] == []
+
+
 def test_import_chains_are_short(imports: Edges):
     long: list[str] = []
     for package in set(packages()) - LONG_CHAINS:

@@ -13,7 +13,7 @@ from runtime.control.control_loop import ControlParams
 from sim_twin.commissioning.motions import MotionProgram, TestKind, motion_program
 from sim_twin.commissioning.recording import record_test
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 
 SPEC = load_spec()
 

@@ -19,7 +19,7 @@ from diagnosis.linearisation.unmodelled_effects import (
 )
 from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
-from sim_twin.twin.grip_point import gripper_axes
+from sim_twin.rigid_body.grip_point import gripper_axes
 from tests.diagnosis.twin_throws import SWITCH_LAG_S, posed, throws
 
 THROWS = 6

@@ -15,7 +15,7 @@ from machine.messages import (
     ThrowState,
 )
 from runtime.link.command_inbox import CommandInbox
-from runtime.process.ipc import Kind
+from runtime.link.ipc import Kind
 from runtime.records.journal import Journal
 from runtime.records.outbox import EventDraft, Outbox, OutboxError
 from tests.runtime.machine_bench import make

@@ -21,7 +21,7 @@ from runtime.control import control_loop
 from runtime.control.control_loop import ControlInputs, ControlParams
 from runtime.control.policy import PolicyRunner
 from runtime.driver import SensorSample
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 from tests.runtime.replay import recording
 from tests.runtime.replay.difference import differences
 from tests.runtime.replay.recording import Channels, Recording

@@ -8,7 +8,7 @@ from sim_twin.commissioning.excitation import identify_profile, record_valve_res
 from sim_twin.commissioning.response_fit import simulate_response
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.twin.profile import nominal_profile
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 from tests.cases import each
 
 SPEC = load_spec()

@@ -10,7 +10,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, _table, calibrate
-from sim_twin.virtual.virtual_machine import VirtualMachine
+from sim_twin.virtual_machine import VirtualMachine
 from tests.cases import each
 
 SPEC = load_spec()

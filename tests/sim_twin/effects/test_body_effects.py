@@ -16,10 +16,10 @@ from machine.starts import safe_pose
 from runtime.driver import ValveCommand
 from sim_twin.effects.effect import Effect
 from sim_twin.replay.replay import fly
-from sim_twin.twin.arm_load import largest_tipping_moment, tipping_ratio
+from sim_twin.rigid_body.arm_load import largest_tipping_moment, tipping_ratio
+from sim_twin.rigid_body.grip_point import grip_point, gripper_axes, gripper_rate
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.chassis_sway import BASE_INERTIA_KG_M2, DAMPING_RATIO
-from sim_twin.twin.grip_point import grip_point, gripper_axes, gripper_rate
-from sim_twin.twin.model import twin_model
 from sim_twin.twin.profile import TwinProfile, exact_profile, nominal_profile
 from sim_twin.twin.twin import Twin
 

@@ -9,8 +9,8 @@ from machine.spec import load_spec
 from sim_twin.effects.arrays import effect_arrays
 from sim_twin.effects.effect import Effect
 from sim_twin.effects.valve_effects import SLIP_S, drive_flows
-from sim_twin.twin.arm_load import gravity_load_ratio, tipping_ratio
-from sim_twin.twin.model import twin_model
+from sim_twin.rigid_body.arm_load import gravity_load_ratio, tipping_ratio
+from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.profile import exact_profile, nominal_profile
 from sim_twin.twin.response import VelocityResponse
 

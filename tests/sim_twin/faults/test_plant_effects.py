@@ -14,7 +14,7 @@ from runtime.driver import ValveCommand
 from sim_twin.effects.schema import DRIFT
 from sim_twin.faults.fault import PlantEffect
 from sim_twin.faults.off_table import FAULTS, OFF_TABLE_FAULTS, TABLE_FAULTS
-from sim_twin.virtual.virtual_machine import Condition, VirtualMachine
+from sim_twin.virtual_machine import Condition, VirtualMachine
 
 SPEC = load_spec()
 TICK_S = CONTROL_PERIOD_NS * 1e-9

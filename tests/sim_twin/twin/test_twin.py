@@ -222,7 +222,7 @@ def test_landing_agrees_with_an_independent_integration(surface_m: float) -> Non
 def test_the_load_leaves_from_mujocos_grip_centre_at_its_velocity() -> None:
     import mujoco
 
-    from sim_twin.twin.model import twin_model
+    from sim_twin.rigid_body.model import twin_model
 
     twin = make(profile=EXACT.model_copy(update={"release_delay_s": 0.25}))
     pose = safe_pose()[None].copy()
@@ -277,7 +277,7 @@ def test_imu_of_a_driven_gripper_is_consistent_with_its_motion() -> None:
     """Specific force = R^T (change of the IMU site's velocity over the tick - gravity)."""
     import mujoco
 
-    from sim_twin.twin.model import twin_model
+    from sim_twin.rigid_body.model import twin_model
 
     twin = make()
     pose = safe_pose()[None].copy()

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from machine.telemetry import CONTROL_ROW, IMU_ROW
-from runtime.process.ipc import (
+from runtime.link.ipc import (
     PACKET_LIMIT_BYTES,
     Kind,
     PacketSocket,
@@ -75,7 +75,7 @@ def test_killed_peer_leaves_its_packets():
     mine, theirs = packet_pair()
     code = (
         "import socket, sys, time\n"
-        "from runtime.process.ipc import *\n"
+        "from runtime.link.ipc import *\n"
         f"s = PacketSocket(socket.socket(fileno={theirs.fileno()}))\n"
         "for n in range(20): s.send(Kind.EVENT, bytes([n]))\n"
         "print('sent', flush=True); time.sleep(60)\n"

@@ -94,7 +94,7 @@ def test_policy_that_cannot_run_closes_the_valves_and_latches_a_fault(bench, mon
     def fail(*_):
         raise PolicyError("the policy cannot run")
 
-    monkeypatch.setattr("runtime.control.machine_control.step", fail)
+    monkeypatch.setattr("runtime.process.machine_control.step", fail)
     bench.tick(bench.beat())
     assert not bench.driver.commands[-1].valve_ratio.any()
     bench.tick(bench.beat())

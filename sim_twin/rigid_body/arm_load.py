@@ -11,7 +11,7 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, Array
 from machine.kinematics import rotate_z
 from machine.spec import MachineSpec
-from sim_twin.twin.model import twin_model
+from sim_twin.rigid_body.model import twin_model
 
 GRID_POINT_COUNT = 25
 

@@ -8,7 +8,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SimulatedDriver, SimulatedPlantFactory, ValveCommand
 from sim_twin.virtual.sensors import ACCEL_SD_M_PER_S2
-from sim_twin.virtual.virtual_machine import START_NS, VirtualMachine
+from sim_twin.virtual_machine import START_NS, VirtualMachine
 from tests.cases import each
 
 SPEC = load_spec()
