@@ -56,11 +56,14 @@ def open_page(browser: Browser, console: Console) -> Iterator[Callable[..., Page
     """Opens pages, each in a profile of its own; small pictures, drawn without graphics hardware."""
     contexts = []
 
-    def open_one(stack: Stack, width: int = 1024, height: int = 768) -> Page:
+    def open_one(
+        stack: Stack, width: int = 1024, height: int = 768, *, touch: bool = False
+    ) -> Page:
         context = browser.new_context(
             base_url=stack.url,
             viewport={"width": width, "height": height},
             device_scale_factor=0.5,
+            has_touch=touch,
         )
         contexts.append(context)
         page = context.new_page()

@@ -67,7 +67,7 @@ def throw_until_landed(page: Page, press: str, attempts: int = 4) -> None:
         load_if_empty(page)
         button = page.locator(HOLD)
         _press(page, button, press)
-        text = _outcome(page)
+        text = outcome(page, while_held=True)
         _let_go(page, press)
         if not any(words in text for words in STARVED):
             return
@@ -95,9 +95,12 @@ def _let_go(page: Page, press: str) -> None:
         page.mouse.up()
 
 
-def _outcome(page: Page) -> str:
-    """The result, or why there was no throw at all."""
-    note = page.get_by_test_id("hold-note")
+def outcome(page: Page, *, while_held: bool = False) -> str:
+    """The result, or why there was no throw at all.
+
+    While the button is still down it tells the reason itself.
+    """
+    note = page.locator(f"{HOLD}[data-note]") if while_held else page.get_by_test_id("hold-note")
     _wait_for(page, page.get_by_test_id("result").or_(note).first, "no result")
     return page.get_by_role("complementary").inner_text()
 

@@ -1,4 +1,4 @@
-import { Button } from "@mantine/core";
+import { useState } from "react";
 import type { Machine } from "../session/live";
 import { GateFooter } from "./GateFooter";
 import type { Gate } from "./gate";
@@ -11,21 +11,24 @@ type Props = {
   gate: Gate | null;
   control: HoldControl;
   hasResult: boolean;
-  onAgain: () => void;
   onPreviewAgain: () => void;
   onOtherMode: () => void;
 };
 
-/** The foot of the panel: always the one thing to do next. */
+/**
+ * The foot of the panel: always the one thing to do next. Nothing that a lifted finger could press takes
+ * the place of the hold button while it is down.
+ */
 export function ActionFooter(props: Props) {
-  const { machine, gate, control, hasResult, onAgain, onPreviewAgain, onOtherMode } = props;
-  const isBusy = control.hold.phase !== "idle";
+  const { machine, gate, control, hasResult, onPreviewAgain, onOtherMode } = props;
+  const [isDown, setDown] = useState(false);
+  const isBusy = control.hold.phase !== "idle" || isDown;
   if (hasResult && !isBusy && !gate?.isAlarm) {
     return (
       <div className={classes.foot}>
-        <Button fullWidth size="lg" onClick={onAgain}>
-          Throw again
-        </Button>
+        <p className={classes.over} role="status">
+          The throw is over. <em>Throw again</em> stands with the result; a new target begins anew.
+        </p>
       </div>
     );
   }
@@ -41,8 +44,15 @@ export function ActionFooter(props: Props) {
           onOtherMode={onOtherMode}
         />
       )}
-      {showsButton && <HoldButton control={control} isEnabled={gate === null} />}
-      {control.hold.phase === "idle" && control.hold.note && (
+      {showsButton && (
+        <HoldButton
+          control={control}
+          isEnabled={gate === null && !hasResult}
+          reason={isWaiting ? gate.sentence : ""}
+          onDown={setDown}
+        />
+      )}
+      {!isBusy && control.hold.phase === "idle" && control.hold.note && (
         <p className={classes.refusal} role="alert" data-testid="hold-note">
           {control.hold.note}
         </p>

@@ -44,7 +44,7 @@ export function OperatePanel({ operate }: { operate: Operate }) {
     preview: <PreviewStep machine={machine} plan={plan} gate={operate.gate} />,
     throw: <ThrowStep operate={operate} />,
     result: operate.result ? (
-      <ResultStep thrown={operate.result} plan={plan} />
+      <ResultStep thrown={operate.result} plan={plan} onAgain={operate.throwAgain} />
     ) : (
       <p className={classes.note}>No throw yet.</p>
     ),
@@ -74,7 +74,6 @@ export function OperatePanel({ operate }: { operate: Operate }) {
           gate={operate.gate}
           control={operate.control}
           hasResult={operate.result !== null}
-          onAgain={operate.throwAgain}
           onPreviewAgain={operate.previewAgain}
           onOtherMode={() => operate.setMode(mode === "2d" ? "3d" : "2d")}
         />

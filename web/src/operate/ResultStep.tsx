@@ -9,8 +9,10 @@ import { outcomeSentence } from "../throws/outcome";
 import classes from "./Panel.module.css";
 import { landingVerdict } from "./reason";
 
+type Props = { thrown: Throw; plan: Plan | null; onAgain: () => void };
+
 /** How it came out: predicted and measured, a likely reason, and what to do next. */
-export function ResultStep({ thrown, plan }: { thrown: Throw; plan: Plan | null }) {
+export function ResultStep({ thrown, plan, onAgain }: Props) {
   const [isMarking, setMarking] = useState(false);
   const verdict = landingVerdict(thrown, plan);
   const measured =
@@ -47,20 +49,22 @@ export function ResultStep({ thrown, plan }: { thrown: Throw; plan: Plan | null 
       {isMarking ? (
         <MarkImpact throwId={thrown.throw_id} onDone={() => setMarking(false)} />
       ) : (
-        <Button.Group mt={10}>
-          <Button variant="default" fullWidth onClick={() => setMarking(true)}>
-            Mark impact
-          </Button>
+        <div className={classes.actions}>
+          <Button onClick={onAgain}>Throw again</Button>
+          {thrown.outcome === "landed" && (
+            <Button variant="default" onClick={() => setMarking(true)}>
+              Mark impact
+            </Button>
+          )}
           <Button
             variant="default"
-            fullWidth
             renderRoot={(props) => (
               <Link to="/throws/$throwId" params={{ throwId: thrown.throw_id }} {...props} />
             )}
           >
-            Open this throw
+            Open
           </Button>
-        </Button.Group>
+        </div>
       )}
     </div>
   );

@@ -131,3 +131,47 @@ it("says that letting go no longer stops after the commit point", () => {
   expect(screen.getByText(/no longer stops it/)).toBeDefined();
   expect(screen.getByText(/STOP still works/)).toBeDefined();
 });
+
+describe("after the throw has ended under the finger", () => {
+  const ended = (isEnabled: boolean) => (
+    <HoldButton control={{ hold: IDLE, press, release }} isEnabled={isEnabled} onDown={onDown} />
+  );
+  const onDown = vi.fn();
+
+  it.each([
+    ["pointer", () => fireEvent.pointerUp(screen.getByTestId("hold"), { pointerId: 1 })],
+    ["key", () => fireEvent.keyUp(screen.getByTestId("hold"), { key: " " })],
+  ])("stays inert until it is lifted: %s", (by, lift) => {
+    onDown.mockReset();
+    const { rerender } = render(ended(true));
+    const button = screen.getByTestId("hold");
+    if (by === "pointer") down(button);
+    else fireEvent.keyDown(button, { key: " " });
+    rerender(ended(true));
+    expect(onDown).toHaveBeenLastCalledWith(true);
+    expect(button.getAttribute("aria-disabled")).toBe("true");
+    expect(screen.getByText(/lift/)).toBeDefined();
+    fireEvent.keyDown(button, { key: " ", repeat: true });
+    fireEvent.keyDown(button, { key: " " });
+    expect(press).toHaveBeenCalledTimes(1);
+    lift();
+    expect(onDown).toHaveBeenLastCalledWith(false);
+    expect(button.getAttribute("aria-disabled")).toBe("false");
+  });
+
+  it("another finger lifted elsewhere changes nothing", () => {
+    onDown.mockReset();
+    render(ended(true));
+    down(screen.getByTestId("hold"));
+    fireEvent.pointerUp(document.body, { pointerId: 2 });
+    expect(onDown).toHaveBeenLastCalledWith(true);
+  });
+
+  it("a new first finger stands for one that was lifted unheard", () => {
+    onDown.mockReset();
+    render(ended(true));
+    down(screen.getByTestId("hold"));
+    fireEvent.pointerDown(document.body, { pointerId: 3, isPrimary: true });
+    expect(onDown).toHaveBeenLastCalledWith(false);
+  });
+});

@@ -12,29 +12,47 @@ const HINTS: Partial<Record<Hold["phase"], string>> = {
   letting_go: "Aborting before the commit point",
 };
 
+type Props = {
+  control: HoldControl;
+  isEnabled: boolean;
+  /** Why it cannot be held; empty while it can. */
+  reason?: string;
+  /** Whether a finger, mouse button or key is still down on it. */
+  onDown?: (isDown: boolean) => void;
+};
+
+const NOBODY = () => undefined;
+
 /** Hold to throw: pointer, touch, or the space bar while it has the focus. */
-export function HoldButton({ control, isEnabled }: { control: HoldControl; isEnabled: boolean }) {
+export function HoldButton({ control, isEnabled, reason = "", onDown = NOBODY }: Props) {
   const { hold, press, release } = control;
-  const input = useHoldInput({ press, release, isEnabled });
+  const { handlers, isDown } = useHoldInput({ press, release, isEnabled, onDown });
   const isBusy = hold.phase !== "idle";
+  const isSpent = isDown && !isBusy;
+  const isOff = isSpent || (!isEnabled && !isBusy);
+  const note = hold.phase === "idle" ? hold.note : null;
+  const hint = isSpent
+    ? (note ?? "It does nothing until then")
+    : (!isBusy && reason) || HINTS[hold.phase];
   return (
     <button
-      {...input}
+      {...handlers}
       type="button"
       className={classes.hold}
       data-phase={hold.phase}
+      data-note={(isSpent && note !== null) || undefined}
       data-testid="hold"
-      aria-disabled={!isEnabled && !isBusy}
+      aria-disabled={isOff}
       aria-describedby="hold-hint"
       style={{ "--ring-ms": `${ARM_RING_MS}ms` } as React.CSSProperties}
     >
       <HoldRing phase={hold.phase} />
       <span className={classes.words}>
         <span className={classes.label} aria-live="assertive">
-          {buttonWords(hold)}
+          {isSpent ? "Over: lift the finger" : buttonWords(hold)}
         </span>
         <span className={classes.hint} id="hold-hint">
-          {HINTS[hold.phase]}
+          {hint}
         </span>
       </span>
       {!isBusy && <kbd className={classes.key}>Space</kbd>}
