@@ -1,6 +1,7 @@
 """Campaigns whose throws or identification tests are written as throw logs."""
 
 import re
+from collections.abc import Sequence
 from itertools import cycle, islice
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +13,9 @@ from evaluation.progress import progress_line
 from machine.errors import UsageError
 from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
+from runtime.records.log_reader import read_throw_log
+from runtime.records.log_writer import StoredLog
+from runtime.records.recorder import log_path
 from sim_twin.commissioning.motions import TestKind, motion_program
 from sim_twin.commissioning.plant_data import plant_profile
 from sim_twin.commissioning.recording import record_test
@@ -24,6 +28,11 @@ MAX_RECORDED_COUNT = 64
 """Throws that are kept in memory together; the rows of a throw take about 1 MB."""
 
 
+THROW_PERIOD_S = 60.0
+"""From one recorded throw to the next on the machine's clock: throws that are simulated side by side are
+logged as a machine throws, one after the other."""
+
+
 class RecordedMachine(NamedTuple):
     """The plant that is recorded, as named on the command line."""
 
@@ -31,6 +40,13 @@ class RecordedMachine(NamedTuple):
     unit_seed: int
     profile: Path | None
     """Twin profile; None: the twin's nominal one, or identified on the virtual machine."""
+    machine_id: str | None = None
+    """In the logs; None: the plant's name and unit."""
+
+    @property
+    def logged_id(self) -> str:
+        """Machine id of the logs."""
+        return self.machine_id or f"{_slug(self.plant)}-{self.unit_seed}"
 
 
 class RecordedCampaign(NamedTuple):
@@ -42,7 +58,7 @@ class RecordedCampaign(NamedTuple):
 
 
 def record_campaign(
-    campaign: Campaign,
+    campaigns: Sequence[Campaign],
     machine: RecordedMachine,
     test: TestKind | None,
     throws: int,
@@ -51,6 +67,14 @@ def record_campaign(
 ) -> RecordedCampaign:
     """Throw round the targets, or run an identification test, and write one log per throw into `out`.
 
+    Args:
+        campaigns: one per mode; throws take turns among them. A test takes the first.
+        machine: what is recorded.
+        test: kind of test, None for throws.
+        throws: number of throws.
+        seed: of starts, programs and noise.
+        out: folder of the logs. The machine's clock goes on from its last log there.
+
     Raises:
         UsageError: `out` cannot be made.
     """
@@ -58,23 +82,41 @@ def record_campaign(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {out}: {error.strerror}") from error
-    profile, name = _twin_profile(campaign, machine), _slug(machine.plant)
-    context = LogContext(
-        machine_id=f"{name}-{machine.unit_seed}",
-        throw_prefix=f"{name}-{machine.unit_seed}-{test or campaign.params.mode.value}-s{seed}",
-        twin_profile_version_count=0 if profile is None else profile.version_count,
-        out_dir=out,
-        twin_profile=profile,
-        pace_ratio=campaign.pace_ratio,
-        test=test or "",
-    )
-    recorder = CampaignRecorder(campaign.params, context)
-    if test is None:
-        results = _throw(campaign, throws, seed, recorder)
-    else:
-        results = _run_test(campaign, test, seed, recorder)
-    stored = recorder.stored
+    what = test or "-".join(c.params.mode.value for c in campaigns)
+    profile, prefix = _twin_profile(campaigns[0], machine), f"{machine.logged_id}-{what}-s{seed}"
+    free_from_ns = _clock_ns(out, machine.logged_id)
+    results: list[ThrowResult] = []
+    stored: list[StoredLog] = []
+    for place, campaign in enumerate(campaigns[:1] if test is not None else campaigns):
+        numbers = tuple(range(place, throws, len(campaigns)))
+        context = LogContext(
+            machine_id=machine.logged_id,
+            throw_prefix=prefix,
+            twin_profile_version_count=0 if profile is None else profile.version_count,
+            out_dir=out,
+            twin_profile=profile,
+            throw_numbers=() if test is not None else numbers,
+            pace_ratio=campaign.pace_ratio,
+            free_from_ns=free_from_ns,
+            throw_period_s=THROW_PERIOD_S,
+            test=test or "",
+        )
+        recorder = CampaignRecorder(campaign.params, context)
+        if test is not None:
+            results += _run_test(campaign, test, seed, recorder)
+        elif numbers:
+            results += _throw(campaign, len(numbers), seed, recorder)
+        stored += recorder.stored
     return RecordedCampaign(results, [s.path for s in stored], sum(s.size_bytes for s in stored))
+
+
+def _clock_ns(folder: Path, machine_id: str) -> int:
+    """Time on the machine's clock from which a folder holds no log of this machine, ns."""
+    logs = folder.glob(log_path(folder, f"{machine_id}-*").name)
+    newest = max(logs, key=lambda path: path.stat().st_mtime_ns, default=None)
+    if newest is None:
+        return 0
+    return int(read_throw_log(newest).control["t_mono_ns"][-1]) + round(THROW_PERIOD_S * 1e9)
 
 
 def _slug(plant: str) -> str:

@@ -2,11 +2,12 @@
 
 import importlib
 import inspect
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, cast
 
 from machine.errors import UsageError
 from runtime.driver import Driver
+from runtime.driver_factory import DRIVER_PARTS, check_parts, construct
 
 
 def load_driver(name: str, options: Mapping[str, str], unit_seed: int) -> Driver:
@@ -27,20 +28,14 @@ def load_driver(name: str, options: Mapping[str, str], unit_seed: int) -> Driver
             "PYTHONPATH"
         ) from error
     arguments: dict[str, Any] = dict(options)
-    try:
-        wanted = inspect.signature(factory).parameters
-        if "count" in wanted:
-            arguments.setdefault("count", 1)
-        if "unit_seed" in wanted:
-            arguments.setdefault("unit_seed", unit_seed)
-        driver = factory(**arguments)
-    except (TypeError, ValueError, OSError) as error:
-        raise UsageError(f"driver {name} cannot be made with {arguments}: {error}") from error
-    if not isinstance(driver, Driver):
-        missing = [part for part in _PARTS if not hasattr(driver, part)]
-        raise UsageError(
-            f"{name} is no driver: it has no {', '.join(missing)}; see docs/drivers.md"
-        )
+    wanted = _parameters(factory)
+    if "count" in wanted:
+        arguments.setdefault("count", 1)
+    if "unit_seed" in wanted:
+        arguments.setdefault("unit_seed", unit_seed)
+    driver = construct(factory, arguments, f"driver {name}")
+    check_parts(driver, DRIVER_PARTS, f"driver {name}")
+    driver = cast("Driver", driver)
     if driver.count != 1:
         raise UsageError(
             f"{name} serves {driver.count} machines; a machine process needs exactly one"
@@ -48,4 +43,8 @@ def load_driver(name: str, options: Mapping[str, str], unit_seed: int) -> Driver
     return driver
 
 
-_PARTS = ("count", "now_ns", "advance", "read", "write", "load", "close")
+def _parameters(factory: Callable[..., object]) -> Mapping[str, inspect.Parameter]:
+    try:
+        return inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        return {}

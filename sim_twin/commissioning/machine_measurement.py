@@ -18,6 +18,7 @@ from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_prof
 from sim_twin.commissioning.registration_throws import register_machine, registration_throw_count
 from sim_twin.commissioning.response_fit import ResponseFit
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
+from sim_twin.throws.plant_abilities import HasSurface
 from sim_twin.throws.plants import PlantMaker, plant_maker
 from sim_twin.twin.profile import TwinProfile
 
@@ -79,13 +80,20 @@ def _register(
         runner = PolicyRunner(find_policy(policies, mode), spec)
         count = registration_throw_count(runner.card)
         show(f"registration: {count} throws with {runner.card.policy_id} ...")
+        has_heights = True
+        # The machine first: its twin is registered with the same throws.
         for maker, registrations in found.items():
             plant = maker(count)
+            has_heights = has_heights and isinstance(plant, HasSurface)
             try:
                 params = ControlParams(spec, tables, mode, runner)
-                registrations.append(register_machine(plant, params, spec, seed))
+                registrations.append(
+                    register_machine(plant, params, spec, seed, on_ground_only=not has_heights)
+                )
             finally:
                 plant.close()
+        if not has_heights:
+            show("  at ground level only: the driver has no set_surface_height (docs/plants.md)")
     return tables.model_copy(
         update={
             "registrations": tuple(found[make]),

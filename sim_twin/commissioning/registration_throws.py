@@ -16,6 +16,7 @@ from runtime.control.control_loop import ControlParams
 from runtime.driver import SimulatedDriver
 from sim_twin.commissioning.registration_fit import Surveyed, register
 from sim_twin.throws.campaign import ThrowOutcome, run_throws
+from sim_twin.throws.plant_abilities import HasSurface
 from sim_twin.throws.throw_start import scattered_starts
 from sim_twin.twin.profile import nominal_profile
 
@@ -44,15 +45,23 @@ def registration_throw_count(card: PolicyCard) -> int:
 
 
 def register_machine(
-    plant: SimulatedDriver, params: ControlParams, spec: MachineSpec, seed: int = 0
+    plant: SimulatedDriver,
+    params: ControlParams,
+    spec: MachineSpec,
+    seed: int = 0,
+    *,
+    on_ground_only: bool = False,
 ) -> Registration:
     """Throw at ranges over the whole reach and at the policy's heights, and fit a registration.
+
+    A plant without `set_surface_height` has ground only: its registration then has no terms of height.
 
     Args:
         plant: copies of the machine; `plant.count` throws run side by side.
         params: parameters of the control step with the policy; registrations in the calibration are ignored.
         spec: machine type.
         seed: seed of starts and of the plant's noise.
+        on_ground_only: throw at ground level even if the plant has heights, as a twin of a machine without.
 
     Raises:
         UsageError: no policy, no throw landed, or the misses are beyond the largest correction.
@@ -60,7 +69,7 @@ def register_machine(
     if params.policy is None:
         raise UsageError("a registration needs a policy")
     card = params.policy.card
-    plan = _plan(card)
+    plan = _plan(card, at_heights=isinstance(plant, HasSurface) and not on_ground_only)
     unregistered = ControlParams(
         spec, params.calibration.without_registrations(), params.mode, params.policy
     )
@@ -85,14 +94,15 @@ def _is_raised(card: PolicyCard) -> bool:
     return card.target_height_max_m > card.target_height_min_m
 
 
-def _plan(card: PolicyCard) -> _Plan:
+def _plan(card: PolicyCard, *, at_heights: bool) -> _Plan:
     """Targets on the x axis, spread evenly over the policy's reach."""
+    raised = at_heights and _is_raised(card)
     nearest = max(FIRST_RANGE_M, card.target_range_min_m, MIN_RANGE_M[card.mode])
-    target_m = np.zeros((registration_throw_count(card), 3))
-    ground = GROUND_THROW_COUNT if _is_raised(card) else FLAT_THROW_COUNT
+    ground = GROUND_THROW_COUNT if raised else FLAT_THROW_COUNT
+    target_m = np.zeros((ground + RAISED_THROW_COUNT if raised else ground, 3))
     target_m[:ground, 0] = np.linspace(nearest, card.target_range_max_m, ground)
     kinds = (TermKind.NEAR, TermKind.TURN) if card.mode is Mode.SPATIAL else ()
-    if not _is_raised(card):
+    if not raised:
         return _Plan(target_m, kinds)
     lowest, highest = card.target_height_min_m, card.target_height_max_m
     heights = np.linspace(lowest, highest, RAISED_THROW_COUNT)

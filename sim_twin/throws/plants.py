@@ -2,11 +2,13 @@
 
 import importlib
 from collections.abc import Callable
+from typing import cast
 
 from machine.calibration import ValveCalibration, nominal_calibration
 from machine.errors import UsageError
 from machine.spec import MachineSpec
 from runtime.driver import SimulatedDriver
+from runtime.driver_factory import SIMULATED_PARTS, check_parts, construct
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 from sim_twin.twin.twin import Twin
 
@@ -47,18 +49,9 @@ def plant_maker(
     factory = _load(VIRTUAL_CLASS if name == VIRTUAL else name)
 
     def make(count: int) -> SimulatedDriver:
-        try:
-            plant = factory(count=count, unit_seed=unit_seed)
-        except TypeError as error:
-            raise UsageError(
-                f"plant {name} cannot be made ({error}); it must take the keywords count and unit_seed"
-            ) from error
-        if not isinstance(plant, SimulatedDriver):
-            raise UsageError(
-                f"plant {name} is no simulated machine: it lacks methods of "
-                "runtime.driver.SimulatedDriver (docs/drivers.md)"
-            )
-        return plant
+        plant = construct(factory, {"count": count, "unit_seed": unit_seed}, f"plant {name}")
+        check_parts(plant, SIMULATED_PARTS, f"plant {name}")
+        return cast("SimulatedDriver", plant)
 
     return make
 

@@ -5,7 +5,7 @@ contains no more information than a log of a real one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,11 @@ class LogContext:
     """Numbers of the throws within their set; counted from 0 if empty."""
     pace_ratio: float = DEFAULT_PACE_RATIO
     """Id of the campaign's policy."""
+    free_from_ns: int = 0
+    """Earliest time of the first log on the machine's clock; the plant's clock is moved on to it."""
+    throw_period_s: float = 0.0
+    """Time from one throw of the set to the next on the machine's clock, on which throws that are simulated
+    side by side follow each other; 0 leaves them side by side."""
     test: str = ""
     """Kind of identification test (sim_twin.commissioning.motions); empty for throws."""
 
@@ -52,6 +57,7 @@ class CampaignRecorder:
         self._params, self._context = params, context
         self.stored: list[StoredLog] = []
         self._first, self._count, self._start_ns = 0, 0, 0
+        self._later_ns: int | None = None
         self._control: list[NDArray[np.void]] = []
         self._policy: list[NDArray[np.void]] = []
         self._samples: list[SensorSample] = []
@@ -60,6 +66,8 @@ class CampaignRecorder:
         """Start a batch: its first `throw_count` machines carry out throws from `first_throw_count` on."""
         self._first, self._count = first_throw_count, throw_count
         self._start_ns = plant.now_ns()
+        if self._later_ns is None:
+            self._later_ns = max(0, self._context.free_from_ns - self._start_ns)
         self._samples = [plant.read()]
         self._control, self._policy = [], []
 
@@ -100,7 +108,8 @@ class CampaignRecorder:
                 impact=_survey(result, last, index),
                 impact_t_mono_ns=int(last.impact_t_mono_ns[index]),
             )
-            self.store(throw_id, log)
+            later_ns = (self._later_ns or 0) + round(number * self._context.throw_period_s * 1e9)
+            self.store(throw_id, _later(log, later_ns))
         self._control, self._policy, self._samples = [], [], []
 
     def wants(self, result: ThrowResult) -> bool:
@@ -184,6 +193,31 @@ class FailureRecorder(CampaignRecorder):
             return False
         self._left_count -= 1
         return True
+
+
+def _later(log: ThrowLog, by_ns: int) -> ThrowLog:
+    """The log with all its times later by `by_ns`; times 0, which mean never, stay."""
+    if by_ns == 0:
+        return log
+
+    def shifted(rows: NDArray[np.void]) -> NDArray[np.void]:
+        rows = rows.copy()
+        for name in rows.dtype.names or ():
+            if name.endswith("t_mono_ns"):
+                rows[name] += by_ns * (rows[name] > 0)
+        return rows
+
+    return replace(
+        log,
+        control=shifted(log.control),
+        policy=shifted(log.policy),
+        imu=shifted(log.imu),
+        ball=shifted(log.ball),
+        events=tuple(
+            event.model_copy(update={"t_mono_ns": event.t_mono_ns + by_ns}) for event in log.events
+        ),
+        impact_t_mono_ns=log.impact_t_mono_ns + by_ns * (log.impact_t_mono_ns > 0),
+    )
 
 
 def _software() -> str:

@@ -1,3 +1,4 @@
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +100,41 @@ def test_logs_carry_the_twin_profile_of_their_machine(
     own = read_throw_log(path).metadata
     assert own["twin_profile"]["machine_id"] == "nominal"
     assert own["twin_profile_version"] == own["twin_profile"]["version_count"] == 0
+
+
+def test_modes_take_turns_under_the_machines_own_name_and_clock(
+    swing_policies: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "logs"
+    more = ("--mode", "both", "--machine-id", "yard-1", "--throws", "4", "--targets", "6")
+    assert record(swing_policies, out, *more, "--seed", "1") == 0
+    assert record(swing_policies, out, *more, "--seed", "2") == 0
+    logs = [
+        read_throw_log(out / f"yard-1-2d-3d-s{s}-{i:04d}.mcap") for s in (1, 2) for i in range(4)
+    ]
+    assert {log.metadata["machine_id"] for log in logs} == {"yard-1"}
+    assert [log.metadata["mode"] for log in logs] == ["2d", "3d", "2d", "3d"] * 2
+    for earlier, later in pairwise(logs):
+        end_ns = earlier.control["t_mono_ns"][-1]
+        assert later.control["t_mono_ns"][0] > end_ns
+        assert later.imu["t_mono_ns"][0] > end_ns
+        assert later.events[0].t_mono_ns == later.control["t_mono_ns"][0]
+        assert later.impact is None or later.impact_t_mono_ns > later.control["t_mono_ns"][0]
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (("--machine-id", "Yard 1"), "--machine-id"),
+        (("--mode", "both", "--policy", "x"), "--policy is of one mode"),
+    ],
+)
+def test_options_that_cannot_work_are_explained(
+    swing_policies: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    more: tuple[str, ...],
+    reason: str,
+) -> None:
+    assert record(swing_policies, tmp_path, *more) == 1
+    assert reason in capsys.readouterr().err

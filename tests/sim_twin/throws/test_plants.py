@@ -42,14 +42,19 @@ def test_a_plant_of_another_package_is_found(
         "        return Twin.for_plant(count=count, unit_seed=0)\n"
         "class Nothing:\n    def __init__(self, *, count, unit_seed): pass\n"
         "class Other:\n    pass\n"
+        "class Broken:\n    def __init__(self, *, count, unit_seed):\n        len(count)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     try:
         assert maker("yard_plant:Yard", 5)(2).count == 2
-        with pytest.raises(UsageError, match="no simulated machine"):
+        with pytest.raises(
+            UsageError, match=r"Nothing has no count, now_ns\(\).*collided\(\): add"
+        ):
             maker("yard_plant:Nothing")(1)
-        with pytest.raises(UsageError, match="keywords count and unit_seed"):
+        with pytest.raises(UsageError, match="take the keywords count, unit_seed"):
             maker("yard_plant:Other")(1)
+        with pytest.raises(UsageError, match=r"raised TypeError: .* line 11, in __init__"):
+            maker("yard_plant:Broken")(1)
         with pytest.raises(UsageError, match="no class Missing"):
             maker("yard_plant:Missing")
     finally:
