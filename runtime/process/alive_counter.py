@@ -1,4 +1,4 @@
-"""A number in memory that two processes share: the control loop raises it, the supervisor watches it.
+"""A number in memory that two processes share: a process raises it, its supervisor watches it.
 
 Raising costs no system call, and works whatever the other side does.
 """
@@ -15,7 +15,7 @@ STOPPED_STATES: Final = "TtZX"
 
 
 class AliveCounter:
-    """One end; made by the supervisor, opened from its descriptor by the control process."""
+    """One end; made by the supervisor, opened from its descriptor by the child."""
 
     def __init__(self, descriptor: int | None = None) -> None:
         if descriptor is None:
@@ -26,12 +26,12 @@ class AliveCounter:
         self._memory = mmap.mmap(descriptor, mmap.PAGESIZE)
 
     def add(self) -> None:
-        """One more period of the loop has passed."""
+        """The loop has come round once more."""
         _NUMBER.pack_into(self._memory, 0, self.value + 1)
 
     @property
     def value(self) -> int:
-        """Periods so far."""
+        """Rounds so far."""
         return int(_NUMBER.unpack_from(self._memory)[0])
 
     def close(self) -> None:

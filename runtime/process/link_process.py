@@ -40,6 +40,7 @@ from runtime.link.ipc import (
 )
 from runtime.link.server_link import ReplySlot, ServerLink
 from runtime.link.zenoh_config import client_config
+from runtime.process.alive_counter import AliveCounter
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import SupervisorConnection
 from runtime.records.event_intake import ControlEvent, EventIntake
@@ -67,10 +68,15 @@ class LinkProcess:
     """Main thread: the socket to control. Others: Zenoh's, commands, events, recorder, uploads."""
 
     def __init__(
-        self, settings: MachineSettings, supervisor: SupervisorConnection, stack: ExitStack
+        self,
+        settings: MachineSettings,
+        supervisor: SupervisorConnection,
+        alive: AliveCounter,
+        stack: ExitStack,
     ) -> None:
         self._settings = settings
         self._supervisor = supervisor
+        self._alive = alive
         is_new = _is_new_machine(settings)
         damage = set_damaged_aside(settings.database_file)
         if not (is_new or damage or settings.database_file.exists()):
@@ -133,6 +139,7 @@ class LinkProcess:
         with selectors.DefaultSelector() as selector:
             selector.register(self._supervisor, selectors.EVENT_READ)
             while not (self._supervisor.is_gone and self._port is None):
+                self._alive.add()
                 events = selector.select(BEAT_S)
                 if self._supervisor.is_gone:
                     # A socket that has ended is readable for ever.
@@ -473,14 +480,14 @@ def _is_new_machine(settings: MachineSettings) -> bool:
     return not any(path.exists() for path in known)
 
 
-def main(argument: str) -> int:
-    """Entry of the process; `argument` is the number of the supervisor's socket."""
+def main(argument: str, alive_argument: str) -> int:
+    """Entry of the process; the arguments are the descriptors of the supervisor's socket and counter."""
     logging.basicConfig(level=logging.INFO, format="link: %(levelname)s %(message)s")
     supervisor = SupervisorConnection.from_argument(argument)
     try:
         settings = MachineSettings.model_validate(supervisor.settings())
         with ExitStack() as stack:
-            process = LinkProcess(settings, supervisor, stack)
+            process = LinkProcess(settings, supervisor, AliveCounter(int(alive_argument)), stack)
             supervisor.tell(is_ready=True)
             process.run()
     except EOFError:
@@ -492,4 +499,4 @@ def main(argument: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(*sys.argv[1:]))

@@ -1,8 +1,8 @@
 """The supervisor: starts the control and the link process of one machine, and starts again what dies.
 
 It touches neither hardware nor network. Control dead: the link says so, and a new control process begins
-STOPPED. Control hung: killed (hang_watch.py says after what time), then the same. Link dead: control lets go
-before the commit point, completes after it, and gets a new link.
+STOPPED. Link dead: control lets go before the commit point, completes after it, and gets a new link. One that
+hangs is killed (hang_watch.py says after what time), then the same.
 """
 
 import fcntl
@@ -14,13 +14,13 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 from machine.errors import DownrangeError, UsageError
 from runtime.link.ipc import packet_pair
 from runtime.process.alive_counter import AliveCounter, process_state
-from runtime.process.hang_watch import HangWatch
+from runtime.process.hang_watch import CONTROL_LIMITS, LINK_LIMITS, HangWatch
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import MESSAGE_LIMIT_BYTES, hand_port
 
@@ -48,14 +48,15 @@ class StartError(DownrangeError):
 class _Child:
     name: str
     module: str
+    alive: AliveCounter
+    watch: HangWatch
+    inherited: tuple[int, ...] = ()
     process: subprocess.Popen[bytes] | None = None
     connection: socket.socket | None = None
     started_s: float = 0.0
     delay_s: float = RESTART_MIN_S
     due_s: float = 0.0
     is_ready: bool = False
-    inherited: tuple[int, ...] = field(default_factory=tuple)
-    arguments: tuple[str, ...] = ()
 
     def is_running(self) -> bool:
         return self.process is not None and self.process.poll() is None
@@ -74,15 +75,16 @@ class MachineProcess:
         self._is_stopping = False
         self._lock = _take_lock(settings)
         # The lock lives as long as any control process does, even one whose supervisor was killed.
-        self._alive = AliveCounter()
-        self._watch = HangWatch()
         self._control = _Child(
             "control",
             "runtime.process.control_process",
-            inherited=(self._lock, self._alive.descriptor),
-            arguments=(str(self._alive.descriptor),),
+            AliveCounter(),
+            HangWatch(CONTROL_LIMITS),
+            inherited=(self._lock,),
         )
-        self._link = _Child("link", "runtime.process.link_process")
+        self._link = _Child(
+            "link", "runtime.process.link_process", AliveCounter(), HangWatch(LINK_LIMITS)
+        )
 
     def stop(self) -> None:
         """End in order; from a signal handler or another thread."""
@@ -102,21 +104,23 @@ class MachineProcess:
             self._join()
             logger.info("machine %s is up", self._settings.machine_id)
             while not self._is_stopping:
-                self._look_after(self._control)
-                self._look_after(self._link)
-                self._end_hung_control()
+                for child in (self._control, self._link):
+                    self._look_after(child)
+                    _end_hung(child)
                 time.sleep(POLL_S)
         finally:
             self._end()
-            self._alive.close()
+            for child in (self._control, self._link):
+                child.alive.close()
             os.close(self._lock)
 
     def _start(self, child: _Child) -> None:
         mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        alive = child.alive.descriptor
         with theirs:
             child.process = subprocess.Popen(
-                [sys.executable, "-m", child.module, str(theirs.fileno()), *child.arguments],
-                pass_fds=(theirs.fileno(), *child.inherited),
+                [sys.executable, "-m", child.module, str(theirs.fileno()), str(alive)],
+                pass_fds=(theirs.fileno(), alive, *child.inherited),
                 stdin=subprocess.DEVNULL,
             )
         mine.send(self._settings.model_dump_json().encode())
@@ -167,18 +171,6 @@ class MachineProcess:
             child.due_s = 0.0
             self._start(child)
 
-    def _end_hung_control(self) -> None:
-        """Kill a control process that hangs; it is started again, and begins STOPPED."""
-        process = self._control.process
-        if process is None or not self._control.is_ready:
-            return
-        state, used_s = process_state(process.pid)
-        reason = self._watch.look(self._alive.value, state, used_s, time.monotonic())
-        if reason and process.poll() is None:
-            logger.error("the control process hangs (%s); killed", reason)
-            process.kill()
-            process.wait()
-
     def _end(self) -> None:
         children = (self._control, self._link)
         for child in children:
@@ -211,6 +203,19 @@ def _take_lock(settings: MachineSettings) -> int:
                     "stop it, or wait until it has finished its throw"
                 ) from None
             time.sleep(POLL_S)
+
+
+def _end_hung(child: _Child) -> None:
+    """Kill a process that hangs; it is started again."""
+    process = child.process
+    if process is None or not child.is_ready:
+        return
+    state, used_s = process_state(process.pid)
+    reason = child.watch.look(child.alive.value, state, used_s, time.monotonic())
+    if reason and process.poll() is None:
+        logger.error("the %s process hangs (%s); killed", child.name, reason)
+        process.kill()
+        process.wait()
 
 
 def _hear(child: _Child) -> dict[str, Any] | None:

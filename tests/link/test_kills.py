@@ -94,15 +94,24 @@ def test_power_cut(yard, moment):
     assert server.kinds(throw_id).count("throw_accepted") == 1
 
 
-def test_frozen_link_lets_go_before_the_commit_point(yard):
+@pytest.mark.parametrize(
+    ("moment", "outcome"), [("throw_accepted", "aborted"), ("release_commanded", "landed")]
+)
+def test_hung_link_is_killed_and_stop_arrives_again(yard, moment, outcome):
     server = yard.server
-    throw_id = yard.fire_until("throw_accepted")
-    yard.machine.kill_child(LINK, signal.SIGSTOP)
-    wait_for(lambda: not server.is_alive)
-    server.go_silent()
-    yard.machine.kill_child(LINK, signal.SIGCONT)
-    assert wait_for_end(server, throw_id) == "aborted"
+    throw_id = yard.fire_until(moment)
+    pid, boot_id = yard.machine.child(LINK), server.state.boot_id
+    os.kill(pid, signal.SIGSTOP)
+    stopped_s = time.monotonic()
+    wait_for(lambda: not is_alive(pid), 10.0)
+    assert time.monotonic() - stopped_s < HANG_NOTICED_S
+    assert yard.machine.child(LINK) != pid
+    # Control has not died: it held still, or completed what was past the commit point.
+    assert wait_for_end(server, throw_id) == outcome
     yard.wait_for_log(throw_id)
+    assert server.state.boot_id == boot_id
+    reply = server.send(server.stop_command())
+    assert (reply.accepted, reply.state) == (True, ThrowState.STOPPED)
 
 
 def test_hung_control_is_killed_and_comes_back_stopped_while_stop_is_answered(yard):
