@@ -167,7 +167,7 @@ describe("after the throw has ended under the finger", () => {
     expect(onDown).toHaveBeenLastCalledWith(true);
   });
 
-  it("a new first finger stands for one that was lifted unheard", () => {
+  it("a new first finger stands for one that was lifted without a sign", () => {
     onDown.mockReset();
     render(ended(true));
     down(screen.getByTestId("hold"));

@@ -95,7 +95,7 @@ function useIsDown(onDown: (isDown: boolean) => void) {
     const lift = () => setDown(null);
     const onPointer = (event: PointerEvent) => event.pointerId === down.pointerId && lift();
     const onKey = (event: KeyboardEvent) => event.key === HOLD_KEY && lift();
-    // A first finger that comes down means that the one before was lifted unheard.
+    // A first finger that comes down means that the one before was lifted without a sign.
     const onNext = (event: PointerEvent) => event.isPrimary && lift();
     const ends: [string, (event: never) => void][] =
       down.by === "key"
