@@ -77,7 +77,7 @@ def test_click_preview_hold_impact_history_replay(
     assert abs(across) < 1.0
 
     # The history has it, with the same numbers.
-    page.get_by_role("button", name="Release").click()
+    page.get_by_role("button", name="Give back control").click()
     page.get_by_role("navigation", name="Pages").get_by_role("link", name="Throws").click()
     row = page.locator("tbody tr[data-throw]").first
     expect(row).to_contain_text("Landed")
@@ -144,4 +144,4 @@ def test_a_target_out_of_reach_is_refused_with_its_numbers(
     expect(panel).to_contain_text("14.00 m")
     expect(panel).to_contain_text("reaches")
     expect(gate(page, "refused").or_(gate(page, "plan_error"))).to_be_visible()
-    page.get_by_role("button", name="Release").click()
+    page.get_by_role("button", name="Give back control").click()

@@ -67,7 +67,7 @@ def test_throw_without_a_pointer(demo: Stack, open_page: Callable[..., Page]) ->
     load_if_empty(page)
     throw_until_landed(page, "key")
     assert "Measured" in result_text(page)
-    page.get_by_role("button", name="Release").press("Enter")
+    page.get_by_role("button", name="Give back control").press("Enter")
 
 
 def test_letting_go_before_the_commit_point_aborts(
@@ -94,4 +94,4 @@ def test_letting_go_before_the_commit_point_aborts(
     page.keyboard.up("Space")
     page.locator('header [data-testid="lamp"][data-phase="disarmed"]').wait_for()
     assert "Aborted" in page.get_by_role("complementary").inner_text()
-    page.get_by_role("button", name="Release").press("Enter")
+    page.get_by_role("button", name="Give back control").press("Enter")

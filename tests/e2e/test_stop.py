@@ -36,6 +36,7 @@ def test_one_press_on_every_page(demo: Stack, open_page: Callable[..., Page], pa
     assert box is not None and bar is not None
     assert box["height"] >= 48.0
     assert abs((box["x"] + box["width"]) - (bar["x"] + bar["width"])) < 1.0  # the far right
+    expect(button).to_contain_text("STOP m001")
     expect(button).to_contain_text("Shift+S")
     button.click()
     lamp(page, "stopped").wait_for()
@@ -53,7 +54,7 @@ def test_key_stops_and_only_the_right_person_clears(
     lamp(page, "stopped").wait_for()
     expect(gate(page, "stopped")).to_contain_text("supervisor clears it")
     expect(gate(page, "stopped").get_by_role("button")).to_have_count(0)
-    page.get_by_role("button", name="Release").click()
+    page.get_by_role("button", name="Give back control").click()
 
     admin = open_page(demo)
     without_view(admin)
@@ -62,7 +63,7 @@ def test_key_stops_and_only_the_right_person_clears(
     admin.get_by_role("button", name="Clear STOP").click()
     lamp(admin, "disarmed").wait_for()
     lamp(page, "disarmed").wait_for()  # the other browser sees it too
-    admin.get_by_role("button", name="Release").click()
+    admin.get_by_role("button", name="Give back control").click()
 
 
 def test_typing_a_capital_s_into_a_field_does_not_swallow_stop(
@@ -82,9 +83,13 @@ def test_stop_while_the_3d_view_has_the_keyboard(
     page = open_page(demo)
     sign_in(page, demo)
     page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
+    before = page.get_by_test_id("viewer").bounding_box()
     page.frame_locator("iframe").locator("body").focus()
     page.keyboard.press("Shift+S")
     lamp(page, "stopped").wait_for()
+    # The news lies over the page and does not move the ground under the cursor.
+    expect(page.get_by_role("alert").first).to_be_visible()
+    assert page.get_by_test_id("viewer").bounding_box() == before
 
 
 def test_stop_with_more_pages_open_than_a_browser_has_connections(

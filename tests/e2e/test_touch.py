@@ -84,4 +84,4 @@ def test_lifting_the_finger_after_a_throw_presses_nothing(
     expect(page.get_by_test_id("result")).to_contain_text("Measured")
     again.tap()
     expect(page.get_by_test_id("result")).to_have_count(0)
-    page.get_by_role("button", name="Release").tap()
+    page.get_by_role("button", name="Give back control").tap()

@@ -70,7 +70,7 @@ def test_a_load_is_thrown_onto_the_truck_bed(demo: Stack, open_page: Callable[..
     records = page.get_by_role("complementary").get_by_role("listitem")
     expect(records).to_have_count(1)
     expect(records).to_contain_text("+1.20 m high")
-    page.get_by_role("button", name="Release").click()
+    page.get_by_role("button", name="Give back control").click()
     page.get_by_role("navigation", name="Pages").get_by_role("link", name="Throws").click()
     row = page.locator("tbody tr[data-throw]").first
     expect(row).to_contain_text("Landed")

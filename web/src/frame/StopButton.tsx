@@ -10,7 +10,7 @@ function isStopKey(event: KeyboardEvent): boolean {
   );
 }
 
-/** STOP: always at the same place, one press, no dialog. */
+/** STOP of the machine that the console looks at: always at the same place, one press, no dialog. */
 export function StopButton() {
   const machine = useMachine();
   const { stop, status } = useStop(machine?.machine_id ?? null);
@@ -27,6 +27,7 @@ export function StopButton() {
   }, [stop]);
 
   const isLatched = machine?.state?.stop_latched ?? false;
+  const name = machine?.machine_id ?? "every machine";
   return (
     <div className={classes.wrap}>
       {status.kind === "failed" && (
@@ -40,11 +41,13 @@ export function StopButton() {
         data-latched={isLatched || undefined}
         data-testid="stop"
         aria-keyshortcuts="Shift+S"
-        aria-label={machine ? `STOP ${machine.machine_id}` : "STOP all machines"}
+        aria-label={`STOP ${name}`}
         onPointerDown={() => void stop()}
         onClick={() => void stop()}
       >
-        <span className={classes.word}>STOP</span>
+        <span className={classes.word}>
+          STOP <span className={classes.name}>{name}</span>
+        </span>
         <kbd className={classes.key}>{isLatched ? "latched" : "Shift+S"}</kbd>
       </button>
     </div>

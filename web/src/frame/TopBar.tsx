@@ -20,7 +20,7 @@ export function TopBar() {
       {machine && <Lamp machine={machine} isLive={isLive} />}
       {machine && <LeaseControl machine={machine} />}
       <div className={classes.space} />
-      {machine && <LinkBadge machine={machine} />}
+      {machine && <LinkBadge machine={machine} isLive={isLive} />}
       <Clock />
       <PersonMenu />
       <StopButton />

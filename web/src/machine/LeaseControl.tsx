@@ -1,9 +1,10 @@
 import { Button } from "@mantine/core";
 import type { Machine } from "../session/live";
 import { useNow } from "../session/useNow";
-import { useMay } from "../session/useSession";
+import { useMay, useSession } from "../session/useSession";
 import classes from "./LeaseControl.module.css";
 import { leaseWords } from "./leaseWords";
+import { isMoving } from "./phase";
 import { TakeOver } from "./TakeOver";
 import { useIsHolder, useLeaseActions } from "./useLease";
 
@@ -14,20 +15,24 @@ export function LeaseControl({ machine }: { machine: Machine }) {
   const mayTake = useMay("lease.take");
   const { acquire, release } = useLeaseActions(machine.machine_id);
   const now = useNow();
+  const username = useSession()?.username ?? "";
+  const isThrowing = isMoving(machine.lamp);
   const { holder } = machine.lease;
   return (
     <div className={classes.lease}>
       <span className={classes.words} data-testid="lease-words">
-        {leaseWords(machine.lease, isHolder, now)}
+        {leaseWords(machine.lease, isHolder, now, username)}
       </span>
       {isHolder && (
         <Button
           variant="default"
           size="sm"
           loading={release.isPending}
+          disabled={isThrowing}
+          title={isThrowing ? "Not during a throw: let go of the button, or press STOP" : undefined}
           onClick={() => release.mutate()}
         >
-          Release
+          Give back control
         </Button>
       )}
       {!holder && mayLease && (

@@ -9,8 +9,11 @@ const BARS = [
   { x: 11, height: 12 },
 ];
 
-/** Link between server and machine: three bars and the last round trip. */
-export function LinkBadge({ machine }: { machine: Machine }) {
+type Props = { machine: Machine; isLive: boolean };
+
+/** Link between server and machine: three bars and the last round trip; unknown while the server is away. */
+export function LinkBadge({ machine, isLive }: Props) {
+  if (!isLive) return <span className={classes.link}>link unknown</span>;
   const { bars, words } = linkQuality(machine);
   const rate = machine.link.state_rate_hz;
   const detail = `Link to ${machine.machine_id}: ${words}${rate ? `, ${rate.toFixed(0)} states/s` : ""}`;

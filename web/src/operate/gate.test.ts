@@ -16,6 +16,7 @@ function facts(isHeld: boolean, lamp: string, plan: object | null): GateFacts {
     machine,
     isHolder: true,
     permissions: ["throw"],
+    username: "anna",
     mode: "2d",
     target: { range_m: 9 } as GateFacts["target"],
     plan: plan as Plan | null,

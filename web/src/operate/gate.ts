@@ -4,6 +4,7 @@
  * It only spares useless attempts: server and machine check all of it again. It is not the safety gate.
  */
 
+import { isOwnName } from "../machine/leaseWords";
 import { isMoving } from "../machine/phase";
 import type { Schema } from "../session/client";
 import type { Machine, Plan } from "../session/live";
@@ -29,6 +30,7 @@ export type GateFacts = {
   machine: Machine | null;
   isHolder: boolean;
   permissions: readonly Permission[];
+  username: string;
   mode: "2d" | "3d";
   target: Target | null;
   plan: Plan | null;
@@ -107,7 +109,7 @@ const stop: Rule = ({ machine, isHolder, permissions }) => {
   return { id, sentence: what, action: "clear_stop", isAlarm: true };
 };
 
-const control: Rule = ({ machine, isHolder, permissions }) => {
+const control: Rule = ({ machine, isHolder, permissions, username }) => {
   if (!machine || isHolder) return null;
   const { holder } = machine.lease;
   if (!permissions.includes("throw")) {
@@ -115,7 +117,9 @@ const control: Rule = ({ machine, isHolder, permissions }) => {
     return { id: "may_not", sentence, action: null };
   }
   if (holder) {
-    const sentence = `${holder} is in control of ${machine.machine_id}. You watch until it is released.`;
+    const sentence = isOwnName(machine.lease, username)
+      ? `You are in control of ${machine.machine_id} in another browser. Give control back there first.`
+      : `${holder} is in control of ${machine.machine_id}. You watch until control is given back.`;
     return { id: "busy", sentence, action: null };
   }
   const sentence = `Nobody is in control of ${machine.machine_id}.`;

@@ -68,6 +68,7 @@ export function useOperate() {
     machine,
     isHolder,
     permissions: session?.permissions ?? [],
+    username: session?.username ?? "",
     mode,
     target,
     plan,

@@ -1,6 +1,5 @@
-import { Button } from "@mantine/core";
 import { FleetRow } from "../machine/FleetRow";
-import { useStop } from "../machine/useStop";
+import { StopAllButton } from "../machine/StopAllButton";
 import { GateSentence } from "../operate/GateSentence";
 import { useLive } from "../session/liveStore";
 import { zoneName } from "../words/time";
@@ -10,17 +9,12 @@ import classes from "./fleet.module.css";
 export function FleetPage() {
   const machines = useLive((live) => live.machines);
   const isLoaded = useLive((live) => live.isLoaded);
-  const { stop, status } = useStop(null);
   const all = Object.values(machines).sort((a, b) => a.machine_id.localeCompare(b.machine_id));
   return (
     <div className={classes.page}>
       <header className={classes.head}>
         <h1>Fleet</h1>
-        <Button color="var(--stop)" size="md" onClick={() => void stop()}>
-          STOP all machines
-        </Button>
       </header>
-      {status.text && <p role="alert">{status.text}</p>}
       {isLoaded && all.length === 0 && (
         <GateSentence sentence="No machine has connected to this server yet. Start one: downrange machine." />
       )}
@@ -47,6 +41,7 @@ export function FleetPage() {
           </tbody>
         </table>
       )}
+      {all.length > 0 && <StopAllButton />}
     </div>
   );
 }

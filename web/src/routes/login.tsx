@@ -71,7 +71,9 @@ export function LoginPage() {
           Sign in
         </Button>
         <p className={classes.note}>
-          STOP on this screen is not an emergency stop. The emergency stop is on the machine.
+          This page cannot stop a machine. The emergency stop is the red button on the machine and
+          on its remote control. Once you are signed in, STOP is at the top right of every page
+          (Shift+S); it stops the software and is not an emergency stop.
         </p>
       </form>
     </main>

@@ -4,7 +4,7 @@ import classes from "./CameraButtons.module.css";
 import { type Camera, useViewRequest } from "./useView";
 
 const CAMERAS: { camera: Camera; label: string }[] = [
-  { camera: "3d", label: "3D" },
+  { camera: "3d", label: "Free" },
   { camera: "top", label: "Top" },
   { camera: "side", label: "Side" },
 ];
