@@ -8,10 +8,9 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import replace
 from functools import cache, partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -29,6 +28,7 @@ from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.records.throw_log import ThrowLog
+from sim_twin.child_processes import process_pool
 from sim_twin.throws.campaign import ThrowOutcome, run_throws
 from sim_twin.throws.throw_logs import CampaignRecorder, LogContext
 from sim_twin.twin.profile import save_profile
@@ -267,7 +267,7 @@ def spread(
         for task in tasks:
             yield work(*task)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with process_pool(jobs) as pool:
         waiting = [pool.submit(work, *task) for task in tasks]
         for future in as_completed(waiting):
             yield future.result()

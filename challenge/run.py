@@ -18,9 +18,9 @@ from diagnosis.diagnose import diagnose_throws
 from diagnosis.healthy.health import Health, load_health
 from diagnosis.loading.logs import load_throws
 from diagnosis.reference_throws import health_from_reference
-from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from machine.errors import UsageError
+from sim_twin.child_processes import one_blas_thread
 from sim_twin.twin.profile import load_profile
 
 Method = Callable[..., Diagnosis]

@@ -20,9 +20,9 @@ from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.reference_throws import check_reference, health_from_reference
 from diagnosis.report.overlay import overlay
 from diagnosis.stages import swap_stages
-from diagnosis.threads import one_blas_thread
 from diagnosis.verdict import Diagnosis
 from diagnosis.worker_process import WorkerProcess
+from sim_twin.child_processes import one_blas_thread
 from sim_twin.twin.profile import TwinProfile
 
 Progress = Callable[[float, str], None]

@@ -2,14 +2,12 @@
 
 import io
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import redirect_stderr
-from multiprocessing import get_context
 from typing import TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from evaluation.progress import progress_line
+from sim_twin.child_processes import one_blas_thread, process_pool
 
 Result = TypeVar("Result")
 
@@ -25,8 +23,7 @@ def run_tasks(tasks: Sequence[Callable[[], Result]], jobs: int, what: str) -> li
     if jobs == 1 or len(tasks) < 2:
         return [task() for task in tasks]
     show = progress_line(what, "parts")
-    # Spawned, not forked: a simulator's threads do not survive a fork.
-    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+    with process_pool(min(jobs, len(tasks))) as pool:
         waiting = [pool.submit(_run_quietly, task) for task in tasks]
         try:
             for done, future in enumerate(as_completed(waiting)):
@@ -40,5 +37,5 @@ def run_tasks(tasks: Sequence[Callable[[], Result]], jobs: int, what: str) -> li
 
 def _run_quietly(task: Callable[[], Result]) -> Result:
     """Run without progress lines, which would mix with other workers', and with one BLAS thread."""
-    with redirect_stderr(io.StringIO()), threadpool_limits(1, user_api="blas"):
+    with redirect_stderr(io.StringIO()), one_blas_thread():
         return task()

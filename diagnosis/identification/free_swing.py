@@ -16,10 +16,10 @@ from scipy.signal import butter, filtfilt
 
 from diagnosis.identification.quantity import Quantity, mean_quantity, unknown
 from diagnosis.loading.throw_data import ThrowData
-from diagnosis.threads import one_blas_thread
 from machine.conventions import CONTROL_PERIOD_S, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
 from machine.kinematics import pin_in_plane
 from machine.spec import MachineSpec
+from sim_twin.child_processes import one_blas_thread
 
 PAPER_VISCOUS_PER_S, PAPER_COULOMB_RAD_PER_S2 = 0.03, 0.1
 """Paper, section III-F."""

@@ -17,11 +17,11 @@ from diagnosis.identification.quantity import CONFIDENCE_RATIO, Quantity, mean_q
 from diagnosis.loading.measured import SWITCH_LAG_S, SWITCH_TICK_S, measured_motion
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
-from diagnosis.threads import one_blas_thread
 from machine.ballistics import drag_per_m, step_flight
 from machine.conventions import CONTROL_PERIOD_S, Array
 from machine.kinematics import grip_centre
 from machine.spec import MachineSpec
+from sim_twin.child_processes import one_blas_thread
 from sim_twin.confidence_intervals import deviation_interval
 
 PAPER_MEAN_S, PAPER_SD_S, PAPER_COUNT = 0.258, 0.015, 39

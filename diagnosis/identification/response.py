@@ -22,9 +22,9 @@ from diagnosis.identification.response_estimation import (
     simulate,
 )
 from diagnosis.loading.throw_data import ThrowData
-from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, BoolArray
 from machine.spec import MachineSpec
+from sim_twin.child_processes import one_blas_thread
 
 DIRECTIONS = ("positive", "negative")
 MIN_BLOCKS = 4

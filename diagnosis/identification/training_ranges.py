@@ -13,10 +13,10 @@ from diagnosis.identification.quantity import Quantity
 from diagnosis.identification.response import MIN_BLOCKS
 from diagnosis.identification.response_estimation import HIGH, LOW, fit, quantities
 from diagnosis.loading.throw_data import ThrowData
-from diagnosis.threads import one_blas_thread
 from machine.conventions import ACTIVE_JOINTS, Array
 from machine.spec import MachineSpec
 from runtime.records.log_reader import read_throw_log
+from sim_twin.child_processes import one_blas_thread
 
 ONE_SIDED_NORMAL = 1.645
 """Standard deviations to either side that hold 90 % of a normal distribution."""

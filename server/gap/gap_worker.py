@@ -8,6 +8,8 @@ import logging
 import math
 import multiprocessing
 import os
+import signal
+import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +22,7 @@ from diagnosis.correction import found_effects
 from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
-from server.child_process import end_with_parent
+from sim_twin.child_processes import end_with_parent
 from sim_twin.twin.profile import TwinProfile
 
 if TYPE_CHECKING:
@@ -113,7 +115,7 @@ class GapProcess:
         """
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(
-            target=run_job, args=(job, self._diagnose, theirs), name="gap", daemon=True
+            target=run_job, args=(job, self._diagnose, theirs), name="gap"
         )
         process.start()
         theirs.close()
@@ -160,6 +162,8 @@ def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
     """Entry point of the process."""
     os.nice(NICENESS)
     end_with_parent()
+    # A cancelled diagnosis ends its own worker process.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     sent_s = -1e9
 
     def tell(share: float, text: str) -> None:

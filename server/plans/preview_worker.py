@@ -18,7 +18,7 @@ from machine.spec import MachineSpec, load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner
-from server.child_process import end_with_parent
+from sim_twin.child_processes import end_with_parent
 from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 

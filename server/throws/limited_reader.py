@@ -11,7 +11,8 @@ from pathlib import Path
 from machine.errors import LogError
 from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import ThrowLog
-from server.child_process import end_with_parent, limit_resources
+from server.child_process import limit_resources
+from sim_twin.child_processes import end_pool, end_with_parent
 
 MEMORY_BYTES = 2 * 1024**3
 """Address space of the process; a log may have 128 MB decompressed (runtime.records.log_reader)."""
@@ -58,10 +59,7 @@ class LimitedLogReader:
         with self._lock:
             if self._pool is pool:
                 self._pool = None
-        processes = list((getattr(pool, "_processes", None) or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.kill()
+        end_pool(pool)
 
 
 def _start() -> None:

@@ -1,6 +1,7 @@
 """Work for two processes; a module of its own, which the worker can import."""
 
 import os
+import signal
 
 
 def scale(value: int, items: list[int], more: int) -> list[tuple[int, int]]:
@@ -12,4 +13,11 @@ def fail_on_odd(value: int, items: list[int]) -> list[int]:
     """Work that fails on odd items."""
     if any(item % 2 for item in items):
         raise ValueError(f"{value}: odd items")
+    return items
+
+
+def kill_worker(test_pid: int, items: list[int]) -> list[int]:
+    """Work that kills every process but the test's."""
+    if os.getpid() != test_pid:
+        os.kill(os.getpid(), signal.SIGKILL)
     return items

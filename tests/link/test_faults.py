@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from machine.messages import FireRequest, LeaseNotice, OperatorHeartbeat, ThrowState
-from tests.link.yard import Server, Yard, make, wait_for
+from tests.link.yard import Server, Yard, make
+from tests.waiting import wait_for
 
 HELD_S = 5.0
 

@@ -3,13 +3,13 @@
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
 from machine.messages import ThrowState
 from runtime.records.log_reader import read_throw_log
-from tests.link.yard import Server, wait_for
+from tests.link.yard import Server
+from tests.waiting import is_alive, wait_for
 
 HANG_NOTICED_S = 0.4
 """0.2 s, and what a busy computer adds."""
@@ -182,11 +182,3 @@ def test_killed_supervisor_leaves_no_process_and_no_open_throw(yard):
     server.go_silent()
     wait_for(lambda: not any(is_alive(pid) for pid in children))
     assert server.ends(throw_id) == ["aborted"]
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").split(")")[1].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"

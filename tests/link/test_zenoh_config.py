@@ -14,6 +14,7 @@ from machine.errors import UsageError
 from runtime.link.zenoh_config import RouterTls, client_config, router_config
 from tests.cases import each
 from tests.ports import free_port
+from tests.waiting import wait_for
 
 SITE = "yard"
 USERS = {"m001": "one", "m002": "two", "server": "three"}
@@ -35,15 +36,6 @@ def router(tmp_path: Path, endpoint: str) -> Iterator[zenoh.Session]:
     )
     with zenoh.open(config) as session:
         yield session
-
-
-def wait_for(condition, timeout_s: float = 60.0) -> bool:
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if condition():
-            return True
-        time.sleep(0.01)
-    return bool(condition())
 
 
 def key(machine_id: str, name: str) -> str:

@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import uuid
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,21 +40,12 @@ from runtime.control.policy import find_policy
 from runtime.link.zenoh_config import router_config
 from tests.link.relay import Relay
 from tests.ports import free_port
+from tests.waiting import wait_for
 
 SITE = "yard"
 MACHINE = "m001"
 PASSWORD = "rust-and-oil"
 ROOT = Path(__file__).parents[2]
-
-
-def wait_for(condition: Callable[[], Any], timeout_s: float = 60.0) -> Any:
-    """Wait until something is true; fails the test when it does not become so."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if found := condition():
-            return found
-        time.sleep(0.01)
-    raise AssertionError(f"not within {timeout_s} s: {condition}")
 
 
 class Server:

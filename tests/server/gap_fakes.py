@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import closing
 
 from diagnosis.verdict import (
     Cause,
@@ -14,6 +15,7 @@ from diagnosis.verdict import (
     StageGap,
     VerdictKind,
 )
+from diagnosis.worker_process import WorkerProcess
 from machine.errors import UsageError
 from server.gap.gap_worker import GapJob, Progress
 
@@ -66,11 +68,17 @@ def nothing_found(job: GapJob, progress: Progress) -> Diagnosis:
 
 
 def patient(job: GapJob, progress: Progress) -> Diagnosis:
-    """Never ends by itself; leaves the process's number where the test finds it."""
-    (job.log_paths[0].parent / "gap.pid").write_text(f"{os.getpid()} {os.nice(0)}")
-    progress(0.25, "which: sets of effects")
-    while True:
-        time.sleep(0.05)
+    """Never ends by itself; leaves its processes' numbers where the test finds them."""
+    with closing(WorkerProcess()) as worker:
+        ours, theirs = worker.split(process_ids, None, [0, 1])
+        (job.log_paths[0].parent / "gap.pid").write_text(f"{ours} {theirs} {os.nice(0)}")
+        progress(0.25, "which: sets of effects")
+        while True:
+            time.sleep(0.05)
+
+
+def process_ids(value: None, items: list[int]) -> list[int]:
+    return [os.getpid()] * len(items)
 
 
 def dying(job: GapJob, progress: Progress) -> Diagnosis:

@@ -2,8 +2,7 @@
 
 import contextlib
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -20,23 +19,10 @@ from server.settings import Settings
 from server.store.models import LoginSession
 from tests.ports import free_port
 from tests.server.fake_machine import FakeMachine
+from tests.waiting import wait_for as wait_for
 
 PASSWORD = "correct horse battery"
 METRICS_TOKEN = "read-the-metrics"
-
-
-def wait_for(condition: Callable[[], object], timeout_s: float = 60.0) -> object:
-    """Poll until a condition holds; fails the test if it never does.
-
-    What is waited for takes fractions of a second; the limit is for computers that are busy with other work.
-    """
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.01)
-    raise AssertionError(f"not within {timeout_s} s: {condition}")
 
 
 @dataclass

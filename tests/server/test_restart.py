@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import httpx
 import pytest
@@ -22,7 +21,8 @@ from server.store.database import Database, DatabaseError, upgrade
 from server.store.instance_lock import instance_lock
 from server.viewer.scene import ViewerScene
 from tests.ports import free_port
-from tests.server.server_bench import add_people, make_settings, running_server, wait_for
+from tests.server.server_bench import add_people, make_settings, running_server
+from tests.waiting import is_alive, wait_for
 
 PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
 
@@ -213,14 +213,6 @@ def test_a_killed_server_leaves_no_processes(tmp_path, swing_policies):
         time.sleep(3.0)  # both are past their start
         process.kill()
     wait_for(lambda: not any(is_alive(pid) for pid in children), 30.0)
-
-
-def is_alive(pid):
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
 
 
 def test_what_the_server_writes_is_its_owners_alone(tmp_path, swing_policies):

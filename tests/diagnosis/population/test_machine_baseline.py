@@ -16,8 +16,8 @@ from diagnosis.population.machine_baseline import (
     machine_model,
     with_set_tolerance,
 )
-from diagnosis.threads import one_blas_thread
 from machine.spec import load_spec
+from sim_twin.child_processes import one_blas_thread
 from sim_twin.twin.profile import nominal_profile
 from tests.diagnosis.twin_throws import health
 
