@@ -95,7 +95,6 @@ class GapPreviews:
                     policy_dir=policy.folder,
                     target=target,
                     joint_position_rad_m=start.joints,
-                    payload_held=True,
                     rollout_count=ROLLOUT_COUNT,
                     calibration_path=self._twins.calibration_path(machine_id),
                     profile_path=path,

@@ -105,7 +105,8 @@ def take_preview(row: Plan, preview: ThrowPreview, *, is_complete: bool) -> None
     prediction = prediction_of(plan_target(row), preview)
     row.prediction = None if prediction is None else prediction.model_dump(mode="json")
     row.refusals = [
-        {"reason": item.reason.value, "detail": item.detail} for item in preview.refused
+        {"reason": item.reason.value, "detail": item.detail, "surface_m": item.surface_m}
+        for item in preview.refused
     ]
     row.is_complete = is_complete
     if preview.refused:
@@ -154,7 +155,10 @@ def plan_view(row: Plan) -> PlanView:
         plan_hash=None if message is None else message.plan_hash,
         is_complete=row.is_complete,
         refusals=tuple(
-            RefusalView(reason=item["reason"], detail=item["detail"]) for item in refusals
+            RefusalView(
+                reason=item["reason"], detail=item["detail"], surface_m=item.get("surface_m")
+            )
+            for item in refusals
         ),
         prediction=None
         if row.prediction is None

@@ -190,7 +190,6 @@ class Planner:
             target=request.target.target(),
             pace_ratio=request.pace_ratio,
             joint_position_rad_m=state.joint_position_rad_m,
-            payload_held=state.payload_held,
             site=plan_site(row),
             rollout_count=request.rollout_count,
             calibration_path=self._twins.calibration_path(row.machine_id),

@@ -39,7 +39,6 @@ class PreviewJob:
     policy_dir: Path
     target: Target
     joint_position_rad_m: Six
-    payload_held: bool
     rollout_count: int
     calibration_path: Path | None
     profile_path: Path | None
@@ -82,7 +81,6 @@ class Worker:
             profile=self._profile(job.profile_path),
             target=job.target,
             joint_position_rad_m=job.joint_position_rad_m,
-            payload_held=job.payload_held,
             rollout_count=job.rollout_count,
             seed=job.seed,
             pace_ratio=job.pace_ratio,
@@ -142,7 +140,6 @@ def _warm_up_job(folder: Path, spec: MachineSpec) -> PreviewJob:
         policy_dir=folder,
         target=Target(x_m=8.0, y_m=0.0),
         joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
-        payload_held=True,
         rollout_count=2,
         calibration_path=None,
         profile_path=None,

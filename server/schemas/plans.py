@@ -37,6 +37,8 @@ class RefusalView(View):
 
     reason: str
     detail: str
+    surface_m: float | None = None
+    """Height that puts the target on a surface, where that is what is wrong."""
 
 
 class ClearanceView(View):

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from machine.messages import RejectReason, Target
-from machine.site.objects import UNDESCRIBED, SiteObject
-from machine.site.solids import Contact, Solids
+from machine.site.objects import GROUND, UNDESCRIBED, SiteKind, SiteObject
+from machine.site.solids import SURFACE_TOLERANCE_M, Contact, Solids
 from sim_twin.throws.refusals import PreviewRefusal
 
+GROUND_M = 0.0
 BESIDE_M = 2.0
 """Distance from a described object within which a target must lie on a described surface. A target nearer
 than half the width of a truck's bed is more likely meant to lie on the object."""
@@ -27,20 +28,33 @@ class SiteLanding(NamedTuple):
         return cls(solids, solids.name_at(target) or solids.names[0])
 
     def target_refusal(self, target: Target) -> PreviewRefusal | None:
-        """Refusal of a target near an object that lies on no surface: in the air or below ground."""
+        """Refusal of a target near an object that lies on no surface: inside it, in the air or below ground."""
         near = [(o.distance_m(target.x_m, target.y_m), o) for o in self.solids.objects]
-        if self.solids.name_at(target) not in (None, UNDESCRIBED) or not near:
+        name = self.solids.name_at(target)
+        is_covered = name == GROUND and any(_covers_ground(o, target) for _, o in near)
+        if not near or (name not in (None, UNDESCRIBED) and not is_covered):
             return None
         away_m, item = min(near, key=lambda pair: pair[0])
         if away_m > BESIDE_M:
             return None
         surface_m = item.surface_m(target.x_m, target.y_m)
-        where = f"{away_m:.2f} m beside {item.name}" if surface_m is None else f"at {item.name}"
-        there = f", whose surface there is at {surface_m:+.2f} m" if surface_m is not None else ""
+        if surface_m is None:
+            cause = (
+                f"nothing is {target.z_m:+.2f} m high {away_m:.2f} m beside {item.name}, "
+                f"where the ground is at {GROUND_M:+.2f} m"
+            )
+            surface_m = GROUND_M
+        else:
+            side = "lies inside" if target.z_m < surface_m else "hangs above"
+            end = "floor" if item.kind is SiteKind.PIT else "top"
+            cause = (
+                f"the target at {target.z_m:+.2f} m {side} {item.name}, "
+                f"whose {end} there is at {surface_m:+.2f} m"
+            )
         return PreviewRefusal(
             RejectReason.TARGET_INVALID,
-            f"Refused: nothing is {target.z_m:+.2f} m high there, {where}{there}. Click on the surface "
-            "that is meant, or give its height.",
+            f"Refused: {cause}. Use that height, or choose another point.",
+            surface_m,
         )
 
     def met(self, contact: Contact | None, row: int = 0) -> str | None:
@@ -81,3 +95,9 @@ class SiteLanding(NamedTuple):
             elif met != self.wanted:
                 ends.append(f"on {met} instead of {self.wanted}")
         return ends
+
+
+def _covers_ground(item: SiteObject, target: Target) -> bool:
+    """Whether an object stands on the ground under a target."""
+    on_it = item.surface_m(target.x_m, target.y_m) is not None
+    return on_it and item.kind is not SiteKind.PIT and item.base_height_m <= SURFACE_TOLERANCE_M

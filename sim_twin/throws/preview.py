@@ -13,7 +13,7 @@ import numpy as np
 from machine.ballistics import step_flight
 from machine.conventions import CONTROL_PERIOD_S, DEFAULT_PACE_RATIO, JOINT_COUNT, Array
 from machine.errors import RefusedError, UsageError
-from machine.messages import LandingEllipse, RejectReason, Target
+from machine.messages import LandingEllipse, Target
 from machine.reach import check_target
 from machine.site.objects import SiteObject
 from runtime.control.control_loop import ControlParams
@@ -46,8 +46,7 @@ class PreviewRequest:
     profile: TwinProfile
     target: Target
     joint_position_rad_m: tuple[float, float, float, float, float, float]
-    """Present pose; the gripper is assumed plumb, its two entries are ignored."""
-    payload_held: bool = True
+    """Present pose; the gripper is assumed plumb and loaded, its two entries are ignored."""
     site: tuple[SiteObject, ...] = ()
     """Objects around the machine."""
     rollout_count: int = 200
@@ -110,11 +109,6 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
         check_target(policy.card, request.target)
     except RefusedError as error:
         return _nothing(PreviewRefusal(error.reason, error.detail), perf_counter() - started)
-    if not request.payload_held:
-        refusal = PreviewRefusal(
-            RejectReason.NO_PAYLOAD, "Refused: the gripper is empty. Take up a load first."
-        )
-        return _nothing(refusal, perf_counter() - started)
     unlikely = SiteLanding.of(request.site, request.target).target_refusal(request.target)
     if unlikely is not None:
         return _nothing(unlikely, perf_counter() - started)

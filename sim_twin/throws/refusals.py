@@ -21,6 +21,8 @@ class PreviewRefusal:
 
     reason: RejectReason
     detail: str
+    surface_m: float | None = None
+    """Height at which the target would lie on a surface, where that is what is wrong."""
 
 
 def _refusal(text: str) -> PreviewRefusal:

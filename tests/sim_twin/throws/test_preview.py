@@ -181,11 +181,6 @@ def test_targets_outside_the_policy_are_refused_without_a_rollout(
     assert shown.is_final
 
 
-def test_an_empty_gripper_is_refused(swing_policies: Path) -> None:
-    shown = preview(replace(request(swing_policies), payload_held=False))
-    assert [r.reason for r in shown.refused] == [RejectReason.NO_PAYLOAD]
-
-
 def test_a_predicted_miss_is_refused_with_its_size(swing_policies: Path) -> None:
     shown = preview(request(swing_policies, target=Target(x_m=9.0, y_m=0.0)))
     assert [r.reason for r in shown.refused] == [RejectReason.PREVIEW_REFUSED]

@@ -87,16 +87,26 @@ def test_a_load_lands_in_the_pit(request_2d: PreviewRequest, free: ThrowPreview)
     assert shown.impact_m[0] > free.impact_m[0]
     # Asked for at the height of the ground, where there is none.
     over = preview(replace(request_2d, site=(pit,)))
-    assert "at pit, whose surface there is at -0.50 m" in over.refused[0].detail
+    assert [(r.detail, r.surface_m) for r in over.refused] == [
+        (
+            "Refused: the target at +0.00 m hangs above pit, whose floor there is at -0.50 m. "
+            "Use that height, or choose another point.",
+            -0.5,
+        )
+    ]
 
 
 def test_a_target_in_the_air_beside_a_bed_is_refused(request_2d: PreviewRequest) -> None:
     bed = box("bed", 8.0, 0.4)
     beside = preview(replace(request_2d, site=(bed,), target=Target(x_m=6.0, y_m=0.0, z_m=0.4)))
     assert [r.detail for r in beside.refused] == [
-        "Refused: nothing is +0.40 m high there, 1.20 m beside bed. Click on the surface that is meant, or "
-        "give its height."
+        "Refused: nothing is +0.40 m high 1.20 m beside bed, where the ground is at +0.00 m. "
+        "Use that height, or choose another point."
     ]
+    assert beside.refused[0].surface_m == 0.0
+    inside = preview(replace(request_2d, site=(bed,), target=Target(x_m=8.0, y_m=0.0)))
+    assert "+0.00 m lies inside bed, whose top there is at +0.40 m" in inside.refused[0].detail
+    assert inside.refused[0].surface_m == pytest.approx(0.4)
     far = preview(replace(request_2d, target=Target(x_m=6.0, y_m=0.0, z_m=0.4)))
     assert far.lands_on == "ground that nobody described"
     assert far.refused == ()

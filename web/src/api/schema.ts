@@ -2110,6 +2110,8 @@ export interface components {
             detail: string;
             /** Reason */
             reason: string;
+            /** Surface M */
+            surface_m: number | null;
         };
         /**
          * ReplayRequest

@@ -13,6 +13,7 @@ type Props = {
   hasResult: boolean;
   onPreviewAgain: () => void;
   onOtherMode: () => void;
+  onHeight: (z_m: number) => void;
 };
 
 /**
@@ -20,7 +21,7 @@ type Props = {
  * the place of the hold button while it is down.
  */
 export function ActionFooter(props: Props) {
-  const { machine, gate, control, hasResult, onPreviewAgain, onOtherMode } = props;
+  const { machine, gate, control, hasResult, onPreviewAgain, onOtherMode, onHeight } = props;
   const [isDown, setDown] = useState(false);
   const isBusy = control.hold.phase !== "idle" || isDown;
   if (hasResult && !isBusy && !gate?.isAlarm) {
@@ -42,6 +43,7 @@ export function ActionFooter(props: Props) {
           gate={gate}
           onPreviewAgain={onPreviewAgain}
           onOtherMode={onOtherMode}
+          onHeight={onHeight}
         />
       )}
       {showsButton && (

@@ -4,6 +4,7 @@ import { useNavigate } from "@tanstack/react-router";
 import { useLeaseActions } from "../machine/useLease";
 import { api, take } from "../session/client";
 import { errorWords } from "../words/errors";
+import { signed } from "../words/format";
 import type { Gate, GateAction } from "./gate";
 import classes from "./Panel.module.css";
 
@@ -15,17 +16,25 @@ const LABELS: Record<NonNullable<GateAction>, string> = {
   preview_again: "Preview again",
   other_mode: "Switch mode",
   open_policies: "Open Policies",
+  use_surface: "Use",
 };
+
+/** "top, +1.20 m", "floor, −0.80 m", "ground, 0.00 m". */
+function surfaceWords(z_m: number): string {
+  const word = z_m > 0 ? "top" : z_m < 0 ? "floor" : "ground";
+  return `${word}, ${signed(z_m)} m`;
+}
 
 type Props = {
   machineId: string;
   gate: Gate;
   onPreviewAgain: () => void;
   onOtherMode: () => void;
+  onHeight: (z_m: number) => void;
 };
 
 /** What stands in the way, and the one thing to do about it. */
-export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode }: Props) {
+export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode, onHeight }: Props) {
   const navigate = useNavigate();
   const { acquire } = useLeaseActions(machineId);
   const params = { path: { machine_id: machineId } };
@@ -41,6 +50,7 @@ export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode }: Pro
     preview_again: onPreviewAgain,
     other_mode: onOtherMode,
     open_policies: () => void navigate({ to: "/policies" }),
+    use_surface: () => onHeight(gate.surface_m ?? 0),
   };
   const error = command.error ?? acquire.error;
   return (
@@ -56,6 +66,7 @@ export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode }: Pro
           onClick={run[gate.action]}
         >
           {LABELS[gate.action]}
+          {gate.action === "use_surface" && ` ${surfaceWords(gate.surface_m ?? 0)}`}
         </Button>
       )}
       {error && (

@@ -8,6 +8,7 @@ import { Step } from "./Step";
 import { STEPS, type StepName } from "./steps";
 import { ThrowStep } from "./ThrowStep";
 import { TargetStep } from "./target/TargetStep";
+import { fromPoint } from "./target/target";
 import { targetSummary } from "./target/targetSummary";
 import type { Operate } from "./useOperate";
 
@@ -76,6 +77,7 @@ export function OperatePanel({ operate }: { operate: Operate }) {
           hasResult={operate.result !== null}
           onPreviewAgain={operate.previewAgain}
           onOtherMode={() => operate.setMode(mode === "2d" ? "3d" : "2d")}
+          onHeight={(z_m) => target && operate.setTarget(fromPoint(target.x_m, target.y_m, z_m))}
         />
       </div>
     </aside>

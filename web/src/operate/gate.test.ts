@@ -24,18 +24,34 @@ function facts(isHeld: boolean, lamp: string, plan: object | null): GateFacts {
   };
 }
 
-const refused = { state: "refused", refusals: [{ detail: "Refused: the gripper is empty." }] };
-const ready = { state: "ready", is_complete: true, refusals: [] };
+const inside = {
+  state: "refused",
+  refusals: [{ detail: "Refused: the target lies inside the bed.", surface_m: 1.2 }],
+};
+const ready = { state: "ready", is_complete: true, prediction: {}, refusals: [] };
 
 describe("what stands between the operator and a throw", () => {
-  it("offers to load an empty gripper, even where the preview was refused for it", () => {
-    expect(operateGate(facts(false, "disarmed", refused))).toMatchObject({
-      id: "no_payload",
-      action: "load",
+  it("offers to load an empty gripper while the throw is previewed", () => {
+    for (const plan of [null, { ...ready, state: "previewing", is_complete: false }, ready])
+      expect(operateGate(facts(false, "disarmed", plan))).toMatchObject({
+        id: "no_payload",
+        action: "load",
+      });
+  });
+  it("names a target that cannot be hit before the load, with the height that can", () => {
+    expect(operateGate(facts(false, "disarmed", inside))).toMatchObject({
+      id: "refused",
+      action: "use_surface",
+      surface_m: 1.2,
     });
   });
+  it("says what is being computed", () => {
+    const first = { ...ready, state: "previewing", is_complete: false };
+    expect(operateGate(facts(true, "disarmed", null))?.sentence).toMatch(/the throw/);
+    expect(operateGate(facts(true, "disarmed", first))?.sentence).toMatch(/the spread/);
+  });
   it("does not offer to load a machine that moves", () => {
-    expect(operateGate(facts(false, "settling", refused))?.id).toBe("moving");
+    expect(operateGate(facts(false, "settling", inside))?.id).toBe("moving");
   });
   it("says why a loaded machine's throw is refused", () => {
     const far = { state: "refused", refusals: [{ detail: "Refused: target 14.00 m." }] };

@@ -20,9 +20,17 @@ export type GateAction =
   | "preview_again"
   | "other_mode"
   | "open_policies"
+  | "use_surface"
   | null;
 
-export type Gate = { id: string; sentence: string; action: GateAction; isAlarm?: boolean };
+export type Gate = {
+  id: string;
+  sentence: string;
+  action: GateAction;
+  isAlarm?: boolean;
+  /** Height that puts the target on a surface: what `use_surface` sets. */
+  surface_m?: number;
+};
 
 export type GateFacts = {
   stale_s: number | null;
@@ -51,8 +59,9 @@ export function operateGate(facts: GateFacts): Gate | null {
     control,
     policy,
     motion,
-    load,
     aim,
+    refused,
+    load,
     preview,
     checks,
   ]) {
@@ -174,16 +183,23 @@ const load: Rule = ({ machine }) =>
     ? null
     : { id: "no_payload", sentence: "The gripper is empty.", action: "load" };
 
-const preview: Rule = ({ plan, planError, target }) => {
+/** A target that cannot be hit is said first: no load makes it better. */
+const refused: Rule = ({ plan, planError, target }) => {
   if (planError) return { id: "plan_error", sentence: planError, action: "preview_again" };
-  if (!plan) return { id: "previewing", sentence: "Previewing.", action: null };
-  if (plan.state === "refused") {
-    const detail = plan.refusals[0]?.detail ?? `Refused: target ${metres(target?.range_m)}.`;
-    return { id: "refused", sentence: detail, action: null };
-  }
-  if (plan.state === "failed")
+  if (plan?.state === "failed")
     return { id: "failed", sentence: "The preview failed.", action: "preview_again" };
-  if (!plan.is_complete) return { id: "previewing", sentence: "Previewing.", action: null };
+  if (plan?.state !== "refused") return null;
+  const refusal = plan.refusals[0];
+  const sentence = refusal?.detail ?? `Refused: target ${metres(target?.range_m)}.`;
+  const surface_m = refusal?.surface_m ?? null;
+  if (surface_m === null) return { id: "refused", sentence, action: null };
+  return { id: "refused", sentence, action: "use_surface", surface_m };
+};
+
+const preview: Rule = ({ plan }) => {
+  if (!plan?.prediction) return { id: "previewing", sentence: "Computing the throw", action: null };
+  if (!plan.is_complete)
+    return { id: "previewing", sentence: "Computing the spread", action: null };
   return null;
 };
 

@@ -39,7 +39,12 @@ export function CheckList({ checks, isTold }: Props) {
         aria-expanded={isOpen}
         onClick={() => setOpen(!isOpen)}
       >
-        <IconCheck size={14} aria-hidden /> {passed.length} of {checks.length} checks passed
+        {failed.length === 0 ? (
+          <IconCheck size={14} aria-hidden />
+        ) : (
+          <IconAlertTriangle size={14} aria-hidden />
+        )}{" "}
+        {passed.length} of {checks.length} checks passed
         <span className={classes.more}>{isOpen ? "Hide" : "Show"}</span>
       </button>
     </div>

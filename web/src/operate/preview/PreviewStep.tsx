@@ -25,7 +25,7 @@ export function PreviewStep({ machine, plan, gate }: Props) {
           <Loader size={12} mr={8} /> The twin throws it first.
         </p>
       )}
-      {refusalsWithoutRepeats(plan?.refusals ?? [], checks, gate).map((refusal) => (
+      {refusalsWithoutRepeats(plan?.refusals ?? [], gate).map((refusal) => (
         <p key={refusal.detail} className={classes.refusal} role="alert">
           {refusal.detail}
         </p>

@@ -14,21 +14,19 @@ const payload = check("payload", "The gripper is empty.");
 const pump = check("pressure", "12.0 MPa.");
 const empty: Gate = { id: "no_payload", sentence: "The gripper is empty.", action: "load" };
 const refusals = [
-  { reason: "no_payload", detail: "Refused: the gripper is empty. Take up a load first." },
-  { reason: "out_of_reach", detail: "Refused: target 14.00 m." },
+  { reason: "preview_refused", detail: "Refused: predicted miss 0.70 m.", surface_m: null },
+  { reason: "out_of_reach", detail: "Refused: target 14.00 m.", surface_m: null },
 ];
 
 describe("messages that the footer shows already", () => {
   it("an empty gripper is shown once", () => {
-    expect(refusalsWithoutRepeats(refusals, [], empty)).toEqual([refusals[1]]);
-    expect(refusalsWithoutRepeats(refusals, [payload], null)).toEqual([refusals[1]]);
     expect(isRepeatedCheck(payload, empty)).toBe(true);
     expect(isRepeatedCheck(pump, empty)).toBe(false);
   });
 
   it("a refusal in the same words is shown once", () => {
     const gate: Gate = { id: "refused", sentence: refusals[1]?.detail ?? "", action: null };
-    expect(refusalsWithoutRepeats(refusals, [], gate)).toEqual([refusals[0]]);
+    expect(refusalsWithoutRepeats(refusals, gate)).toEqual([refusals[0]]);
   });
 
   it("a failed check is shown once", () => {
@@ -40,7 +38,7 @@ describe("messages that the footer shows already", () => {
   it("everything is shown where the footer shows nothing or something else", () => {
     const moving: Gate = { id: "moving", sentence: "m001 is moving.", action: null };
     for (const gate of [null, moving]) {
-      expect(refusalsWithoutRepeats(refusals, [], gate)).toEqual(refusals);
+      expect(refusalsWithoutRepeats(refusals, gate)).toEqual(refusals);
       expect(isRepeatedCheck(payload, gate)).toBe(false);
     }
   });

@@ -6,19 +6,11 @@ import { checkSentence, type Gate } from "../gate";
 type Check = Schema["CheckResult"];
 type Refusal = Schema["RefusalView"];
 
-/** An empty gripper appears as a check of the machine, a refusal of the preview and a gate. */
-const EMPTY = { gate: "no_payload", reason: "no_payload", check_id: "payload" };
+/** An empty gripper appears as a check of the machine and as a gate. */
+const EMPTY = { gate: "no_payload", check_id: "payload" };
 
-export function refusalsWithoutRepeats(
-  refusals: readonly Refusal[],
-  checks: readonly Check[],
-  gate: Gate | null,
-): Refusal[] {
-  const isEmptyShown =
-    gate?.id === EMPTY.gate || checks.some((c) => c.check_id === EMPTY.check_id && !c.passed);
-  return refusals.filter(
-    ({ detail, reason }) => detail !== gate?.sentence && !(isEmptyShown && reason === EMPTY.reason),
-  );
+export function refusalsWithoutRepeats(refusals: readonly Refusal[], gate: Gate | null): Refusal[] {
+  return refusals.filter(({ detail }) => detail !== gate?.sentence);
 }
 
 export function isRepeatedCheck(check: Check, gate: Gate | null): boolean {
