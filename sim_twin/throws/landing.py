@@ -28,7 +28,7 @@ class SiteLanding(NamedTuple):
         return cls(solids, solids.name_at(target) or solids.names[0])
 
     def target_refusal(self, target: Target) -> PreviewRefusal | None:
-        """Refusal of a target near an object that lies on no surface: inside it, in the air or below ground."""
+        """Refusal of a target near an object that lies on no surface: inside, in the air, below ground."""
         near = [(o.distance_m(target.x_m, target.y_m), o) for o in self.solids.objects]
         name = self.solids.name_at(target)
         is_covered = name == GROUND and any(_covers_ground(o, target) for _, o in near)
