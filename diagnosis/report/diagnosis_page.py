@@ -6,22 +6,17 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from diagnosis.report.curves import figure, interval_bar
+from diagnosis.report.diagnosis_words import DiagnosisWords, entries, words_of
 from diagnosis.report.vocabulary import (
     SENTENCES,
     STAGES,
     VERDICTS,
-    cause_words,
     channel_words,
-    effect_words,
-    fitted_words,
     reference_words,
-    ruled_out_words,
     sentence,
-    shrink_words,
     signature_facts,
-    size_words,
 )
-from diagnosis.verdict import Cause, Diagnosis, StageGap, VerdictKind
+from diagnosis.verdict import Diagnosis, StageGap, VerdictKind
 from reports.html import render_page
 from reports.number_format import crossrange, downrange, metres, percent
 
@@ -38,7 +33,7 @@ def diagnosis_html(found: Diagnosis, title: str = "Gap") -> str:
         found: the result, of throws or of one stage.
         title: what was diagnosed.
     """
-    evidence = found.evidence
+    evidence, words = found.evidence, words_of(found)
     figures = [
         drawn
         for name, plot in found.plots.items()
@@ -54,29 +49,20 @@ def diagnosis_html(found: Diagnosis, title: str = "Gap") -> str:
         verdict=VERDICTS[found.verdict],
         facts=_facts(found),
         chain=_chain(found),
-        causes=[_cause_row(cause) for cause in found.causes],
-        next_experiment=_next_experiment(found),
+        causes=list(zip(found.causes, words.causes, strict=True)),
+        next_experiment=_next_experiment(found, words),
         unknown=signature_facts(cast("Mapping[str, Any]", unknown))
         if isinstance(unknown, Mapping)
         else None,
-        shrink=_shrink(found),
+        shrink=_shrink(found, words),
         figures=figures,
         open_count=OPEN_FIGURES_COUNT,
-        ruled_out=[_ruled_out_row(entry) for entry in _entries(evidence.get("ruled_out"))],
+        ruled_out=words.ruled_out,
         parts=_parts(evidence.get("parts")),
-        refused=[
-            entry for entry in _entries(evidence.get("refused")) if isinstance(entry, Mapping)
-        ],
+        refused=[entry for entry in entries(evidence.get("refused")) if isinstance(entry, Mapping)],
         is_bad_data=found.verdict is VerdictKind.BAD_DATA,
         evidence=_other_evidence(evidence),
     )
-
-
-def _entries(value: Any) -> list[Any]:
-    """The entries of a list; empty for anything else."""
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        return []
-    return list(cast("Sequence[Any]", value))
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str]]:
@@ -91,7 +77,7 @@ def _facts(found: Diagnosis) -> list[tuple[str, str]]:
         facts.append(("Across", crossrange(gap.crossrange_bias_m)))
     if gap.trajectory_rms_ratio is not None:
         facts.append((SENTENCES["residual"], f"{gap.trajectory_rms_ratio:.2f}"))
-    used = _entries(evidence.get("throws_used"))
+    used = entries(evidence.get("throws_used"))
     if used:
         facts.append(("Throws used", str(len(used))))
     twin = evidence.get("twin")
@@ -107,7 +93,7 @@ def _chain(found: Diagnosis) -> dict[str, Any] | None:
     """Every stage in the order of the chain with its terms; None without stages."""
     if not found.stages:
         return None
-    where, named = found.evidence.get("where"), _entries(found.evidence.get("named"))
+    where, named = found.evidence.get("where"), entries(found.evidence.get("named"))
     # Without a gap the place is only the largest term and is not marked.
     is_marked = isinstance(where, Mapping) and found.verdict is not VerdictKind.NONE
     here = str(where.get("stage")) if isinstance(where, Mapping) and is_marked else ""
@@ -151,40 +137,25 @@ def _term(term: StageGap, limit: float, is_named: bool) -> dict[str, Any]:
     }
 
 
-def _cause_row(cause: Cause) -> dict[str, Any]:
-    return {
-        "probability": cause.probability,
-        "words": cause_words(cause),
-        "sizes": [
-            (fitted_words(effect) if len(cause.effects) > 1 else "", *size)
-            for effect in cause.effects
-            for size in size_words(effect)
-        ],
-    }
-
-
-def _next_experiment(found: Diagnosis) -> dict[str, Any] | None:
+def _next_experiment(found: Diagnosis, words: DiagnosisWords) -> dict[str, Any] | None:
     """What is undecided, and the motion that would decide it."""
     if found.ambiguity is None:
         return None
     motion = found.ambiguity.separating_motion
-    members = " or ".join(found.ambiguity.members)
     return {
-        "undecided": sentence("undecided", members=members, why=found.ambiguity.why),
+        "undecided": words.undecided,
         "motion": str(motion.get("words", "")),
         "facts": {key: value for key, value in motion.items() if key != "words"},
     }
 
 
-def _shrink(found: Diagnosis) -> dict[str, Any] | None:
+def _shrink(found: Diagnosis, words: DiagnosisWords) -> dict[str, Any] | None:
     shrink = found.shrink
     if shrink is None:
         return None
     unit = str(found.evidence.get("residual_unit", "m"))
-    samples = "throws" if unit == "m" and found.gap.impact_rms_m is not None else "pieces"
-    by_channels = found.evidence.get("shrink_measure") == "channels"
     return {
-        "words": shrink_words(shrink, by_channels=by_channels, samples=samples),
+        "words": words.shrink,
         "unit": unit,
         "rows": (
             (SENTENCES["twin_before"], shrink.before_m),
@@ -192,15 +163,6 @@ def _shrink(found: Diagnosis) -> dict[str, Any] | None:
         ),
         "largest": max(shrink.before_m, shrink.after_m, 1e-12),
     }
-
-
-def _ruled_out_row(entry: Any) -> tuple[str, str]:
-    if not isinstance(entry, Mapping):
-        return str(entry), ""
-    facts = cast("Mapping[str, Any]", entry)
-    joint = facts.get("joint")
-    name = effect_words(str(facts.get("effect", "")), None if joint is None else str(joint))
-    return name, ruled_out_words(str(facts.get("why", "")), facts.get("log_odds"))
 
 
 def _parts(parts: Any) -> list[tuple[str, str, Any]]:

@@ -1,7 +1,8 @@
 """Titles, sentences and units of a diagnosis for people.
 
-The report renders them in Python. The console's Gap page reads the same tables from
-``web/src/api/vocabulary.ts``, which ``make types`` writes from `vocabulary_tables`.
+The report and the server make texts of them (diagnosis_words.py). The console's Gap page has titles and
+sentences without numbers in ``web/src/api/vocabulary.ts``, which ``make types`` writes from
+`vocabulary_tables`.
 """
 
 import math
@@ -153,9 +154,6 @@ def vocabulary_tables() -> dict[str, Any]:
     return {
         "verdicts": {kind.value: words._asdict() for kind, words in VERDICTS.items()},
         "stages": [{"stage": stage.value, **words._asdict()} for stage, words in STAGES.items()],
-        "shown_units": {unit: shown._asdict() for unit, shown in SHOWN_UNITS.items()},
-        "ratio_units": list(RATIO_UNITS),
-        "unit_suffixes": list(UNIT_SUFFIXES),
         "sentences": dict(SENTENCES),
         "series": {role: list(names) for role, names in SERIES.items()},
     }
@@ -194,10 +192,17 @@ def reference_words(evidence: Mapping[str, Any]) -> str | None:
         return None
     reference = evidence["reference"]
     if not isinstance(reference, Mapping):
+        return compared_words(0)
+    return compared_words(int(cast("Mapping[str, Any]", reference).get("throws_count", 0)))
+
+
+def compared_words(reference_throw_count: int) -> str:
+    """What throws are compared with: healthy throws of the machine, or its type where there are none."""
+    if reference_throw_count == 0:
         return SENTENCES["compared_with_type"]
-    count = cast("Mapping[str, Any]", reference).get("throws_count")
-    plural = "" if count == 1 else "s"
-    return sentence("compared_with_machine", count=f"{count} {SENTENCES['healthy_throw']}{plural}")
+    plural = "" if reference_throw_count == 1 else "s"
+    count = f"{reference_throw_count} {SENTENCES['healthy_throw']}{plural}"
+    return sentence("compared_with_machine", count=count)
 
 
 def effect_words(effect: str, joint: str | None) -> str:

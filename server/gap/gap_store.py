@@ -5,6 +5,8 @@ import zlib
 from sqlalchemy import select, update
 from sqlalchemy.orm import undefer
 
+from diagnosis.report.diagnosis_words import words_of
+from diagnosis.report.vocabulary import compared_words
 from diagnosis.verdict import Diagnosis, VerdictKind
 from server.clock import utc_now
 from server.errors import ConflictError, NotFoundError
@@ -89,11 +91,13 @@ class GapStore:
     def view(self, gap_run_id: str, machine_id: str) -> GapRunView:
         """One run with its result."""
         row = self.row(gap_run_id, machine_id)
+        result = self.result(gap_run_id, machine_id)
         return GapRunView(
             row=gap_row(row),
             throw_ids=tuple(str(throw_id) for throw_id in row.throw_ids),
             reference_throw_ids=tuple(str(throw_id) for throw_id in row.reference_throw_ids),
-            result=self.result(gap_run_id, machine_id),
+            result=result,
+            words=None if result is None else words_of(result),
         )
 
 
@@ -113,6 +117,7 @@ def gap_row(row: GapRun, progress_ratio: float = 0.0, step: str = "") -> GapRunR
         detail=row.detail,
         throw_count=len(row.throw_ids),
         reference_throw_count=len(row.reference_throw_ids),
+        compared_with=compared_words(len(row.reference_throw_ids)),
         profile_version_count=row.profile_version_count,
         verdict=None if row.verdict is None else VerdictKind(row.verdict),
         sentence=row.sentence,

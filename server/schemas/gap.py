@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from diagnosis.report.diagnosis_words import DiagnosisWords
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.conventions import Mode
 from server.schemas.console import Request, TargetView, View
@@ -83,6 +84,8 @@ class GapRunRow(View):
     throw_count: int
     reference_throw_count: int
     """Healthy throws of this machine that it is compared with; 0: healthy machines of the type."""
+    compared_with: str
+    """The same in words."""
     profile_version_count: int
     verdict: VerdictKind | None
     sentence: str
@@ -105,6 +108,8 @@ class GapRunView(View):
     throw_ids: tuple[str, ...]
     reference_throw_ids: tuple[str, ...]
     result: Diagnosis | None
+    words: DiagnosisWords | None
+    """Texts of the result."""
 
 
 class GapSideView(View):

@@ -55,6 +55,9 @@ def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
     assert row["progress_ratio"] == 1.0
     assert view["result"]["evidence"]["logs"] == 7
     assert view["result"]["evidence"]["missing"] is None
+    assert row["compared_with"] == "healthy machines of the type"
+    (first, *_) = view["words"]["causes"]
+    assert (first["title"], first["probability"]) == ("valve dead time, dipper", "95 %")
     page = ada.get(f"{RUNS}/{row['gap_run_id']}/report.html")
     assert page.headers["content-type"].startswith("text/html")
     policy = page.headers["content-security-policy"]

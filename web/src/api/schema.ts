@@ -1065,6 +1065,18 @@ export interface components {
             probability: number;
         };
         /**
+         * CauseWords
+         * @description A hypothesis: its effects, "no effect" or "something unknown".
+         */
+        CauseWords: {
+            /** Effects */
+            effects: components["schemas"]["EffectWords"][];
+            /** Probability */
+            probability: string;
+            /** Title */
+            title: string;
+        };
+        /**
          * CheckResult
          * @description One arming check, as the operator reads it.
          */
@@ -1160,6 +1172,20 @@ export interface components {
             verdict: components["schemas"]["VerdictKind"];
         };
         /**
+         * DiagnosisWords
+         * @description Texts beside a `Diagnosis`.
+         */
+        DiagnosisWords: {
+            /** Causes */
+            causes: components["schemas"]["CauseWords"][];
+            /** Ruled Out */
+            ruled_out: components["schemas"]["ReasonWords"][];
+            /** Shrink */
+            shrink: string;
+            /** Undecided */
+            undecided: string;
+        };
+        /**
          * Effect
          * @description An effect of the table at a size; parameters left out are 0.
          */
@@ -1172,6 +1198,16 @@ export interface components {
             parameters: {
                 [key: string]: number;
             };
+        };
+        /**
+         * EffectWords
+         * @description An effect: "valve dead time, boom".
+         */
+        EffectWords: {
+            /** Sizes */
+            sizes: components["schemas"]["SizeWords"][];
+            /** Title */
+            title: string;
         };
         /**
          * ErrorBody
@@ -1301,6 +1337,8 @@ export interface components {
         GapRunRow: {
             /** Applied Version Count */
             applied_version_count: number | null;
+            /** Compared With */
+            compared_with: string;
             /** Created By */
             created_by: string;
             /**
@@ -1346,6 +1384,7 @@ export interface components {
             row: components["schemas"]["GapRunRow"];
             /** Throw Ids */
             throw_ids: string[];
+            words: components["schemas"]["DiagnosisWords"] | null;
         };
         /**
          * GapSideView
@@ -2102,6 +2141,16 @@ export interface components {
             static_reach_m: number;
         };
         /**
+         * ReasonWords
+         * @description An effect that was ruled out, and why.
+         */
+        ReasonWords: {
+            /** Name */
+            name: string;
+            /** Why */
+            why: string;
+        };
+        /**
          * RefusalView
          * @description Why a plan may not be thrown, with numbers and remedy.
          */
@@ -2293,6 +2342,18 @@ export interface components {
             undo_version_count: number | null;
             /** Version Count */
             version_count: number;
+        };
+        /**
+         * SizeWords
+         * @description A parameter of an effect: "extra dead time", "62.0 ms", "55.0 to 70.0 ms".
+         */
+        SizeWords: {
+            /** Interval */
+            interval: string;
+            /** Name */
+            name: string;
+            /** Value */
+            value: string;
         };
         /**
          * Stage

@@ -60,48 +60,6 @@ export const VOCABULARY = {
       "link": "sensors, base, survey"
     }
   ],
-  "shown_units": {
-    "s": {
-      "below": 1.0,
-      "scale": 1000.0,
-      "unit": "ms"
-    },
-    "rad": {
-      "below": 1.0,
-      "scale": 1000.0,
-      "unit": "mrad"
-    },
-    "m": {
-      "below": 0.1,
-      "scale": 1000.0,
-      "unit": "mm"
-    },
-    "m/s": {
-      "below": 0.1,
-      "scale": 1000.0,
-      "unit": "mm/s"
-    }
-  },
-  "ratio_units": [
-    "",
-    "1",
-    "ratio"
-  ],
-  "unit_suffixes": [
-    "_rad_m_per_s",
-    "_rad_per_s2",
-    "_rad_per_s",
-    "_m_per_s",
-    "_per_s2",
-    "_per_s",
-    "_per_m",
-    "_rad_m",
-    "_ratio",
-    "_rad",
-    "_kg",
-    "_s",
-    "_m"
-  ],
   "sentences": {
     "none": "no effect",
     "unknown": "something unknown",

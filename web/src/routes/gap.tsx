@@ -77,7 +77,7 @@ function OneRun({ machineId, runId, onStarted }: OneRunProps) {
   const run = useGapRun(machineId, runId);
   if (run.isError && !run.data) return <GateSentence sentence={errorWords(run.error)} />;
   if (!run.row || !run.data) return null;
-  const { result: found, throw_ids, reference_throw_ids } = run.data;
+  const { result: found, words, throw_ids, reference_throw_ids } = run.data;
   const again = {
     throw_ids,
     reference_throw_ids: reference_throw_ids.length > 0 ? reference_throw_ids : null,
@@ -85,7 +85,7 @@ function OneRun({ machineId, runId, onStarted }: OneRunProps) {
   return (
     <>
       <RunHead key={runId} run={run.row} found={found} again={again} onStarted={onStarted} />
-      {found && <RunResult key={runId} run={run.row} found={found} />}
+      {found && words && <RunResult key={runId} run={run.row} found={found} words={words} />}
     </>
   );
 }

@@ -4,14 +4,14 @@ import { useMay } from "../../session/useSession";
 import { errorWords } from "../../words/errors";
 import { useFocusKept } from "../useFocusKept";
 import { useGapActions, useTwinProfile } from "../useGap";
-import { additionWords, type Diagnosis, doubtWords, type Run } from "../words";
+import { additionWords, type Diagnosis, type DiagnosisWords, doubtWords, type Run } from "../words";
 import classes from "./ApplyPanel.module.css";
 import { PreviewCompare } from "./PreviewCompare";
 
-type Props = { run: Run; found: Diagnosis };
+type Props = { run: Run; found: Diagnosis; words: DiagnosisWords };
 
 /** Put what was found into the machine's twin, after a look at what that changes; and take it back. */
-export function ApplyPanel({ run, found }: Props) {
+export function ApplyPanel({ run, found, words }: Props) {
   const twin = useTwinProfile(run.machine_id).data;
   const mayApply = useMay("twin.apply");
   const { apply, undo } = useGapActions(run.machine_id);
@@ -28,7 +28,7 @@ export function ApplyPanel({ run, found }: Props) {
       <p className={classes.words}>
         {isApplied
           ? `Applied as version ${run.applied_version_count} of the twin of ${run.machine_id}${isInUse ? ", in use." : "; another version is in use now."}`
-          : `${additionWords(found)} Previews of ${run.machine_id} then use it at once; undo brings the twin back.`}
+          : `${additionWords(words)} Previews of ${run.machine_id} then use it at once; undo brings the twin back.`}
       </p>
       {!isApplied && doubt && (
         <p className={classes.problem} role="note">
@@ -47,7 +47,7 @@ export function ApplyPanel({ run, found }: Props) {
         {!isApplied && (
           <Confirm
             label="Apply to the twin"
-            sentence={`Version ${next} of the twin of ${run.machine_id}. ${additionWords(found)}`}
+            sentence={`Version ${next} of the twin of ${run.machine_id}. ${additionWords(words)}`}
             confirm={`Apply as version ${next}`}
             isDisabled={!mayApply}
             isPending={apply.isPending}

@@ -1,9 +1,15 @@
 import type { Schema } from "../../session/client";
-import { causeWords, fittedWords, probabilityWords, SENTENCES, sizesOf } from "../words";
+import { type DiagnosisWords, SENTENCES } from "../words";
 import classes from "./CauseTable.module.css";
 
+type Props = {
+  causes: readonly Schema["Cause"][];
+  /** Texts of the causes, in the same order. */
+  words: DiagnosisWords["causes"];
+};
+
 /** Which effect: hypotheses by probability, sizes with their 90 % intervals. */
-export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
+export function CauseTable({ causes, words }: Props) {
   return (
     <table className={classes.causes}>
       <thead>
@@ -14,19 +20,19 @@ export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
         </tr>
       </thead>
       <tbody>
-        {causes.map((cause) => (
-          <tr key={`${causeWords(cause)} ${cause.probability}`}>
+        {words.map(({ title, probability, effects }, index) => (
+          <tr key={`${title} ${causes[index]?.probability}`}>
             <td>
               <span className={classes.odds}>
                 <span className={classes.share} aria-hidden>
-                  <span style={{ width: `${100 * cause.probability}%` }} />
+                  <span style={{ width: `${100 * (causes[index]?.probability ?? 0)}%` }} />
                 </span>
-                {probabilityWords(cause.probability)}
+                {probability}
               </span>
             </td>
-            <th scope="row">{causeWords(cause)}</th>
+            <th scope="row">{title}</th>
             <td>
-              <Sizes cause={cause} />
+              <Sizes effects={effects} />
             </td>
           </tr>
         ))}
@@ -35,12 +41,11 @@ export function CauseTable({ causes }: { causes: readonly Schema["Cause"][] }) {
   );
 }
 
-function Sizes({ cause }: { cause: Schema["Cause"] }) {
-  const isSeveral = cause.effects.length > 1;
-  return cause.effects.flatMap((effect) =>
-    sizesOf(effect).map((size) => (
-      <div key={`${effect.effect} ${effect.joint} ${size.name}`}>
-        {isSeveral && `${fittedWords(effect)}: `}
+function Sizes({ effects }: { effects: Schema["EffectWords"][] }) {
+  return effects.flatMap(({ title, sizes }) =>
+    sizes.map((size) => (
+      <div key={`${title} ${size.name}`}>
+        {effects.length > 1 && `${title}: `}
         {size.name} <strong>{size.value}</strong>{" "}
         <span className={classes.dim}>({size.interval})</span>
       </div>

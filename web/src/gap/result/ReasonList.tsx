@@ -1,5 +1,5 @@
 import classes from "./ReasonList.module.css";
-import type { Reason } from "./ruledOut";
+import type { Reason } from "./refused";
 
 type Props = { title: string; reasons: readonly Reason[]; isOpen?: boolean };
 

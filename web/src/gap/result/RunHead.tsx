@@ -5,15 +5,7 @@ import { errorWords } from "../../words/errors";
 import { count, metres, percent, unbroken } from "../../words/format";
 import { zonedStamp } from "../../words/time";
 import { reportHref, useGapActions } from "../useGap";
-import {
-  comparedWords,
-  type Diagnosis,
-  isLook,
-  isOpen,
-  type Run,
-  runTitle,
-  SENTENCES,
-} from "../words";
+import { type Diagnosis, isLook, isOpen, type Run, runTitle, SENTENCES } from "../words";
 import classes from "./RunHead.module.css";
 
 type Props = {
@@ -62,7 +54,7 @@ export function RunHead({ run, found, again, onStarted }: Props) {
         </div>
         <span className={`${classes.dim} ${classes.about}`}>
           {count(run.throw_count, "throw")} of {run.machine_id} against twin version{" "}
-          {run.profile_version_count}, compared with {comparedWords(run)},{" "}
+          {run.profile_version_count}, compared with {run.compared_with},{" "}
           {zonedStamp(run.created_utc)}, {run.created_by}
         </span>
       </div>

@@ -70,7 +70,12 @@ describe("the chain", () => {
 
 describe("the causes", () => {
   it("are rows with probability, name and size", () => {
-    render(<CauseTable causes={found.causes} />);
+    const sizes = [{ name: "extra delay", value: "50.0 ms", interval: "40.0 to 60.0 ms" }];
+    const words = [
+      { title: "release delay", probability: "97 %", effects: [{ title: "release delay", sizes }] },
+      { title: "no effect", probability: "3 %", effects: [] },
+    ];
+    render(<CauseTable causes={found.causes} words={words} />);
     const rows = screen.getAllByRole("row").slice(1);
     expect(rows.map((row) => row.textContent)).toEqual([
       "97 %release delayextra delay 50.0 ms (40.0 to 60.0 ms)",

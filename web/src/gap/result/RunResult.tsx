@@ -1,5 +1,5 @@
 import { useMemo } from "react";
-import { type Diagnosis, type Run, SENTENCES, undecidedWords } from "../words";
+import { type Diagnosis, type DiagnosisWords, type Run, SENTENCES } from "../words";
 import { ApplyPanel } from "./ApplyPanel";
 import { CauseTable } from "./CauseTable";
 import { ChainFlow } from "./ChainFlow";
@@ -7,13 +7,13 @@ import { chainOf } from "./chain";
 import { GapPlots } from "./GapPlots";
 import { ReasonList } from "./ReasonList";
 import classes from "./RunResult.module.css";
-import { refusedOf, ruledOutOf } from "./ruledOut";
+import { refusedOf } from "./refused";
 import { ShrinkBars } from "./ShrinkBars";
 
-type Props = { run: Run; found: Diagnosis };
+type Props = { run: Run; found: Diagnosis; words: DiagnosisWords };
 
 /** A finished diagnosis from top to bottom: where, which, how far, what to do. */
-export function RunResult({ run, found }: Props) {
+export function RunResult({ run, found, words }: Props) {
   const chain = useMemo(() => chainOf(found), [found]);
   const motion = found.ambiguity?.separating_motion.words;
   return (
@@ -25,12 +25,12 @@ export function RunResult({ run, found }: Props) {
       )}
       {found.causes.length > 0 && (
         <Section title={SENTENCES.section_which}>
-          <CauseTable causes={found.causes} />
+          <CauseTable causes={found.causes} words={words.causes} />
         </Section>
       )}
       {found.ambiguity && (
         <Section title={SENTENCES.section_next}>
-          <p>{undecidedWords(found.ambiguity)}</p>
+          <p>{words.undecided}</p>
           <p>
             <strong>{String(motion ?? "")}</strong>
           </p>
@@ -38,12 +38,12 @@ export function RunResult({ run, found }: Props) {
       )}
       {found.shrink && (
         <Section title={SENTENCES.section_shrink}>
-          <ShrinkBars found={found} />
+          <ShrinkBars found={found} words={words.shrink} />
         </Section>
       )}
       {run.effect_count > 0 && (
         <Section title="Apply">
-          <ApplyPanel run={run} found={found} />
+          <ApplyPanel run={run} found={found} words={words} />
         </Section>
       )}
       {found.verdict !== "bad_data" && (
@@ -57,7 +57,7 @@ export function RunResult({ run, found }: Props) {
           reasons={refusedOf(found.evidence)}
           isOpen={found.verdict === "bad_data"}
         />
-        <ReasonList title={SENTENCES.section_ruled_out} reasons={ruledOutOf(found.evidence)} />
+        <ReasonList title={SENTENCES.section_ruled_out} reasons={words.ruled_out} />
         <p className={classes.dim}>All evidence stands in the report.</p>
       </Section>
     </div>

@@ -1,9 +1,9 @@
 import { fixed, unbroken } from "../../words/format";
-import { type Diagnosis, SENTENCES, shrinkWords } from "../words";
+import { type Diagnosis, SENTENCES } from "../words";
 import classes from "./ShrinkBars.module.css";
 
 /** How far the gap shrinks on throws that did not choose the cause. */
-export function ShrinkBars({ found }: { found: Diagnosis }) {
+export function ShrinkBars({ found, words }: { found: Diagnosis; words: string }) {
   const { shrink } = found;
   if (!shrink) return null;
   const unit =
@@ -15,9 +15,7 @@ export function ShrinkBars({ found }: { found: Diagnosis }) {
   ];
   return (
     <>
-      <p className={classes.words}>
-        {unbroken(shrinkWords(shrink, found.evidence.shrink_measure))}
-      </p>
+      <p className={classes.words}>{unbroken(words)}</p>
       <dl className={classes.bars}>
         {rows.map((row) => (
           <div key={row.name} className={classes.row}>

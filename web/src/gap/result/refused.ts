@@ -1,18 +1,6 @@
-/** What the data speak against, and which logs were refused, read out of a diagnosis's evidence. */
-
-import { effectWords, ruledOutWords } from "../words";
+/** Which logs were refused, read out of a diagnosis's evidence. */
 
 export type Reason = { name: string; why: string };
-
-export function ruledOutOf(evidence: Record<string, unknown>): Reason[] {
-  return records(evidence.ruled_out).map((entry) => {
-    const joint = typeof entry.joint === "string" ? entry.joint : null;
-    return {
-      name: effectWords(String(entry.effect ?? ""), joint),
-      why: ruledOutWords(entry.why, entry.log_odds),
-    };
-  });
-}
 
 export function refusedOf(evidence: Record<string, unknown>): Reason[] {
   return records(evidence.refused).map((entry) => ({
