@@ -20,7 +20,14 @@ from server.clock import new_id
 from server.plans.plan_store import PlanStore
 from server.plans.policy_store import PolicyStore
 from tests.server.fake_machine import FakeMachine
-from tests.server.server_bench import Running, add_people, make_settings, running_server, wait_for
+from tests.server.server_bench import (
+    Running,
+    add_people,
+    clear_stop,
+    make_settings,
+    running_server,
+    wait_for,
+)
 
 
 def summary(name: str, seconds: list[float]) -> Row:
@@ -91,7 +98,7 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
         client.post("/machines/m001/stop").raise_for_status()
         stops.append(seen[0] - began_s)
         machine._latch = latch
-        client.post("/machines/m001/stop/clear").raise_for_status()
+        wait_for(lambda: clear_stop(client).is_success)
     epoch = machine.epoch_count
     floor = [
         timed(
@@ -110,7 +117,7 @@ def measure(running: Running, machine: FakeMachine, client: Client, repeats: int
 
 
 def ready_plan(plans: PlanStore, client: Client) -> str:
-    body = {"mode": "2d", "target": {"x_m": 8.0, "y_m": 0.0}, "rollout_count": 0}
+    body = {"mode": "2d", "target": {"x_m": 8.0, "y_m": 0.0}, "rollout_count": 50}
     plan_id = client.post("/machines/m001/plans", json=body).json()["plan_id"]
     wait_for(lambda: plans.view(plan_id).state.value != "previewing", 60.0)
     return plan_id

@@ -29,7 +29,7 @@ from machine.channels import machine_key
 from runtime.link.zenoh_config import client_config
 from tests.ports import free_port
 from tests.server.fake_machine import FakeMachine
-from tests.server.server_bench import wait_for
+from tests.server.server_bench import clear_stop, wait_for
 
 BAR_MS = 150.0
 SITE = "yard"
@@ -193,7 +193,7 @@ def press(client: httpx.Client, machine: FakeMachine) -> float:
     client.post("/machines/m001/stop").raise_for_status()
     wait_for(lambda: latched_s)
     machine._latch = latch
-    wait_for(lambda: client.post("/machines/m001/stop/clear").is_success)
+    wait_for(lambda: clear_stop(client).is_success)
     return latched_s[0] - began_s
 
 

@@ -170,7 +170,6 @@ class ThrowClient:
                 "mode": mode,
                 "target": dict(zip(("x_m", "y_m", "z_m"), target_m, strict=True)),
                 "pace_ratio": pace_ratio,
-                "rollout_count": 0,
             },
         )
         end_s = time.monotonic() + PREVIEW_TIMEOUT_S

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import Array
 from machine.errors import LogError
 from machine.spec import MachineSpec, load_spec
+from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
 
 MIN_BALL_SAMPLES_COUNT: Final = 5
@@ -39,12 +40,17 @@ NO_IMU_NOTE: Final = (
 )
 
 
-def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> LoadedSet:
+def load_throws(
+    paths: Sequence[Path],
+    spec: MachineSpec | None = None,
+    read_log: Callable[[Path], ThrowLog] = read_throw_log,
+) -> LoadedSet:
     """Load throw logs.
 
     Args:
         paths: MCAP files, one a throw, CSV files, or folders of them.
         spec: the machine type that the logs must come from; the twin's own if left out.
+        read_log: reads MCAP files; the server's has limits of memory and time.
     """
     machine = load_spec() if spec is None else spec
     refused: list[tuple[Path, str]] = []
@@ -52,7 +58,7 @@ def load_throws(paths: Sequence[Path], spec: MachineSpec | None = None) -> Loade
     seen: dict[str, Path] = {}
     for path in _files(paths, refused):
         try:
-            logs = read_logs(path)
+            logs = read_logs(path, read_log)
         except LogError as error:
             refused.append((path, str(error)))
             continue

@@ -8,7 +8,7 @@ required columns is refused with their names.
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -83,13 +83,17 @@ OPTIONAL_FIELDS: Final = frozenset(
 )
 
 
-def read_logs(path: Path) -> list[ThrowLog]:
+def read_logs(path: Path, read_log: Callable[[Path], ThrowLog] = read_throw_log) -> list[ThrowLog]:
     """Read the throws of a file of either kind, by its suffix; MCAP holds one.
+
+    Args:
+        path: the file.
+        read_log: reads MCAP files.
 
     Raises:
         LogError: it cannot be used.
     """
-    return read_throw_csv(path) if path.suffix.lower() == ".csv" else [read_throw_log(path)]
+    return read_throw_csv(path) if path.suffix.lower() == ".csv" else [read_log(path)]
 
 
 def throw_csv(log: ThrowLog) -> str:

@@ -22,6 +22,7 @@ from diagnosis.correction import found_effects
 from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
+from server.throws.limited_reader import LimitedLogReader
 from sim_twin.child_processes import end_with_parent
 from sim_twin.twin.profile import TwinProfile
 
@@ -35,6 +36,8 @@ NICENESS = 15
 POLL_S = 0.2
 END_WAIT_S = 2.0
 PROGRESS_PERIOD_S = 0.25
+READ_S = 120.0
+"""Time for one log: the process has a low priority."""
 
 Diagnose = Callable[["GapJob", Callable[[float, str], None]], Diagnosis]
 Progress = Callable[[float, str], None]
@@ -79,8 +82,15 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
     from diagnosis.loading.logs import load_throws
 
     progress(0.0, "reading logs")
-    loaded = _named(load_throws(job.log_paths), job.names)
-    reference = _named(load_throws(job.reference_paths), job.names) if job.reference_paths else None
+    reader = LimitedLogReader(READ_S)
+    try:
+        loaded = _named(load_throws(job.log_paths, read_log=reader.read), job.names)
+        reference = None
+        if job.reference_paths:
+            healthy = load_throws(job.reference_paths, read_log=reader.read)
+            reference = _named(healthy, job.names)
+    finally:
+        reader.close()
     return diagnose_throws(loaded, job.profile, progress, reference=reference)
 
 
@@ -114,6 +124,7 @@ class GapProcess:
             GapFailedError: the process failed, with the reason.
         """
         ours, theirs = self._context.Pipe(duplex=False)
+        # Not a daemon: those may have no processes of their own, and logs are read in one.
         process = self._context.Process(
             target=run_job, args=(job, self._diagnose, theirs), name="gap"
         )

@@ -24,6 +24,8 @@ from server.store.models import Plan
 
 MOVED_LIMIT_RAD_M = 0.05
 """A machine that moved farther than this since the preview needs a new one."""
+MIN_ROLLOUT_COUNT = 50
+"""Fewest scattered throws that tell the spread: with 5 % of bad throws allowed, 50 show 3 of them."""
 _KEPT_COUNT = 256
 
 
@@ -191,6 +193,14 @@ class PlanStore:
         if row.fired_utc is not None:
             raise from_reason(
                 RejectReason.PLAN_EXPIRED, "The plan was thrown already. Preview the next throw."
+            )
+        ellipse = (row.prediction or {}).get("ellipse")
+        scattered = 0 if ellipse is None else ellipse["rollout_count"]
+        if scattered < MIN_ROLLOUT_COUNT:
+            raise from_reason(
+                RejectReason.PREVIEW_REFUSED,
+                f"The spread of this plan's landings was checked with {scattered} throws, at least "
+                f"{MIN_ROLLOUT_COUNT} are needed. Preview with more.",
             )
         start, now = row.start_rad_m, state.joint_position_rad_m
         moved = max(abs(float(start[i]) - now[i]) for i in range(ACTIVE_COUNT))

@@ -24,6 +24,7 @@ from server.dependencies import (
     Viewer,
     ViewsDep,
 )
+from server.errors import ConflictError
 from server.machines.lease_service import LeaseService
 from server.machines.machine_commands import MachineCommands
 from server.schemas.console import (
@@ -134,19 +135,24 @@ def clear_stop(
     leases: LeasesDep,
     stops: StopsDep,
     commands: CommandsDep,
-    body: StopClearBody | None = None,
+    body: StopClearBody,
 ) -> CommandView:
-    """Clear a latched stop or fault: names the latch, who sees the machine, and why it may move again."""
+    """Clear a latched stop or fault that was shown, by a person who sees the machine."""
     state = registry.get(machine_id).state
-    given = body or StopClearBody()
+    if state is not None and state.latch_id and state.latch_id != body.latch_id:
+        raise ConflictError(
+            "latch_changed",
+            f"{machine_id} was stopped again since this was shown ({state.latched_reason}). "
+            "Look at the machine again, then clear what is latched now.",
+        )
     request = StopClearRequest(
         command_id=new_id(),
         machine_id=machine_id,
         issuer=session.username,
         epoch_count=leases.epoch(machine_id),
-        latch_id=given.latch_id or (state.latch_id if state else None),
-        sighted_by=given.sighted_by or session.username,
-        reason=given.reason or "cleared in the console",
+        latch_id=body.latch_id,
+        sighted_by=session.username,
+        reason=body.reason,
     )
     with stops.suspended(machine_id):
         return _view(commands.send(request, session.actor))

@@ -236,13 +236,15 @@ class MachineView(View):
     """STOP was pressed and the machine has not confirmed it yet; it is being repeated."""
 
 
-class StopClearBody(BaseModel):
-    """Who sees the machine, and why it may move again; the latch as it was shown."""
+class StopClearBody(Request):
+    """What a person says who clears a stop or fault; who it is comes from the session."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    latch_id: str | None = Field(default=None, max_length=100)
-    sighted_by: str | None = Field(default=None, max_length=100)
-    reason: str | None = Field(default=None, max_length=500)
+    latch_id: str = Field(min_length=1, max_length=100)
+    """The latch that was shown, as the machine's state names it."""
+    is_sighted: Literal[True]
+    """This person sees the machine, and nobody is in reach of it."""
+    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    """Why the machine may move again."""
 
 
 class CommandView(View):

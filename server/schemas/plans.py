@@ -20,7 +20,7 @@ class PlanRequest(Request):
     pace_ratio: float = Field(default=DEFAULT_PACE_RATIO, ge=0.0, le=1.0)
     """0 careful .. 1 fast."""
     rollout_count: int = Field(default=200, ge=0, le=1000)
-    """Throws behind the landing ellipse; 0 for none."""
+    """Throws behind the landing ellipse; with fewer than 50 the plan is to look at and cannot be armed."""
 
 
 class PlanState(StrEnum):

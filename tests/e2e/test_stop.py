@@ -18,7 +18,9 @@ def cleared(demo: Stack) -> Iterator[None]:
 
         def is_cleared() -> bool:
             # Each press is a latch of its own: a clear that names an earlier one is refused.
-            admin.post("/machines/m001/stop/clear")
+            latch_id = admin.get("/machines/m001").json()["state"]["latch_id"]
+            body = {"latch_id": latch_id or "none", "is_sighted": True, "reason": "after a test"}
+            admin.post("/machines/m001/stop/clear", json=body)
             return admin.get("/machines/m001").json()["lamp"] == "disarmed"
 
         until(is_cleared, "the stop to be cleared")
@@ -61,6 +63,17 @@ def test_key_stops_and_only_the_right_person_clears(
     sign_in(admin, demo, "admin")
     take_control(admin)
     admin.get_by_role("button", name="Clear STOP").click()
+    dialog = admin.get_by_role("dialog")
+    expect(dialog).to_contain_text("STOP by operator")
+    clear = dialog.get_by_role("button", name="Clear", exact=True)
+    dialog.get_by_label("Why it may move again").fill("looked, nobody near")
+    expect(clear).to_be_disabled()
+    dialog.get_by_label("I see m001 and nobody is in reach of it").check()
+    # Another stop while the dialog is open: it has to be read first.
+    page.keyboard.press("Shift+S")
+    dialog.get_by_role("button", name="I have read the new reason").click()
+    dialog.get_by_label("I see m001 and nobody is in reach of it").check()
+    clear.click()
     lamp(admin, "disarmed").wait_for()
     lamp(page, "disarmed").wait_for()  # the other browser sees it too
     admin.get_by_role("button", name="Give back control").click()

@@ -16,6 +16,7 @@ from pydantic import TypeAdapter
 
 from machine.channels import machine_key
 from machine.messages import (
+    PROTOCOL_VERSION,
     Command,
     CommandReply,
     EventAck,
@@ -63,6 +64,7 @@ class FakeMachine:
         self.heartbeats: list[tuple[float, OperatorHeartbeat]] = []
         self.stops_received = 0
         self.stop_latched = False
+        self.latch_id = ""
         self.payload_held = True
         self.joints = tuple(float(v) for v in safe_pose())
         self.impact_error_m = (0.12, -0.05)
@@ -127,10 +129,12 @@ class FakeMachine:
                 joint_position_rad_m=self.joints,
                 payload_held=self.payload_held,
                 stop_latched=self.stop_latched,
+                latch_id=self.latch_id,
                 model_sha256=load_spec().sha256,
                 policy_sha256=self._policies,
                 outbox_count=len(self._outbox),
                 software="fake",
+                protocol_version=PROTOCOL_VERSION,
             )
 
     def _publish(self) -> None:
@@ -226,7 +230,9 @@ class FakeMachine:
             self.epoch_count = command.epoch_count
             self._disarm()
         if command.kind == "stop_clear":
-            self.stop_latched, self.state = False, ThrowState.DISARMED
+            if command.latch_id != self.latch_id:
+                return self._reply(command, RejectReason.STOP_LATCHED)
+            self.stop_latched, self.state, self.latch_id = False, ThrowState.DISARMED, ""
             self.event(EventKind.STOP_CLEARED)
         elif command.kind == "arm":
             if self.stop_latched:
@@ -316,6 +322,7 @@ class FakeMachine:
     def _latch(self) -> None:
         if not self.stop_latched:
             self.stop_latched, self.state, self.nonce = True, ThrowState.STOPPED, None
+            self.latch_id = uuid.uuid4().hex
             self.event(EventKind.STOP_LATCHED)
 
     def _take_stop(self, sample: zenoh.Sample) -> None:

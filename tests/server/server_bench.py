@@ -95,6 +95,15 @@ def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settin
     return Settings.model_validate(values | overrides)
 
 
+def clear_stop(
+    client: httpx.Client, latch_id: str | None = None, reason: str = "nobody is in reach"
+) -> httpx.Response:
+    """Clear a stop as a person does who sees the machine; the latch is the one that is shown now."""
+    shown = client.get("/machines/m001").json()["state"]["latch_id"]
+    body = {"latch_id": latch_id or shown or "none", "is_sighted": True, "reason": reason}
+    return client.post("/machines/m001/stop/clear", json=body)
+
+
 def run_out(parts: Parts, client: httpx.Client) -> None:
     """Let the session of a client reach its end, without a logout."""
     session_id = client.get("/auth/me").json()["session_id"]

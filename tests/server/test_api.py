@@ -14,6 +14,7 @@ from tests.cases import each
 from tests.server.server_bench import METRICS_TOKEN, wait_for
 
 OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
+CLEAR = {"latch_id": "any", "is_sighted": True, "reason": "nobody is in reach"}
 UPLOAD = "/api/v1/machines/{machine_id}/throw-logs/{throw_id}"
 
 
@@ -179,7 +180,7 @@ def test_unknown_things_are_404_with_their_own_code(running, ada):
     assert assert_error(ada.post("/throws/zz/impacts", json=mark), 404) == "no_throw"
     with running.client("root") as root:
         assert assert_error(root.post("/machines/zz/stop"), 404) == "no_machine"
-        assert assert_error(root.post("/machines/zz/stop/clear"), 404) == "no_machine"
+        assert assert_error(root.post("/machines/zz/stop/clear", json=CLEAR), 404) == "no_machine"
 
 
 def test_wrong_method_is_named(ada):
@@ -213,7 +214,7 @@ def test_roles_decide_and_denials_are_recorded(running):
         for method, path, body in (
             ("post", "/machines/m001/lease", None),
             ("post", "/machines/m001/load", None),
-            ("post", "/machines/m001/stop/clear", None),
+            ("post", "/machines/m001/stop/clear", CLEAR),
             ("post", "/machines/m001/lease/take", {"reason": "because"}),
             ("post", "/machines", {"machine_id": "m050"}),
             ("get", "/audit", None),

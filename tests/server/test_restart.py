@@ -24,7 +24,7 @@ from tests.ports import free_port
 from tests.server.server_bench import add_people, make_settings, running_server
 from tests.waiting import is_alive, wait_for
 
-PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 0}
+PLAN = {"mode": "2d", "target": {"x_m": 6.03, "y_m": 0.0}, "rollout_count": 50}
 
 
 def test_a_restart_while_armed_disarms_and_keeps_sessions_and_history(tmp_path, swing_policies):

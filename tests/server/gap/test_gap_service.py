@@ -11,7 +11,9 @@ from challenge.make import make_challenge
 from challenge.sealed_truth import Tier
 from machine.calibration import nominal_calibration
 from machine.conventions import Mode
+from machine.errors import LogError
 from machine.spec import load_spec
+from server.gap import gap_worker
 from server.gap.gap_service import QUEUE_COUNT
 from server.gap.gap_worker import GapProcess
 from server.schemas.console import Role
@@ -220,6 +222,32 @@ def test_open_runs_are_interrupted_by_a_restart(tmp_path, swing_policies):
             row = tim.get(f"{RUNS}/{run['gap_run_id']}").json()["row"]
             assert row["state"] == GapState.INTERRUPTED
             assert "Start it again" in row["detail"]
+
+
+def test_logs_are_read_within_limits_of_memory_and_time(tmp_path, monkeypatch):
+    asked, closed = [], []
+
+    class Reader:
+        def __init__(self, read_s):
+            assert read_s == gap_worker.READ_S
+
+        def read(self, path):
+            asked.append(path.name)
+            raise LogError(f"{path} took more than 2 GiB to read")
+
+        def close(self):
+            closed.append(True)
+
+    monkeypatch.setattr(gap_worker, "LimitedLogReader", Reader)
+    paths = [tmp_path / f"{number}.mcap" for number in range(3)]
+    for path in paths:
+        path.write_bytes(b"a bomb")
+    job = gap_worker.GapJob(
+        "m001", tuple(paths[:2]), nominal_profile(load_spec()), (paths[2],), {"0.mcap": "throw 0"}
+    )
+    found = gap_worker.diagnose_logs(job, lambda *_: None)
+    assert "throw 0: it took more than 2 GiB" in found.sentence
+    assert (asked, closed) == (["0.mcap", "1.mcap", "2.mcap"], [True])
 
 
 def test_a_real_run_on_recorded_logs(running, ada, tmp_path, monkeypatch):

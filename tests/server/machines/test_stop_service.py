@@ -8,7 +8,13 @@ from machine.channels import machine_key
 from machine.messages import RejectReason, ThrowState
 from runtime.link.zenoh_config import client_config
 from server.store.models import Audit, Machine
-from tests.server.server_bench import add_people, make_settings, running_server, wait_for
+from tests.server.server_bench import (
+    add_people,
+    clear_stop,
+    make_settings,
+    running_server,
+    wait_for,
+)
 
 
 def stop_rows(running):
@@ -21,8 +27,7 @@ def stop_rows(running):
 def clear(running):
     def _clear():
         with running.client("sue") as sue:
-            reply = sue.post("/machines/m001/stop/clear")
-            assert reply.status_code == 200, reply.text
+            wait_for(lambda: clear_stop(sue).is_success)
 
     return _clear
 
@@ -32,13 +37,37 @@ def test_anyone_may_stop_without_lease_and_only_the_privileged_clear(running, ma
         reply = viewer.post("/machines/m001/stop").json()
         assert (reply["is_latched"], reply["is_pending"]) == (True, False)
         assert machine.stop_latched
-        assert operator.post("/machines/m001/stop/clear").status_code == 403
+        assert clear_stop(operator).status_code == 403
     assert stop_rows(running)[-2:] == [("vic", "intent"), ("vic", "outcome")]
     clear()
     assert not machine.stop_latched
     wait_for(lambda: not running.parts.stops.is_pending("m001"))
     time.sleep(0.3)
     assert not machine.stop_latched  # nothing goes on stopping it
+
+
+def test_a_clear_says_which_latch_and_that_the_machine_is_seen(running, machine, clear):
+    with running.client("vic") as viewer, running.client("sue") as sue:
+        viewer.post("/machines/m001/stop")
+        latch_id = wait_for(lambda: sue.get("/machines/m001").json()["state"]["latch_id"])
+        said = {"latch_id": latch_id, "is_sighted": True, "reason": "nobody is in reach"}
+        for odd in (
+            {},
+            {"latch_id": latch_id},
+            said | {"is_sighted": False},
+            said | {"reason": "   "},
+            said | {"latch_id": ""},
+            said | {"sighted_by": "somebody else"},
+        ):
+            assert sue.post("/machines/m001/stop/clear", json=odd).status_code == 422, odd
+        old = clear_stop(sue, "an earlier latch")
+        assert (old.status_code, old.json()["error"]["code"]) == (409, "latch_changed")
+        assert "clear what is latched now" in old.json()["error"]["message"]
+        assert machine.stop_latched
+        assert sue.post("/machines/m001/stop/clear", json=said).status_code == 200
+    command = next(c for c in machine.commands if c.kind == "stop_clear")
+    assert (command.sighted_by, command.reason) == ("sue", "nobody is in reach")
+    assert command.latch_id == latch_id
 
 
 def test_stop_all(running, machine, clear):
@@ -81,7 +110,7 @@ def test_a_failed_clear_does_not_end_the_repetition(running, machine, clear):
     machine.refuses["stop_clear"] = RejectReason.FAULT
     with running.client("vic") as viewer, running.client("sue") as sue:
         viewer.post("/machines/m001/stop")
-        assert sue.post("/machines/m001/stop/clear").status_code == 409
+        assert clear_stop(sue).status_code == 409
     assert running.parts.stops.is_pending("m001")
     machine.ignores.clear()
     wait_for(lambda: machine.stop_latched)

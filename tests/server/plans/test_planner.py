@@ -96,6 +96,17 @@ def test_refusals_have_a_reason_and_the_numbers(machine, ada, target, reason, nu
     assert (reply.status_code, reply.json()["error"]["code"]) == (409, reason)
 
 
+def test_a_plan_whose_spread_was_not_checked_is_to_look_at_only(machine, ada):
+    ada.post("/machines/m001/lease")
+    for rollout_count, words in ((0, "with 0 throws"), (6, "with 6 throws")):
+        plan = finished(ada, create(ada, rollout_count=rollout_count))
+        assert plan["state"] == "ready"
+        reply = ada.post(f"/plans/{plan['plan_id']}/arm", json={})
+        assert (reply.status_code, reply.json()["error"]["code"]) == (409, "preview_refused")
+        assert words in reply.json()["error"]["message"]
+    assert machine.nonce is None
+
+
 def test_an_empty_gripper_is_previewed_as_if_loaded(machine, ada):
     machine.payload_held = False
     wait_for(lambda: not ada.get("/machines/m001").json()["state"]["payload_held"])

@@ -76,7 +76,7 @@ def test_a_preview_lands_on_the_bed_and_a_changed_site_needs_a_new_one(machine, 
         put(ada, [BED], version)
         wait_for(lambda: mine.of("site.updated"))
         assert mine.of("site.updated")[-1]["site"]["objects"][0]["name"] == "bed"
-    plan = finished(ada, create(ada, NEAR | {"z_m": 0.4}))
+    plan = finished(ada, create(ada, NEAR | {"z_m": 0.4}, rollout_count=50))
     assert plan["state"] == "ready", plan["refusals"]
     prediction = plan["prediction"]
     assert (prediction["lands_on"], prediction["impact_m"][2]) == ("bed", pytest.approx(0.4))

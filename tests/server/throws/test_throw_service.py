@@ -7,7 +7,7 @@ from server.store.models import Audit
 from tests.server.hold_client import Hold
 from tests.server.server_bench import wait_for
 
-PLAN = {"mode": "2d", "target": {"range_m": 6.03, "azimuth_rad": 0.02}, "rollout_count": 0}
+PLAN = {"mode": "2d", "target": {"range_m": 6.03, "azimuth_rad": 0.02}, "rollout_count": 50}
 
 
 @pytest.fixture

@@ -495,7 +495,7 @@ export interface paths {
         put?: never;
         /**
          * Clear Stop
-         * @description Clear a latched stop or fault: names the latch, who sees the machine, and why it may move again.
+         * @description Clear a latched stop or fault that was shown, by a person who sees the machine.
          */
         post: operations["clear_stop"];
         delete?: never;
@@ -2380,15 +2380,18 @@ export interface components {
         };
         /**
          * StopClearBody
-         * @description Who sees the machine, and why it may move again; the latch as it was shown.
+         * @description What a person says who clears a stop or fault; who it is comes from the session.
          */
         StopClearBody: {
+            /**
+             * Is Sighted
+             * @constant
+             */
+            is_sighted: true;
             /** Latch Id */
-            latch_id?: string | null;
+            latch_id: string;
             /** Reason */
-            reason?: string | null;
-            /** Sighted By */
-            sighted_by?: string | null;
+            reason: string;
         };
         /**
          * StopView
@@ -5930,9 +5933,9 @@ export interface operations {
             };
             cookie?: never;
         };
-        requestBody?: {
+        requestBody: {
             content: {
-                "application/json": components["schemas"]["StopClearBody"] | null;
+                "application/json": components["schemas"]["StopClearBody"];
             };
         };
         responses: {

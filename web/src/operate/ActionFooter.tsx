@@ -39,7 +39,7 @@ export function ActionFooter(props: Props) {
     <div className={classes.foot}>
       {gate && !isBusy && !isWaiting && (
         <GateFooter
-          machineId={machine.machine_id}
+          machine={machine}
           gate={gate}
           onPreviewAgain={onPreviewAgain}
           onOtherMode={onOtherMode}

@@ -1,10 +1,13 @@
 import { Button } from "@mantine/core";
 import { useMutation } from "@tanstack/react-query";
 import { useNavigate } from "@tanstack/react-router";
+import { useState } from "react";
 import { useLeaseActions } from "../machine/useLease";
 import { api, take } from "../session/client";
+import type { Machine } from "../session/live";
 import { errorWords } from "../words/errors";
 import { signed } from "../words/format";
+import { ClearStop } from "./ClearStop";
 import type { Gate, GateAction } from "./gate";
 import classes from "./Panel.module.css";
 
@@ -26,7 +29,7 @@ function surfaceWords(z_m: number): string {
 }
 
 type Props = {
-  machineId: string;
+  machine: Machine;
   gate: Gate;
   onPreviewAgain: () => void;
   onOtherMode: () => void;
@@ -34,18 +37,19 @@ type Props = {
 };
 
 /** What stands in the way, and the one thing to do about it. */
-export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode, onHeight }: Props) {
+export function GateFooter({ machine, gate, onPreviewAgain, onOtherMode, onHeight }: Props) {
   const navigate = useNavigate();
-  const { acquire } = useLeaseActions(machineId);
-  const params = { path: { machine_id: machineId } };
+  const [isClearing, setClearing] = useState(false);
+  const { acquire } = useLeaseActions(machine.machine_id);
+  const params = { path: { machine_id: machine.machine_id } };
   const command = useMutation({
-    mutationFn: (what: "load" | "disarm" | "stop/clear") =>
+    mutationFn: (what: "load" | "disarm") =>
       take(api.POST(`/api/v1/machines/{machine_id}/${what}` as const, { params })),
   });
   const run: Record<NonNullable<GateAction>, () => void> = {
     take_control: () => acquire.mutate(),
     load: () => command.mutate("load"),
-    clear_stop: () => command.mutate("stop/clear"),
+    clear_stop: () => setClearing(true),
     disarm: () => command.mutate("disarm"),
     preview_again: onPreviewAgain,
     other_mode: onOtherMode,
@@ -68,6 +72,9 @@ export function GateFooter({ machineId, gate, onPreviewAgain, onOtherMode, onHei
           {LABELS[gate.action]}
           {gate.action === "use_surface" && ` ${surfaceWords(gate.surface_m ?? 0)}`}
         </Button>
+      )}
+      {isClearing && gate.action === "clear_stop" && (
+        <ClearStop machine={machine} onClose={() => setClearing(false)} />
       )}
       {error && (
         <p className={classes.refusal} role="alert">
