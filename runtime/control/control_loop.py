@@ -339,11 +339,11 @@ def _violations(
     odd = swings | old | policy.failed
     if not (np.count_nonzero(odd) or np.count_nonzero(gated.intervention_count)):
         return np.zeros(motion.shape, dtype=np.int64)
-    needs_imu = (motion == _THROW) | (motion == _ALIGN)
+    throws = (motion == _THROW) | (motion == _ALIGN)
     return (
         (gated.intervention_count & _CLOSING_ON_ITS_OWN > 0) * _VIOLATIONS[0]
-        + (needs_imu & swings) * _VIOLATIONS[1]
-        + (needs_imu & old) * _VIOLATIONS[2]
+        + (throws & swings) * _VIOLATIONS[1]
+        + ((throws | (motion == _SETTLE)) & old) * _VIOLATIONS[2]
         + policy.failed * _VIOLATIONS[3]
         + (gated.intervention_count & _RELEASE_REFUSED > 0) * _VIOLATIONS[4]
     )

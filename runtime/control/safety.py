@@ -51,7 +51,7 @@ class Intervention(IntFlag):
     VALVE_CONTRADICTED = 8192
     """A joint does not do what its valve says: all valves closed."""
     IMU_CONTRADICTED = 16384
-    """The gripper IMU repeats itself, or its time goes back: all valves closed."""
+    """The gripper IMU contradicts itself or the arm: all valves closed."""
     TOOL_LIMIT = 32768
     """Tool speed or overturning moment beyond their limits: all valves closed."""
     HOLD_CLIPPED = 65536
@@ -135,6 +135,13 @@ class ToolEstimate(NamedTuple):
     """(N, 3) frame `machine`."""
     allowed_radius_m: float
     """Of the plan's region around the target; infinite where there is no plan."""
+
+    @property
+    def gripper_rad(self) -> Array:
+        """(N, 2) swing from the vertical in the arm plane, and roll."""
+        position = self.position_rad_m
+        swing = position[:, 1] + position[:, 2] + position[:, 4]
+        return np.stack([swing, position[:, 5]], axis=1)
 
 
 class SafetyMemory(NamedTuple):
@@ -240,7 +247,8 @@ def apply(
     limits = _limits(spec)
     hold_start, hold_ticks, hold_limit = _hold(memory, motion)
     with np.errstate(invalid="ignore", over="ignore"):
-        guard, found = check(spec, memory.guard, sample, memory.valve_ratio, now_ns)
+        gripper = None if tool is None else tool.gripper_rad
+        guard, found = check(spec, memory.guard, sample, memory.valve_ratio, now_ns, gripper)
         bits = _closing_bits(limits, requested_ratio, memory, sample, motion, now_ns)
         bits = bits + _contradiction_bits(found)
         bits = bits + _permission_bits(requested_ratio, hold_limit, hold_ticks)

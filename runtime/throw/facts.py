@@ -74,9 +74,11 @@ _CONTRADICTION_TEXTS = {
     ),
     safety.Intervention.SENSOR_FROZEN: "a joint's sensor repeats itself; check the sensor bus",
     safety.Intervention.VALVE_CONTRADICTED: (
-        "a joint does not follow its valve; check for a stuck valve, a blocked joint, a dead sensor"
+        "a joint moves otherwise than its valve says; check for a stuck valve, a blocked joint"
     ),
-    safety.Intervention.IMU_CONTRADICTED: "the gripper IMU repeats itself or its time goes back",
+    safety.Intervention.IMU_CONTRADICTED: (
+        "the gripper IMU contradicts itself or the arm's motion; check its mounting and radio"
+    ),
     safety.Intervention.TOOL_LIMIT: "the tool was too fast or pulled too hard for the machine",
     safety.Intervention.NOT_PERMITTED: "a valve was asked for although the machine was to hold",
 }

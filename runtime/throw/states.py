@@ -198,7 +198,8 @@ def _settling(
     if machine.end_reason:
         done = _past(machine.since_ns, HOLD_AFTER_ABORT_S, now_ns)
     else:
-        settled = facts.motion is Motion.SETTLE and facts.settled
+        # Without the gripper's swing nothing can be damped: the machine holds.
+        settled = facts.motion is Motion.SETTLE and (facts.settled or bool(facts.abort_reason))
         late = _past(machine.since_ns, SETTLE_TIMEOUT_S, now_ns)
         done = settled or not facts.local_enable or late
     return end_throw(machine, now_ns) if done else (machine, ())

@@ -69,7 +69,7 @@ class FakeDriver:
             imu_t_mono_ns=np.array([1_000_000_000 if self.imu_is_silent else now_ns]),
             # A living sensor never repeats itself.
             imu_gyro_rad_per_s=np.array([[1e-6 * (now_ns // 10_000_000 % 7), 0.0, self._v[0]]]),
-            imu_accel_m_per_s2=np.array([[0.0, 0.0, 9.81]]),
+            imu_accel_m_per_s2=np.array([[0.0, 0.0, 9.81 + 1e-6 * (now_ns // 10_000_000 % 5)]]),
             payload_held=np.array([self._is_held]),
             supply_pressure_pa=np.array([self._spec.hydraulics.supply_pressure_pa]),
             local_enable=np.array([self.local_enable]),

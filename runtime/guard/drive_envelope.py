@@ -1,0 +1,214 @@
+"""Motion that valve commands cannot explain: drives modelled by bounds instead of values; batched, pure.
+
+A joint answers a valve after a dead time and a lag, with a gain; of each only a range is known
+(`DRIVE_BOUNDS`). Together they bound the speed that the commands of the last moments can give, from above
+and from below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve that is stuck
+open, a joint that does not follow, a joint that is moved from outside. A machine within the bounds, whatever
+its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
+"""
+
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from machine.conventions import CONTROL_PERIOD_S, Array, BoolArray
+from machine.spec import CylinderSpec, MachineSpec
+
+
+class DriveBounds(NamedTuple):
+    """What is known of one joint's drive; gains are relative to a nominal machine."""
+
+    dead_time_s: tuple[float, float]
+    """Shortest and longest, from valve command to motion, sensors included."""
+    lag_s: tuple[float, float]
+    """Shortest for a speed that leaves zero, longest for one that dies away."""
+    gain_positive: tuple[float, float]
+    """Lowest and highest steady speed in the positive direction."""
+    gain_negative: tuple[float, float]
+    limit_rad_or_m: float
+    """Uncommanded motion that closes the gate."""
+
+
+DRIVE_BOUNDS: Final = (
+    DriveBounds((0.08, 0.20), (0.03, 0.40), (0.5, 1.2), (0.5, 1.2), 0.025),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.5, 1.2), (0.5, 1.2), 0.030),
+    DriveBounds((0.04, 0.14), (0.03, 0.15), (0.3, 1.2), (0.3, 1.5), 0.025),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.5, 1.2), (0.5, 1.2), 0.020),
+)
+"""Slew, boom, dipper, telescope.
+
+Dead times and lags: docs/machine.md (0.05 to 0.15 s, slew 0.1 to 0.4 s with its lag), 10 ms for sensors and
+tick. The slew coasts: its inertia on the motor's relief valve needs 0.4 s. Gains: orifices of 0.875 to 1.125,
+metering curves and the pressure that the load takes; the dipper is driven by its load (up to 1.5 on its way
+in) or held back by it (0.3 at full reach). `benchmarks/gate_faults.py` counts how much of each limit healthy
+machines use.
+"""
+SPEED_MARGIN_RAD_OR_M_PER_S: Final = 0.02
+"""Of the bounds: noise of a joint's velocity (0.008), dead band (0.02 of 0.5), ringing at rest."""
+MEMORY_S: Final = 2.0
+"""Uncommanded motion is forgotten with this time constant."""
+END_ZONE_RAD_OR_M: Final = 0.06
+"""So close to its position limit a joint need not follow: end cushions and stops (0.05 m of stroke)."""
+MIDDLE_RAD: Final = (0.5, 0.0)
+"""Boom and dipper angle at which the spec's speed limits are stated."""
+
+
+_TICKS: Final = np.rint(np.array([b.dead_time_s for b in DRIVE_BOUNDS]) / CONTROL_PERIOD_S).astype(
+    np.int64
+)
+"""(4, 2) shortest and longest dead times."""
+
+
+class DriveMemory(NamedTuple):
+    """What the envelope remembers; leading axis of `bound` and `motion`: positive and negative direction."""
+
+    steady: Array
+    """(D, N, 4) speeds that the valves of the last ticks give a nominal machine in the end, newest first."""
+    bound: Array
+    """(2, N, 4) highest speed in either direction that they explain now; negative: it must move away."""
+    motion: Array
+    """(2, N, 4) uncommanded motion in either direction, rad or m."""
+
+
+class _Drives(NamedTuple):
+    """Constants over joints."""
+
+    windows: tuple[tuple[slice, slice], ...]
+    """Ticks of the delay line between shortest and longest dead time, and the joints that have them."""
+    gain_high: Array
+    """(2, 1, 4) of the direction itself."""
+    gain_low: Array
+    """(2, 1, 4) of the opposite direction."""
+    rise: Array
+    """(1, 1, 4) share a tick."""
+    fall: Array
+    limit: Array
+    fade: float
+    end_low: Array
+    """(1, 4) positions beyond which a joint need not follow downwards."""
+    end_high: Array
+    speed_positive: Array
+    """(1, 4)"""
+    speed_negative: Array
+    dead_band: float
+    boom: CylinderSpec
+    dipper: CylinderSpec
+    middle_arm_m: tuple[float, float]
+    """Moment arms of boom and dipper where the speed limits hold."""
+
+
+@cache
+def _drives(spec: MachineSpec) -> _Drives:
+    boom, dipper = spec.hydraulics.boom_cylinder, spec.hydraulics.dipper_cylinder
+    up = np.array([b.gain_positive for b in DRIVE_BOUNDS])
+    down = np.array([b.gain_negative for b in DRIVE_BOUNDS])
+    lag = np.array([b.lag_s for b in DRIVE_BOUNDS])
+    share = 1.0 - np.exp(-CONTROL_PERIOD_S / lag)
+    low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]
+    high = [np.inf if v is None else v for v in spec.limits.position_max_rad_m]
+    return _Drives(
+        windows=tuple(
+            (slice(first, last + 1), slice(joint, joint + 1))
+            for joint, (first, last) in enumerate(_TICKS.tolist())
+        ),
+        gain_high=np.stack([up[:, 1], down[:, 1]])[:, None],
+        gain_low=np.stack([down[:, 0], up[:, 0]])[:, None],
+        rise=share[None, None, :, 0],
+        fall=share[None, None, :, 1],
+        limit=np.array([[[b.limit_rad_or_m for b in DRIVE_BOUNDS]]]),
+        fade=float(np.exp(-CONTROL_PERIOD_S / MEMORY_S)),
+        end_low=np.asarray([low]) + END_ZONE_RAD_OR_M,
+        end_high=np.asarray([high]) - END_ZONE_RAD_OR_M,
+        speed_positive=np.asarray([spec.limits.speed_positive_rad_m_per_s]),
+        speed_negative=np.asarray([spec.limits.speed_negative_rad_m_per_s]),
+        dead_band=spec.hydraulics.valve_dead_band_ratio,
+        boom=boom,
+        dipper=dipper,
+        middle_arm_m=(
+            float(moment_arm_m(boom, np.array([MIDDLE_RAD[0]]))[0]),
+            float(moment_arm_m(dipper, np.array([MIDDLE_RAD[1]]))[0]),
+        ),
+    )
+
+
+def moment_arm_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
+    """Magnitude of a cylinder's moment arm at joint angles (...), m: |rod x (rod - base)| / length."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    x = cos * cylinder.rod_xz_m[0] - sin * cylinder.rod_xz_m[1]
+    z = sin * cylinder.rod_xz_m[0] + cos * cylinder.rod_xz_m[1]
+    base_x, base_z = cylinder.base_xz_m
+    return np.abs(x * base_z - z * base_x) / np.hypot(x - base_x, z - base_z)
+
+
+def initial_drives(velocity: Array, steady: Array) -> DriveMemory:
+    """Memory of machines whose joints are taken to do what they are seen to do.
+
+    Args:
+        velocity: (N, 4) measured.
+        steady: (N, 4) of the present valves, which are taken to have been open for long.
+    """
+    return DriveMemory(
+        np.repeat(steady[None], _TICKS.max() + 1, axis=0),
+        np.stack([velocity, -velocity]),
+        np.zeros((2, *velocity.shape)),
+    )
+
+
+def steady_speed(spec: MachineSpec, valve: Array, position: Array) -> Array:
+    """Joint speeds (N, 4) that valves (N, 4) give a nominal machine in the end, at joint positions (N, 4)."""
+    drives = _drives(spec)
+    band = drives.dead_band
+    size = np.maximum(np.abs(valve) - band, 0.0) / (1.0 - band)
+    speed = size * np.where(valve > 0.0, drives.speed_positive, -drives.speed_negative)
+    boom = moment_arm_m(drives.boom, position[:, 1])
+    dipper = moment_arm_m(drives.dipper, position[:, 2])
+    speed[:, 1] *= drives.middle_arm_m[0] / np.maximum(boom, 1e-3)
+    speed[:, 2] *= drives.middle_arm_m[1] / np.maximum(dipper, 1e-3)
+    return speed
+
+
+def follow(
+    spec: MachineSpec,
+    memory: DriveMemory,
+    steady: Array,
+    position: Array,
+    velocity: Array,
+    tick_count: int,
+) -> tuple[DriveMemory, BoolArray]:
+    """One tick, or several at once.
+
+    Args:
+        spec: machine type.
+        memory: of the last tick.
+        steady: (N, 4) `steady_speed` of what was let through in the last tick.
+        position: (N, 4) measured.
+        velocity: (N, 4) measured.
+        tick_count: ticks since the last call.
+
+    Returns:
+        Memory, and joints (N, 4) that moved further than any command explains.
+    """
+    drives = _drives(spec)
+    line, bound, motion = memory
+    seen = np.stack([velocity, -velocity]) - SPEED_MARGIN_RAD_OR_M_PER_S
+    away = np.stack([position < drives.end_low, position > drives.end_high])
+    for _ in range(tick_count):
+        line = np.concatenate([steady[None], line[:-1]])
+        explained = np.empty_like(bound)
+        for window, joint in drives.windows:
+            recent = line[window, :, joint]
+            explained[0, :, joint] = recent.max(axis=0)
+            explained[1, :, joint] = -recent.min(axis=0)
+        explained *= np.where(explained > 0.0, drives.gain_high, drives.gain_low)
+        explained = np.where(away, np.maximum(explained, 0.0), explained)
+        change = explained - bound
+        bound = bound + np.where(change > 0.0, drives.rise, drives.fall) * change
+        motion = np.maximum(drives.fade * motion + CONTROL_PERIOD_S * (seen - bound), 0.0)
+    over: BoolArray = np.greater(motion, drives.limit)
+    return DriveMemory(line, bound, motion), over[0] | over[1]
+
+
+def motion_ratio(spec: MachineSpec, memory: DriveMemory) -> Array:
+    """Uncommanded motion (N, 4) as a share of its limit, the larger of both directions."""
+    return (memory.motion / _drives(spec).limit).max(axis=0)

@@ -1,0 +1,154 @@
+"""The drive envelope: silent for every drive within its bounds, loud for motion that no command explains."""
+
+import numpy as np
+
+from machine.kinematics import cylinder_arm_m
+from machine.spec import load_spec
+from runtime.guard import drive_envelope
+from runtime.guard.drive_envelope import DRIVE_BOUNDS
+from tests.cases import each
+
+SPEC = load_spec()
+MIDDLE = np.array([[0.0, 0.5, 0.0, 0.5]])
+JOINT_SIGNS = [(joint, sign) for joint in range(4) for sign in (1, -1)]
+
+
+class Envelope:
+    """One machine at rest, tick by tick."""
+
+    def __init__(self):
+        self.memory = drive_envelope.initial_drives(np.zeros((1, 4)), np.zeros((1, 4)))
+        self.way = np.zeros(4)
+
+    def tick(self, joint, valve=0.0, speed=0.0, position=MIDDLE, count=1):
+        valves, speeds = np.zeros((1, 4)), np.zeros((1, 4))
+        valves[0, joint], speeds[0, joint] = valve, speed
+        steady = drive_envelope.steady_speed(SPEC, valves, position)
+        self.memory, over = drive_envelope.follow(
+            SPEC, self.memory, steady, position, speeds, count
+        )
+        self.way += 0.01 * speeds[0] * count
+        assert not np.delete(over[0], joint).any()
+        return bool(over[0, joint])
+
+    def ticks_until_over(self, joint, limit=200, **tick):
+        return next((n for n in range(1, limit + 1) if self.tick(joint, **tick)), None)
+
+
+def drive(rng, bounds):
+    """A drive with a dead time, a lag and gains within the bounds; steady speed -> speed."""
+    dead = int(
+        rng.integers(*np.rint(np.array(bounds.dead_time_s) * 100).astype(int), endpoint=True)
+    )
+    share = 1.0 - np.exp(-0.01 / rng.uniform(*bounds.lag_s))
+    gains = rng.uniform(*bounds.gain_positive), rng.uniform(*bounds.gain_negative)
+    line, speed = [0.0] * (dead + 1), 0.0
+
+    def step(steady):
+        nonlocal speed
+        line.insert(0, steady)
+        line.pop()
+        speed += share * (line[-1] * gains[int(line[-1] < 0.0)] - speed)
+        return speed
+
+    return step
+
+
+@each("joint", range(4))
+def test_drives_within_the_bounds_accumulate_nothing(joint):
+    rng = np.random.default_rng(joint)
+    for _ in range(40):
+        envelope, answer = Envelope(), drive(rng, DRIVE_BOUNDS[joint])
+        valve = speed = 0.0
+        for tick in range(250):
+            if tick % 25 == 0:
+                valve = rng.uniform(-1.0, 1.0) * (rng.random() < 0.7)
+            assert not envelope.tick(joint, valve, speed)
+            valves = np.zeros((1, 4))
+            valves[0, joint] = valve
+            speed = answer(drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint])
+        assert not envelope.memory.motion.any()
+
+
+@each("joint, sign", JOINT_SIGNS)
+def test_a_joint_that_moves_by_itself(joint, sign):
+    for speed in (0.05, 0.2, 0.5):
+        envelope = Envelope()
+        assert envelope.ticks_until_over(joint, speed=sign * speed)
+        assert abs(envelope.way[joint]) < 0.08
+    slow = Envelope()
+    assert slow.ticks_until_over(joint, limit=500, speed=0.02 * sign) is None
+
+
+@each("joint, sign", JOINT_SIGNS)
+def test_a_joint_that_goes_on_after_its_valve_was_closed(joint, sign):
+    envelope = Envelope()
+    valves = np.zeros((1, 4))
+    valves[0, joint] = 0.7 * sign
+    speed = drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint]
+    for tick in range(100):
+        assert not envelope.tick(joint, valves[0, joint], speed if tick > 12 else 0.0)
+    begin = envelope.way[joint]
+    ticks = envelope.ticks_until_over(joint, speed=speed)
+    # Dead time, lag and limit: what a closed valve explains, and no more.
+    bounds = DRIVE_BOUNDS[joint]
+    assert bounds.dead_time_s[1] * 100 < ticks
+    reach = abs(speed) * (bounds.dead_time_s[1] + 1.2 * bounds.lag_s[1]) + bounds.limit_rad_or_m
+    assert abs(envelope.way[joint] - begin) < reach + 0.03
+
+
+@each("joint, sign", JOINT_SIGNS)
+def test_a_joint_that_does_not_follow(joint, sign):
+    # It stands, or it moves the other way.
+    for speed, slowest in ((0.0, 90), (-0.3 * sign, 20)):
+        ticks = Envelope().ticks_until_over(joint, valve=0.8 * sign, speed=speed)
+        assert ticks is not None and ticks < slowest
+
+
+@each("joint, sign", [(j, s) for j in range(1, 4) for s in (1, -1)])
+def test_a_joint_at_its_end_need_not_follow(joint, sign):
+    low, high = SPEC.position_range_rad_m
+    position = MIDDLE.copy()
+    position[0, joint] = (high if sign > 0 else low)[joint] - 0.059 * sign
+    assert Envelope().ticks_until_over(joint, valve=0.8 * sign, position=position) is None
+    # There, too, it may not move without a command.
+    assert Envelope().ticks_until_over(joint, speed=0.3 * sign, position=position)
+    position[0, joint] -= 0.002 * sign
+    assert Envelope().ticks_until_over(joint, valve=0.8 * sign, position=position)
+
+
+def test_several_ticks_at_once_are_those_one_after_the_other():
+    single, several = Envelope(), Envelope()
+    for _ in range(12):
+        for _ in range(3):
+            single.tick(1, 0.5, 0.1)
+        several.tick(1, 0.5, 0.1, count=3)
+    for one, other in zip(single.memory, several.memory, strict=True):
+        assert np.allclose(one, other)
+
+
+def test_uncommanded_motion_is_forgotten():
+    envelope = Envelope()
+    limit = DRIVE_BOUNDS[1].limit_rad_or_m
+    while (ratio := drive_envelope.motion_ratio(SPEC, envelope.memory)[0, 1]) < 0.9:
+        assert not envelope.tick(1, speed=0.1)
+    assert np.isclose(envelope.memory.motion[0, 0, 1], ratio * limit)
+    for _ in range(200):
+        envelope.tick(1)
+    after = drive_envelope.motion_ratio(SPEC, envelope.memory)[0, 1]
+    assert after < 0.4 * ratio
+
+
+def test_the_steady_speed_is_the_speed_limit_at_a_full_valve():
+    up = drive_envelope.steady_speed(SPEC, np.ones((1, 4)), MIDDLE)
+    down = drive_envelope.steady_speed(SPEC, -np.ones((1, 4)), MIDDLE)
+    assert np.allclose(up, SPEC.limits.speed_positive_rad_m_per_s)
+    assert np.allclose(-down, SPEC.limits.speed_negative_rad_m_per_s)
+    assert not drive_envelope.steady_speed(SPEC, np.full((1, 4), 0.04), MIDDLE).any()
+
+
+def test_the_cylinder_s_moment_arm_is_that_of_the_machine():
+    for cylinder in (SPEC.hydraulics.boom_cylinder, SPEC.hydraulics.dipper_cylinder):
+        angle = np.linspace(-1.0, 1.0, 50)
+        found = drive_envelope.moment_arm_m(cylinder, angle)
+        assert np.allclose(found, np.abs(cylinder_arm_m(cylinder, angle)))
