@@ -82,7 +82,7 @@ class Injection:
     """(N,) tick."""
     size: Array
     """(N,) -1 to 1: sign and size of what has one."""
-    held: dict[str, Array] = field(default_factory=dict[str, Array])
+    held: dict[str, Array | IntArray] = field(default_factory=dict[str, Array | IntArray])
 
     @staticmethod
     def draw(count: int, rng: np.random.Generator) -> "Injection":
@@ -152,7 +152,7 @@ class Injection:
     def _joints(self, kind: str, tick: int) -> BoolArray:
         return self._now(kind, tick)[:, None] & (np.arange(4) == self.joint[:, None])
 
-    def _freeze(self, name: str, values: Array, where: BoolArray) -> None:
+    def _freeze(self, name: str, values: Array | IntArray, where: BoolArray) -> None:
         """Keep what the values were before."""
         held = self.held.setdefault(name, values.copy())
         np.copyto(held, values, where=~where)
@@ -183,7 +183,7 @@ class Throws(NamedTuple):
 
     unit: int
     mode: Mode
-    count: int
+    size: int
     seed: int
     ticks: int
     effects: tuple[PlantEffect, ...] = ()
@@ -193,7 +193,7 @@ def simulate(
     given: Throws, injection: Injection, way: list[Array] | None = None
 ) -> tuple[Outcome, list[Array]]:
     """Run them; `way` is that of the same throws without faults, (T)(N, 4), and that of these comes back."""
-    count = given.count
+    count = given.size
     rng = np.random.default_rng(given.seed)
     reach, bearing = rng.uniform(6.0, 10.5, count), rng.uniform(-np.pi, np.pi, count)
     target = np.stack([reach * np.cos(bearing), reach * np.sin(bearing), np.zeros(count)], axis=1)
@@ -241,13 +241,13 @@ def simulate(
 
 def run_healthy(given: Throws) -> Outcome:
     """Throws without a fault."""
-    return simulate(given, Injection.none(given.count))[0]
+    return simulate(given, Injection.none(given.size))[0]
 
 
 def run_faulty(given: Throws) -> Outcome:
     """Throws with faults, beside the same ones without."""
-    _, way = simulate(given, Injection.none(given.count))
-    injection = Injection.draw(given.count, np.random.default_rng([given.seed, 1]))
+    _, way = simulate(given, Injection.none(given.size))
+    injection = Injection.draw(given.size, np.random.default_rng([given.seed, 1]))
     return simulate(given, injection, way)[0]
 
 
@@ -344,7 +344,7 @@ def batches(count: int, ticks: int, seed: int) -> list[Throws]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--healthy", type=int, default=5000, help="throws without a fault")
     parser.add_argument("--faults", type=int, default=1000, help="throws with a fault")

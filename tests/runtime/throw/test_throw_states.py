@@ -427,6 +427,18 @@ def test_a_control_step_that_never_ends_the_throw_is_a_fault():
     assert bench.machine.state is S.FAULT
 
 
+def test_settling_ends_where_nothing_can_be_damped():
+    bench = at(S.COMMITTED)
+    bench.tick(motion=Motion.THROW, throw_done=True, load_gone=True, abort_reason="no IMU")
+    # Said of the throw that has ended.
+    bench.tick(motion=Motion.THROW, abort_reason="no IMU")
+    assert bench.outcome == (S.SETTLING, Motion.SETTLE)
+    bench.tick(motion=Motion.SETTLE, abort_reason="no IMU")
+    assert bench.outcome == (S.DISARMED, Motion.HOLD)
+    (event,) = bench.actions.events
+    assert event.data["outcome"] == "landed"
+
+
 def test_settling_ends_by_itself_after_45_s_or_with_the_switch():
     bench = at(S.SETTLING)
     bench.wait(45.0)
