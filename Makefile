@@ -10,7 +10,7 @@ export UV_PYTHON_DOWNLOADS = never
 export NPM_CONFIG_UPDATE_NOTIFIER = false
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: coverage mutation help setup runtime web demo test e2e check lint types tables spec bench clean
+.PHONY: accuracy coverage mutation help setup runtime web demo test quick live e2e check lint types types-check tables spec bench clean
 help:  ## Show this list
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
@@ -59,7 +59,9 @@ lint: $(STAMP)/python
 	@$(BIN)/downrange spec --check
 	@$(BIN)/python -m scripts.result_tables --check
 
-check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
+check: lint types-check  ## Lint, types, layers, generated files; no tests
+
+types-check: $(STAMP)/web
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent check
 	@echo "== generated API client"
 	@$(BIN)/downrange openapi --out build/openapi.json > build/openapi.log
@@ -69,16 +71,23 @@ check: lint $(STAMP)/web  ## Lint, types, layers, generated files; no tests
 	@$(BIN)/python scripts/vocabulary.py build/vocabulary.ts
 	@cmp build/vocabulary.ts web/src/api/vocabulary.ts || { echo "web/src/api/vocabulary.ts is old: run make types"; exit 1; }
 
-test: check $(STAMP)/browser  ## All checks and tests, those of the whole demo in a real browser included
-	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
-	@$(BIN)/pytest -n 2 --dist loadfile --ignore tests/e2e --ignore tests/link
-	@# Real machines at 100 Hz on few cores: not beside other tests, and once more where one failed.
-	@$(BIN)/pytest tests/link || $(BIN)/pytest --last-failed tests/link
-	@$(MAKE) --no-print-directory e2e
+# Two jobs at a time: two cores are enough. Each job's output is shown when it ends.
+BESIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=target
+
+test: setup  ## All checks and tests, those of the whole demo in a real browser included
+	@$(BESIDE) check $(STAMP)/browser
+	@$(BESIDE) quick live
+
+quick: $(STAMP)/web  ## Tests of single parts, console included
+	@# Machines and browsers of `live` keep time; these yield to them.
+	@nice -n 5 $(BIN)/python scripts/node.py npm --prefix web run --silent test
+	@nice -n 5 $(BIN)/pytest -n 2 --dist loadfile --ignore tests/e2e --ignore tests/link
+
+live: $(STAMP)/web $(STAMP)/browser  ## Machines at 100 Hz on a real link that is cut and killed; then e2e
+	@$(BIN)/pytest tests/link tests/e2e
 
 e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, preview, hold, impact, STOP
-	@# Once more where one failed: a browser without graphics, a server and a 100 Hz loop share few cores.
-	@$(BIN)/pytest tests/e2e || $(BIN)/pytest --last-failed tests/e2e
+	@$(BIN)/pytest tests/e2e
 
 types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI description and the report's vocabulary
 	@$(BIN)/downrange openapi --out web/openapi.json
@@ -92,6 +101,9 @@ SAFETY_TESTS := tests/runtime/control/test_safety.py tests/runtime/control/test_
 coverage: $(STAMP)/python  ## Branch coverage of gate, guard, throw protocol and their callers; fails below 100 %
 	@$(BIN)/coverage run --branch --data-file=build/coverage --include='$(SAFETY_FILES)' -m pytest -q $(SAFETY_TESTS)
 	@$(BIN)/coverage report --data-file=build/coverage --show-missing --fail-under=100
+
+accuracy: $(STAMP)/python  ## Tests of what the diagnosis tells apart, too slow for every commit
+	@$(BIN)/pytest -n 2 --dist loadfile benchmarks/accuracy
 
 mutation: $(STAMP)/python  ## Change the safety code in small ways; lists the changes that no test notices
 	@$(BIN)/python -m benchmarks.mutation

@@ -14,5 +14,17 @@ export default defineConfig({
     },
   },
   build: { target: "es2023", chunkSizeWarningLimit: 900 },
-  test: { environment: "happy-dom", include: ["src/**/*.test.{ts,tsx}"] },
+  test: {
+    // A document costs most of a test file's time; only components need one.
+    projects: [
+      {
+        extends: true,
+        test: { name: "dom", environment: "happy-dom", include: ["src/**/*.test.tsx"] },
+      },
+      {
+        extends: true,
+        test: { name: "logic", environment: "node", include: ["src/**/*.test.ts"] },
+      },
+    ],
+  },
 });

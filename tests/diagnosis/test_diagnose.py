@@ -63,10 +63,3 @@ def test_throws_of_one_mode_alone_show_no_effect_of_a_healthy_machine(tmp_path: 
     twin = loaded.throws[0].twin_profile
     assert twin is not None
     assert diagnose_throws(loaded, twin).verdict is VerdictKind.NONE
-
-
-def test_a_machine_closer_to_its_twin_than_the_type_has_its_own_model() -> None:
-    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.1})
-    found = diagnose_throws(throws((late,), 6), profile())
-    assert found.verdict is VerdictKind.EXPLAINED
-    assert [e.effect for e in found.causes[0].effects] == ["release_delay"]

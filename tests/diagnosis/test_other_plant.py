@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.other_plant import Variant, throws
-from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.measured import white_noise_sd
-from diagnosis.verdict import VerdictKind
-from machine.spec import load_spec
-from sim_twin.twin.profile import nominal_profile
-
-
-def test_a_healthy_machine_of_another_type_has_no_cause(tmp_path: Path) -> None:
-    loaded = throws(tmp_path, Variant(), 6)
-    found = diagnose_throws(loaded, nominal_profile(load_spec()))
-    assert found.verdict is VerdictKind.NONE, found.causes[:2]
 
 
 def test_25_rows_a_second_are_enough(tmp_path: Path) -> None:

@@ -77,9 +77,7 @@ def renamed(loaded: LoadedSet) -> LoadedSet:
 
 def test_a_diagnosis_says_what_it_was_compared_with() -> None:
     cut = ((Path("cut.mcap"), "it ends too soon"),)
-    reference = replace(renamed(throws((), 3, seed=5)), refused=cut)
-    found = diagnose_throws(throws(count=3), profile(), health=health(), reference=reference)
-    assert found.evidence["reference"] == {
+    assert reference_evidence(replace(renamed(throws((), 3, seed=5)), refused=cut)) == {
         "throws_count": 3,
         "throw_ids": [f"healthy-twin-{i:04d}" for i in range(3)],
         "refused": [{"path": "cut.mcap", "reason": "it ends too soon"}],

@@ -151,18 +151,16 @@ def test_without_an_imu_the_swing_is_the_machines_own_estimate(tmp_path: Path) -
     (prepared,) = prepare([throw], nominal_profile(load_spec()))
     assert not [block.name for block in prepared.blocks if block.name.startswith("swing.")]
     # Columns of an IMU without a sample are an IMU that hung.
+    lines = throw_csv(log).splitlines()
+    names = next(line for line in lines if not line.startswith("#")).split(",")
     (tmp_path / "csv" / "a.csv").write_text(
-        "\n".join(
-            line if line.startswith(("#", "t_s")) else emptied(line, throw_csv(log))
-            for line in throw_csv(log).splitlines()
-        )
+        "\n".join(line if line.startswith(("#", "t_s")) else emptied(line, names) for line in lines)
     )
     assert "it hung" in load_throws([tmp_path / "csv"]).refused[0][1]
 
 
-def emptied(row: str, text: str) -> str:
+def emptied(row: str, names: list[str]) -> str:
     """A row without the cells of the IMU."""
-    names = next(line for line in text.splitlines() if not line.startswith("#")).split(",")
     cells = row.split(",")
     imu = ("imu_", "gyro_", "accel_")
     return ",".join("" if n.startswith(imu) else c for n, c in zip(names, cells, strict=True))

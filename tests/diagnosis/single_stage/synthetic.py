@@ -219,3 +219,59 @@ def value(found: Diagnosis, effect: str, parameter: str) -> tuple[float, float, 
 def join_notes(found: Diagnosis) -> str:
     """All notes as one text."""
     return " ".join(found.evidence["notes"])
+
+
+DROPS = Path(__file__).parents[1] / "data" / "ball_drops" / "ball_drops.csv"
+
+
+FLIGHT_STEP_S = 0.001
+
+
+def thrown(
+    velocity: tuple[float, float, float],
+    drag_per_m: float = 0.0,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    span_s: float = 1.2,
+) -> np.ndarray:
+    """Positions every millisecond, semi-implicit Euler, (ticks, 3)."""
+    p, v, rows = np.array([0.0, 0.0, 1.5]), np.array(velocity, dtype=float), []
+    for _ in range(round(span_s / FLIGHT_STEP_S)):
+        rows.append(p.copy())
+        air = v - np.array(wind)
+        v = v + FLIGHT_STEP_S * (
+            np.array([0.0, 0.0, -9.81]) - drag_per_m * np.linalg.norm(air) * air
+        )
+        p = p + FLIGHT_STEP_S * v
+    return np.array(rows)
+
+
+def write_flights(
+    path: Path, flights: list[np.ndarray], rate_hz: float = 100.0, noise_m: float = 0.003
+) -> Path:
+    rng = np.random.default_rng(1)
+    lines = ["t,x,y,z"]
+    for flight in flights:
+        rows = flight[:: round(1.0 / rate_hz / FLIGHT_STEP_S)]
+        rows = rows + rng.normal(0.0, noise_m, rows.shape)
+        lines += [f"{k / rate_hz:.5f},{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def real_drops(path: Path, *balls: str, columns: slice = slice(None)) -> Path:
+    """Rows of the measured drops of these balls."""
+    rows = [line.split(",") for line in DROPS.read_text().splitlines()]
+    chosen = [rows[0], *(row for row in rows[1:] if row[0] in balls)]
+    path.write_text("\n".join(",".join(row[columns]) for row in chosen) + "\n")
+    return path
+
+
+def write_angles(
+    path: Path, angle: np.ndarray, rate_hz: float = 50.0, held_s: float = 0.0, offset: float = 0.0
+) -> Path:
+    """A table of angles in degrees; `angle` every millisecond, held at first for `held_s`."""
+    angle = np.concatenate([np.full(round(1000.0 * held_s), angle[0]), angle])
+    seen = angle[:: round(1000.0 / rate_hz)] + offset
+    seen = seen + np.random.default_rng(2).normal(0.0, 0.002, len(seen))
+    columns = {"time_s": np.arange(len(seen)) / rate_hz, "theta_deg": np.degrees(seen)}
+    return write(path, columns, ";")

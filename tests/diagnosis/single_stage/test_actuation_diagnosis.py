@@ -17,7 +17,6 @@ from tests.diagnosis.single_stage.synthetic import (
     value,
     write,
 )
-from tests.diagnosis.slew_networks import slew_speed, staircase, write_csv
 
 STEP_S = 0.002
 EXCAVATOR_EFFECTS = {"valve_dead_time", "valve_lag", "valve_dead_band"}
@@ -84,12 +83,6 @@ def record(
     rows = np.stack([seen_s, u, y], axis=1)
     np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.7g")
     return path
-
-
-def top(found: Diagnosis) -> dict[str, dict[str, float]]:
-    return {
-        e.effect: {n: p.value for n, p in e.parameters.items()} for e in found.causes[0].effects
-    }
 
 
 def assert_within(
@@ -163,22 +156,6 @@ def test_degrees_wraps_and_a_negative_gain_make_no_difference(tmp_path: Path) ->
     assert "degrees" in notes
     assert "unwrapped" in notes
     assert found.evidence["gain_per_full_command"]["value"] == pytest.approx(-1.6, rel=0.05)
-
-
-def test_the_slew_networks_show_dead_band_dead_time_and_lag(tmp_path: Path) -> None:
-    joystick = staircase((850.0, -850.0, 300.0, -300.0, 200.0, -200.0, 600.0, -600.0), 5.0, 3.0)
-    write_csv(tmp_path / "slew.csv", joystick, slew_speed(joystick))
-    found = diagnose_actuation_csv(tmp_path / "slew.csv", "time_s", "joystick", "slew_rad")
-    assert found.verdict is VerdictKind.EXPLAINED
-    named = top(found)
-    assert {"valve_dead_band", "valve_dead_time", "valve_lag"} <= set(named)
-    # The networks' own description: dead band 18-24 %, 5 % response after 0.4-0.5 s.
-    assert 0.08 < named["valve_dead_band"]["positive_ratio"] < 0.26
-    assert 0.1 < named["valve_dead_time"]["extra_dead_time_s"] < 0.5
-    assert found.evidence["selection"]["inclusion_probability"]["valve_dead_band"] > 0.9
-    assert found.evidence["gain_per_full_command"]["value"] < 0.0
-    assert found.shrink is not None
-    assert found.shrink.ci90[0] > 0.6
 
 
 def levers() -> np.ndarray:

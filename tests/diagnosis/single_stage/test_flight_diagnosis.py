@@ -9,57 +9,19 @@ from diagnosis.single_stage.csv_diagnosis import diagnose_flight_csv
 from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.verdict import VerdictKind
 from tests.diagnosis.single_stage.synthetic import (
-    Columns,
     ball,
     effects,
     join_notes,
     joined,
+    thrown,
     value,
     write,
+    write_flights,
 )
 
-DROPS = Path(__file__).parents[1] / "data" / "ball_drops" / "ball_drops.csv"
-STEP_S = 0.001
 VELOCITIES = [(7.0, 0.5, 5.0), (9.0, -0.5, 4.0), (4.0, 0.0, 6.0)]
 AXES = ("x", "y", "z")
 DRAG = ("air_drag", "drag_per_m")
-
-
-def thrown(
-    velocity: tuple[float, float, float],
-    drag_per_m: float = 0.0,
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    span_s: float = 1.2,
-) -> np.ndarray:
-    """Positions every millisecond, semi-implicit Euler, (ticks, 3)."""
-    p, v, rows = np.array([0.0, 0.0, 1.5]), np.array(velocity, dtype=float), []
-    for _ in range(round(span_s / STEP_S)):
-        rows.append(p.copy())
-        air = v - np.array(wind)
-        v = v + STEP_S * (np.array([0.0, 0.0, -9.81]) - drag_per_m * np.linalg.norm(air) * air)
-        p = p + STEP_S * v
-    return np.array(rows)
-
-
-def write_flights(
-    path: Path, flights: list[np.ndarray], rate_hz: float = 100.0, noise_m: float = 0.003
-) -> Path:
-    rng = np.random.default_rng(1)
-    lines = ["t,x,y,z"]
-    for flight in flights:
-        rows = flight[:: round(1.0 / rate_hz / STEP_S)]
-        rows = rows + rng.normal(0.0, noise_m, rows.shape)
-        lines += [f"{k / rate_hz:.5f},{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(rows)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def real_drops(path: Path, *balls: str, columns: slice = slice(None)) -> Path:
-    """Rows of the measured drops of these balls."""
-    rows = [line.split(",") for line in DROPS.read_text().splitlines()]
-    chosen = [rows[0], *(row for row in rows[1:] if row[0] in balls)]
-    path.write_text("\n".join(",".join(row[columns]) for row in chosen) + "\n")
-    return path
 
 
 def test_gravity_alone_needs_no_effect(tmp_path: Path) -> None:
@@ -81,14 +43,6 @@ def test_the_drag_coefficient_of_a_known_ball_is_found(tmp_path: Path) -> None:
     assert low < 0.47 < high or abs(fitted - 0.47) < 0.01
     assert found.shrink is not None
     assert found.shrink.ratio > 0.9
-
-
-def test_wind_is_separated_from_drag(tmp_path: Path) -> None:
-    flights = [thrown(v, 0.03, (3.0, -2.0, 0.0), 0.9) for v in VELOCITIES]
-    found = diagnose_flight_csv(write_flights(tmp_path / "a.csv", flights, 50.0))
-    assert effects(found) == {"air_drag", "wind"}
-    assert value(found, "wind", "x_m_per_s")[1] == pytest.approx(3.0, abs=0.4)
-    assert value(found, "wind", "y_m_per_s")[1] == pytest.approx(-2.0, abs=0.4)
 
 
 def test_a_bounce_ends_the_flight(tmp_path: Path) -> None:
@@ -223,67 +177,3 @@ def test_balls_are_separated_by_label_and_mixed_flights_are_refused(tmp_path: Pa
     assert mixed.verdict is VerdictKind.BAD_DATA
     assert "disagree" in mixed.sentence
     assert "--group" in mixed.sentence
-
-
-def test_measured_drops_show_drag_of_light_balls_only(tmp_path: Path) -> None:
-    light = ("Whiffle Ball 2", "Blue Basketball")
-    path = real_drops(tmp_path / "a.csv", *light, "Bowling Ball")
-    found = diagnose_flight_csv(path, "time_s", ["height_m"], "ball")
-    assert found.verdict is VerdictKind.EXPLAINED
-    dragged = {e.joint for e in found.causes[0].effects if e.effect == "air_drag"}
-    assert dragged == set(light)
-    parts = found.evidence["parts"]
-    assert parts["Bowling Ball"]["verdict"] == "none"
-    assert parts["Whiffle Ball 2"]["shrink"]["ratio"] > 0.6
-    # Basketballs pass the drag crisis: a constant coefficient does not suffice.
-    assert "drag_crisis" in parts["Blue Basketball"]["causes"][0]["name"]
-
-
-def test_the_upper_limit_of_drag_covers_that_of_a_baseball(tmp_path: Path) -> None:
-    path = real_drops(tmp_path / "a.csv", "Baseball", "Yellow Whiffle Ball")
-    baseball = diagnose_flight_csv(path, "time_s", ["height_m"]).evidence["parts"]["Baseball"]
-    assert "kg per square metre" in baseball["sentence"]
-    (drag,) = [one for one in baseball["evidence"]["limits"] if one["effect"] == "air_drag"]
-    # A sphere of its mass (5 oz) and circumference (22.25 cm) has 0.008 1/m.
-    assert 0.005 < drag["below"] < 0.012
-
-
-def test_doubtful_drag_is_ambiguous(tmp_path: Path) -> None:
-    """Short, coarse drops: drag is the best structure in some, and never certain."""
-    doubts = 0
-    for seed in range(6):
-        one = ball(np.random.default_rng(seed), 0.03, is_drop=True, rate_hz=25.0, noise_m=0.025)
-        path = write(tmp_path / "a.csv", {"t": one["t"][:22], "z": one["z"][:22]})
-        found = diagnose_flight_csv(path)
-        none = next(cause.probability for cause in found.causes if cause.name == "none")
-        if found.verdict is VerdictKind.EXPLAINED:
-            assert none < 0.25 * found.causes[0].probability
-            assert found.shrink is not None
-            assert found.shrink.ci90[0] >= 0.01
-        elif found.verdict is VerdictKind.AMBIGUOUS:
-            doubts += 1
-            assert "may as well be" in found.sentence
-    assert doubts > 0
-
-
-def rolled(roll_rad: float, wind: float, directions: tuple[float, ...]) -> Columns:
-    """Throws in these directions along x, in wind, filmed by a rolled camera."""
-    rng = np.random.default_rng(4)
-    throws = []
-    for direction in directions:
-        one = ball(rng, 0.04, (direction * wind, 0.0), tilt_rad=direction * roll_rad, noise_m=0.003)
-        throws.append({"t": one["t"], "x": direction * one["x"], "z": one["z"]})
-    return joined(throws, throw=[str(k) for k in range(len(throws))])
-
-
-def test_a_rolled_camera_is_named_unless_throws_in_both_directions_need_wind(
-    tmp_path: Path,
-) -> None:
-    found = diagnose_flight_csv(write(tmp_path / "a.csv", rolled(0.045, 0.0, (1.0, 1.0, 1.0))))
-    assert "wind" in effects(found)
-    roll_deg = found.sentence.split("rolled by ")[1].split()[0]
-    assert float(roll_deg) == pytest.approx(np.degrees(0.045), abs=0.5)
-    in_wind = rolled(0.0, 3.0, (1.0, -1.0, 1.0, -1.0))
-    found = diagnose_flight_csv(write(tmp_path / "a.csv", in_wind))
-    assert effects(found) == {"air_drag", "wind"}
-    assert "rolled" not in found.sentence

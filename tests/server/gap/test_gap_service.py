@@ -1,15 +1,11 @@
 """Diagnoses in the server: queue, process, progress, cancel, restart, report, rights."""
 
 import os
-from pathlib import Path
 
 import pytest
 
-from challenge import make as challenge_make
-from challenge.healthy_machines import HealthyMachine
-from challenge.make import make_challenge
-from challenge.sealed_truth import Tier
-from machine.calibration import nominal_calibration
+from cli.main import main
+from diagnosis.loading.logs import load_throws
 from machine.conventions import Mode
 from machine.errors import LogError
 from machine.spec import load_spec
@@ -19,7 +15,6 @@ from server.gap.gap_worker import GapProcess
 from server.schemas.console import Role
 from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
-from sim_twin.virtual.units import nominal_unit
 from tests.cases import each
 from tests.server import gap_fakes
 from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
@@ -252,21 +247,12 @@ def test_logs_are_read_within_limits_of_memory_and_time(tmp_path, monkeypatch):
 
 def test_a_real_run_on_recorded_logs(running, ada, tmp_path, monkeypatch):
     """Throws of the virtual machine, recorded as its runtime records them, from the database to a verdict."""
-    spec = load_spec()
-    healthy = HealthyMachine(nominal_unit(spec), nominal_calibration(spec), nominal_profile(spec))
-    monkeypatch.setattr(challenge_make, "healthy_machine", lambda *_: healthy)
-    make_challenge(
-        seed=11,
-        out=tmp_path / "data",
-        sealed=tmp_path / "truth.json",
-        sets=1,
-        throws=6,
-        policies=Path(__file__).parents[3] / "policies",
-        tiers=[Tier.NULL],
-        jobs=1,
-    )
-    logs = sorted((tmp_path / "data" / "set-0001").glob("*.mcap"))
-    throw_ids = add_throws(running.parts, 6, logs=logs)
+    logs = tmp_path / "logs"
+    asked = ["record", "--plant", "virtual", "--mode", "2d", "--throws", "6", "--out", str(logs)]
+    assert main(asked) == 0
+    twin = load_throws([logs]).throws[0].twin_profile
+    monkeypatch.setattr(running.parts.gap._twins, "profile", lambda machine_id: twin)
+    throw_ids = add_throws(running.parts, 6, logs=sorted(logs.glob("*.mcap")))
     view = ended(ada, start(ada, throw_ids=throw_ids), 240.0)
     assert view["row"]["state"] == "done", view["row"]["detail"]
     result = view["result"]

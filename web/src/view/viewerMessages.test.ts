@@ -1,3 +1,4 @@
+// @vitest-environment happy-dom
 import { describe, expect, it } from "vitest";
 import { readKey, readNews, viewerSentence } from "./viewerMessages";
 

@@ -1,0 +1,194 @@
+"""One stage alone: effects that look alike are told apart, in synthetic and in measured records."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.single_stage.csv_diagnosis import (
+    diagnose_actuation_csv,
+    diagnose_flight_csv,
+    diagnose_swing_csv,
+)
+from diagnosis.verdict import Diagnosis, VerdictKind
+from tests.diagnosis.single_stage.synthetic import (
+    Columns,
+    ball,
+    effects,
+    join_notes,
+    joined,
+    pendulum,
+    real_drops,
+    swing_angles,
+    thrown,
+    value,
+    write,
+    write_angles,
+    write_flights,
+)
+from tests.diagnosis.slew_networks import slew_speed, staircase, write_csv
+
+VELOCITIES = [(7.0, 0.5, 5.0), (9.0, -0.5, 4.0), (4.0, 0.0, 6.0)]
+VISCOUS = ("passive_viscous_friction", "extra_viscous_per_s")
+
+
+def top(found: Diagnosis) -> dict[str, dict[str, float]]:
+    return {
+        e.effect: {n: p.value for n, p in e.parameters.items()} for e in found.causes[0].effects
+    }
+
+
+def test_wind_is_separated_from_drag(tmp_path: Path) -> None:
+    flights = [thrown(v, 0.03, (3.0, -2.0, 0.0), 0.9) for v in VELOCITIES]
+    found = diagnose_flight_csv(write_flights(tmp_path / "a.csv", flights, 50.0))
+    assert effects(found) == {"air_drag", "wind"}
+    assert value(found, "wind", "x_m_per_s")[1] == pytest.approx(3.0, abs=0.4)
+    assert value(found, "wind", "y_m_per_s")[1] == pytest.approx(-2.0, abs=0.4)
+
+
+def test_measured_drops_show_drag_of_light_balls_only(tmp_path: Path) -> None:
+    light = ("Whiffle Ball 2", "Blue Basketball")
+    path = real_drops(tmp_path / "a.csv", *light, "Bowling Ball")
+    found = diagnose_flight_csv(path, "time_s", ["height_m"], "ball")
+    assert found.verdict is VerdictKind.EXPLAINED
+    dragged = {e.joint for e in found.causes[0].effects if e.effect == "air_drag"}
+    assert dragged == set(light)
+    parts = found.evidence["parts"]
+    assert parts["Bowling Ball"]["verdict"] == "none"
+    assert parts["Whiffle Ball 2"]["shrink"]["ratio"] > 0.6
+    # Basketballs pass the drag crisis: a constant coefficient does not suffice.
+    assert "drag_crisis" in parts["Blue Basketball"]["causes"][0]["name"]
+
+
+def test_the_upper_limit_of_drag_covers_that_of_a_baseball(tmp_path: Path) -> None:
+    path = real_drops(tmp_path / "a.csv", "Baseball", "Yellow Whiffle Ball")
+    baseball = diagnose_flight_csv(path, "time_s", ["height_m"]).evidence["parts"]["Baseball"]
+    assert "kg per square metre" in baseball["sentence"]
+    (drag,) = [one for one in baseball["evidence"]["limits"] if one["effect"] == "air_drag"]
+    # A sphere of its mass (5 oz) and circumference (22.25 cm) has 0.008 1/m.
+    assert 0.005 < drag["below"] < 0.012
+
+
+def test_doubtful_drag_is_ambiguous(tmp_path: Path) -> None:
+    """Short, coarse drops: drag is the best structure in some, and never certain."""
+    doubts = 0
+    for seed in range(6):
+        one = ball(np.random.default_rng(seed), 0.03, is_drop=True, rate_hz=25.0, noise_m=0.025)
+        path = write(tmp_path / "a.csv", {"t": one["t"][:22], "z": one["z"][:22]})
+        found = diagnose_flight_csv(path)
+        none = next(cause.probability for cause in found.causes if cause.name == "none")
+        if found.verdict is VerdictKind.EXPLAINED:
+            assert none < 0.25 * found.causes[0].probability
+            assert found.shrink is not None
+            assert found.shrink.ci90[0] >= 0.01
+        elif found.verdict is VerdictKind.AMBIGUOUS:
+            doubts += 1
+            assert "may as well be" in found.sentence
+    assert doubts > 0
+
+
+def rolled(roll_rad: float, wind: float, directions: tuple[float, ...]) -> Columns:
+    """Throws in these directions along x, in wind, filmed by a rolled camera."""
+    rng = np.random.default_rng(4)
+    throws = []
+    for direction in directions:
+        one = ball(rng, 0.04, (direction * wind, 0.0), tilt_rad=direction * roll_rad, noise_m=0.003)
+        throws.append({"t": one["t"], "x": direction * one["x"], "z": one["z"]})
+    return joined(throws, throw=[str(k) for k in range(len(throws))])
+
+
+def test_a_rolled_camera_is_named_unless_throws_in_both_directions_need_wind(
+    tmp_path: Path,
+) -> None:
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", rolled(0.045, 0.0, (1.0, 1.0, 1.0))))
+    assert "wind" in effects(found)
+    roll_deg = found.sentence.split("rolled by ")[1].split()[0]
+    assert float(roll_deg) == pytest.approx(np.degrees(0.045), abs=0.5)
+    in_wind = rolled(0.0, 3.0, (1.0, -1.0, 1.0, -1.0))
+    found = diagnose_flight_csv(write(tmp_path / "a.csv", in_wind))
+    assert effects(found) == {"air_drag", "wind"}
+    assert "rolled" not in found.sentence
+
+
+def test_each_friction_is_separated_from_the_others(tmp_path: Path) -> None:
+    for friction, effect, parameter in (
+        ("viscous", *VISCOUS),
+        ("coulomb", "passive_coulomb_friction", "extra_coulomb_rad_per_s2"),
+        ("air", "air_drag", "quadratic_per_rad"),
+    ):
+        angles = swing_angles(**{friction: 0.08})
+        path = write_angles(tmp_path / "a.csv", angles, held_s=1.0, offset=0.3)
+        found = diagnose_swing_csv(path, "time_s", "theta_deg")
+        assert found.verdict is VerdictKind.EXPLAINED, friction
+        assert effects(found) == {effect}
+        low, fitted, high = value(found, effect, parameter)
+        assert fitted == pytest.approx(0.08, rel=0.05)
+        assert low <= fitted <= high
+        assert found.shrink is not None
+        assert found.shrink.ratio > 0.9
+
+
+def test_a_drifting_frequency_is_unknown(tmp_path: Path) -> None:
+    t = np.arange(0.0, 30.0, 0.04)
+    phase = 4.0 * (t - 0.5 * 0.03 * t**2 / t[-1])
+    angle = 0.1 * np.exp(-0.02 * t) * np.cos(phase)
+    angle += np.random.default_rng(7).normal(0.0, 0.001, len(t))
+    found = diagnose_swing_csv(write(tmp_path / "a.csv", {"t": t, "angle_rad": angle}))
+    assert found.verdict is VerdictKind.UNKNOWN
+    assert "The frequency changes by -2.0%" in found.sentence
+
+
+def test_a_mass_on_a_spring_and_a_torsion_wire_are_not_pendulums(tmp_path: Path) -> None:
+    t = np.arange(0.0, 8.0, 1.0 / 25.0)
+    x = 120.0 + 45.0 * np.exp(-0.075 * t) * np.cos(6.0 * t)
+    x += np.random.default_rng(2).normal(0.0, 0.2, len(t))
+    found = diagnose_swing_csv(write(tmp_path / "a.csv", {"Time (s)": t, "Position (mm)": x}))
+    assert effects(found) == {VISCOUS[0]}
+    assert value(found, *VISCOUS)[1] == pytest.approx(0.15, rel=0.02)
+    # The period of a torsion wire does not depend on its amplitude.
+    path = write(tmp_path / "b.csv", {"t": t, "angle_rad": (x - 120.0) / 56.0})
+    found = diagnose_swing_csv(path, angle="angle_rad")
+    assert "spring or a torsion wire" in join_notes(found)
+    assert effects(found) == {VISCOUS[0]}
+
+
+def test_gyros_bobs_and_encoders_give_the_same_friction(tmp_path: Path) -> None:
+    one = pendulum(np.random.default_rng(3), viscous=0.1, noise_rad=0.001)
+    rate = np.concatenate([np.zeros(80), np.radians(one["omega_deg_s"][:500])])
+    rng = np.random.default_rng(4)
+    gyro = {"Time (s)": np.arange(len(rate)) * 0.02}
+    for axis, share in zip("xyz", (0.36, 0.8, 0.48), strict=True):
+        seen = share * rate + rng.normal(0.0, 0.003, len(rate)) + 0.005
+        gyro[f"Gyroscope {axis} (rad/s)"] = seen
+    one = pendulum(np.random.default_rng(5), viscous=0.1, noise_rad=0.0, rate_hz=30.0)
+    one = {name: column[:300] for name, column in one.items()}
+    angle = np.radians(one["theta_deg"])
+    rng = np.random.default_rng(6)
+    bob = {"t": one["t"], "x": 0.4 + 1.2 * np.sin(angle), "y": 1.5 - 1.2 * np.cos(angle)}
+    bob["x"] += rng.normal(0.0, 0.002, len(angle))
+    bob["y"] += rng.normal(0.0, 0.002, len(angle))
+    encoder = {
+        "t": one["t"],
+        "encoder_counts": np.round(angle / (2.0 * np.pi) * 4096.0) % 4096.0,
+    }
+    for columns in (gyro, bob, encoder):
+        found = diagnose_swing_csv(write(tmp_path / "a.csv", columns))
+        assert value(found, *VISCOUS)[1] == pytest.approx(0.1, rel=0.05), list(columns)
+        if columns is gyro:
+            assert "0.36, 0.80, 0.48" in join_notes(found)
+
+
+def test_the_slew_networks_show_dead_band_dead_time_and_lag(tmp_path: Path) -> None:
+    joystick = staircase((850.0, -850.0, 300.0, -300.0, 200.0, -200.0, 600.0, -600.0), 5.0, 3.0)
+    write_csv(tmp_path / "slew.csv", joystick, slew_speed(joystick))
+    found = diagnose_actuation_csv(tmp_path / "slew.csv", "time_s", "joystick", "slew_rad")
+    assert found.verdict is VerdictKind.EXPLAINED
+    named = top(found)
+    assert {"valve_dead_band", "valve_dead_time", "valve_lag"} <= set(named)
+    # The networks' own description: dead band 18-24 %, 5 % response after 0.4-0.5 s.
+    assert 0.08 < named["valve_dead_band"]["positive_ratio"] < 0.26
+    assert 0.1 < named["valve_dead_time"]["extra_dead_time_s"] < 0.5
+    assert found.evidence["selection"]["inclusion_probability"]["valve_dead_band"] > 0.9
+    assert found.evidence["gain_per_full_command"]["value"] < 0.0
+    assert found.shrink is not None
+    assert found.shrink.ci90[0] > 0.6
