@@ -28,16 +28,9 @@ from machine.messages import (
     StopRequest,
     ThrowState,
 )
+from runtime.link import ipc
 from runtime.link.command_inbox import COMMANDS, CommandInbox
-from runtime.link.ipc import (
-    TICK_DTYPES,
-    TICK_TAGS,
-    Kind,
-    Packet,
-    PacketSocket,
-    PeerGoneError,
-    unpack_rows,
-)
+from runtime.link.ipc import Kind, Packet, PacketSocket, PeerGoneError
 from runtime.link.server_link import ReplySlot, ServerLink
 from runtime.link.zenoh_config import client_config
 from runtime.process.alive_counter import AliveCounter
@@ -311,14 +304,14 @@ class LinkProcess:
             self._records.add_impact(ImpactSurvey.model_validate(event.data), t_ns)
 
     def _take_tick(self, body: bytes) -> None:
-        parts = unpack_rows(body, TICK_DTYPES)
-        head = parts[TICK_TAGS["tick"]][0]
+        parts = ipc.unpack_rows(body, ipc.TICK_DTYPES)
+        head = parts[ipc.TICK_TAGS["tick"]][0]
         count = int(head["packet_count"])
         lost = count - self._packet_count - 1 if self._packet_count else 0
         self._packet_count = count
         if head["is_logged"]:
             self._records.count_lost(lost)
-            rows = {name: parts[tag] for name, tag in TICK_TAGS.items() if tag and tag in parts}
+            rows = {name: parts[tag] for name, tag in ipc.TICK_TAGS.items() if tag and tag in parts}
             self._records.add_rows(rows, int(head["t_mono_ns"]))
         if int(head["t_mono_ns"]) - self._joints_ns >= JOINTS_PERIOD_NS:
             self._joints_ns = int(head["t_mono_ns"])
@@ -367,8 +360,8 @@ class LinkProcess:
         self._link.publish("state", complete.model_dump_json().encode())
 
     def _publish_joints(self, parts: dict[int, Any], state: ThrowState) -> None:
-        row = parts[TICK_TAGS["control"]][0]
-        ball = parts.get(TICK_TAGS["ball"])
+        row = parts[ipc.TICK_TAGS["control"]][0]
+        ball = parts.get(ipc.TICK_TAGS["ball"])
         held = bool(row["payload_held"])
         position = None if ball is None or held else tuple(ball["position_m"][0].tolist())
         message = JointStream(
