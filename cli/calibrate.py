@@ -18,6 +18,7 @@ def run(
     machine_id: str = "m001",
     seed: int = 0,
     policies: Path = Path("policies"),
+    drives: bool = False,
 ) -> int:
     """Commission one simulated machine: valves, response of each joint, mean miss of its policies.
 
@@ -38,11 +39,14 @@ def run(
         machine_id: names the files.
         seed: of the random motion, the throws and the sensors' noise.
         policies: folder of policy versions; its active.json names the one of each mode.
+        drives: identify oil springs as well; the profile has them where they explain a joint's motion better.
     """
     spec = load_spec()
     make = plant_maker(plant, unit_seed=unit_seed, profile=None, calibration=None, spec=spec)
     out.mkdir(parents=True, exist_ok=True)
-    found = measure_machine(make, machine_id, policies, seed, partial(print, flush=True))
+    found = measure_machine(
+        make, machine_id, policies, seed, partial(print, flush=True), has_drives=drives
+    )
     calibration_path = out / f"{machine_id}.calibration.json"
     profile_path = out / f"{machine_id}.profile.json"
     plot_path = out / f"{machine_id}.valves.png"
@@ -54,6 +58,12 @@ def run(
         print(
             f"{name:<10} {fit.dead_time_s:6.3f} s  {fit.natural_frequency_rad_per_s:5.1f} rad/s"
             f"  {fit.damping_ratio:6.2f}  {fit.gain_ratio:6.3f}  {fit.r2_ratio:8.1%}"
+        )
+    for one in found.drives:
+        kind = "oil spring" if one.is_oil_spring else "linear"
+        print(
+            f"{one.joint:<10} {kind}: explains {one.explained_ratio:.1%} of new steps and reversals, "
+            f"the linear response {one.linear_explained_ratio:.1%}"
         )
     print(f"wrote {calibration_path}, {profile_path}, {plot_path}")
     return 0

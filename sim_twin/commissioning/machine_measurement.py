@@ -14,6 +14,12 @@ from machine.registration import Registration
 from machine.spec import load_spec
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
+from sim_twin.commissioning.drive_identification import (
+    JointExplanation,
+    identify_drives,
+    with_drives,
+)
+from sim_twin.commissioning.drive_record import DRIVE_COPY_COUNT, record_drives
 from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
 from sim_twin.commissioning.registration_throws import register_machine, registration_throw_count
 from sim_twin.commissioning.response_fit import ResponseFit
@@ -31,10 +37,18 @@ class MachineMeasurement(NamedTuple):
     profile: TwinProfile
     fits: tuple[ResponseFit, ...]
     """One per driven joint."""
+    drives: tuple[JointExplanation, ...] = ()
+    """One per driven joint where oil springs were asked for."""
 
 
 def measure_machine(
-    make: PlantMaker, machine_id: str, policies: Path, seed: int, show: Callable[[str], None]
+    make: PlantMaker,
+    machine_id: str,
+    policies: Path,
+    seed: int,
+    show: Callable[[str], None],
+    *,
+    has_drives: bool = False,
 ) -> MachineMeasurement:
     """Measure valves and responses, then register the active policy of each mode.
 
@@ -46,6 +60,7 @@ def measure_machine(
         policies: folder of policy versions with its active.json.
         seed: of motions, throws and the sensors' noise.
         show: called with a line about the next measurement.
+        has_drives: identify oil springs too; the profile has them where they explain a joint better.
     """
     spec = load_spec()
     show(f"valve staircases: {CALIBRATION_STEP_COUNT} steps ...")
@@ -60,9 +75,19 @@ def measure_machine(
         profile, fits = identify_profile(machine, spec, tables, machine_id, seed)
     finally:
         machine.close()
+    drives: tuple[JointExplanation, ...] = ()
+    if has_drives:
+        show(f"drives: {DRIVE_COPY_COUNT} motions of steps, stops and reversals ...")
+        machine = make(DRIVE_COPY_COUNT)
+        try:
+            records = record_drives(machine, spec, tables, seed)
+        finally:
+            machine.close()
+        drives = identify_drives(records, fits, show)
+        profile = with_drives(profile, drives)
     twin = plant_maker("twin", unit_seed=0, profile=profile, calibration=tables, spec=spec)
     tables = _register(make, twin, tables, policies, seed, show)
-    return MachineMeasurement(tables, profile, fits)
+    return MachineMeasurement(tables, profile, fits, drives)
 
 
 def _register(

@@ -12,6 +12,7 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
+from sim_twin.lag import first_order
 from sim_twin.rigid_body.arm_load import gravity_load_ratio
 
 MIN_LAG_S = 0.01
@@ -84,6 +85,11 @@ class ValveEffects:
         self._seen_before, self._push = np.zeros(shape), np.zeros(shape)
         self._mean_lag_s = np.zeros(shape)
 
+    @property
+    def has_play(self) -> bool:
+        """Whether a machine has joints that hang in the play of their drives."""
+        return self._gap is not None
+
     def reset(self) -> None:
         """Spools centred, joints at rest, drives against the side of their gaps that carries the load."""
         self._spool[:] = 0.0
@@ -107,6 +113,18 @@ class ValveEffects:
         lag = self._mean_lag_s
         faster = 2.0 * damping_ratio / np.maximum(lag + self._lag_s, np.minimum(lag, MIN_LAG_S))
         return np.where(self._lag_s >= 0.0, natural_frequency_rad_per_s, faster)
+
+    def valve_lag(self, valve_lag_s: Array, mean_lag_s: Array) -> Array:
+        """Lags (N, 4) of the valves before oil springs, shorter by an extra lag below 0.
+
+        Args:
+            valve_lag_s: without effects.
+            mean_lag_s: of the valve, the oil and the joint together.
+        """
+        self._mean_lag_s = np.broadcast_to(mean_lag_s, self._push.shape)
+        if self._lag_s is None:
+            return valve_lag_s
+        return np.maximum(valve_lag_s + np.minimum(self._lag_s, 0.0), 0.0)
 
     def on_command(self, valve_ratio: Array) -> Array:
         """What the spools make of valve commands: play, then lag, then overlap."""
@@ -260,15 +278,10 @@ class ValveEffects:
 
 
 def _first_order(lag_s: Array | None) -> tuple[Array | None, Array]:
-    """What is left of a first-order lag's error after a tick, and its mean over the tick; shapes (N, 4).
-
-    exp(-h / T) and (1 - exp(-h / T)) T / h; both 0 without a lag.
-    """
+    """What is left of a first-order lag's error after a tick, and its mean over the tick; shapes (N, 4)."""
     if lag_s is None or not (lag_s > 0.0).any():
         return None, np.zeros(0)
-    share = np.maximum(lag_s, 1e-9) / CONTROL_PERIOD_S
-    decay = np.where(lag_s > 0.0, np.exp(-1.0 / share), 0.0)
-    return decay, np.where(lag_s > 0.0, (1.0 - decay) * share, 0.0)
+    return first_order(lag_s)
 
 
 def _directions(arrays: EffectArrays, effect: str) -> tuple[Array, Array] | None:

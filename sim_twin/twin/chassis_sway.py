@@ -13,8 +13,8 @@ from machine.conventions import (
     Array,
 )
 from machine.spec import MachineSpec
+from sim_twin.lag import lag_matrices
 from sim_twin.rigid_body.arm_load import largest_tipping_moment, tipping_ratio
-from sim_twin.twin.response import lag_matrices
 
 BASE_INERTIA_KG_M2 = (24_000.0, 36_000.0)
 """Moments of inertia of chassis and upper carriage about ground level, roll and pitch: 5.3 t as a box of

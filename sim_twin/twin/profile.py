@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from machine.errors import UsageError
 from machine.spec import MachineSpec
 from sim_twin.effects.effect import Effect, deterministic
+from sim_twin.twin.oil_spring import FourDrives
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -60,12 +61,12 @@ class TwinProfile(BaseModel):
 
     Response of an active joint, from the steady speed u of the valve calibration to the joint
     velocity y: y'' = w^2 (g u(t - d) - y) - 2 z w y', with dead time d, natural frequency w, damping ratio z
-    and gain g.
+    and gain g; or, with `drives`, that of `sim_twin.twin.oil_spring`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    schema_version: Literal[2] = 2
-    """Version 2 has `effects`; files of version 1 have none."""
+    schema_version: Literal[3] = 3
+    """Version 2 has `effects`, version 3 `drives`; older files have none."""
     machine_id: str
     version_count: int = Field(ge=0)
     """0: nominal twin of the machine type; increases by one with every applied correction."""
@@ -75,6 +76,9 @@ class TwinProfile(BaseModel):
     natural_frequency_rad_per_s: FourPositive
     damping_ratio: FourPositive
     gain_ratio: FourPositive = (1.0, 1.0, 1.0, 1.0)
+    drives: FourDrives | None = None
+    """Drives as oil springs, identified at commissioning; they replace the response above. None: the linear
+    response."""
     viscous_friction_per_s: TwoNonNegative
     """Pitch and roll (paper, eq. 3)."""
     coulomb_friction_rad_per_s2: TwoNonNegative
@@ -91,13 +95,21 @@ class TwinProfile(BaseModel):
     """90 % intervals by name of the value: ``field``, ``field.joint``, ``effect.parameter`` or
     ``effect.joint.parameter``."""
 
+    @property
+    def mean_lag_s(self) -> tuple[float, ...]:
+        """Mean lag of each joint behind its dead time, s."""
+        if self.drives is not None:
+            return tuple(drive.mean_lag_s for drive in self.drives)
+        pairs = zip(self.damping_ratio, self.natural_frequency_rad_per_s, strict=True)
+        return tuple(2.0 * z / w for z, w in pairs)
+
     @model_validator(mode="before")
     @classmethod
     def _migrate(cls, data: Any) -> Any:
         if isinstance(data, dict):
             tree = cast("dict[str, Any]", data)
-            if tree.get("schema_version") == 1:
-                return {**tree, "schema_version": 2}
+            if tree.get("schema_version") in (1, 2):
+                return {**tree, "schema_version": 3}
         return cast("Any", data)
 
     @model_validator(mode="after")

@@ -1,7 +1,8 @@
-"""Velocity response of N machines' drives: valve table, dead time, second-order lag.
+"""Velocity response of N machines' drives: valve table, dead time, second-order lag or oil spring.
 
-Linear behind the valve table, except for effects (sim_twin.effects.valve_effects). Pressures are not
-modelled: the virtual machine models them, so that the two simulators are independent.
+The second-order lag is linear; a profile with `drives` has oil springs instead (sim_twin.twin.oil_spring).
+Effects act on both (sim_twin.effects.valve_effects). Pressures are not modelled: the virtual machine models
+them, so that the two simulators are independent.
 """
 
 import math
@@ -13,42 +14,14 @@ from machine.conventions import ACTIVE_COUNT, CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
 from sim_twin.effects.valve_effects import ValveEffects
+from sim_twin.lag import lag_matrices
+from sim_twin.twin.oil_spring import FourDrives, OilSprings, drive_arrays, squared_reach
 from sim_twin.twin.profile import TwinProfile
 
 RATIO_POINT_COUNT = 1000
 MIN_DEAD_TIME_S = 0.0
 MIN_FREQUENCY_SHARE_RATIO = 0.2
 """Lower bound of random frequencies and gains, relative to their means."""
-
-
-def lag_matrices(
-    natural_frequency_rad_per_s: Array, damping_ratio: Array, period_s: float
-) -> tuple[Array, Array, Array, Array]:
-    """Exact step of e'' + 2 z w e' + w^2 e = 0 in the state (e, e'/w), e = y - u with u held.
-
-    With tau = w h and s = sqrt(z^2 - 1): exp(-z tau) [[C + z S, S], [-S, C - z S]],
-    C = cosh(s tau), S = sinh(s tau) / s (tau at s = 0).
-
-    Args:
-        natural_frequency_rad_per_s: w, any shape.
-        damping_ratio: z, same shape.
-        period_s: h.
-
-    Returns:
-        The four elements of the matrix, each of that shape.
-    """
-    tau = natural_frequency_rad_per_s * period_s
-    s = np.sqrt(np.asarray(damping_ratio**2 - 1.0, dtype=np.complex128))
-    small = np.abs(s * tau) < 1e-6
-    cosh = np.real(np.cosh(s * tau))
-    sinh = np.where(small, tau, np.real(np.sinh(s * tau) / np.where(small, 1.0, s)))
-    decay = np.exp(-damping_ratio * tau)
-    return (
-        decay * (cosh + damping_ratio * sinh),
-        decay * sinh,
-        -decay * sinh,
-        decay * (cosh - damping_ratio * sinh),
-    )
 
 
 class _RatioTable:
@@ -81,14 +54,20 @@ class VelocityResponse:
         count: int,
         effects: EffectArrays | None = None,
     ) -> None:
-        self._profile, self._count = profile, count
+        self._profile, self._count, self._spec = profile, count, spec
+        self._dead_time_s = np.asarray(profile.dead_time_s)
+        self._gain_mean = np.asarray(profile.gain_ratio)
+        if profile.drives is not None:
+            self._dead_time_s = np.array([d.dead_time_s for d in profile.drives])
+            self._gain_mean = np.array([d.gain_ratio for d in profile.drives])
+        self._springs: OilSprings | None = None
         acts = effects is not None and effects.acts_in("actuation")
         self._effects = ValveEffects(spec, effects) if effects is not None and acts else None
         self._tables = [
             (np.asarray(t.valve_ratio), np.asarray(t.actuator_speed_rad_m_per_s))
             for t in calibration.tables
         ]
-        longest = np.asarray(profile.dead_time_s) + 6.0 * np.asarray(profile.spread.dead_time_sd_s)
+        longest = self._dead_time_s + 6.0 * np.asarray(profile.spread.dead_time_sd_s)
         if self._effects is not None and self._effects.dead_time_s is not None:
             longest = longest + np.maximum(self._effects.dead_time_s, 0.0)
         self._ratio = _RatioTable(spec)
@@ -110,28 +89,45 @@ class VelocityResponse:
             normal: standard normal numbers (N, 3, 4) for dead time, frequency and gain.
         """
         p, spread, effects = self._profile, self._profile.spread, self._effects
-        dead_s = np.asarray(p.dead_time_s) + normal[:, 0] * np.asarray(spread.dead_time_sd_s)
+        dead_s = self._dead_time_s + normal[:, 0] * np.asarray(spread.dead_time_sd_s)
         if effects is not None and effects.dead_time_s is not None:
             dead_s = dead_s + effects.dead_time_s
         ticks = np.clip(dead_s, MIN_DEAD_TIME_S, None) / CONTROL_PERIOD_S
         self._whole = np.minimum(np.floor(ticks).astype(np.int64), self._depth - 2)
         self._fraction = np.clip(ticks - self._whole, 0.0, 1.0)
-        frequency = np.asarray(p.natural_frequency_rad_per_s) * np.maximum(
+        frequency_share = np.maximum(
             1.0 + normal[:, 1] * np.asarray(spread.natural_frequency_sd_ratio),
             MIN_FREQUENCY_SHARE_RATIO,
         )
-        self._gain = np.asarray(p.gain_ratio) * np.maximum(
+        self._gain = self._gain_mean * np.maximum(
             1.0 + normal[:, 2] * np.asarray(spread.gain_sd_ratio), MIN_FREQUENCY_SHARE_RATIO
         )
-        damping = np.broadcast_to(np.asarray(p.damping_ratio), frequency.shape)
         if effects is not None:
             effects.reset()
-            frequency = effects.frequency(frequency, damping)
-        self._matrix = lag_matrices(frequency, damping, CONTROL_PERIOD_S)
+        if p.drives is not None:
+            self._springs = self._oil_springs(p.drives, frequency_share)
+        else:
+            frequency = np.asarray(p.natural_frequency_rad_per_s) * frequency_share
+            damping = np.broadcast_to(np.asarray(p.damping_ratio), frequency.shape)
+            if effects is not None:
+                frequency = effects.frequency(frequency, damping)
+            self._matrix = lag_matrices(frequency, damping, CONTROL_PERIOD_S)
         self._history[:] = 0.0
         self._velocity[:] = 0.0
         self._slope[:] = 0.0
         self._tick = 0
+
+    def _oil_springs(self, drives: FourDrives, frequency_share: Array) -> OilSprings:
+        """Drives (N, 4) at rest whose frequencies are scaled by `frequency_share`."""
+        nominal = drive_arrays(drives)
+        lag_s = nominal.valve_lag_s
+        if self._effects is not None:
+            lag_s = self._effects.valve_lag(lag_s, np.array([d.mean_lag_s for d in drives]))
+        parameters = nominal._replace(
+            valve_lag_s=lag_s,
+            natural_frequency_rad_per_s=nominal.natural_frequency_rad_per_s * frequency_share,
+        )
+        return OilSprings(parameters, (self._count, ACTIVE_COUNT))
 
     def command(self, valve_ratio: Array) -> Array:
         """Steady actuator speed of valve commands (N, 4), m/s and rad/s for the slew."""
@@ -166,6 +162,8 @@ class VelocityResponse:
         target = self._gain * speed / ratio
         if effects is not None:
             target = effects.on_target(target, active_position_rad_m, ratio)
+        if self._springs is not None:
+            return self._step_springs(self._springs, target, active_position_rad_m, seen)
         a11, a12, a21, a22 = self._matrix
         before, error = self._velocity, self._velocity - target
         self._velocity = target + a11 * error + a12 * self._slope
@@ -176,3 +174,18 @@ class VelocityResponse:
             target, before, self._velocity, self._slope, active_position_rad_m, seen
         )
         return effects.on_joint(target, self._velocity, seen)
+
+    def _step_springs(
+        self, springs: OilSprings, target: Array, active_position_rad_m: Array, seen: Array | None
+    ) -> Array:
+        """`step` of drives with oil springs, from the steady joint speeds `target` (N, 4)."""
+        effects, before = self._effects, springs.velocity
+        velocity = springs.step(target, squared_reach(self._spec, active_position_rad_m))
+        if effects is None:
+            return velocity
+        if effects.has_play:
+            moved = effects.on_motion(
+                target, before, velocity, springs.slope, active_position_rad_m, seen
+            )
+            springs.set_motion(*moved)
+        return effects.on_joint(target, springs.velocity, seen)

@@ -159,7 +159,7 @@ def test_a_profile_of_version_one_is_read_as_one_without_effects(tmp_path: Path)
     path = tmp_path / "old.json"
     path.write_text(json.dumps(tree))
     assert load_profile(path) == NOMINAL
-    assert NOMINAL.schema_version == 2
+    assert NOMINAL.schema_version == 3
 
 
 @pytest.mark.parametrize(

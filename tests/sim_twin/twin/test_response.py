@@ -6,8 +6,9 @@ from scipy.linalg import expm
 
 from machine.calibration import actuator_ratio, nominal_calibration
 from machine.spec import load_spec
+from sim_twin.lag import lag_matrices
 from sim_twin.twin.profile import exact_profile, nominal_profile
-from sim_twin.twin.response import VelocityResponse, lag_matrices
+from sim_twin.twin.response import VelocityResponse
 from tests.cases import each
 
 SPEC = load_spec()
