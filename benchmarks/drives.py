@@ -25,7 +25,7 @@ from machine.starts import sample_starts
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner, find_policy
 from sim_twin.commissioning.drive_identification import identify_drives, with_drives
-from sim_twin.commissioning.drive_record import DRIVE_COPY_COUNT, record_drives
+from sim_twin.commissioning.drive_motion import DRIVE_COPY_COUNT, record_drives
 from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
 from sim_twin.replay.replay import replay

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from machine.conventions import CONTROL_PERIOD_S, Array
-from sim_twin.commissioning.drive_record import DriveRecord
+from sim_twin.commissioning.drive_motion import DriveMotion
 from sim_twin.twin.oil_spring import DriveArrays, OilSpringDrive, OilSprings
 
 NAMES = (
@@ -43,7 +43,7 @@ class DriveFit(NamedTuple):
     """Parameters at a bound of the search for which a bound is no meaningful value."""
 
 
-def simulate(record: DriveRecord, parameters: Array) -> Array:
+def simulate(record: DriveMotion, parameters: Array) -> Array:
     """Joint speeds (P, N, T) that the sensor would read with parameters (P, 10) in the order of `NAMES`."""
     count, ticks = record.actuator_speed_rad_m_per_s.shape
     column = parameters.T[:, :, None]
@@ -76,7 +76,7 @@ def as_array(drive: OilSpringDrive) -> Array:
     return np.array([most if value is None else value for value, most in pairs])
 
 
-def starts(record: DriveRecord) -> list[Array]:
+def starts(record: DriveMotion) -> list[Array]:
     """Parameter sets (10,) of a slow drive at its limits, a fast one, and a linear one."""
     v = record.velocity_rad_m_per_s
     a = float(np.quantile(np.abs(v[:, 10:] - v[:, :-10]), 0.99)) / (10.0 * CONTROL_PERIOD_S)
@@ -86,7 +86,7 @@ def starts(record: DriveRecord) -> list[Array]:
     return [slow, fast, linear]
 
 
-def fit_drive(record: DriveRecord, first: OilSpringDrive | None = None) -> DriveFit:
+def fit_drive(record: DriveMotion, first: OilSpringDrive | None = None) -> DriveFit:
     """Least-squares fit over all runs.
 
     Args:

@@ -7,7 +7,7 @@ import numpy as np
 
 from machine.conventions import ACTIVE_JOINTS, CONTROL_PERIOD_S, Array
 from sim_twin.commissioning.drive_fit import as_array, fit_drive, simulate
-from sim_twin.commissioning.drive_record import DriveRecord
+from sim_twin.commissioning.drive_motion import DriveMotion
 from sim_twin.commissioning.response_fit import ResponseFit
 from sim_twin.twin.oil_spring import FourDrives, OilSpringDrive
 from sim_twin.twin.profile import TwinProfile
@@ -61,7 +61,7 @@ def linear_drive(fit: ResponseFit) -> OilSpringDrive:
 
 
 def identify_drives(
-    records: tuple[DriveRecord, ...],
+    records: tuple[DriveMotion, ...],
     responses: tuple[ResponseFit, ...],
     show: Callable[[str], None] = lambda _: None,
 ) -> tuple[JointExplanation, ...]:
@@ -79,7 +79,7 @@ def identify_drives(
     return tuple(found)
 
 
-def explain_joint(joint: str, record: DriveRecord, linear: OilSpringDrive) -> JointExplanation:
+def explain_joint(joint: str, record: DriveMotion, linear: OilSpringDrive) -> JointExplanation:
     """The better of an oil spring and the linear response, and what it leaves."""
     runs = np.arange(len(record.velocity_rad_m_per_s))
     judges = runs % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
@@ -122,7 +122,7 @@ def with_drives(profile: TwinProfile, found: tuple[JointExplanation, ...]) -> Tw
     return profile.model_copy(update={"drives": drives, "note": note})
 
 
-def _error(record: DriveRecord, drive: OilSpringDrive) -> Array:
+def _error(record: DriveMotion, drive: OilSpringDrive) -> Array:
     """Simulated less measured speeds (N, T)."""
     return simulate(record, as_array(drive)[None])[0] - record.velocity_rad_m_per_s
 
@@ -135,7 +135,7 @@ def _explained(measured: Array, error: Array) -> float:
     return 1.0 - float((error**2).sum() / ((measured - measured.mean()) ** 2).sum())
 
 
-def _phases(record: DriveRecord, dead_time_s: float) -> Array:
+def _phases(record: DriveMotion, dead_time_s: float) -> Array:
     """Index into `PHASES` (N, T) of every tick."""
     speed = record.actuator_speed_rad_m_per_s
     side = np.where(np.abs(speed) > STANDING_RAD_M_PER_S, np.sign(speed), 0.0)

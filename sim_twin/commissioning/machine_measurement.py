@@ -19,7 +19,7 @@ from sim_twin.commissioning.drive_identification import (
     identify_drives,
     with_drives,
 )
-from sim_twin.commissioning.drive_record import DRIVE_COPY_COUNT, record_drives
+from sim_twin.commissioning.drive_motion import DRIVE_COPY_COUNT, record_drives
 from sim_twin.commissioning.excitation import RESPONSE_COPY_COUNT, identify_profile
 from sim_twin.commissioning.registration_throws import register_machine, registration_throw_count
 from sim_twin.commissioning.response_fit import ResponseFit

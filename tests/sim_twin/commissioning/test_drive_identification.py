@@ -5,7 +5,7 @@ from machine.conventions import CONTROL_PERIOD_S
 from machine.spec import load_spec
 from sim_twin.commissioning.drive_fit import UPPER, as_array, fit_drive, simulate
 from sim_twin.commissioning.drive_identification import explain_joint, linear_drive, with_drives
-from sim_twin.commissioning.drive_record import DriveRecord
+from sim_twin.commissioning.drive_motion import DriveMotion
 from sim_twin.commissioning.response_fit import fit_response
 from sim_twin.twin.oil_spring import OilSpringDrive
 from sim_twin.twin.profile import nominal_profile
@@ -30,7 +30,7 @@ LINEAR = OilSpringDrive(
 )
 
 
-def recorded(drive: OilSpringDrive, runs: int = 8, noise: float = 0.003) -> DriveRecord:
+def recorded(drive: OilSpringDrive, runs: int = 8, noise: float = 0.003) -> DriveMotion:
     """Steps, stops and reversals of a joint with this drive."""
     rng = np.random.default_rng(1)
     speed = np.zeros((runs, 250))
@@ -38,7 +38,7 @@ def recorded(drive: OilSpringDrive, runs: int = 8, noise: float = 0.003) -> Driv
         run[20:90], run[90:170] = rng.uniform(0.4, 1.0), -rng.uniform(0.3, 1.0)
         run[90:120] *= rng.choice([0.0, 1.0])
     reach = np.repeat(np.linspace(0.7, 1.5, runs)[:, None], 250, axis=1)
-    still = DriveRecord(speed, np.ones_like(speed), reach, np.zeros_like(speed), speed, 0.0)
+    still = DriveMotion(speed, np.ones_like(speed), reach, np.zeros_like(speed), speed, 0.0)
     velocity = simulate(still._replace(velocity_rad_m_per_s=0.0 * speed), as_array(drive)[None])[0]
     steps = 0.5 * CONTROL_PERIOD_S * (velocity[:, 1:] + velocity[:, :-1])
     position = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))

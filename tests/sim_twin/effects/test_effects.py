@@ -167,7 +167,7 @@ def test_a_profile_of_version_one_is_read_as_one_without_effects(tmp_path: Path)
     [
         ({"effects": [{"effect": "magic", "parameters": {}}]}, "no effect 'magic'"),
         ({"intervals": {"wind.x_m_per_s": (0.0, 1.0)}}, "names no effect"),
-        ({"schema_version": 3}, "schema_version"),
+        ({"schema_version": 4}, "schema_version"),
     ],
 )
 def test_a_profile_refuses_what_it_does_not_know(

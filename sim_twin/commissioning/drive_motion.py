@@ -38,7 +38,7 @@ START_RAD_M = (
 """Start positions of the driven joints, by moved joint: three reaches, the load clear of the ground."""
 
 
-class DriveRecord(NamedTuple):
+class DriveMotion(NamedTuple):
     """Motions of one joint; N runs of T control ticks. Column k acts in tick k, or was read at its end."""
 
     actuator_speed_rad_m_per_s: Array
@@ -54,10 +54,10 @@ class DriveRecord(NamedTuple):
     sensor_age_s: float
     """Age of the sensor values when they were read."""
 
-    def runs(self, index: IntArray) -> "DriveRecord":
+    def runs(self, index: IntArray) -> "DriveMotion":
         """Some of the runs."""
         speed, ratio, reach, position, velocity = (part[index] for part in self[:5])
-        return DriveRecord(speed, ratio, reach, position, velocity, self.sensor_age_s)
+        return DriveMotion(speed, ratio, reach, position, velocity, self.sensor_age_s)
 
     @property
     def velocity_lag_s(self) -> float:
@@ -76,7 +76,7 @@ class DriveRecord(NamedTuple):
 
 def record_drives(
     plant: SimulatedDriver, spec: MachineSpec, calibration: ValveCalibration, seed: int
-) -> tuple[DriveRecord, DriveRecord, DriveRecord, DriveRecord]:
+) -> tuple[DriveMotion, DriveMotion, DriveMotion, DriveMotion]:
     """Drive copies of a machine with random valve commands, one joint at a time; one record per joint."""
     rng = np.random.default_rng((seed, 0xD21))
     count = plant.count
@@ -119,6 +119,6 @@ def record_drives(
         age_s += (plant.now_ns() - sample.t_mono_ns) * 1e-9 / ticks
         found[3, :, tick] = sample.joint_position_rad_m[rows, joint]
         found[4, :, tick] = sample.joint_velocity_rad_m_per_s[rows, joint]
-    every = DriveRecord(found[0], found[1], found[2], found[3], found[4], age_s)
+    every = DriveMotion(found[0], found[1], found[2], found[3], found[4], age_s)
     one, two, three, four = (every.runs(np.flatnonzero(joint == j)) for j in range(ACTIVE_COUNT))
     return one, two, three, four
