@@ -71,6 +71,7 @@ _VIOLATIONS = tuple(
         Violation.IMU,
         Violation.POLICY,
         Violation.RELEASE,
+        Violation.LATE,
     )
 )
 _RELEASE_REFUSED = int(safety.Intervention.RELEASE_REFUSED)
@@ -344,8 +345,9 @@ def _violations(
         (gated.intervention_count & _CLOSING_ON_ITS_OWN > 0) * _VIOLATIONS[0]
         + (throws & swings) * _VIOLATIONS[1]
         + ((throws | (motion == _SETTLE)) & old) * _VIOLATIONS[2]
-        + policy.failed * _VIOLATIONS[3]
+        + (policy.failed & ~policy.late) * _VIOLATIONS[3]
         + (gated.intervention_count & _RELEASE_REFUSED > 0) * _VIOLATIONS[4]
+        + policy.late * _VIOLATIONS[5]
     )
 
 

@@ -34,6 +34,8 @@ class Violation(IntFlag):
     """The policy gave a number that is not finite."""
     RELEASE = 16
     """The gate refused the release: the load would come down outside the plan's region."""
+    LATE = 32
+    """The policy took too long for its tick."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,9 @@ POLICY_ID = re.compile(r"[a-z0-9][a-z0-9._-]{2,63}")
 ACTIVE_FILE = "active.json"
 MAX_RUN_S = 0.02
 """Longest run of a policy that is accepted when it is loaded; a shipped one takes 0.05 ms."""
+LATE_PROCESSOR_S = 0.01
+LATE_WALL_S = 0.1
+"""A run of longer than a control tick of processor time, or than ten ticks on a busy computer, is late."""
 INPUT_NAME = "observation"
 OUTPUT_NAME = "action"
 
@@ -58,8 +61,13 @@ def find_policy(policies_dir: Path, mode: Mode) -> Path:
 class PolicyRunner:
     """One loaded policy. Thread-compatible, not shared between threads."""
 
-    def __init__(self, folder: Path, spec: MachineSpec) -> None:
+    def __init__(self, folder: Path, spec: MachineSpec, *, has_deadline: bool = False) -> None:
         """Load, check against card and machine, and warm up.
+
+        Args:
+            folder: of the policy.
+            spec: machine type.
+            has_deadline: whether runs may be late; a machine's may, a simulation's take what they take.
 
         Raises:
             PolicyError: with what differs, and what to do.
@@ -74,6 +82,9 @@ class PolicyRunner:
         _check_signature(
             self._session, folder / POLICY_FILE, self._observation_count, self._action_count
         )
+        self._has_deadline = has_deadline
+        self.is_late = False
+        """Whether the last run took too long for its tick."""
         self.action_scale_rad_m_per_s: Array = np.asarray(self.card.action_scale_rad_m_per_s)
         # The first runs allocate; and a file that cannot run must fail here, not in a throw.
         seconds: list[float] = []
@@ -95,10 +106,13 @@ class PolicyRunner:
                 f"policy {self.card.policy_id} got observations of shape {given.shape}, "
                 f"needs (N, {self._observation_count})"
             )
+        began_s, busy_s = time.perf_counter(), time.thread_time()
         try:
             result = self._session.run([OUTPUT_NAME], {INPUT_NAME: given})[0]
         except Exception as error:  # onnxruntime raises bare exceptions of its own C++ types
             raise PolicyError(f"policy {self.card.policy_id} failed to run ({error})") from error
+        busy_s, took_s = time.thread_time() - busy_s, time.perf_counter() - began_s
+        self.is_late = self._has_deadline and (busy_s > LATE_PROCESSOR_S or took_s > LATE_WALL_S)
         return np.asarray(result, dtype=np.float64)
 
     def act(self, observation: Array) -> Array:

@@ -39,7 +39,7 @@ class ThrowMemory(NamedTuple):
     velocity_history_rad_m_per_s: Array
     """(N, 4, 6)"""
     action_ratio: Array
-    """(N, A) last raw action; 0 where it was not finite."""
+    """(N, A) last raw action; 0 where it was not finite, or late."""
     request_rad_m_per_s: Array
     """(N, 4) held between policy steps."""
     released: BoolArray
@@ -75,7 +75,9 @@ class PolicyOutputs(NamedTuple):
     row: NDArray[np.void] | None
     """(N,) POLICY_ROW; None when no policy ran."""
     failed: BoolArray
-    """(N,) the policy gave a number that is not finite."""
+    """(N,) the policy gave a number that is not finite, or came too late."""
+    late: BoolArray
+    """(N,) it came too late."""
 
 
 def initial_throw(mode: Mode, count: int) -> ThrowMemory:
@@ -110,7 +112,7 @@ def run_policies(
     (due,) = (throws & (inputs.motion_tick_count % POLICY_DECIMATION == 0)).nonzero()
     failed = np.zeros(throws.shape, dtype=np.bool_)
     if due.size == 0:
-        return PolicyOutputs(memory, None, failed)
+        return PolicyOutputs(memory, None, failed, failed)
     if policy is None:
         raise PolicyError(
             f"a throw in mode {mode.value} needs a policy and none is loaded; "
@@ -118,9 +120,13 @@ def run_policies(
         )
     seen, memory = _observe(spec, mode, memory, inputs, due, policy.is_paced)
     raw = policy.infer(seen)
-    finite: BoolArray = np.asarray(np.isfinite(raw).all(axis=1))
-    failed[due] = ~finite
-    action = np.where(finite[:, None], raw, 0.0)
+    usable: BoolArray = np.asarray(np.isfinite(raw).all(axis=1))
+    late = np.zeros(throws.shape, dtype=np.bool_)
+    if policy.is_late:
+        # What it saw is over, a release by it above all.
+        usable, late[due] = np.zeros_like(usable), True
+    failed[due] = ~usable
+    action = np.where(usable[:, None], raw, 0.0)
     request = np.zeros((due.size, 4))
     # 2D has no slew action: its three velocities fill the last three joints.
     request[:, 5 - action.shape[1] :] = (
@@ -132,7 +138,7 @@ def run_policies(
         request_rad_m_per_s=_put(memory.request_rad_m_per_s, due, request),
         released=_put(memory.released, due, memory.released[due] | opens),
     )
-    return PolicyOutputs(memory, _row(mode, inputs, due, seen, raw), failed)
+    return PolicyOutputs(memory, _row(mode, inputs, due, seen, raw), failed, late)
 
 
 def _wait(memory: ThrowMemory, inputs: PolicyInputs, throws: BoolArray) -> ThrowMemory:

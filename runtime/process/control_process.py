@@ -275,7 +275,8 @@ def build_control(settings: MachineSettings) -> MachineControl:
     policies: dict[Mode, PolicyRunner] = {}
     for mode in Mode:
         try:
-            policies[mode] = PolicyRunner(find_policy(settings.policies_dir, mode), spec)
+            folder = find_policy(settings.policies_dir, mode)
+            policies[mode] = PolicyRunner(folder, spec, has_deadline=True)
         except PolicyError as error:
             # The machine runs without it and says so in its arming checks.
             logger.warning("no %s policy on board: %s", mode.value, error)

@@ -44,6 +44,8 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
         return f"the gripper swung beyond {swing_limit_rad:.2f} rad"
     if Violation.IMU in found:
         return f"no gripper IMU sample for more than {IMU_AGE_MAX_S:.2f} s; check its radio and battery"
+    if Violation.LATE in found:
+        return "the policy took too long for its tick; free the machine's computer, or use another policy"
     if Violation.POLICY in found:
         return "the policy gave a number that is not finite; use another policy version"
     if Violation.RELEASE in found:

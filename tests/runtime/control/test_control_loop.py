@@ -31,7 +31,7 @@ class Scripted:
     """Steady action; the last action asks for the release."""
 
     action_scale_rad_m_per_s = np.array([0.5, 0.7, 0.5])
-    is_paced = False
+    is_paced = is_late = False
 
     card = SimpleNamespace(mode=Mode.PLANAR, policy_id="scripted", policy_sha256="0" * 64)
 
@@ -179,6 +179,15 @@ def test_too_much_swing(axis, sign, beyond, violates):
     # The hand-made sample is not newer, so the angle stays.
     out = loop.step(Motion.THROW, imu_t_mono_ns=np.array([NOW_NS - 1]))
     assert out.violation_count[0] == (int(Violation.SWING) if violates else 0)
+
+
+def test_a_late_policy_is_a_violation_and_moves_and_releases_nothing():
+    policy = Scripted((1.0, 1.0, 1.0, 1.0))
+    policy.is_late = True
+    out = Loop(policy=policy).step(Motion.THROW)
+    assert out.violation_count[0] == int(Violation.LATE)
+    assert not out.release_commanded.any() and not out.command.gripper_open.any()
+    assert not out.row["velocity_request_rad_m_per_s"].any()
 
 
 def test_a_broken_policy_is_a_violation_and_moves_nothing():

@@ -75,6 +75,7 @@ class Wandering:
     action_scale_rad_m_per_s = np.array([0.6, 0.35, 0.5, 0.35])
     is_paced = False
 
+    is_late = False
     card = SimpleNamespace(mode=Mode.SPATIAL, policy_id="wandering", policy_sha256="0" * 64)
 
     def __init__(self, count):

@@ -1,5 +1,6 @@
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -162,6 +163,39 @@ def test_an_action_that_is_no_number_later(swing_policies):
         runner.act(observation)
     raw = runner.infer(observation)
     assert np.isfinite(raw).all(axis=1).tolist() == [True, False, True]
+
+
+class SlowSession:
+    """A session whose runs take so much processor time, and so much time, of a clock of its own."""
+
+    def __init__(self, session, processor_s, wall_s):
+        self.session, self.took = session, (processor_s, wall_s)
+        self.busy_s = self.now_s = 0.0
+        self.clock = SimpleNamespace(
+            thread_time=lambda: self.busy_s, perf_counter=lambda: self.now_s
+        )
+
+    def run(self, *arguments):
+        self.busy_s += self.took[0]
+        self.now_s += self.took[1]
+        return self.session.run(*arguments)
+
+
+@each(
+    "processor_s, wall_s, is_late",
+    [(0.0, 0.0, False), (0.011, 0.011, True), (0.009, 0.099, False), (0.0, 0.101, True)],
+)
+def test_a_run_that_takes_too_long_for_its_tick_is_late(
+    processor_s, wall_s, is_late, swing_policies, monkeypatch
+):
+    for has_deadline in (True, False):
+        runner = PolicyRunner(swing_policies / "swing-2d", SPEC, has_deadline=has_deadline)
+        slow = SlowSession(runner._session, processor_s, wall_s)
+        runner._session = slow
+        with monkeypatch.context() as patch:
+            patch.setattr("runtime.control.policy.time", slow.clock)
+            runner.infer(np.zeros((1, 56)))
+        assert runner.is_late == (has_deadline and is_late)
 
 
 def test_an_observation_of_the_wrong_width(swing_policies):

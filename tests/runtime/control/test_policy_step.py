@@ -17,6 +17,7 @@ class Scripted:
 
     def __init__(self, actions, mode=Mode.SPATIAL, is_paced=False):
         self.is_paced = is_paced
+        self.is_late = False
         self.actions = np.asarray(actions, dtype=float)
         self.action_scale_rad_m_per_s = np.array([0.95, 0.5, 0.7, 0.5])[
             -(self.actions.shape[-1] - 1) :

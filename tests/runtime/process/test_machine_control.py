@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from machine.conventions import Mode
+from machine.conventions import Mode, Motion
 from machine.errors import PolicyError
 from machine.messages import FireRequest, LeaseNotice, StopRequest, ThrowState
 from runtime.throw.protocol import Latch, LinkLost
@@ -85,6 +85,25 @@ def test_blind_loop_ends_a_throw_before_its_commit_point(bench):
     assert bench.control.throw.state is ThrowState.THROWING
     bench.tick(bench.beat(), skipped=10)
     assert "stood still for 100 ms" in bench.events[-1].data["reason"]
+
+
+def test_policy_that_takes_too_long_aborts_the_throw_and_says_so(bench, monkeypatch):
+    assert bench.ask(bench.fire_command(bench.arm())).accepted
+    bench.hold_until("throw_started")
+    runner = bench.runners[Mode.PLANAR]
+    infer = runner.infer
+
+    def late(observation):
+        action = infer(observation)
+        runner.is_late = True
+        return action
+
+    monkeypatch.setattr(runner, "infer", late)
+    bench.hold_until("aborted")
+    (aborted,) = [event for event in bench.events if event.kind == "aborted"]
+    assert "the policy took too long" in aborted.data["reason"]
+    assert bench.control.throw.motion is Motion.HOLD
+    assert "release_commanded" not in bench.kinds
 
 
 def test_policy_that_cannot_run_closes_the_valves_and_latches_a_fault(bench, monkeypatch):
