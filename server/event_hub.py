@@ -18,6 +18,7 @@ from server.schemas.events import (
     MachineLostEvent,
     MachineStateEvent,
     PlanUpdatedEvent,
+    PointPickedEvent,
     SiteUpdatedEvent,
     TargetProposedEvent,
     ThrowUpdatedEvent,
@@ -28,6 +29,7 @@ DiscreteEvent = (
     MachineLostEvent
     | LeaseChangedEvent
     | TargetProposedEvent
+    | PointPickedEvent
     | PlanUpdatedEvent
     | ThrowUpdatedEvent
     | GapUpdatedEvent

@@ -14,10 +14,10 @@ from server.event_hub import EventHub
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
 from server.schemas.console import TargetView, ViewRequest
-from server.schemas.events import TargetProposedEvent
+from server.schemas.events import PointPickedEvent, TargetProposedEvent
 from server.viewer.pick import PickRefusedError
 from server.viewer.scene import ViewerScene
-from server.viewer.state import Reach
+from server.viewer.state import PickFor, Reach
 
 Source = Literal["pick", "fields"]
 SAME_REACH_M = 0.05
@@ -33,6 +33,7 @@ class ViewContext:
     targets: dict[str, Target] = field(default_factory=dict[str, Target])
     reach: Reach | None = None
     """As last drawn."""
+    pick_for: PickFor = "target"
 
 
 class TargetProposals:
@@ -90,6 +91,13 @@ class TargetProposals:
         context = self._context(session_id)
         if context.machine_id is None:
             return
+        if context.pick_for == "point":
+            x_m, y_m, z_m = point_m
+            event = PointPickedEvent(
+                machine_id=context.machine_id, session_id=session_id, x_m=x_m, y_m=y_m, z_m=z_m
+            )
+            self._hub.publish(event, session_id)
+            return
         target = Target(x_m=point_m[0], y_m=point_m[1], z_m=point_m[2])
         self.propose(session_id, context.machine_id, target, None, "pick")
 
@@ -117,6 +125,9 @@ class TargetProposals:
             self._scene.set_camera(session_id, request.camera)
         if request.is_picking is not None:
             self._scene.set_picking(session_id, request.is_picking)
+        if request.pick_for is not None:
+            context.pick_for = request.pick_for
+            self._scene.set_pick_for(session_id, request.pick_for)
         if request.play_preview:
             self._scene.play_preview(session_id)
 

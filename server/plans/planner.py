@@ -98,6 +98,7 @@ class Planner:
             row.state = PlanState.REFUSED.value
             row.refusals = [{"reason": refusal.reason.value, "detail": refusal.detail}]
             row.is_complete = True
+            self._scene.clear_plan(session.session_id)
         running = self._store.add(row)
         if refusal is None:
             self._supersede(session.session_id, row.plan_id)
@@ -247,6 +248,7 @@ class Planner:
                 self._scene.update_ellipse(row.session_id, preview.ellipse)
             return
         if preview.frames_rad_m.shape[0] < 2:
+            self._scene.clear_plan(row.session_id)
             return
         is_released = np.isfinite(preview.release_s)
         self._scene.show_plan(

@@ -275,7 +275,9 @@ class ViewRequest(Request):
     theme: Literal["light", "dark"] | None = None
     camera: Literal["3d", "top", "side"] | None = None
     is_picking: bool | None = None
-    """Whether a click places the target."""
+    """Whether clicks count."""
+    pick_for: Literal["target", "point"] | None = None
+    """Whether a click places the target, or is only reported (event `point.picked`)."""
     play_preview: bool = False
     """Play the plan's ghost once more."""
 

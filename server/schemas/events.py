@@ -50,6 +50,17 @@ class TargetProposedEvent(View):
     """Why the point cannot be a target; empty if it can."""
 
 
+class PointPickedEvent(View):
+    """A click in this session's 3D view that is no target; m, frame `machine`."""
+
+    kind: Literal["point.picked"] = "point.picked"
+    machine_id: str
+    session_id: str
+    x_m: float
+    y_m: float
+    z_m: float
+
+
 class PlanUpdatedEvent(View):
     """A plan has news: first numbers, a better ellipse, the end."""
 
@@ -103,6 +114,7 @@ class ServerEvent(
             | MachineLostEvent
             | LeaseChangedEvent
             | TargetProposedEvent
+            | PointPickedEvent
             | PlanUpdatedEvent
             | ThrowUpdatedEvent
             | GapUpdatedEvent

@@ -1,6 +1,7 @@
 """What a session marks on the ground: reach, impacts, target and the predicted throw."""
 
 import math
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -9,10 +10,15 @@ import viser
 from machine.conventions import Array
 from server.viewer import shapes
 from server.viewer.ground import GroundNodes
+from server.viewer.pick import Ray
 from server.viewer.state import ImpactMarks, Point, ShownPlan, ShownSession
 from server.viewer.theme import THEMES, Rgb, Theme
 
 Node = viser.SceneNodeHandle
+OnTargetDrag = Callable[[Ray], None]
+TARGET_HANDLE = "/target/handle"
+"""What is dragged; the only node whose drags the proxy lets through."""
+HANDLE_RADIUS_M = 0.6
 LIFT_M = 0.03
 """Marks lie this much above the ground they mark, so that neither hides the other."""
 LABEL_SCALE = 1.2
@@ -23,8 +29,14 @@ LABEL_AWAY_M = 0.95
 class MarkNodes:
     """The marks of one browser, in groups that are drawn anew one by one."""
 
-    def __init__(self, client: viser.ClientHandle) -> None:
-        self._client = client
+    def __init__(self, client: viser.ClientHandle, on_target_drag: OnTargetDrag) -> None:
+        """Prepare.
+
+        Args:
+            client: browser to draw in.
+            on_target_drag: called in viser's event loop while the target is dragged.
+        """
+        self._on_target_drag = on_target_drag
         self._scene = client.scene
         self._groups: dict[str, list[Node]] = {}
 
@@ -144,7 +156,7 @@ class MarkNodes:
                 name = "/impacts/latest_label"
                 nodes.append(self._label(name, marks.latest_text, at, anchor="top-center"))
 
-    def draw_target(self, state: ShownSession, *, flush: bool = False) -> None:
+    def draw_target(self, state: ShownSession) -> None:
         """The target mark with range and bearing; moved, not made anew, while it exists."""
         nodes = self._groups.get("target", [])
         if state.target_m is None:
@@ -167,10 +179,16 @@ class MarkNodes:
             self._lines("/target/ring", ring, theme.accent, 2.5)
             self._lines("/target/ticks", shapes.target_cross(0.45, 0.75), theme.accent, 2.5)
             self._flat("/target/dot", shapes.disc(0.045, 24), theme.accent, 1.0)
+            grip = self._flat(TARGET_HANDLE, shapes.disc(HANDLE_RADIUS_M, 32), theme.accent, 0.06)
+            if isinstance(grip, viser.MeshHandle):
+                grip.on_drag(self._drag)
             label = self._label("/target/label", text, outward, 1.3)
             self._groups["target"] = [frame, label]
-        if flush:
-            self._client.flush()
+
+    async def _drag(self, event: viser.SceneNodeDragEvent[viser.MeshHandle]) -> None:
+        """The pointer while the target is held, as a ray from the camera."""
+        origin = np.asarray(event.client.camera.position, dtype=np.float64)
+        self._on_target_drag(Ray(origin, np.asarray(event.end_position) - origin))
 
     def draw_plan(self, state: ShownSession) -> None:
         """Predicted path of the load, landing ellipses of 1 and 2 sigma, predicted impact."""
@@ -179,7 +197,7 @@ class MarkNodes:
         if plan is None:
             return
         theme = THEMES[state.theme]
-        if len(plan.motion.ball_path_m) > 1:
+        if len(plan.motion.ball_path_m) > 1 and not plan.is_estimate:
             path = shapes.polyline(plan.motion.ball_path_m)
             nodes.append(self._lines("/plan/path", path, theme.accent, 2.5))
         nodes += self._ellipses(plan, theme)
@@ -196,7 +214,9 @@ class MarkNodes:
             outline = shapes.landing_ellipse(plan.ellipse, plan.target_m, sigma)
             at = (0.0, 0.0, LIFT_M * (0.5 if sigma == 2.0 else 0.7))
             name = f"/plan/sigma{sigma:.0f}"
-            nodes.append(self._flat(f"{name}_fill", shapes.fan(outline), theme.accent, fill, at))
+            if not plan.is_estimate:
+                area = shapes.fan(outline)
+                nodes.append(self._flat(f"{name}_fill", area, theme.accent, fill, at))
             nodes.append(self._lines(name, shapes.polyline(outline), theme.accent, 1.6, at))
         return nodes
 

@@ -18,6 +18,7 @@ from server.viewer.stage import OnPick, OnPickRefused, ViewerStage
 from server.viewer.state import (
     ImpactMarks,
     LiveSample,
+    PickFor,
     Point,
     Reach,
     ReplayState,
@@ -102,9 +103,15 @@ class ViewerScene:
         def change(state: ShownSession) -> None:
             if state.machine_id == machine_id:
                 return
-            kept = (state.theme, state.camera, state.camera_count, state.is_picking)
+            kept = (
+                state.theme,
+                state.camera,
+                state.camera_count,
+                state.is_picking,
+                state.pick_for,
+            )
             fresh = ShownSession(machine_id=machine_id)
-            fresh.theme, fresh.camera, fresh.camera_count, fresh.is_picking = kept
+            fresh.theme, fresh.camera, fresh.camera_count, fresh.is_picking, fresh.pick_for = kept
             state.__dict__.update(fresh.__dict__)
 
         def draw(view: ClientView, state: ShownSession) -> None:
@@ -119,6 +126,10 @@ class ViewerScene:
         """Let clicks place a target, or not."""
         self._stage.apply(session_id, lambda state: setattr(state, "is_picking", is_picking), None)
 
+    def set_pick_for(self, session_id: str, pick_for: PickFor) -> None:
+        """Let clicks place the target, or only report their point."""
+        self._stage.apply(session_id, lambda state: setattr(state, "pick_for", pick_for), None)
+
     def set_site(self, session_id: str, objects: Sequence[SiteObject]) -> None:
         """Show what stands around the machine; clicks place the target on it."""
 
@@ -128,12 +139,8 @@ class ViewerScene:
         self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
 
     def set_target(self, session_id: str, target_m: Point | None) -> None:
-        """Show or take away the target mark."""
-        self._stage.apply(
-            session_id,
-            lambda state: setattr(state, "target_m", target_m),
-            lambda view, state: view.marks.draw_target(state, flush=True),
-        )
+        """Show or take away the target mark; the ellipse of the last preview goes along as an estimate."""
+        self._stage.move_target(session_id, target_m)
 
     def set_reach(self, session_id: str, reach: Reach | None) -> None:
         """Show range rings and dim the ground out of reach."""
@@ -184,8 +191,7 @@ class ViewerScene:
         plan = ShownPlan(target_m, motion, impact_m, ellipse)
 
         def change(state: ShownSession) -> None:
-            state.plan, state.target_m = plan, target_m
-            state.preview = Playback(motion) if play else None
+            state.take_plan(plan, play=play)
 
         def draw(view: ClientView, state: ShownSession) -> None:
             view.marks.draw_target(state)
@@ -197,8 +203,8 @@ class ViewerScene:
         """Show a landing ellipse that came after the preview."""
 
         def change(state: ShownSession) -> None:
-            if state.plan is not None:
-                plan = state.plan
+            plan = state.plan
+            if plan is not None and not plan.is_estimate:
                 state.plan = ShownPlan(plan.target_m, plan.motion, plan.impact_m, ellipse)
 
         self._stage.apply(session_id, change, lambda view, state: view.marks.draw_plan(state))
@@ -207,7 +213,7 @@ class ViewerScene:
         """Play the plan's ghost once more."""
 
         def change(state: ShownSession) -> None:
-            if state.plan is not None:
+            if state.plan is not None and not state.plan.is_estimate:
                 state.preview = Playback(state.plan.motion)
 
         self._stage.apply(session_id, change, None)

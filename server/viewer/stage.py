@@ -3,6 +3,7 @@
 Everything that touches a browser's scene runs here, in order; callers hand in what they want as jobs.
 """
 
+import contextlib
 import logging
 import queue
 import threading
@@ -65,6 +66,8 @@ class ViewerStage:
         self._lock = threading.Lock()
         self._samples: dict[str, LiveSample] = {}
         self._lost_since_s: dict[str, float] = {}
+        self._drags: dict[str, Ray] = {}
+        """Newest pointer of sessions whose target is being dragged."""
         self._next_frame_s = 0.0
 
     def start(self) -> None:
@@ -129,6 +132,18 @@ class ViewerStage:
                     draw(view, state)
 
         self._jobs.put(job)
+
+    def move_target(self, session_id: str, target_m: Point | None) -> None:
+        """Set, move or remove a session's target mark, and the ellipse with it."""
+
+        def draw(view: ClientView, state: ShownSession) -> None:
+            view.marks.draw_target(state)
+            if state.plan is not None and state.plan.is_estimate:
+                view.marks.draw_plan(state)
+                view.show_ghost(None, state)
+            view.client.flush()
+
+        self.apply(session_id, lambda state: state.move_target(target_m), draw)
 
     def _state_of(self, session_id: str) -> ShownSession:
         if session_id not in self._sessions and len(self._sessions) >= MAX_SESSIONS:
@@ -238,7 +253,13 @@ class ViewerStage:
         if self._kit is None or not ViewerServer.is_open(client):
             return
         state = self._state_of(session_id)
-        view = ClientView(client, self._kit, state, shadows=self._shadows)
+        view = ClientView(
+            client,
+            self._kit,
+            state,
+            on_target_drag=lambda ray: self._dragged(session_id, ray),
+            shadows=self._shadows,
+        )
         self._views[client.client_id] = (session_id, view)
         view.draw_all(state)
         client.flush()
@@ -260,13 +281,32 @@ class ViewerStage:
             if self._on_pick_refused is not None:
                 self._on_pick_refused(session_id, refusal)
             return
-        # The mark first: the operator's eye is on it.
-        self.apply(
-            session_id,
-            lambda state: setattr(state, "target_m", point),
-            lambda view, state: view.marks.draw_target(state, flush=True),
-        )
+        if state.pick_for == "target":
+            # The mark first: the operator's eye is on it.
+            self.move_target(session_id, point)
         self._on_pick(session_id, point)
+
+    def _dragged(self, session_id: str, ray: Ray) -> None:
+        """The pointer of a browser that drags the target; of several waiting ones only the newest counts."""
+        with self._lock:
+            is_waiting = session_id in self._drags
+            self._drags[session_id] = ray
+        if not is_waiting:
+            self._jobs.put(lambda: self._follow_drag(session_id))
+
+    def _follow_drag(self, session_id: str) -> None:
+        with self._lock:
+            ray = self._drags.pop(session_id)
+        state = self._sessions.get(session_id)
+        if state is None or state.machine_id is None or not state.is_picking:
+            return
+        if state.pick_for != "target":
+            return
+        # A pointer over the sky or a side moves nothing.
+        with contextlib.suppress(PickRefusedError):
+            point = pick_surface(ray, state.site)
+            self.move_target(session_id, point)
+            self._on_pick(session_id, point)
 
 
 def lost_text(ago_s: float) -> str:

@@ -1,8 +1,9 @@
 """What one operator's session shows in its 3D view; kept on the server, so that a reload shows it again."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from server.viewer.replay import Playback, ThrowMotion
 from server.viewer.theme import CameraPreset, ThemeName
 
 Point = tuple[float, float, float]
+PickFor = Literal["target", "point"]
+SAME_TARGET_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,25 @@ class ShownPlan:
     motion: ThrowMotion
     impact_m: Point | None
     ellipse: LandingEllipse | None
+    is_estimate: bool = False
+    """The target moved on: of this plan only the ellipse is drawn, where it would about lie."""
+
+    def estimate_at(self, target_m: Point) -> "ShownPlan":
+        """Estimated plan for a target nearby, until it is previewed itself.
+
+        In frame `throw` the ellipse keeps its mean and its correlation; its standard deviations grow with
+        the range, because errors of speed and direction at the release do.
+        """
+        ellipse = self.ellipse
+        before_m, after_m = (math.hypot(p[0], p[1]) for p in (self.target_m, target_m))
+        if ellipse is not None and before_m > 0.0:
+            scale = after_m / before_m
+            changes = {
+                "sd_downrange_m": scale * ellipse.sd_downrange_m,
+                "sd_crossrange_m": scale * ellipse.sd_crossrange_m,
+            }
+            ellipse = ellipse.model_copy(update=changes)
+        return ShownPlan(target_m, self.motion, None, ellipse, is_estimate=True)
 
 
 @dataclass(frozen=True)
@@ -87,6 +109,8 @@ class ShownSession:
     target_m: Point | None = None
     site: tuple[SiteObject, ...] = ()
     is_picking: bool = True
+    pick_for: PickFor = "target"
+    """What a click gives: the target, or a point for the page around the view."""
     reach: Reach | None = None
     plan: ShownPlan | None = None
     preview: Playback | None = None
@@ -100,12 +124,30 @@ class ShownSession:
     camera_count: int = 0
     """Grows with every asked camera change."""
 
+    def move_target(self, target_m: Point | None) -> None:
+        """Set or remove the target; what was previewed for another one becomes an estimate."""
+        self.target_m = target_m
+        if self.plan is not None and target_m is not None and not _is_same(self.plan, target_m):
+            self.plan, self.preview = self.plan.estimate_at(target_m), None
+
+    def take_plan(self, plan: ShownPlan, *, play: bool) -> None:
+        """Show a preview; one that arrives after its target was moved on is an estimate."""
+        if self.target_m is not None and not _is_same(plan, self.target_m):
+            self.plan, self.preview = plan.estimate_at(self.target_m), None
+            return
+        self.plan, self.target_m = plan, plan.target_m
+        self.preview = Playback(plan.motion) if play else None
+
     @property
     def drawn_site(self) -> tuple[SiteObject, ...]:
         """What stands around the machine in what is shown: today's site, or that of the replay."""
         if self.replay is None or self.replay_site is None:
             return self.site
         return self.replay_site
+
+
+def _is_same(plan: ShownPlan, target_m: Point) -> bool:
+    return not plan.is_estimate and math.dist(plan.target_m, target_m) < SAME_TARGET_M
 
 
 def as_joints(values: Sequence[float] | Array) -> Array:

@@ -5,7 +5,7 @@ import viser
 
 from machine.conventions import wrap_angle_rad
 from server.viewer.ground import GroundNodes
-from server.viewer.marks import MarkNodes
+from server.viewer.marks import MarkNodes, OnTargetDrag
 from server.viewer.nodes import PAYLOAD, MachineKit, MachineNodes, Tint
 from server.viewer.replay import Moment
 from server.viewer.state import LiveSample, Point, ShownSession
@@ -20,10 +20,16 @@ class ClientView:
     """The nodes of one connected browser."""
 
     def __init__(
-        self, client: viser.ClientHandle, kit: MachineKit, state: ShownSession, *, shadows: bool
+        self,
+        client: viser.ClientHandle,
+        kit: MachineKit,
+        state: ShownSession,
+        *,
+        on_target_drag: OnTargetDrag,
+        shadows: bool,
     ) -> None:
         self.client = client
-        self.marks = MarkNodes(client)
+        self.marks = MarkNodes(client, on_target_drag)
         self._scene = client.scene
         self._kit = kit
         self._shadows = shadows

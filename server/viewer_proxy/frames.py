@@ -1,4 +1,4 @@
-"""Which messages a browser may send to the 3D view: its camera and its clicks. All else is dropped.
+"""Which messages a browser may send to the 3D view: camera, clicks, drags of the target; no others.
 
 viser trusts its clients (a crafted frame fires hidden controls or opens a public tunnel), so frames are
 decoded, checked field by field and written anew; what is not listed here never reaches it.
@@ -17,6 +17,9 @@ Vector = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 Pixels = Annotated[int, Field(ge=1, le=32768)]
 Unit = Annotated[float, Field(allow_inf_nan=False, ge=-1.0, le=2.0)]
+Wide = Annotated[float, Field(allow_inf_nan=False, ge=-100.0, le=100.0)]
+ScreenPoint = tuple[Wide, Wide]
+"""In pictures; a pointer that drags may leave the picture."""
 
 
 class MalformedFrameError(Exception):
@@ -53,8 +56,24 @@ class ClickFrame(_Frame):
     modifier: None
 
 
-_ALLOWED: Final = TypeAdapter[CameraFrame | ClickFrame](
-    Annotated[CameraFrame | ClickFrame, Field(discriminator="type")]
+class DragFrame(_Frame):
+    """The pointer while the target's mark is dragged with the left button or a finger."""
+
+    type: Literal["SceneNodeDragMessage"]
+    phase: Literal["start", "update", "end"]
+    name: Literal["/target/handle"]
+    instance_index: None
+    start_position: Vector
+    start_screen_pos: ScreenPoint
+    end_position: Vector
+    end_screen_pos: ScreenPoint
+    button: Literal["left"]
+    modifier: None
+    owner: Annotated[str, Field(max_length=128)] = ""
+
+
+_ALLOWED: Final = TypeAdapter[CameraFrame | ClickFrame | DragFrame](
+    Annotated[CameraFrame | ClickFrame | DragFrame, Field(discriminator="type")]
 )
 
 

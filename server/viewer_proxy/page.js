@@ -48,8 +48,10 @@
         } else if (data?.type === "message_batch") {
           colour(data.messages);
           if (isDrawn) return;
-          isDrawn = data.messages.some((message) => message.name === "/ground");
+          const has = (start) => data.messages.some(({ name }) => name?.startsWith(start));
+          isDrawn = has("/live/") || has("/replay/");
           if (isDrawn) tell("drawn");
+          else if (has("/ground")) tell("ground");
         } else if (data?.type === "closed") {
           closed();
         }

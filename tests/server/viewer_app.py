@@ -117,6 +117,23 @@ def click(
     }
 
 
+def drag(phase: str, to: tuple[float, float, float], owner: str = "") -> dict[str, Any]:
+    """The target's mark dragged to where the pointer is over a point; a page echoes the mark's owner."""
+    return {
+        "type": "SceneNodeDragMessage",
+        "phase": phase,
+        "name": "/target/handle",
+        "instance_index": None,
+        "start_position": list(to),
+        "start_screen_pos": [0.5, 0.5],
+        "end_position": list(to),
+        "end_screen_pos": [0.5, 0.5],
+        "button": "left",
+        "modifier": None,
+        "owner": owner,
+    }
+
+
 @dataclass(frozen=True)
 class Port:
     """A service of another process."""

@@ -91,3 +91,17 @@ def test_moving_at_one_height_draws_no_ring_anew(desk: TargetProposals, scene: S
 def test_a_mode_without_a_policy_shows_what_the_others_reach(desk: TargetProposals, scene: Scene):
     desk.propose("s", "m001", Target(x_m=8.0, y_m=0.0, z_m=2.0), Mode.SPATIAL, "fields")
     assert (scene.rings[-1].mode, scene.rings[-1].raised_m) == (None, 9.0)
+
+
+def test_a_click_for_a_point_is_reported_and_proposes_nothing(
+    desk: TargetProposals, monkeypatch: pytest.MonkeyPatch
+):
+    published: list[object] = []
+    monkeypatch.setattr(desk._hub, "publish", lambda event, _: published.append(event))
+    desk.set_view("s", ViewRequest(pick_for="point"))
+    desk.take_pick("s", (8.0, 1.0, 0.0))
+    assert [event.kind for event in published] == ["point.picked"]
+    assert desk.target_of("s", "m001") is None
+    desk.set_view("s", ViewRequest(pick_for="target"))
+    desk.take_pick("s", (8.0, 1.0, 0.0))
+    assert published[-1].kind == "target.proposed"

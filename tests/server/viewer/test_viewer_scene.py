@@ -11,9 +11,9 @@ from machine.starts import safe_pose
 from server.viewer.replay import ThrowMotion
 from server.viewer.scene import ViewerScene
 from server.viewer.stage import lost_text
-from server.viewer.state import Reach
+from server.viewer.state import Reach, ShownPlan
 from tests.cases import each
-from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, wait_for
+from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, drag, wait_for
 
 POSE = safe_pose(0.3)
 ELLIPSE = LandingEllipse(
@@ -131,9 +131,10 @@ def test_rings_labels_and_dimmed_ground(app: ViewerApp, session: str, client: Vi
     assert "/reach/raised" not in client.nodes
     app.scene.set_reach(session, Reach(7.5, 10.9, 10.92, 5.0, Mode.PLANAR))
     client.until(
-        lambda: "/reach/spatial_label" not in client.nodes, "one ring where both are alike"
+        lambda: client.nodes.get("/reach/planar_label", {}).get("text") == "10.9 m 2D and 3D",
+        "one ring where both are alike",
     )
-    assert client.nodes["/reach/planar_label"]["text"] == "10.9 m 2D and 3D"
+    assert "/reach/spatial_label" not in client.nodes
     raised = Reach(7.5, 10.9, 11.4, 5.0, Mode.PLANAR, raised_m=10.3, height_m=1.2)
     app.scene.set_reach(session, raised)
     client.until(lambda: "/reach/raised_label" in client.nodes, "the ring of the target's height")
@@ -180,7 +181,7 @@ def test_a_click_marks_the_target_and_tells(
     client.until(lambda: "/site/1/edges" in client.nodes, "the bed and the pit")
     assert client.nodes["/site/0/label"]["text"] == "bed"
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
-    client.until(lambda: "/target" in client.nodes, "the mark")
+    client.until(lambda: client.nodes.get("/target", {}).get("position"), "the mark")
     assert client.nodes["/target"]["position"] == pytest.approx([9.0, 3.0, 1.03])
     wait_for(lambda: app.picks and app.picks[-1][0] == session, "the pick")
     assert app.picks[-1][1] == pytest.approx((9.0, 3.0, 1.0), abs=1e-5)
@@ -245,6 +246,61 @@ def test_a_plan_is_drawn_and_its_ghost_plays_once(
         lambda: not any(n.startswith(("/plan/", "/ghost")) for n in client.nodes), "no plan"
     )
     assert "/target" in client.nodes
+
+
+def test_a_dragged_target_takes_its_ellipse_along(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.show_plan(session, (9.0, 0.0, 0.0), motion(), ellipse=ELLIPSE)
+    client.until(lambda: "/plan/sigma1_fill" in client.nodes, "the ellipse")
+    before = len(app.picks)
+    bindings = [m for m in client.messages if m["type"] == "SetSceneNodeDragBindingsMessage"]
+    owner = next(m["owner"] for m in bindings if m["name"] == "/target/handle")
+    client.send(drag("start", (9.0, 0.0, 0.0), owner))
+    for x_m in (8.5, 8.0, 7.5):
+        client.send(drag("update", (x_m, 1.0, 0.0), owner))
+    client.send(drag("end", (7.5, 1.0, 0.0), owner))
+    wait_for(
+        lambda: app.picks[before:] and app.picks[-1][1] == pytest.approx((7.5, 1.0, 0.0)),
+        "the last place of the pointer",
+    )
+    client.until(
+        lambda: client.nodes["/target"]["position"][:2] == pytest.approx([7.5, 1.0]), "the mark"
+    )
+    # Of the preview only the outline stays, as an estimate at the new place.
+    client.until(lambda: "/plan/path" not in client.nodes, "the path to go")
+    client.until(lambda: "/plan/sigma1" in client.nodes, "the estimate")
+    assert "/plan/sigma1_fill" not in client.nodes
+    # A preview of where the target no longer is does not pull it back.
+    app.scene.show_plan(session, (9.0, 0.0, 0.0), motion(), ellipse=ELLIPSE)
+    app.scene.show_plan(session, (7.5, 1.0, 0.0), motion(), ellipse=ELLIPSE)
+    client.until(lambda: "/plan/sigma1_fill" in client.nodes, "the new preview")
+    assert client.nodes["/target"]["position"][:2] == pytest.approx([7.5, 1.0])
+
+
+def test_clicks_for_a_point_leave_the_target(
+    app: ViewerApp, session: str, client: ViewClient
+) -> None:
+    app.scene.set_target(session, (9.0, 0.0, 0.0))
+    app.scene.set_pick_for(session, "point")
+    client.until(lambda: "/target" in client.nodes, "the target")
+    before = len(app.picks)
+    client.send(click((0.0, 0.0, 5.0), (1.5, 0.5, -1.0)))
+    wait_for(lambda: len(app.picks) > before, "the point")
+    state = app.scene._stage.session(session)
+    assert state is not None
+    assert state.target_m == (9.0, 0.0, 0.0)
+
+
+def test_an_estimate_turns_with_the_target_and_grows_with_its_range() -> None:
+    plan = ShownPlan((8.0, 0.0, 0.0), motion(), (8.0, 0.1, 0.0), ELLIPSE)
+    moved = plan.estimate_at((0.0, 10.0, 0.0))
+    assert moved.is_estimate
+    assert moved.impact_m is None
+    assert moved.ellipse is not None
+    assert moved.ellipse.sd_downrange_m == pytest.approx(0.25)
+    assert moved.ellipse.sd_crossrange_m == pytest.approx(0.125)
+    assert moved.ellipse.mean_downrange_error_m == ELLIPSE.mean_downrange_error_m
 
 
 def test_a_ghost_draws_only_what_leaves_the_live_machine(

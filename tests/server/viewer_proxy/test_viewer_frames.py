@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 from server.viewer_proxy.frames import MAX_FRAME_BYTES, MalformedFrameError, filter_frame
 from tests.cases import each
-from tests.server.viewer_app import CAMERA, click
+from tests.server.viewer_app import CAMERA, click, drag
 
 CLICK = click((0.0, 0.0, 5.0), (0.3, 0.0, -1.0))
-ALLOWED = {"ViewerCameraMessage", "ScenePointerMessage"}
+DRAG = drag("update", (8.0, 0.0, 0.0))
+ALLOWED = {"ViewerCameraMessage", "ScenePointerMessage", "SceneNodeDragMessage"}
 ALL_TYPES = sorted(wire.Message._subclass_from_type_string())
 
 
@@ -22,7 +23,7 @@ def passed(message: object) -> Any:
     return None if frame is None else msgpack.unpackb(frame)
 
 
-@each("message", [CAMERA, CLICK])
+@each("message", [CAMERA, CLICK, DRAG])
 def test_what_the_page_sends_passes_and_viser_reads_it(message: dict[str, Any]) -> None:
     frame = filter_frame(msgpack.packb(message))
     assert frame is not None
@@ -48,6 +49,21 @@ def test_no_other_message_of_viser_passes() -> None:
         if passed(message) is not None
     ]
     assert not leaked
+
+
+@each(
+    "change",
+    [
+        {"name": "/live"},
+        {"phase": "other"},
+        {"button": "right"},
+        {"end_position": [0.0, float("nan"), 0.0]},
+        {"instance_index": 3},
+        {"uuid": "x"},
+    ],
+)
+def test_only_drags_of_the_target_pass(change: dict[str, Any]) -> None:
+    assert passed({**DRAG, **change}) is None
 
 
 def test_a_camera_with_a_wrong_field_is_dropped() -> None:

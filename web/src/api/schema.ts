@@ -1977,6 +1977,27 @@ export interface components {
             twin_profile_version: number;
         };
         /**
+         * PointPickedEvent
+         * @description A click in this session's 3D view that is no target; m, frame `machine`.
+         */
+        PointPickedEvent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "point.picked";
+            /** Machine Id */
+            machine_id: string;
+            /** Session Id */
+            session_id: string;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+            /** Z M */
+            z_m: number;
+        };
+        /**
          * PolicyCard
          * @description Contract of one policy version. The normaliser is inside the ONNX file.
          *
@@ -2221,7 +2242,7 @@ export interface components {
          * ServerEvent
          * @description Payload of every server-sent event; `kind` is also the event's name.
          */
-        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["AlertEvent"];
+        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PointPickedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["AlertEvent"];
         /**
          * SessionView
          * @description Who is signed in.
@@ -2747,6 +2768,8 @@ export interface components {
             /** Machine Id */
             machine_id?: string | null;
             mode?: components["schemas"]["Mode"] | null;
+            /** Pick For */
+            pick_for?: ("target" | "point") | null;
             /**
              * Play Preview
              * @default false

@@ -9,6 +9,10 @@ type Props = {
   ellipse: Schema["LandingEllipse"] | null;
   predicted: Point | null;
   measured: Point | null;
+  /** Half the height of the picture is at least this, m. */
+  least_m?: number;
+  /** A click on the plot, in throw coordinates about the target. */
+  onPick?: (point: Point) => void;
 };
 
 const WIDTH = 320;
@@ -18,15 +22,27 @@ const HEIGHT = 150;
  * The landing around the target in throw coordinates, seen from above: downrange to the right,
  * left of the line up, equal axes, target at the cross of the zero lines.
  */
-export function LandingPlot({ ellipse, predicted, measured }: Props) {
-  const half_m = halfHeight(ellipse, [predicted, measured]);
+export function LandingPlot({ ellipse, predicted, measured, least_m = 0.04, onPick }: Props) {
+  // A point that is being picked must not change the scale under the pointer.
+  const half_m = halfHeight(ellipse, onPick ? [predicted] : [predicted, measured], least_m);
   const scale = HEIGHT / 2 / half_m;
   const step_m = niceStep(half_m);
   const x = (m: number) => WIDTH / 2 + m * scale;
   const y = (m: number) => HEIGHT / 2 - m * scale;
+  const pick = (event: React.MouseEvent<SVGSVGElement>) => {
+    const box = event.currentTarget.getBoundingClientRect();
+    const toView = WIDTH / box.width;
+    onPick?.({
+      downrange_m: ((event.clientX - box.left) * toView - WIDTH / 2) / scale,
+      crossrange_m: (HEIGHT / 2 - (event.clientY - box.top) * toView) / scale,
+    });
+  };
   return (
+    // biome-ignore lint/a11y/useKeyWithClickEvents: the fields beside it take the same point by keys
     <svg
       className={classes.plot}
+      data-pick={onPick !== undefined || undefined}
+      onClick={onPick && pick}
       viewBox={`0 0 ${WIDTH} ${HEIGHT}`}
       role="img"
       aria-label={label(predicted, measured)}
@@ -79,7 +95,7 @@ export function LandingPlot({ ellipse, predicted, measured }: Props) {
   );
 }
 
-function halfHeight(ellipse: Props["ellipse"], points: (Point | null)[]): number {
+function halfHeight(ellipse: Props["ellipse"], points: (Point | null)[], least_m: number): number {
   const reach = points.map((p) =>
     p ? Math.max(Math.abs(p.crossrange_m), Math.abs(p.downrange_m) / 2) : 0,
   );
@@ -87,7 +103,7 @@ function halfHeight(ellipse: Props["ellipse"], points: (Point | null)[]): number
     reach.push(Math.abs(ellipse.mean_crossrange_error_m) + 2 * ellipse.sd_crossrange_m);
     reach.push((Math.abs(ellipse.mean_downrange_error_m) + 2 * ellipse.sd_downrange_m) / 2);
   }
-  return Math.max(0.04, ...reach) * 1.25;
+  return Math.max(least_m, ...reach) * 1.25;
 }
 
 function label(predicted: Point | null, measured: Point | null): string {

@@ -42,10 +42,18 @@ export function OperatePanel({ operate }: { operate: Operate }) {
         onPace={operate.setPace}
       />
     ),
-    preview: <PreviewStep machine={machine} plan={plan} gate={operate.gate} />,
+    preview: (
+      <PreviewStep machine={machine} plan={plan} estimate={operate.estimate} gate={operate.gate} />
+    ),
     throw: <ThrowStep operate={operate} />,
     result: operate.result ? (
-      <ResultStep thrown={operate.result} plan={plan} onAgain={operate.throwAgain} />
+      <ResultStep
+        thrown={operate.result}
+        plan={plan}
+        onAgain={operate.throwAgain}
+        isMarking={operate.isMarking}
+        onMarking={operate.setMarking}
+      />
     ) : (
       <p className={classes.note}>No throw yet.</p>
     ),

@@ -1,28 +1,28 @@
 import { Button } from "@mantine/core";
 import { Link } from "@tanstack/react-router";
-import { useState } from "react";
 import { LandingPlot } from "../charts/LandingPlot";
 import type { Plan, Throw } from "../session/live";
+import { useMay } from "../session/useSession";
 import { MarkImpact } from "../throws/MarkImpact";
 import { MissTable } from "../throws/MissTable";
-import { outcomeSentence } from "../throws/outcome";
+import { measuredOf, predictedOf } from "../throws/marking";
+import { hasLanded, outcomeSentence } from "../throws/outcome";
 import classes from "./Panel.module.css";
 import { landingVerdict } from "./reason";
 
-type Props = { thrown: Throw; plan: Plan | null; onAgain: () => void };
+type Props = {
+  thrown: Throw;
+  plan: Plan | null;
+  onAgain: () => void;
+  isMarking: boolean;
+  onMarking: (isMarking: boolean) => void;
+};
 
 /** How it came out: predicted and measured, a likely reason, and what to do next. */
-export function ResultStep({ thrown, plan, onAgain }: Props) {
-  const [isMarking, setMarking] = useState(false);
+export function ResultStep({ thrown, plan, onAgain, isMarking, onMarking }: Props) {
   const verdict = landingVerdict(thrown, plan);
-  const measured =
-    thrown.measured_downrange_error_m !== null && thrown.measured_crossrange_error_m !== null
-      ? {
-          downrange_m: thrown.measured_downrange_error_m,
-          crossrange_m: thrown.measured_crossrange_error_m,
-        }
-      : null;
-  const prediction = plan?.prediction;
+  const mayMark = useMay("impact.mark") && hasLanded(thrown);
+  if (isMarking) return <MarkImpact thrown={thrown} plan={plan} onDone={() => onMarking(false)} />;
   return (
     <div data-testid="result">
       {thrown.outcome !== "landed" && (
@@ -31,14 +31,11 @@ export function ResultStep({ thrown, plan, onAgain }: Props) {
         </p>
       )}
       <div className={classes.landing}>
-        {prediction && (
+        {plan?.prediction && (
           <LandingPlot
-            ellipse={prediction.ellipse}
-            predicted={{
-              downrange_m: prediction.downrange_error_m,
-              crossrange_m: prediction.crossrange_error_m,
-            }}
-            measured={measured}
+            ellipse={plan.prediction.ellipse}
+            predicted={predictedOf(plan)}
+            measured={measuredOf(thrown)}
           />
         )}
         <MissTable thrown={thrown} />
@@ -46,26 +43,22 @@ export function ResultStep({ thrown, plan, onAgain }: Props) {
       {verdict && (
         <p className={verdict.isInside ? classes.note : classes.refusal}>{verdict.text}</p>
       )}
-      {isMarking ? (
-        <MarkImpact throwId={thrown.throw_id} onDone={() => setMarking(false)} />
-      ) : (
-        <div className={classes.actions}>
-          <Button onClick={onAgain}>Throw again</Button>
-          {thrown.outcome === "landed" && (
-            <Button variant="default" onClick={() => setMarking(true)}>
-              Mark impact
-            </Button>
-          )}
-          <Button
-            variant="default"
-            renderRoot={(props) => (
-              <Link to="/throws/$throwId" params={{ throwId: thrown.throw_id }} {...props} />
-            )}
-          >
-            Open
+      <div className={classes.actions}>
+        <Button onClick={onAgain}>Throw again</Button>
+        {mayMark && (
+          <Button variant="default" onClick={() => onMarking(true)}>
+            Mark impact
           </Button>
-        </div>
-      )}
+        )}
+        <Button
+          variant="default"
+          renderRoot={(props) => (
+            <Link to="/throws/$throwId" params={{ throwId: thrown.throw_id }} {...props} />
+          )}
+        >
+          Open
+        </Button>
+      </div>
     </div>
   );
 }

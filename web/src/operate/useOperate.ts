@@ -31,13 +31,14 @@ export function useOperate() {
   });
   const [throwId, setThrowId] = useState<string | null>(null);
   const thrown = useLive((live) => (throwId === null ? null : (live.throws[throwId] ?? null)));
+  const [isMarking, setMarking] = useState(false);
   const refusal = useLive((live) => (machineId ? (live.targetRefusals[machineId] ?? "") : ""));
   const aim = useTarget(machineId);
   const target = machine?.target ?? null;
 
   const isOver = thrown?.phase === "ended";
   const isRunning = (machine !== null && isMoving(machine.lamp)) || (throwId !== null && !isOver);
-  const { plan, error, again } = usePlan(
+  const { plan, estimate, error, again } = usePlan(
     machine,
     mode,
     target,
@@ -75,6 +76,10 @@ export function useOperate() {
     planError: error,
   });
   const result = isOver && isIdle ? thrown : null;
+  const hasResult = result !== null;
+  useEffect(() => {
+    if (!hasResult) setMarking(false);
+  }, [hasResult]);
   return {
     machine,
     mode,
@@ -85,11 +90,14 @@ export function useOperate() {
     problem: refusal || aim.error || null,
     setTarget: (next: NonNullable<typeof target>) => void aim.set(next, mode),
     plan,
+    estimate,
     previewAgain: again,
     control,
     thrown,
     result,
     throwAgain: () => setThrowId(null),
+    isMarking: isMarking && hasResult,
+    setMarking,
     gate,
     step: presentStep({ machine, target, plan, hold, result }),
   };

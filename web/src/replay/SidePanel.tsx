@@ -5,6 +5,8 @@ import { landingVerdict } from "../operate/reason";
 import type { Schema } from "../session/client";
 import { MarkImpact } from "../throws/MarkImpact";
 import { MissTable } from "../throws/MissTable";
+import { measuredOf, predictedOf } from "../throws/marking";
+import { hasLanded } from "../throws/outcome";
 import { Facts, Files } from "./Facts";
 import { ImpactList } from "./ImpactList";
 import classes from "./SidePanel.module.css";
@@ -16,13 +18,7 @@ export function SidePanel({ detail, mayMark }: { detail: Detail; mayMark: boolea
   const { row, plan } = detail;
   const [isMarking, setMarking] = useState(false);
   const prediction = plan?.prediction;
-  const measured =
-    row.measured_downrange_error_m !== null && row.measured_crossrange_error_m !== null
-      ? {
-          downrange_m: row.measured_downrange_error_m,
-          crossrange_m: row.measured_crossrange_error_m,
-        }
-      : null;
+  const measured = measuredOf(row);
   const verdict = landingVerdict(row, plan);
   return (
     <aside className={classes.side} aria-label="Facts of the throw">
@@ -30,14 +26,7 @@ export function SidePanel({ detail, mayMark }: { detail: Detail; mayMark: boolea
         <h2>Predicted and measured</h2>
         <LandingPlot
           ellipse={prediction?.ellipse ?? null}
-          predicted={
-            prediction
-              ? {
-                  downrange_m: prediction.downrange_error_m,
-                  crossrange_m: prediction.crossrange_error_m,
-                }
-              : null
-          }
+          predicted={predictedOf(plan)}
           measured={measured}
         />
         <MissTable thrown={row} />
@@ -46,8 +35,8 @@ export function SidePanel({ detail, mayMark }: { detail: Detail; mayMark: boolea
       <section>
         <h2>Impact records</h2>
         <ImpactList impacts={detail.impacts} />
-        {isMarking && <MarkImpact throwId={row.throw_id} onDone={() => setMarking(false)} />}
-        {!isMarking && mayMark && (
+        {isMarking && <MarkImpact thrown={row} plan={plan} onDone={() => setMarking(false)} />}
+        {!isMarking && mayMark && hasLanded(row) && (
           <Button variant="default" fullWidth onClick={() => setMarking(true)}>
             {measured ? "Correct impact" : "Mark impact"}
           </Button>

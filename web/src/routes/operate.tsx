@@ -12,11 +12,12 @@ export function OperatePage() {
   const operate = useOperate();
   const slot = useViewSlot<HTMLDivElement>();
   const isFree = operate.control.hold.phase === "idle" && operate.step !== "throw";
-  useNudge(operate.target, isFree, operate.setTarget);
+  useNudge(operate.target, isFree && !operate.isMarking, operate.setTarget);
   useViewFollows({
     machineId: operate.machine?.machine_id ?? null,
     mode: operate.mode,
     isPicking: isFree,
+    pickFor: operate.isMarking ? "point" : "target",
   });
   return (
     <div className={classes.page}>

@@ -12,6 +12,7 @@ const EVENT_KINDS: ReadonlySet<ServerEvent["kind"]> = new Set([
   "machine.lost",
   "lease.changed",
   "target.proposed",
+  "point.picked",
   "plan.updated",
   "throw.updated",
   "gap.updated",

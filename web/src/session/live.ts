@@ -14,6 +14,7 @@ export type ServerEvent =
   | Schema["MachineLostEvent"]
   | Schema["LeaseChangedEvent"]
   | Schema["TargetProposedEvent"]
+  | Schema["PointPickedEvent"]
   | Schema["PlanUpdatedEvent"]
   | Schema["ThrowUpdatedEvent"]
   | Schema["GapUpdatedEvent"]
@@ -30,6 +31,8 @@ export type Live = {
   sites: Readonly<Record<string, Schema["SiteView"]>>;
   /** Why a picked point cannot be a target, by machine. */
   targetRefusals: Readonly<Record<string, string>>;
+  /** The last point clicked in the 3D view for something else than the target, by machine. */
+  picked: Readonly<Record<string, Schema["PointPickedEvent"]>>;
   /** Machines whose target this page is telling the server: until then an echo is of an older one. */
   proposing: Readonly<Record<string, boolean>>;
   /** Last lease change by machine, to tell why control was lost. */
@@ -53,6 +56,7 @@ export const EMPTY_LIVE: Live = {
   gapRuns: {},
   sites: {},
   targetRefusals: {},
+  picked: {},
   proposing: {},
   leaseNews: {},
   alerts: [],
@@ -129,6 +133,9 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       );
     case "target.proposed":
       return event.session_id === sessionId ? onTarget(live, event) : live;
+    case "point.picked":
+      if (event.session_id !== sessionId) return live;
+      return { ...live, picked: { ...live.picked, [event.machine_id]: event } };
     case "plan.updated":
       return putPlan(live, event.plan);
     case "throw.updated":

@@ -31,3 +31,7 @@ export function outcomeSentence(thrown: Throw): string {
   const word = statusWord(thrown);
   return thrown.detail ? `${word}: ${thrown.detail}` : `${word}.`;
 }
+
+/** Whether a load came down somewhere: it landed, or it had left when the throw was ended. */
+export const hasLanded = (thrown: Throw): boolean =>
+  thrown.outcome === "landed" || thrown.release_speed_m_per_s !== null;

@@ -20,11 +20,13 @@ export function useViewFollows(wish: {
   machineId: string | null;
   mode?: "2d" | "3d";
   isPicking: boolean;
+  /** What a click is for: the target, or a point that the page asked for. */
+  pickFor?: "target" | "point";
 }): void {
-  const { machineId, mode, isPicking } = wish;
+  const { machineId, mode, isPicking, pickFor = "target" } = wish;
   const request = useViewRequest();
   useEffect(() => {
     if (machineId === null) return;
-    request({ machine_id: machineId, mode, is_picking: isPicking });
-  }, [request, machineId, mode, isPicking]);
+    request({ machine_id: machineId, mode, is_picking: isPicking, pick_for: pickFor });
+  }, [request, machineId, mode, isPicking, pickFor]);
 }

@@ -18,6 +18,7 @@ describe("messages of the 3D view", () => {
 
   it("leave no sentence over a view that shows the truth", () => {
     expect(viewerSentence({ state: "drawn", detail: "" })).toBe("");
+    expect(viewerSentence({ state: "ground", detail: "" })).toMatch(/machine is not drawn/);
     expect(viewerSentence({ state: "disconnected", detail: "" })).toMatch(/not live/);
     expect(viewerSentence({ state: "unsupported", detail: "No WebGL 2." })).toMatch(
       /^No WebGL 2. Use/,

@@ -3,6 +3,7 @@
 export type ViewerState =
   | "loading"
   | "connected"
+  | "ground"
   | "drawn"
   | "disconnected"
   | "signed_out"
@@ -12,6 +13,7 @@ export type ViewerNews = { state: ViewerState; detail: string };
 
 const STATES: readonly string[] = [
   "connected",
+  "ground",
   "drawn",
   "disconnected",
   "signed_out",
@@ -33,6 +35,8 @@ export function viewerSentence({ state, detail }: ViewerNews): string {
     case "loading":
     case "connected":
       return "Loading the 3D view";
+    case "ground":
+      return "The machine is not drawn yet.";
     case "disconnected":
       return "The 3D view is not live. It reconnects by itself.";
     case "signed_out":

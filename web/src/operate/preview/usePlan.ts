@@ -1,7 +1,7 @@
 /** Previews by itself when the target settles; follows the plan's news until it is complete. */
 
 import { useEffect, useRef, useState } from "react";
-import { api, take } from "../../session/client";
+import { api, type Schema, take } from "../../session/client";
 import type { Machine, Plan } from "../../session/live";
 import { dispatchLive, useLive } from "../../session/liveStore";
 import { errorWords } from "../../words/errors";
@@ -76,8 +76,20 @@ export function usePlan(
     return () => clearTimeout(timer);
   }, [key, isWanted]);
 
+  const estimate = useEstimate(plan, `${machineId} ${mode} ${pace_ratio}`);
   useExpiry(plan, isWanted, () => setRound((value) => value + 1));
-  return { plan, error, again: () => setRound((value) => value + 1) };
+  return { plan, estimate, error, again: () => setRound((value) => value + 1) };
+}
+
+/**
+ * The ellipse of the last preview with the same settings: about what a target nearby will have, shown
+ * until it is computed.
+ */
+function useEstimate(plan: Plan | null, settings: string): Schema["LandingEllipse"] | null {
+  const last = useRef<{ settings: string; ellipse: Schema["LandingEllipse"] } | null>(null);
+  const ellipse = plan?.prediction?.ellipse;
+  if (ellipse) last.current = { settings, ellipse };
+  return last.current?.settings === settings ? last.current.ellipse : null;
 }
 
 /** A plan that ran out is previewed anew, so that what is shown can be thrown. */
