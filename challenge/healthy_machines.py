@@ -40,8 +40,8 @@ Geometry and sensors count as surveyed; the twin has them but for the nuisance."
 NUISANCE_RATIO: Final = 0.02
 ZERO_NUISANCE_RATIO: Final = 0.2
 """Of a unit's half width, for what is zero on the drawing: tilt, biases, mounting."""
-PLANT_SOURCES: Final = ("virtual", "commissioning")
-"""Folders of `sim_twin` whose code determines the identified profile; their digest is in the cache's name."""
+PLANT_SOURCES: Final = ("virtual_machine.py", "virtual/*.py", "commissioning/*.py")
+"""Files of `sim_twin` whose code determines the identified profile; their digest is in the cache's name."""
 
 
 class HealthyMachine(NamedTuple):
@@ -125,8 +125,8 @@ def _cache_folder() -> Path:
 def _digest(spec: MachineSpec, unit: MachineUnit) -> str:
     digest = hashlib.sha256(spec.sha256.encode())
     package = Path(calibrate_module.__file__).parents[1]
-    for folder in PLANT_SOURCES:
-        for source in sorted((package / folder).glob("*.py")):
+    for pattern in PLANT_SOURCES:
+        for source in sorted(package.glob(pattern)):
             digest.update(source.read_bytes())
     digest.update(json.dumps(asdict(unit)).encode())
     return digest.hexdigest()[:16]

@@ -6,7 +6,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
-from tests.e2e.stack import ServerAlone
+from tests.e2e.stack import ServerAlone, Stack
 
 
 def test_server_dies_and_comes_back(
@@ -33,28 +33,24 @@ def test_server_dies_and_comes_back(
 
 
 def test_an_ended_session_leads_to_the_login_and_back(
-    server: ServerAlone, open_page: Callable[..., Page], console: Console
+    demo: Stack, open_page: Callable[..., Page], console: Console
 ) -> None:
     console.allowed += ["401"]
-    stack = server.start()
-    page = open_page(stack)
+    page = open_page(demo)
     without_view(page)
-    sign_in(page, stack, path="/throws?mode=2d&min=8")
+    sign_in(page, demo, path="/throws?mode=2d&min=20")
     expect(page.get_by_text("No throw matches these filters")).to_be_visible()
     page.context.clear_cookies()
     page.reload()
     page.get_by_label("Name").fill("operator")
-    page.locator("input[type=password]").fill(stack.passwords["operator"])
+    page.locator("input[type=password]").fill(demo.passwords["operator"])
     page.get_by_role("button", name="Sign in").click()
-    expect(page).to_have_url(f"{stack.url}/throws?mode=2d&min=8")
+    expect(page).to_have_url(f"{demo.url}/throws?mode=2d&min=20")
     expect(page.get_by_text("No throw matches these filters")).to_be_visible()
 
 
-def test_a_link_cannot_lead_the_login_astray(
-    server: ServerAlone, open_page: Callable[..., Page]
-) -> None:
-    stack = server.start()
-    page = open_page(stack)
+def test_a_link_cannot_lead_the_login_astray(demo: Stack, open_page: Callable[..., Page]) -> None:
+    page = open_page(demo)
     without_view(page)
-    sign_in(page, stack, path="/login?back=//evil.example/")
-    expect(page).to_have_url(f"{stack.url}/operate")
+    sign_in(page, demo, path="/login?back=//evil.example/")
+    expect(page).to_have_url(f"{demo.url}/operate")
