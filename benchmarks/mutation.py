@@ -1,7 +1,8 @@
 """Changes the safety code in small ways, one at a time, and lists the changes that no test notices.
 
 Operators of comparison, arithmetic and logic are exchanged, numbers changed, conditions negated. Each changed
-module is written over the original in a copy of the tree; the tests of that module run against it.
+module is written over the original in a copy of the tree; the tests of that module run against it, in a
+process forked from this one, which has the libraries loaded.
 
     python -m benchmarks.mutation [--module runtime/throw/freshness.py] [--limit 40] [--seed 1]
 """
@@ -9,14 +10,19 @@ module is written over the original in a copy of the tree; the tests of that mod
 import argparse
 import ast
 import copy
+import importlib
 import json
+import multiprocessing
 import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 MODULES = {
@@ -30,6 +36,10 @@ MODULES = {
     "runtime/throw/checks.py": ["tests/runtime/throw/test_checks.py"],
     "runtime/throw/facts.py": ["tests/runtime/throw/test_throw_facts.py"],
 }
+LIBRARIES = ("hypothesis", "numpy", "onnxruntime", "pydantic", "scipy.stats")
+"""Loaded once. Nothing of the tree itself: each process loads the changed one."""
+TIMEOUT_S = 120.0
+"""A change that lets the tests run longer is noticed."""
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -65,7 +75,8 @@ def mutants(tree: ast.Module) -> list[tuple[int, str, ast.Module]]:
     return found
 
 
-def _changes(node: ast.AST):  # noqa: ANN202
+def _changes(node: ast.AST) -> Iterator[tuple[str, Callable[[Any], None]]]:
+    """Descriptions of the changes of one node, and what makes each in a copy of it."""
     if isinstance(node, ast.Compare) and type(node.ops[0]) in SWAPS:
         new = SWAPS[type(node.ops[0])]
         yield f"{ast.unparse(node)}: {new.__name__}", lambda n: n.ops.__setitem__(0, new())
@@ -73,16 +84,16 @@ def _changes(node: ast.AST):  # noqa: ANN202
         new_op = SWAPS[type(node.op)]
         yield f"{ast.unparse(node)}: {new_op.__name__}", lambda n: setattr(n, "op", new_op())
     if isinstance(node, ast.If | ast.IfExp):
-        yield (
-            f"not ({ast.unparse(node.test)})",
-            lambda n: setattr(n, "test", ast.UnaryOp(ast.Not(), n.test)),
-        )
+        test = f"not ({ast.unparse(node.test)})"
+        yield test, lambda n: setattr(n, "test", ast.UnaryOp(ast.Not(), n.test))
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         yield f"{node.value} + 1", lambda n: setattr(n, "value", n.value + 1)
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert | ast.Not):
-        yield f"without {ast.unparse(node)}", lambda n: setattr(n, "op", ast.UAdd()) if isinstance(
-            n.op, ast.Invert
-        ) else setattr(n, "op", ast.Not())  # fmt: skip
+        twice = type(node.op)
+        yield (
+            f"without {ast.unparse(node)}",
+            lambda n: setattr(n, "operand", ast.UnaryOp(twice(), n.operand)),
+        )
 
 
 def _is_type(node: ast.BinOp | ast.BoolOp) -> bool:
@@ -93,15 +104,27 @@ def _is_type(node: ast.BinOp | ast.BoolOp) -> bool:
 def survives(folder: Path, module: str, source: str, tests: list[str]) -> bool:
     """Whether no test notices this source."""
     (folder / module).write_text(source, encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider"]
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            [*command, *tests], cwd=folder, env=environment, capture_output=True, timeout=120
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode == 0
+    process = multiprocessing.get_context("fork").Process(target=_test, args=(folder, tests))
+    process.start()
+    process.join(TIMEOUT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    return process.exitcode == 0
+
+
+def _test(folder: Path, tests: list[str]) -> None:
+    os.chdir(folder)
+    sys.path[:0] = [str(folder)]
+    sys.dont_write_bytecode = True
+    output = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    quiet = ["-x", "-q", "--no-header", "-p", "no:cacheprovider"]
+    # Of the libraries that are loaded already.
+    quiet += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    code = pytest.main([*quiet, *tests])
+    os._exit(int(code))
 
 
 def main() -> None:
@@ -112,6 +135,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=None)
     given = parser.parse_args()
     report: dict[str, dict[str, object]] = {}
+    for library in LIBRARIES:
+        importlib.import_module(library)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for part in ("machine", "runtime", "sim_twin", "tests", "pyproject.toml", "policies"):
@@ -121,6 +146,8 @@ def main() -> None:
             if given.module not in (None, module):
                 continue
             text = (ROOT / module).read_text(encoding="utf-8")
+            if not survives(folder, module, text, tests):
+                sys.exit(f"{module}: the tests fail on the unchanged module: {tests}")
             changes = mutants(ast.parse(text))
             random.Random(given.seed).shuffle(changes)
             changes = changes[: given.limit]
