@@ -1,13 +1,10 @@
 """From throws to a verdict, end to end."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from cli.main import main
 from diagnosis.diagnose import CancelledError, diagnose_throws
-from diagnosis.loading.logs import load_throws
 from diagnosis.verdict import Diagnosis, VerdictKind
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -53,13 +50,3 @@ def test_it_can_be_cancelled() -> None:
             health=health(),
         )
     assert len(texts) == 2
-
-
-def test_throws_of_one_mode_alone_show_no_effect_of_a_healthy_machine(tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    asked = ["record", "--plant", "virtual", "--mode", "2d", "--throws", "6", "--out", str(logs)]
-    assert main(asked) == 0
-    loaded = load_throws([logs])
-    twin = loaded.throws[0].twin_profile
-    assert twin is not None
-    assert diagnose_throws(loaded, twin).verdict is VerdictKind.NONE

@@ -6,7 +6,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import diagnose_throws
 from diagnosis.hypotheses import generation
 from diagnosis.hypotheses.candidates import evaluate, no_effect
 from diagnosis.hypotheses.comparison import CandidateSet
@@ -16,32 +15,12 @@ from diagnosis.hypotheses.generation import with_unmodelled_effects
 from diagnosis.hypotheses.ranking import Ranked, unknown_levels
 from diagnosis.linearisation.unmodelled_effects import (
     UNMODELLED,
-    UNMODELLED_EFFECTS,
 )
-from diagnosis.verdict import VerdictKind
-from machine.conventions import ACTIVE_JOINTS, Array
+from machine.conventions import ACTIVE_JOINTS
 from sim_twin.effects.effect import Effect
-from tests.diagnosis.twin_throws import health, posed, profile, throws
+from tests.diagnosis.twin_throws import posed, throws
 
 THROWS = 6
-DIPPER, TELESCOPE = 2, 3
-"""Throws need not tell which of them a stretch where a joint is slow looks like most."""
-
-
-def leaking(valve_ratio: Array) -> Array:
-    """Pilot pressure of the telescope's valve leaks into the dipper's."""
-    received = valve_ratio.copy()
-    received[:, DIPPER] += 0.2 * valve_ratio[:, TELESCOPE]
-    return received
-
-
-def test_an_effect_outside_the_library_is_unknown_and_described() -> None:
-    found = diagnose_throws(throws((), THROWS, received=leaking), profile(), health=health())
-    signature = found.evidence["unknown"]
-    assert found.verdict is VerdictKind.UNKNOWN
-    assert isinstance(signature, dict)
-    assert (signature["stage"], signature["joint"]) == ("actuation", "dipper")
-    assert signature["looks_like"] == UNMODELLED_EFFECTS["neighbours"].description
 
 
 def shapes_of(problem: GapProblem, *candidates: CandidateSet) -> set[tuple[str, str | None]]:
