@@ -1,6 +1,6 @@
 """Diagnosis of throws of an independent plant, which shares geometry and masses with the twin and no code.
 
-    python benchmarks/other_plant.py [--json FILE]
+    python benchmarks/other_plant.py [--json FILE] [--variant healthy]
 
 Its drives are two lags in a row behind a pure delay. The body is integrated in steps of 1 ms by Euler's
 method with MuJoCo's friction, and the load flies by its own integration. The throws are CSV files without
@@ -273,10 +273,12 @@ VARIANTS = (
 """Name, variant, throws, and the parameter that should be named; None for a healthy machine."""
 
 
-def diagnosed(folder: Path) -> list[Row]:
-    """Diagnose every variant; print and return what was named."""
+def diagnosed(folder: Path, only: str | None = None) -> list[Row]:
+    """Diagnose every variant, or one; print and return what was named."""
     rows: list[Row] = []
     for name, variant, count, expected in VARIANTS:
+        if only not in (None, name):
+            continue
         loaded = throws(folder / name.replace(" ", "-"), variant, count)
         found = diagnose_throws(loaded, nominal_profile(load_spec()))
         named = {
@@ -295,9 +297,10 @@ def diagnosed(folder: Path) -> list[Row]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=RESULTS / "other_plant.json")
+    parser.add_argument("--variant", choices=[name for name, *_ in VARIANTS], default=None)
     options = parser.parse_args()
     with TemporaryDirectory() as folder:
-        rows = diagnosed(Path(folder))
+        rows = diagnosed(Path(folder), options.variant)
     title = "Diagnosis of an independent plant"
     write_result(describe("other_plant", title, rows, seed=SEED), options.json)
 

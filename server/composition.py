@@ -232,13 +232,7 @@ def assemble(
     throws.on_change.append(impacts.refresh)
     targets = TargetProposals(scene, policies, sites, hub, impacts)
     sites.on_change.append(targets.show_site)
-    leases.on_new_epoch.append(lambda machine_id, _: holds.revoke(machine_id))
-    leases.on_new_epoch.append(lambda machine_id, _: views.publish(machine_id))
     ingest.on_throw_end.append(holds.end)
-    stops.on_stop.append(throw_service.forget)
-    accounts.on_session_end(leases.end_session)
-    for part in (hub, targets, replays):
-        accounts.on_session_end(lambda session, part=part: part.end_session(session.session_id))
     parts = Parts(
         settings=settings,
         database=database,
@@ -273,4 +267,17 @@ def assemble(
         targets=targets,
         scene=scene,
     )
+    _connect(parts)
     return parts, notices
+
+
+def _connect(parts: Parts) -> None:
+    """Tell the parts of each other's news."""
+    parts.leases.on_new_epoch.append(lambda machine_id, _: parts.holds.revoke(machine_id))
+    parts.leases.on_new_epoch.append(lambda machine_id, _: parts.views.publish(machine_id))
+    parts.stops.on_stop.append(parts.throw_service.forget)
+    parts.accounts.on_session_end(parts.leases.end_session)
+    for part in (parts.hub, parts.targets, parts.replays):
+        parts.accounts.on_session_end(
+            lambda session, part=part: part.end_session(session.session_id)
+        )

@@ -65,9 +65,10 @@ def open_page(browser: Browser, console: Console) -> Iterator[Callable[..., Page
             device_scale_factor=0.5,
             has_touch=touch,
         )
+        # For pages that a test opens beside the first, too.
+        context.set_default_timeout(TIMEOUT_MS)
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(TIMEOUT_MS)
         page.on("console", console.take)
         page.on("pageerror", lambda error: console.errors.append(str(error)))
         return page
