@@ -95,7 +95,8 @@ types: $(STAMP)/python  ## Regenerate web/src/api from the server's OpenAPI desc
 	@$(BIN)/python scripts/vocabulary.py web/src/api/vocabulary.ts
 
 SAFETY_FILES := runtime/control/safety.py,runtime/guard/*,runtime/throw/*,runtime/control/control_loop.py,runtime/process/machine_control.py
-SAFETY_TESTS := tests/runtime/control/test_safety.py tests/runtime/control/test_control_loop.py \
+SAFETY_TESTS := tests/runtime/control/test_safety.py tests/runtime/control/test_safety_permission.py \
+	tests/runtime/control/test_control_loop.py \
 	tests/runtime/process/test_machine_control.py tests/runtime/guard tests/runtime/throw
 
 coverage: $(STAMP)/python  ## Branch coverage of gate, guard, throw protocol and their callers; fails below 100 %

@@ -26,7 +26,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 MODULES = {
-    "runtime/control/safety.py": ["tests/runtime/control/test_safety.py"],
+    "runtime/control/safety.py": [
+        "tests/runtime/control/test_safety.py",
+        "tests/runtime/control/test_safety_permission.py",
+    ],
+    "runtime/guard/drive_envelope.py": ["tests/runtime/guard/test_drive_envelope.py"],
+    "runtime/guard/imu_plausibility.py": ["tests/runtime/guard/test_imu_plausibility.py"],
     "runtime/guard/plausibility.py": ["tests/runtime/guard/test_plausibility.py"],
     "runtime/guard/release_window.py": ["tests/runtime/guard/test_release_window.py"],
     "runtime/throw/freshness.py": ["tests/runtime/throw/test_freshness.py"],
