@@ -1,4 +1,4 @@
-"""One stage alone: effects that look alike are told apart, in synthetic and in measured records."""
+"""One stage alone: effects that look alike are distinguished, in synthetic and in measured records."""
 
 from pathlib import Path
 
