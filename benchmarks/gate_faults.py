@@ -28,7 +28,7 @@ from runtime.control.policy import PolicyRunner, find_policy
 from runtime.control.safety import LATCHING, Intervention
 from runtime.driver import SensorSample, ValveCommand
 from runtime.guard.drive_envelope import motion_ratio
-from runtime.guard.release_window import DEFAULT_RADIUS_M
+from runtime.guard.release_window import DEFAULT_RADIUS_M, tool_load
 from sim_twin.effects.table import EFFECTS
 from sim_twin.faults.fault import PlantEffect
 from sim_twin.faults.off_table import OFF_TABLE_FAULTS, TABLE_FAULTS
@@ -176,6 +176,8 @@ class Outcome:
     collided_tick: IntArray
     motion_ratio: Array
     """(N, 4) largest uncommanded motion as a share of its limit, before a collision."""
+    tool_load: Array
+    """(2, N) largest speed (m/s) and moment (N m) of the tool, before a collision."""
 
 
 class Throws(NamedTuple):
@@ -209,7 +211,7 @@ def simulate(
     motion, pace = np.full(count, int(Motion.THROW)), rng.uniform(0.0, 1.0, count)
     has_fault = injection.kind >= 0
     noticed, codes = np.full(count, -1), np.zeros(count, dtype=np.int64)
-    moved, largest = np.zeros(count), np.zeros((count, 4))
+    moved, largest, load = np.zeros(count), np.zeros((count, 4)), np.zeros((2, count))
     collided_tick, path = np.full(count, -1), list[Array]()
     for tick in range(given.ticks):
         now_ns, position = plant.now_ns(), plant.truth().joint_position_rad_m[:, :4].copy()
@@ -228,15 +230,22 @@ def simulate(
         if way is not None:
             beside = np.abs(position - way[tick]).max(axis=1)
             moved = np.where(watched & has_fault, beside, moved)
-        free = ((noticed < 0) & (collided_tick < 0))[:, None]
-        largest = np.maximum(largest, free * motion_ratio(SPEC, state.safety.guard.drives))
+        free = ((noticed < 0) | fresh) & (collided_tick < 0)
+        used = motion_ratio(SPEC, state.safety.guard.drives)
+        largest = np.maximum(largest, free[:, None] * used)
+        row = out.row
+        tool = tool_load(SPEC, row["joint_position_rad_m"], row["joint_velocity_rad_m_per_s"])
+        load = np.maximum(load, free * np.stack(tool))
         motion = control_loop.next_motion(motion, out)
         motion = np.where((motion == Motion.SETTLE) & out.settled, int(Motion.HOLD), motion)
         motion = np.where(noticed >= 0, int(Motion.STOP), motion)
     early = has_fault & (noticed >= 0) & (noticed < injection.start)
     since = collided_tick - injection.start
     collided = (collided_tick >= 0) & (~has_fault | ((since >= 0) & (since <= AFTER_TICKS)))
-    return Outcome(injection, noticed, codes, early, moved, collided, collided_tick, largest), path
+    outcome = Outcome(
+        injection, noticed, codes, early, moved, collided, collided_tick, largest, load
+    )
+    return outcome, path
 
 
 def run_healthy(given: Throws) -> Outcome:
@@ -297,8 +306,9 @@ def trip_row(name: str, outcomes: Sequence[Outcome]) -> Row:
     largest = np.concatenate([o.motion_ratio for o in outcomes])
     is_first = (noticed >= 0) & ((collided < 0) | (noticed < collided))
     trips = is_first & (codes != 0)
-    bits = int(np.bitwise_or.reduce(codes[trips], initial=0))
-    reasons = ", ".join(i.name or "" for i in Intervention if i & bits)
+    found = {i.name: int((codes[trips] & int(i) != 0).sum()) for i in Intervention}
+    reasons = ", ".join(f"{name} {count}" for name, count in found.items() if count)
+    load = np.concatenate([o.tool_load for o in outcomes], axis=1)
     values = {
         "trip_count": Value(value=float(trips.sum())),
         "aborted_count": Value(value=float((is_first & (codes == 0)).sum())),
@@ -306,6 +316,8 @@ def trip_row(name: str, outcomes: Sequence[Outcome]) -> Row:
     }
     for joint, label in enumerate(("slew", "boom", "dipper", "telescope")):
         values[f"{label}_used_ratio"] = Value(value=float(largest[:, joint].max()))
+    values["largest_tool_m_per_s"] = Value(value=float(load[0].max()))
+    values["largest_moment_kn_m"] = Value(value=float(load[1].max()) * 1e-3)
     return Row(labels={"throws": name, "reason": reasons}, n=len(noticed), values=values)
 
 

@@ -159,10 +159,18 @@ def tool_motion(
 def exceeds_tool_limits(
     spec: MachineSpec, position_rad_m: Array, velocity_rad_m_per_s: Array
 ) -> BoolArray:
-    """Whether machines (N,) move their tool too fast, or load the chassis by too high a moment.
+    """Whether machines (N,) move their tool too fast, or load the chassis by too high a moment."""
+    speed, moment = tool_load(spec, position_rad_m, velocity_rad_m_per_s)
+    return (speed > SPEED_LIMIT_M_PER_S) | (moment > MOMENT_LIMIT_NM)
 
-    The moment is that of gripper and load about the slew axis, weight and the pull of the swing together:
-    m (g + w^2 l) r. It is no tip-over protection: that is the machine's own load moment limiter.
+
+def tool_load(
+    spec: MachineSpec, position_rad_m: Array, velocity_rad_m_per_s: Array
+) -> tuple[Array, Array]:
+    """Speed (N,) of the grip centre, m/s, and moment (N,) of gripper and load about the slew axis, N m.
+
+    Weight and the pull of the swing together: m (g + w^2 l) r. It is no tip-over protection: that is the
+    machine's own load moment limiter.
     """
     g = _geometry(spec)
     q, v = position_rad_m, velocity_rad_m_per_s
@@ -173,4 +181,4 @@ def exceeds_tool_limits(
     speed = np.sqrt((tool.velocity_m_per_s**2).sum(axis=1))
     reach = np.hypot(tool.position_m[:, 0], tool.position_m[:, 1])
     pull = GRAVITY_M_PER_S2 + (swing_rate**2 + v[:, 5] ** 2) * (g.hanger + g.gripper)
-    return (speed > SPEED_LIMIT_M_PER_S) | (g.mass_kg * pull * reach > MOMENT_LIMIT_NM)
+    return speed, g.mass_kg * pull * reach

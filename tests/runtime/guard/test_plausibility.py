@@ -109,7 +109,7 @@ def test_a_frozen_position_beside_a_living_velocity():
             return guard.tick(joint_position_rad_m=frozen, joint_velocity_rad_m_per_s=velocity)
 
         ticks = next(n for n in range(1, 20) if found() & Contradiction.FROZEN)
-        assert ticks == 6  # the first sample differs from the one before, then 50 ms
+        assert ticks == 11  # the first sample differs from the one before, then 100 ms
 
 
 def test_frozen_values_under_fresh_stamps():
