@@ -7,8 +7,10 @@ from typing import Literal
 
 import tyro
 
+from cli.reference_choice import choose_reference
 from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.diagnose import diagnose_throws
+from diagnosis.loading.kept_reference import with_reference_stated
 from diagnosis.loading.logs import load_throws
 from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.single_stage.csv_diagnosis import (
@@ -27,7 +29,8 @@ def throws(
     logs: tyro.conf.Positional[tuple[Path, ...]],
     /,
     *,
-    reference: tyro.conf.UseAppendAction[tuple[Path, ...]] = (),
+    reference: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    machines: Path = Path("data/machines"),
     profile: Path | None = None,
     json: Path | None = None,
     html: Path | None = None,
@@ -37,8 +40,8 @@ def throws(
 
     Example: downrange diagnose throws logs/m001 --profile m001.profile.json --json gap.json --html gap.html
 
-    With reference throws of the same machine while it was healthy, smaller effects are found:
-    downrange diagnose throws logs/today --reference logs/commissioning
+    They are compared with reference throws of the same machine while it was healthy: those that `downrange
+    commission` has kept, or others: downrange diagnose throws logs/today --reference logs/commissioning
 
     Exit code 0 explained or no gap, 2 ambiguous, 3 unknown effect, 4 unusable data, 1 an error.
 
@@ -46,8 +49,10 @@ def throws(
         logs: throw logs of one machine (MCAP, or CSV with one file a throw: docs/throw_log.md), or folders of
             them; at least 3 throws, better 12.
         reference: throw log or folder of the same machine while it was healthy, to compare with; may be given
-            several times, at least 3 throws altogether, better 12, none of them diagnosed. Without it the
-            throws are compared with healthy machines of the type.
+            several times, at least 12 throws altogether, better 24 of two days, none of them diagnosed. If
+            left out, those that are kept beside the profile or in --machines; none compares with healthy
+            machines of the type, which finds large effects only.
+        machines: folder of machines with their kept reference throws.
         profile: twin profile of the machine; the one in the logs if left out, or nominal.
         json: file for the whole result.
         html: file for the report, one page that needs no network.
@@ -59,13 +64,18 @@ def throws(
     previewed = next((t.twin_profile for t in loaded.throws if t.twin_profile is not None), None)
     twin = load_profile(profile) if profile is not None else previewed
     twin = nominal_profile(load_spec()) if twin is None else twin
+    beside = () if profile is None else (profile.parent,)
+    chosen = choose_reference(reference, loaded, (*beside, machines))
+    if chosen.words:
+        print(chosen.words)
     show = _progress_printer()
     found = diagnose_throws(
         loaded,
         twin,
         lambda share, text: show(f"{share:4.0%} {text}"),
-        reference=load_throws(reference) if reference else None,
+        reference=chosen.throws,
     )
+    found = with_reference_stated(found, chosen.days)
     if apply is not None and (effects := found_effects(found)):
         note = f"{twin.note}; diagnosis of {', '.join(str(path) for path in logs)}"
         save_profile(corrected_profile(twin, found, twin.machine_id, note), apply)

@@ -39,9 +39,12 @@ VERBS: dict[str, Verb] = {
         "twin",
     ),
     "challenge": Verb("cli.challenge", "make, run and score a blind check of diagnose", "twin"),
-    "calibrate": Verb(
-        "cli.calibrate", "commission a machine: valves, response, registration", "twin"
+    "commission": Verb(
+        "cli.commissioning.verb",
+        "measure a machine in one go: twin, registration, baseline",
+        "twin",
     ),
+    "calibrate": Verb("cli.calibrate", "measure valves, response and registration", "twin"),
     "identify": Verb(
         "cli.identify", "find response, release delay and swing of a machine from its logs", "twin"
     ),

@@ -69,30 +69,43 @@ def measure_machine(
         tables = calibrate(machine, spec, machine_id, seed)
     finally:
         machine.close()
+    found = identify_machine(make, tables, machine_id, seed, show, has_drives=has_drives)
+    tables = register_policies(make, found.profile, tables, policies, seed, show)
+    return found._replace(tables=tables)
+
+
+def identify_machine(
+    make: PlantMaker,
+    tables: ValveCalibration,
+    machine_id: str,
+    seed: int,
+    show: Callable[[str], None],
+    *,
+    has_drives: bool,
+) -> MachineMeasurement:
+    """Twin profile from random motion, with oil springs if asked for; `tables` stay as they are."""
+    spec = load_spec()
     show(f"response: {RESPONSE_COPY_COUNT} random motions ...")
     machine = make(RESPONSE_COPY_COUNT)
     try:
         profile, fits = identify_profile(machine, spec, tables, machine_id, seed)
     finally:
         machine.close()
-    drives: tuple[JointExplanation, ...] = ()
-    if has_drives:
-        show(f"drives: {DRIVE_COPY_COUNT} motions of steps, stops and reversals ...")
-        machine = make(DRIVE_COPY_COUNT)
-        try:
-            records = record_drives(machine, spec, tables, seed)
-        finally:
-            machine.close()
-        drives = identify_drives(records, fits, show)
-        profile = with_drives(profile, drives)
-    twin = plant_maker("twin", unit_seed=0, profile=profile, calibration=tables, spec=spec)
-    tables = _register(make, twin, tables, policies, seed, show)
-    return MachineMeasurement(tables, profile, fits, drives)
+    if not has_drives:
+        return MachineMeasurement(tables, profile, fits)
+    show(f"drives: {DRIVE_COPY_COUNT} motions of steps, stops and reversals ...")
+    machine = make(DRIVE_COPY_COUNT)
+    try:
+        records = record_drives(machine, spec, tables, seed)
+    finally:
+        machine.close()
+    drives = identify_drives(records, fits, show)
+    return MachineMeasurement(tables, with_drives(profile, drives), fits, drives)
 
 
-def _register(
+def register_policies(
     make: PlantMaker,
-    twin: PlantMaker,
+    profile: TwinProfile,
     tables: ValveCalibration,
     policies: Path,
     seed: int,
@@ -100,6 +113,7 @@ def _register(
 ) -> ValveCalibration:
     """The tables with registrations of the machine and of its twin, for the active policy of each mode."""
     spec = load_spec()
+    twin = plant_maker("twin", unit_seed=0, profile=profile, calibration=tables, spec=spec)
     found: dict[PlantMaker, list[Registration]] = {make: [], twin: []}
     for mode in Mode:
         runner = PolicyRunner(find_policy(policies, mode), spec)

@@ -1,0 +1,1 @@
+"""`downrange commission`: measure a machine in one go, keep what it did, and say what the twin explains."""
