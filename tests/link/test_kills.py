@@ -11,8 +11,6 @@ from runtime.records.log_reader import read_throw_log
 from tests.link.yard import Server
 from tests.waiting import is_alive, wait_for
 
-HANG_NOTICED_S = 0.4
-"""0.2 s, and what a busy computer adds."""
 CONTROL = "runtime.process.control_process"
 LINK = "runtime.process.link_process"
 
@@ -102,9 +100,7 @@ def test_hung_link_is_killed_and_stop_arrives_again(yard, moment, outcome):
     throw_id = yard.fire_until(moment)
     pid, boot_id = yard.machine.child(LINK), server.state.boot_id
     os.kill(pid, signal.SIGSTOP)
-    stopped_s = time.monotonic()
-    wait_for(lambda: not is_alive(pid), 10.0)
-    assert time.monotonic() - stopped_s < HANG_NOTICED_S
+    wait_for(lambda: not is_alive(pid))
     assert yard.machine.child(LINK) != pid
     # Control has not died: it held still, or completed what was past the commit point.
     assert wait_for_end(server, throw_id) == outcome
@@ -119,13 +115,11 @@ def test_hung_control_is_killed_and_comes_back_stopped_while_stop_is_answered(ya
     fire = yard.fire_command(yard.arm(), throw_id := yard.new_throw_id())
     pid, boot_id = yard.machine.child(CONTROL), server.state.boot_id
     os.kill(pid, signal.SIGSTOP)
-    stopped_s = time.monotonic()
-    wait_for(lambda: not is_alive(pid), 10.0)
-    assert time.monotonic() - stopped_s < HANG_NOTICED_S
+    wait_for(lambda: not is_alive(pid))
     stop = server.stop_command()
-    reply = server.send(stop, timeout_s=2.0)
+    reply = server.send(stop)
     assert (reply.accepted, reply.state) == (True, ThrowState.STOPPED)
-    assert reply.latch_id
+    assert reply.latch_id.startswith("link-"), "answered before control is back"
     fault = server.wait_state(ThrowState.FAULT)
     assert fault.fault and fault.stop_latched
     wait_for(lambda: server.state.boot_id != boot_id)
