@@ -7,6 +7,7 @@ from machine.kinematics import grip_centre
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.guard import release_window
+from tests.cases import each
 
 SPEC = load_spec()
 
@@ -78,3 +79,23 @@ def test_limits_of_the_tool():
     rolling = rest.copy()
     rolling[0, 5] = 7.0
     assert release_window.exceeds_tool_limits(SPEC, pose, rolling)[0]
+
+
+@each("axis", [4, 5])
+def test_the_gripper_swings_on_until_the_load_leaves(axis):
+    """As a physical pendulum about the pitch axis: by A cos(w t) from a small angle A at rest."""
+    passive, angle = SPEC.passive, 0.05
+    arm = SPEC.geometry.pitch_to_roll_m + passive.gripper_com_m
+    moment = passive.gripper_mass_kg * arm**2 + passive.gripper_inertia_kg_m2[0]
+    w = np.sqrt(9.81 * passive.gripper_mass_kg * arm / moment)
+    delay_s = SPEC.release.delay_s
+    still = SPEC.model_copy(update={"release": SPEC.release.model_copy(update={"delay_s": 0.0})})
+    now, then, rate = safe_pose()[None].copy(), safe_pose()[None].copy(), np.zeros((1, 6))
+    now[0, axis] += angle
+    then[0, axis] += angle * np.cos(w * delay_s)
+    rate[0, axis] = -angle * w * np.sin(w * delay_s)
+    ground = np.zeros(1)
+    found = release_window.predicted_landing_m(SPEC, now, np.zeros((1, 6)), ground)
+    assert np.allclose(
+        found, release_window.predicted_landing_m(still, then, rate, ground), atol=3e-3
+    )
