@@ -156,15 +156,13 @@ def main() -> None:
             changes = mutants(ast.parse(text))
             random.Random(given.seed).shuffle(changes)
             changes = changes[: given.limit]
-            left = [
-                f"{module}:{line} {what}"
-                for line, what, tree in changes
-                if survives(folder, module, ast.unparse(tree), tests)
-            ]
+            left: list[str] = []
+            for line, what, tree in changes:
+                if survives(folder, module, ast.unparse(tree), tests):
+                    left.append(f"{module}:{line} {what}")
+                    print(f"    {left[-1]}", flush=True)
             (folder / module).write_text(text, encoding="utf-8")
             print(f"{module}: {len(left)} of {len(changes)} changes unnoticed", flush=True)
-            for line in sorted(left):
-                print(f"    {line}", flush=True)
             report[module] = {"changes": len(changes), "unnoticed": sorted(left)}
     if given.json is not None:
         given.json.write_text(json.dumps(report, indent=1), encoding="utf-8")
