@@ -4,7 +4,15 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from server.accounts.accounts import COOKIE
 from server.accounts.known_devices import DEVICE_COOKIE
-from server.dependencies import AccountsDep, DevicesDep, SessionDep, SettingsDep, check_write
+from server.dependencies import (
+    AccessDep,
+    AccountsDep,
+    DevicesDep,
+    SessionDep,
+    SettingsDep,
+    check_write,
+)
+from server.errors import NotSignedInError
 from server.schemas.console import LoginRequest, SessionView
 
 router = APIRouter(tags=["auth"])
@@ -54,6 +62,9 @@ def logout(response: Response, session: SessionDep, accounts: AccountsDep) -> No
 
 
 @router.get("/auth/me")
-def read_me(session: SessionDep) -> SessionView:
-    """Who is signed in."""
-    return session.view()
+def read_me(request: Request, access: AccessDep) -> SessionView | None:
+    """Who is signed in; null without a session, which is no error: every first visit asks."""
+    try:
+        return access.session_of(request).view()
+    except NotSignedInError:
+        return None

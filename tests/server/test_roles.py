@@ -10,7 +10,7 @@ ROLES = tuple(Role)
 USERS = dict(zip(ROLES, ("vic", "ada", "sue", "eve", "root"), strict=True))
 LEAST = {
     Role.VIEWER: """
-        logout read_me list_machines read_machine stop_machine stop_all read_plan read_plan_frames list_throws
+        logout list_machines read_machine stop_machine stop_all read_plan read_plan_frames list_throws
         read_throw_stats export_throws read_throw read_throw_series read_throw_log read_throw_csv replay_throw
         set_view read_site list_policies read_policy list_gap_runs read_gap_run read_gap_report
         read_twin_profile stream_events""",
@@ -21,8 +21,8 @@ LEAST = {
     Role.ENGINEER: "apply_gap_run undo_twin_profile",
     Role.ADMIN: "enrol_machine",
 }
-"""The least role that may do what; `login` and `read_health` are open, `put_throw_log` is for machines."""
-OPEN = {"login", "read_health"}
+"""The least role that may do what; `login`, `read_me` and `read_health` are open, `put_throw_log` is for machines."""
+OPEN = {"login", "read_me", "read_health"}
 OF_MACHINES = {"put_throw_log"}
 NOT_CALLED = {"stop_all", "logout"}
 """Would stop the machines of other tests, or end the session; both are for everybody."""
@@ -78,3 +78,4 @@ def test_what_is_open_is_all_that_is_open(running):
     with running.client() as nobody:
         for operation in NEEDED:
             assert answer(nobody, operation) == (401, "not_signed_in"), operation
+        assert nobody.get("/auth/me").json() is None

@@ -93,7 +93,7 @@ export interface paths {
         };
         /**
          * Read Me
-         * @description Who is signed in.
+         * @description Who is signed in; null without a session, which is no error: every first visit asks.
          */
         get: operations["read_me"];
         put?: never;
@@ -3251,7 +3251,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["SessionView"];
+                    "application/json": components["schemas"]["SessionView"] | null;
                 };
             };
             /** @description Bad Request */

@@ -27,6 +27,9 @@ export function PlotFigure({ title, draw, onPick, toCsv, note }: Props) {
     const figure = draw(width, height);
     svg.current = figure instanceof SVGSVGElement ? figure : figure.querySelector("svg");
     svg.current?.setAttribute("role", "img");
+    // A picture has one name; those that Plot gives to its parts belong to no role.
+    for (const part of svg.current?.querySelectorAll("g[aria-label]") ?? [])
+      part.removeAttribute("aria-label");
     svg.current?.setAttribute("aria-label", title);
     const onClick = () => figure.value && pick.current?.(figure.value);
     figure.addEventListener("click", onClick);

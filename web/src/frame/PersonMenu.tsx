@@ -25,8 +25,9 @@ export function PersonMenu() {
   return (
     <Menu position="bottom-end" width={240}>
       <Menu.Target>
-        <UnstyledButton className={classes.person} aria-label={`Signed in as ${session.username}`}>
+        <UnstyledButton className={classes.person}>
           <span>
+            <span className="visually-hidden">Signed in as </span>
             <span className={classes.name}>{session.username}</span>
             <span className={classes.role}>{session.role}</span>
           </span>

@@ -41,7 +41,6 @@ export function StopButton() {
         data-latched={isLatched || undefined}
         data-testid="stop"
         aria-keyshortcuts="Shift+S"
-        aria-label={`STOP ${name}`}
         onPointerDown={() => void stop()}
         onClick={() => void stop()}
       >

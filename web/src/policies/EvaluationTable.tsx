@@ -8,11 +8,11 @@ export function EvaluationTable({ evaluations }: { evaluations: readonly unknown
   const read = readEvaluations(evaluations);
   if (read.length === 0) return <p className={classes.none}>No evaluation on the card.</p>;
   return read.map((evaluation) => (
-    <section key={evaluation.id} className={classes.evaluation} aria-label={evaluation.where}>
+    <div key={evaluation.id} className={classes.evaluation}>
       <h3>Evaluated on: {evaluation.where}</h3>
       <RangePlot rows={evaluation.rows} where={evaluation.where} />
       <Rows rows={evaluation.rows} />
-    </section>
+    </div>
   ));
 }
 

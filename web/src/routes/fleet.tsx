@@ -31,7 +31,9 @@ export function FleetPage() {
               <th scope="col">Load</th>
               <th scope="col">Records to send</th>
               <th scope="col">Software</th>
-              <th scope="col" />
+              <th scope="col">
+                <span className="visually-hidden">Open</span>
+              </th>
             </tr>
           </thead>
           <tbody>

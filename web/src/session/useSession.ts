@@ -9,7 +9,7 @@ export type Permission = Schema["Permission"];
 
 async function fetchMe(): Promise<Session | null> {
   try {
-    return await take(api.GET("/api/v1/auth/me"));
+    return (await take(api.GET("/api/v1/auth/me"))) ?? null;
   } catch (error) {
     if (error instanceof ApiError && error.status === 401) return null;
     throw error;

@@ -9,7 +9,9 @@ export function MissTable({ thrown }: { thrown: Throw }) {
     <table className={classes.miss}>
       <thead>
         <tr>
-          <th scope="col" />
+          <th scope="col">
+            <span className="visually-hidden">Which</span>
+          </th>
           <th scope="col">Along</th>
           <th scope="col">Across</th>
         </tr>
