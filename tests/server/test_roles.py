@@ -21,7 +21,7 @@ LEAST = {
     Role.ENGINEER: "apply_gap_run undo_twin_profile",
     Role.ADMIN: "enrol_machine",
 }
-"""The least role that may do what; `login`, `read_me` and `read_health` are open, `put_throw_log` is for machines."""
+"""The least role that may do what; `OPEN` needs no session, `put_throw_log` is for machines."""
 OPEN = {"login", "read_me", "read_health"}
 OF_MACHINES = {"put_throw_log"}
 NOT_CALLED = {"stop_all", "logout"}

@@ -12,6 +12,10 @@ type Stats = Schema["ThrowStats"];
 type Point = Schema["ScatterPoint"];
 type Props = { stats: Stats; selected: string | null; onSelect: (throwId: string) => void };
 
+/** Smallest half axis: below a handful of centimetres the survey's own error is seen. */
+const LEAST_M = 0.05;
+/** Fewer points have no ellipse: two always lie on a line. */
+const ELLIPSE_LEAST_COUNT = 3;
 const MARGIN = { marginTop: 24, marginRight: 14, marginBottom: 36, marginLeft: 44 };
 
 /** Impacts around the target, equal axes, 1 sigma ellipse per group; hover gives the numbers. */
@@ -40,11 +44,11 @@ function scatter(stats: Stats, selected: string | null, width: number, height: n
   // Equal axes: the same metres per pixel both ways, so that circles stay round.
   const along_m = symmetricLimit(
     points.map((p) => p.downrange_error_m),
-    0.2,
+    LEAST_M,
   );
   const across_m = symmetricLimit(
     points.map((p) => p.crossrange_error_m),
-    0.2,
+    LEAST_M,
   );
   const perPixel = Math.max((2 * along_m) / inner.width, (2 * across_m) / inner.height);
   const x_m = (perPixel * inner.width) / 2;
@@ -125,6 +129,7 @@ function scatter(stats: Stats, selected: string | null, width: number, height: n
 
 function groupEllipse(group: Schema["GroupStats"]) {
   const { sd_downrange_m, sd_crossrange_m, correlation_ratio } = group;
+  if (group.throw_count < ELLIPSE_LEAST_COUNT) return null;
   if (sd_downrange_m === null || sd_crossrange_m === null) return null;
   return ellipsePoints(
     { ...group, sd_downrange_m, sd_crossrange_m, correlation_ratio: correlation_ratio ?? 0 },

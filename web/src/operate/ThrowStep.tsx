@@ -1,6 +1,7 @@
 import { phaseWord } from "../machine/phase";
 import classes from "./Panel.module.css";
 import { PhaseTimeline } from "./PhaseTimeline";
+import { ThrowClock } from "./ThrowClock";
 import type { Operate } from "./useOperate";
 
 /** The throw while it runs: phases, and what letting go would do now. */
@@ -11,6 +12,7 @@ export function ThrowStep({ operate }: { operate: Operate }) {
   return (
     <>
       <PhaseTimeline machine={machine} plan={plan} isOver={isOver} />
+      <ThrowClock machine={machine} plan={plan} />
       <p className={classes.note} role="status" data-testid="throw-words">
         {words(control.hold.phase, phaseWord(machine.lamp))}
       </p>

@@ -7,6 +7,7 @@ import { SidePanel } from "../replay/SidePanel";
 import { useReplay } from "../replay/useReplay";
 import { api, take } from "../session/client";
 import { useMay } from "../session/useSession";
+import { Neighbours } from "../throws/Neighbours";
 import { useViewSlot } from "../view/slot";
 import { errorWords } from "../words/errors";
 import { bearingWords, heightWords, metres } from "../words/format";
@@ -38,6 +39,7 @@ export function ThrowPage() {
     <div className={classes.page}>
       <header className={classes.head}>
         <Link to="/throws">Throws</Link>
+        <Neighbours throwId={throwId} />
         <h1>
           {row.mode.toUpperCase()}, {metres(row.target.range_m)},{" "}
           {bearingWords(row.target.azimuth_rad)}

@@ -1,10 +1,11 @@
 import { useNavigate } from "@tanstack/react-router";
-import { useEffect, useRef } from "react";
+import { useEffect, useMemo, useRef, useState } from "react";
 import { symmetricLimit } from "../charts/scale";
 import type { Throw } from "../session/live";
 import { zoneName } from "../words/time";
 import classes from "./ThrowTable.module.css";
 import { ThrowTableRow } from "./ThrowTableRow";
+import { COLUMNS, nextOrder, type Order, sorted, sortOf } from "./throwOrder";
 
 type Props = {
   rows: readonly Throw[];
@@ -12,8 +13,12 @@ type Props = {
   onSelect: (throwId: string) => void;
 };
 
-/** The history: up and down select a row, Enter opens it. */
-export function ThrowTable({ rows, selected, onSelect }: Props) {
+const marks = { none: "", ascending: " ▲", descending: " ▼" };
+
+/** The history, as the server pages it or sorted within the page: up and down select a row, Enter opens it. */
+export function ThrowTable({ rows: page, selected, onSelect }: Props) {
+  const [order, setOrder] = useState<Order>(null);
+  const rows = useMemo(() => sorted(page, order), [page, order]);
   const navigate = useNavigate();
   const body = useRef<HTMLTableSectionElement>(null);
   const limit_m = Math.min(
@@ -55,16 +60,18 @@ export function ThrowTable({ rows, selected, onSelect }: Props) {
       >
         <thead>
           <tr>
-            <th scope="col">Time, {zoneName(new Date())}</th>
-            <th scope="col">Machine</th>
-            <th scope="col" title="Mode, range and, off the ground, height">
-              Target, m
-            </th>
-            <th scope="col">Along, m</th>
-            <th scope="col">Across, m</th>
-            <th scope="col">Outcome</th>
-            <th scope="col">Policy</th>
-            <th scope="col">Person</th>
+            {COLUMNS.map(({ key, label }) => (
+              <th key={key} scope="col" aria-sort={sortOf(order, key)}>
+                <button
+                  type="button"
+                  className={classes.sort}
+                  onClick={() => setOrder(nextOrder(order, key))}
+                >
+                  {key === "time" ? `Time, ${zoneName(new Date())}` : label}
+                  <span aria-hidden>{marks[sortOf(order, key)]}</span>
+                </button>
+              </th>
+            ))}
             <th scope="col" className={classes.right} title="0 careful, 1 fast">
               Pace
             </th>

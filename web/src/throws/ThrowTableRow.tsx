@@ -1,7 +1,14 @@
 import { Link } from "@tanstack/react-router";
 import { memo } from "react";
 import type { Throw } from "../session/live";
-import { crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
+import {
+  bearingShort,
+  bearingWords,
+  crossrangeWords,
+  downrangeWords,
+  fixed,
+  signed,
+} from "../words/format";
 import { localStamp, shortStamp } from "../words/time";
 import { MissBar } from "./MissBar";
 import { outcomeSentence, statusWord } from "./outcome";
@@ -38,6 +45,7 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
       </td>
       <td>{row.machine_id}</td>
       <td>{targetWords(row)}</td>
+      <td title={bearingWords(row.target.azimuth_rad)}>{bearingShort(row.target.azimuth_rad)}</td>
       <td>
         <Miss
           measured_m={row.measured_downrange_error_m}
