@@ -108,10 +108,7 @@ def _drives(spec: MachineSpec) -> _Drives:
     low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]
     high = [np.inf if v is None else v for v in spec.limits.position_max_rad_m]
     return _Drives(
-        windows=tuple(
-            (slice(first, last + 1), slice(joint, joint + 1))
-            for joint, (first, last) in enumerate(_TICKS.tolist())
-        ),
+        windows=_windows(),
         gain_high=np.stack([up[:, 1], down[:, 1]])[:, None],
         gain_low=np.stack([down[:, 0], up[:, 0]])[:, None],
         rise=share[None, None, :, 0],
@@ -130,6 +127,17 @@ def _drives(spec: MachineSpec) -> _Drives:
             float(moment_arm_m(dipper, np.array([MIDDLE_RAD[1]]))[0]),
         ),
     )
+
+
+def _windows() -> tuple[tuple[slice, slice], ...]:
+    """Neighbouring joints with the same dead times share a window."""
+    found: list[tuple[slice, slice]] = []
+    for joint, (first, last) in enumerate(_TICKS.tolist()):
+        window, begin = slice(first, last + 1), joint
+        if found and found[-1][0] == window:
+            begin = found.pop()[1].start
+        found.append((window, slice(begin, joint + 1)))
+    return tuple(found)
 
 
 def moment_arm_m(cylinder: CylinderSpec, angle_rad: Array) -> Array:
@@ -191,17 +199,22 @@ def follow(
     """
     drives = _drives(spec)
     line, bound, motion = memory
-    seen = np.stack([velocity, -velocity]) - SPEED_MARGIN_RAD_OR_M_PER_S
-    away = np.stack([position < drives.end_low, position > drives.end_high])
+    seen = np.empty_like(bound)
+    np.subtract(velocity, SPEED_MARGIN_RAD_OR_M_PER_S, out=seen[0])
+    np.subtract(-SPEED_MARGIN_RAD_OR_M_PER_S, velocity, out=seen[1])
+    low, high = position < drives.end_low, position > drives.end_high
+    is_at_end = np.count_nonzero(low) + np.count_nonzero(high) > 0
     for _ in range(tick_count):
         line = np.concatenate([steady[None], line[:-1]])
         explained = np.empty_like(bound)
-        for window, joint in drives.windows:
-            recent = line[window, :, joint]
-            explained[0, :, joint] = recent.max(axis=0)
-            explained[1, :, joint] = -recent.min(axis=0)
+        for window, joints in drives.windows:
+            recent = line[window, :, joints]
+            explained[0, :, joints] = recent.max(axis=0)
+            np.negative(recent.min(axis=0), out=explained[1, :, joints])
         explained *= np.where(explained > 0.0, drives.gain_high, drives.gain_low)
-        explained = np.where(away, np.maximum(explained, 0.0), explained)
+        if is_at_end:
+            np.maximum(explained[0], 0.0, out=explained[0], where=low)
+            np.maximum(explained[1], 0.0, out=explained[1], where=high)
         change = explained - bound
         bound = bound + np.where(change > 0.0, drives.rise, drives.fall) * change
         motion = np.maximum(drives.fade * motion + CONTROL_PERIOD_S * (seen - bound), 0.0)

@@ -184,7 +184,8 @@ class MachineControl:
         self._abort_reason = self._fault_reason = ""
         for request, message in [*messages, (0, Tick())]:
             self._take(request, message, facts, now_ns, report)
-            facts = replace(facts, fresh_nonce=self._nonce)
+            if facts.fresh_nonce != self._nonce:
+                facts = replace(facts, fresh_nonce=self._nonce)
         outputs = self._step(now_ns)
         self._tick_count += 1
         if outputs is not None:
@@ -276,6 +277,8 @@ class MachineControl:
         )
         if self._outputs is not None:
             facts = with_control(facts, self._outputs, sample, setup.spec.limits.swing_rad)
+        if not (self._abort_reason or self._fault_reason):
+            return facts
         return replace(
             facts,
             abort_reason=facts.abort_reason or self._abort_reason,
