@@ -74,7 +74,7 @@ def test_limits_of_the_tool():
     fast[0, 0] = 2.0  # 6 m out: 12 m/s
     assert release_window.exceeds_tool_limits(SPEC, pose, fast)[0]
     swinging = rest.copy()
-    swinging[0, 4] = 6.0
+    swinging[0, 4] = 7.0
     assert release_window.exceeds_tool_limits(SPEC, pose, swinging)[0]
     rolling = rest.copy()
     rolling[0, 5] = 7.0
