@@ -2,8 +2,8 @@
 
     python -m benchmarks.plants.make_sets OUT [--units 1 2 3 4] [--throws 12] [--limit N] [--jobs N]
 
-Writes for each unit ``OUT/unit-003/`` with its calibration, profile and commissioning throws (two days), for
-each set ``OUT/sets/s007/``, and ``OUT/truth.json`` with what is wrong in which set.
+Writes for each unit ``OUT/unit-003/`` with its calibration, profile and reference throws (two days), for each
+set ``OUT/sets/s007/``, and ``OUT/truth.json`` with what is wrong in which set.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from benchmarks.plants.ring.plant import OPTIONS_VARIABLE
 
 ROOT = Path(__file__).parents[2]
 PLANT = "benchmarks.plants.ring.plant:Ring"
+MACHINE_ID = "ring"
 COMMISSIONING_DAYS = (1, 2)
 FIRST_SET_DAY = 10
 
@@ -133,20 +134,12 @@ def record(
     throws: int,
     calibration: Path,
 ) -> None:
-    """Record `throws` throws of a day, half of them in each mode, into `out`/2d and `out`/3d."""
-    halves = (("2d", throws // 2, 0), ("3d", throws - throws // 2, 3600))
-    for mode, count, start_s in halves:
-        options = json.dumps({"day_seed": day, "effects": list(effects), "start_s": start_s})
-        arguments = ["record", "--plant", PLANT, "--unit-seed", str(unit), "--mode", mode]
-        arguments += [
-            "--throws",
-            str(count),
-            "--seed",
-            str(1000 * unit + day),
-            "--out",
-            str(out / mode),
-        ]
-        run([*arguments, "--calibration", str(calibration)], {OPTIONS_VARIABLE: options})
+    """Record `throws` throws of a day, the modes in turns, into `out`."""
+    options = json.dumps({"day_seed": day, "effects": list(effects)})
+    arguments = ["record", "--plant", PLANT, "--unit-seed", str(unit), "--mode", "both"]
+    arguments += ["--machine-id", MACHINE_ID, "--throws", str(throws)]
+    arguments += ["--seed", str(1000 * unit + day), "--out", str(out)]
+    run([*arguments, "--calibration", str(calibration)], {OPTIONS_VARIABLE: options})
 
 
 def run(
@@ -168,24 +161,12 @@ def run(
 
 
 def commission(out: Path, unit: int, throws: int) -> None:
-    """Calibrate a machine on its first day; record reference throws, half of them on each of two days."""
-    folder = unit_folder(out, unit)
-    first = json.dumps({"day_seed": COMMISSIONING_DAYS[0]})
-    if not (folder / "ring.profile.json").exists():
-        arguments = [
-            "calibrate",
-            "--plant",
-            PLANT,
-            "--unit-seed",
-            str(unit),
-            "--machine-id",
-            "ring",
-        ]
-        run([*arguments, "--out", str(folder)], {OPTIONS_VARIABLE: first})
+    """Commission a machine, with half of the reference throws on each of two days."""
     for day in COMMISSIONING_DAYS:
-        place = folder / "commissioning" / f"day{day}"
-        if not place.exists():
-            record(place, unit, day, [], throws // 2, folder / "ring.calibration.json")
+        arguments = ["commission", "--plant", PLANT, "--unit-seed", str(unit)]
+        arguments += ["--machine-id", MACHINE_ID, "--day", f"2026-01-{day:02d}"]
+        arguments += ["--reference-throws", str(throws // 2), "--out", str(unit_folder(out, unit))]
+        run(arguments, {OPTIONS_VARIABLE: json.dumps({"day_seed": day})})
 
 
 def unit_folder(out: Path, unit: int) -> Path:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.plants.run_sets OUT [--no-reference] [--no-profile] [--resume] [--jobs N]
 
-Each set is diagnosed by ``downrange diagnose throws`` against its machine's commissioning throws. Answers are
+Each set is diagnosed by ``downrange diagnose throws`` against its machine's reference throws. Answers are
 written to ``OUT/answers/``; the truth is read only to count. Intervals are Wilson's, 95 %.
 """
 
@@ -16,8 +16,9 @@ from typing import Any, Final
 
 from scipy.stats import binomtest
 
-from benchmarks.plants.make_sets import ThrowSet, run, unit_folder
+from benchmarks.plants.make_sets import MACHINE_ID, ThrowSet, run, unit_folder
 from benchmarks.result_file import Row, Value, describe, row, write_result
+from diagnosis.loading.kept_reference import kept_reference
 
 EffectSet = frozenset[tuple[str, str | None]]
 """Effects by name and joint."""
@@ -122,9 +123,8 @@ def diagnose(
     if not (resume and file.exists()):
         file.parent.mkdir(parents=True, exist_ok=True)
         arguments = ["diagnose", "throws", str(out / "sets" / one.name), "--json", str(file)]
-        if with_reference:
-            for day in sorted((folder / "commissioning").iterdir()):
-                arguments += ["--reference", str(day)]
+        kept = kept_reference(folder, MACHINE_ID).folder
+        arguments += ["--reference", str(kept) if with_reference else "none"]
         if with_profile:
             arguments += ["--profile", str(folder / "ring.profile.json")]
         run(arguments)
@@ -139,7 +139,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("out", type=Path)
-    parser.add_argument("--no-reference", action="store_true", help="without commissioning throws")
+    parser.add_argument("--no-reference", action="store_true", help="without reference throws")
     parser.add_argument("--no-profile", action="store_true", help="with the nominal twin")
     parser.add_argument("--resume", action="store_true", help="keep the answers that are there")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
