@@ -193,7 +193,10 @@ def reference_words(evidence: Mapping[str, Any]) -> str | None:
     reference = evidence["reference"]
     if not isinstance(reference, Mapping):
         return compared_words(0)
-    return compared_words(int(cast("Mapping[str, Any]", reference).get("throws_count", 0)))
+    known = cast("Mapping[str, Any]", reference)
+    words = compared_words(int(known.get("throws_count", 0)))
+    days = list(cast("Mapping[str, int]", known.get("days", {})))
+    return f"{words}, {', '.join(days)}" if days else words
 
 
 def compared_words(reference_throw_count: int) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import select
 
+from diagnosis.loading.kept_reference import LEAST_REFERENCE_COUNT, advice, words_of_days
 from machine.errors import DownrangeError
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
@@ -24,7 +25,14 @@ from server.gap.throw_choice import ChosenThrows, choose_throws
 from server.machines.machine_registry import MachineRegistry
 from server.machines.twin_files import TwinFiles, content_sha256
 from server.schemas.events import GapUpdatedEvent
-from server.schemas.gap import GapRunPage, GapRunRequest, GapRunRow, GapRunView, GapState
+from server.schemas.gap import (
+    GapRunPage,
+    GapRunRequest,
+    GapRunRow,
+    GapRunView,
+    GapState,
+    KeptReferenceView,
+)
 from server.store.database import Database
 from server.store.models import GapRun, Throw
 from server.throws.throw_logs import LogStore
@@ -99,7 +107,8 @@ class GapService:
             ApiError: no such machine, throws that cannot be used, or too many waiting.
         """
         self._registry.get(machine_id)
-        throws = choose_throws(self._database, machine_id, request)
+        kept = self._twins.reference(machine_id)
+        throws = choose_throws(self._database, machine_id, request, kept)
         profile = self._twins.profile(machine_id)
         with self._change:
             if len(self._queue) >= QUEUE_COUNT:
@@ -153,6 +162,22 @@ class GapService:
                 "throw_count": len(row.throw_ids),
                 "reference_throw_count": len(row.reference_throw_ids),
             },
+        )
+
+    def kept_reference(self, machine_id: str) -> KeptReferenceView:
+        """Reference throws that are kept for a machine.
+
+        Raises:
+            ApiError: no such machine.
+        """
+        self._registry.get(machine_id)
+        days = self._twins.reference(machine_id).days()
+        count = sum(days.values())
+        return KeptReferenceView(
+            days=days,
+            throw_count=count,
+            is_used=count >= LEAST_REFERENCE_COUNT,
+            words=". ".join(filter(None, [words_of_days(days), advice(days)])) + ".",
         )
 
     def cancel(self, machine_id: str, gap_run_id: str, session: Session) -> GapRunRow:
@@ -240,10 +265,21 @@ class GapService:
 
         try:
             paths = self._paths(run.throws.throw_ids)
-            healthy = self._paths(run.throws.reference_throw_ids)
+            kept = run.throws.kept_logs
+            healthy = tuple(
+                kept.get(throw_id) or self._logs.path(throw_id)
+                for throw_id in run.throws.reference_throw_ids
+            )
             title = f"{run.machine_id}, {len(paths)} throws, twin profile {profile.version_count}"
             answer = self._process.run(
-                GapJob(title, paths, profile, healthy, self._names(run.throws)),
+                GapJob(
+                    title,
+                    paths,
+                    profile,
+                    healthy,
+                    self._names(run.throws),
+                    dict(run.throws.reference_days),
+                ),
                 tell,
                 lambda: run.cancelled.is_set() or self._is_closed,
             )

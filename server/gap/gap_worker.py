@@ -54,6 +54,8 @@ class GapJob:
     """Logs of the machine while it was healthy; none: it is compared with its type."""
     names: Mapping[str, str] = field(default_factory=dict[str, str])
     """What people call a log, by its file's name, which is a hash."""
+    reference_days: Mapping[str, int] = field(default_factory=dict[str, int])
+    """Kept reference throws by day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,7 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
     """Load the logs and diagnose them."""
     # Imported here: the server's own process does not need the simulator.
     from diagnosis.diagnose import diagnose_throws
+    from diagnosis.loading.kept_reference import with_reference_stated
     from diagnosis.loading.logs import load_throws
 
     progress(0.0, "reading logs")
@@ -91,7 +94,8 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
             reference = _named(healthy, job.names)
     finally:
         reader.close()
-    return diagnose_throws(loaded, job.profile, progress, reference=reference)
+    found = diagnose_throws(loaded, job.profile, progress, reference=reference)
+    return with_reference_stated(found, job.reference_days)
 
 
 def _named(loaded: "LoadedSet", names: Mapping[str, str]) -> "LoadedSet":

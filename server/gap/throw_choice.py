@@ -3,13 +3,17 @@
 Only throws of the machine itself that landed and have a log; what cannot be used is refused, never left out.
 """
 
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
+from diagnosis.loading.kept_reference import LEAST_REFERENCE_COUNT, KeptReference
 from server.errors import ConflictError
-from server.schemas.gap import MIN_THROWS_COUNT, GapRunRequest
+from server.schemas.gap import MAX_THROWS_COUNT, MIN_THROWS_COUNT, GapRunRequest
 from server.schemas.history import Outcome
 from server.store.database import Database
 from server.store.models import Throw
@@ -21,15 +25,24 @@ class ChosenThrows(NamedTuple):
     throw_ids: tuple[str, ...]
     reference_throw_ids: tuple[str, ...]
     """Empty: compared with healthy machines of the type."""
+    kept_logs: Mapping[str, Path] = {}
+    """Logs of the reference throws that commissioning has kept, by id."""
+    reference_days: Mapping[str, int] = {}
+    """Those throws by day."""
 
 
-def choose_throws(database: Database, machine_id: str, request: GapRunRequest) -> ChosenThrows:
-    """Look up what a request names.
+def choose_throws(
+    database: Database, machine_id: str, request: GapRunRequest, kept: KeptReference
+) -> ChosenThrows:
+    """Look up what a request names, and the reference throws that are kept where it names none.
 
     Raises:
         ConflictError: throws that cannot be used, or too few.
     """
-    healthy = request.reference_throw_ids or ()
+    days = {path.stem: day for day, logs in kept.logs().items() for path in logs}
+    paths = {path.stem: path for logs in kept.logs().values() for path in logs}
+    asked = request.reference_throw_ids or ()
+    healthy = tuple(throw_id for throw_id in asked if throw_id not in paths)
     with database.read() as session:
         if request.throw_ids is not None:
             throw_ids = _named(session, machine_id, request.throw_ids, "throws_unusable", "throws")
@@ -46,7 +59,16 @@ def choose_throws(database: Database, machine_id: str, request: GapRunRequest) -
             f"{f' beside the {len(healthy)} to compare with' if healthy else ''}; at least "
             f"{MIN_THROWS_COUNT} are needed, better 12. Throw more, at mixed targets.",
         )
-    return ChosenThrows(throw_ids, reference)
+    wanted = set(paths) & set(asked) if asked else set(paths) - set(throw_ids)
+    known = [throw_id for throw_id in paths if throw_id in wanted][-MAX_THROWS_COUNT:]
+    if not asked and (request.against == "type" or len(known) < LEAST_REFERENCE_COUNT):
+        known = []
+    return ChosenThrows(
+        throw_ids,
+        (*known, *reference),
+        {throw_id: paths[throw_id] for throw_id in known},
+        Counter(days[throw_id] for throw_id in known),
+    )
 
 
 def _usable(machine_id: str) -> Select[str]:

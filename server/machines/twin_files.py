@@ -5,6 +5,7 @@ import os
 import threading
 from pathlib import Path
 
+from diagnosis.loading.kept_reference import KeptReference, kept_reference
 from machine.errors import UsageError
 from machine.spec import MachineSpec, load_spec
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile, profile_text
@@ -34,6 +35,10 @@ class TwinFiles:
         """The profile that previews use now."""
         path = self.profile_path(machine_id)
         return nominal_profile(self._spec) if path is None else load_profile(path)
+
+    def reference(self, machine_id: str) -> KeptReference:
+        """Reference throws that commissioning has kept."""
+        return kept_reference(self._folder, machine_id)
 
     def profile_version(self, machine_id: str) -> int:
         """Version of the profile that previews use; 0 is the nominal one."""

@@ -21,6 +21,7 @@ from server.schemas.gap import (
     GapRunRequest,
     GapRunRow,
     GapRunView,
+    KeptReferenceView,
     TwinProfileView,
 )
 
@@ -42,6 +43,12 @@ def create_gap_run(
 ) -> GapRunRow:
     """Queue a diagnosis; its progress comes as `gap.updated` events."""
     return gap.create(machine_id, body, session)
+
+
+@router.get("/kept-reference")
+def read_kept_reference(machine_id: str, session: Viewer, gap: GapDep) -> KeptReferenceView:
+    """Reference throws that commissioning has kept, which diagnoses compare with by default."""
+    return gap.kept_reference(machine_id)
 
 
 @router.get("/gap-runs")

@@ -45,8 +45,10 @@ class GapRunRequest(Request):
     reference_throw_ids: tuple[ThrowId, ...] | None = Field(
         default=None, min_length=MIN_REFERENCE_THROWS_COUNT, max_length=MAX_THROWS_COUNT
     )
-    """Throws of this machine while it was healthy, to compare with; without them it is compared with healthy
-    machines of its type. `newest_count` leaves them out."""
+    """Throws of this machine while it was healthy, to compare with. `newest_count` leaves them out."""
+    against: Literal["kept", "type"] | None = None
+    """Without `reference_throw_ids`: `type` compares with healthy machines of the type; else the machine's kept
+    reference throws are compared with, if there are enough."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -64,6 +66,18 @@ class GapRunRequest(Request):
                 "Leave them out of one of the two"
             )
         return self
+
+
+class KeptReferenceView(View):
+    """Reference throws that are kept for a machine."""
+
+    days: dict[str, int]
+    """Number of throws by day, YYYY-MM-DD, oldest first."""
+    throw_count: int
+    is_used: bool
+    """Whether there are enough for a diagnosis to compare with."""
+    words: str
+    """What there is, and what is recommended."""
 
 
 class GapRunRow(View):

@@ -6,6 +6,7 @@ import pytest
 from alembic import command
 from sqlalchemy import create_engine, text
 
+from diagnosis.loading.kept_reference import kept_reference
 from server.gap.gap_store import GapStore
 from server.store.database import Database, alembic_config, upgrade
 from tests.cases import each
@@ -121,3 +122,52 @@ def test_runs_from_before_were_compared_with_the_type(database_url):
     assert view.throw_ids == ("a", "b")
     assert view.reference_throw_ids == ()
     assert view.row.reference_throw_count == 0
+
+
+@pytest.fixture
+def kept(running, monkeypatch, tmp_path):
+    """Reference throws of two days that commissioning has kept; calling it keeps so many a day."""
+    monkeypatch.setattr(
+        running.parts.gap._twins,
+        "reference",
+        lambda machine_id: kept_reference(tmp_path, machine_id),
+    )
+
+    def keep(count):
+        for day in ("2026-05-01", "2026-05-02"):
+            folder = kept_reference(tmp_path, "m001").folder / day
+            folder.mkdir(parents=True, exist_ok=True)
+            for number in range(count):
+                (folder / f"m001-{day}-{number:02d}.mcap").touch()
+
+    return keep
+
+
+def test_kept_throws_are_compared_with_unless_the_type_is_asked_for(running, ada, throws, kept):
+    kept(12)
+    with diagnosing(running.parts, gap_fakes.quick):
+        view = ended(ada, start(ada, throw_ids=throws[4:]))
+        assert view["row"]["reference_throw_count"] == 24
+        assert view["result"]["evidence"]["healthy"] == 24
+        assert view["reference_throw_ids"][0] == "m001-2026-05-01-00"
+        # The same again, as the console asks for it.
+        again = {key: view[key] for key in ("throw_ids", "reference_throw_ids")}
+        assert ended(ada, start(ada, **again))["result"]["evidence"]["healthy"] == 24
+        of_type = ended(ada, start(ada, throw_ids=throws[4:], against="type"))
+        assert of_type["result"]["evidence"]["healthy"] == 0
+        ticked = ended(ada, start(ada, throw_ids=throws[4:], reference_throw_ids=throws[:4]))
+        assert ticked["reference_throw_ids"] == throws[:4]
+    said = ada.get("/machines/m001/kept-reference").json()
+    assert said["days"] == {"2026-05-01": 12, "2026-05-02": 12}
+    assert said["is_used"]
+    assert said["words"] == "24 reference throws of 2026-05-01 and 2026-05-02."
+
+
+def test_too_few_kept_throws_are_not_compared_with(running, ada, throws, kept):
+    kept(3)
+    with diagnosing(running.parts, gap_fakes.quick):
+        view = ended(ada, start(ada, throw_ids=throws[4:]))
+    assert view["row"]["reference_throw_count"] == 0
+    said = ada.get("/machines/m001/kept-reference").json()
+    assert not said["is_used"]
+    assert "6 reference throws are too few, at least 12" in said["words"]

@@ -56,6 +56,19 @@ export function useGapRun(machineId: string | null, runId: string | undefined) {
   return { ...run, row: useNewest(run.data?.row) };
 }
 
+/** Reference throws that commissioning has kept. */
+export function useKeptReference(machineId: string) {
+  return useQuery({
+    queryKey: [GAP, "kept", machineId],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/machines/{machine_id}/kept-reference", {
+          params: { path: { machine_id: machineId } },
+        }),
+      ),
+  });
+}
+
 export function useTwinProfile(machineId: string | null) {
   return useQuery({
     queryKey: [GAP, "twin", machineId],

@@ -81,6 +81,7 @@ function OneRun({ machineId, runId, onStarted }: OneRunProps) {
   const again = {
     throw_ids,
     reference_throw_ids: reference_throw_ids.length > 0 ? reference_throw_ids : null,
+    against: reference_throw_ids.length > 0 ? null : ("type" as const),
   };
   return (
     <>

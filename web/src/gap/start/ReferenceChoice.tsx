@@ -2,7 +2,7 @@ import { SegmentedControl, TextInput } from "@mantine/core";
 import { useState } from "react";
 import { errorWords } from "../../words/errors";
 import { count } from "../../words/format";
-import { useThrowsToDiagnose } from "../useGap";
+import { useKeptReference, useThrowsToDiagnose } from "../useGap";
 import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
 import type { Wish } from "./wish";
@@ -17,7 +17,12 @@ type Props = {
   onChange: (chosen: ReadonlySet<string>) => void;
 };
 
-/** What the throws are compared with: the machine's type, or throws of its own while it was healthy. */
+const NOTES = {
+  machine: "Tick throws from when it was healthy: smaller effects show.",
+  type: "Healthy machines of this type. They differ, so small effects stay hidden.",
+};
+
+/** What the throws are compared with: kept reference throws, ticked ones, or the machine's type. */
 export function ReferenceChoice({ against, onAgainst, ...more }: Props) {
   return (
     <fieldset className={classes.group}>
@@ -26,19 +31,33 @@ export function ReferenceChoice({ against, onAgainst, ...more }: Props) {
         fullWidth
         aria-label="Compare with"
         data={[
-          { value: "type", label: "Machine type" },
+          { value: "kept", label: "Kept throws" },
           { value: "machine", label: "This machine" },
+          { value: "type", label: "Machine type" },
         ]}
         value={against}
         onChange={(value) => onAgainst(value as Wish["against"])}
       />
-      <p className={classes.note}>
-        {against === "type"
-          ? "Healthy machines of this type. They differ, so small effects stay hidden."
-          : "Tick throws from when it was healthy: smaller effects show."}
-      </p>
+      {against === "kept" ? (
+        <KeptThrows machineId={more.machineId} />
+      ) : (
+        <p className={classes.note}>{NOTES[against]}</p>
+      )}
       {against === "machine" && <HealthyThrows {...more} />}
     </fieldset>
+  );
+}
+
+/** Which reference throws commissioning has kept. */
+function KeptThrows({ machineId }: { machineId: string }) {
+  const kept = useKeptReference(machineId);
+  if (kept.isError) return <p className={classes.error}>{errorWords(kept.error)}</p>;
+  if (!kept.data) return null;
+  return (
+    <p className={classes.note} data-problem={!kept.data.is_used || undefined}>
+      {kept.data.words}
+      {!kept.data.is_used && " It is compared with its type, and only large effects show."}
+    </p>
   );
 }
 

@@ -9,8 +9,11 @@ import { StartPanel } from "./StartPanel";
 const TICKED = "Healthy throws to compare with, newest first";
 let posted: unknown[] = [];
 
+const ENOUGH = { is_used: true, words: "24 reference throws of 2026-05-01 and 2026-05-02." };
+const FEW = { is_used: false, words: "6 reference throws of 2026-05-01. 6 are too few." };
+
 /** A server with so many throws on 20 November, and four on the day before. */
-function serve(count: number) {
+function serve(count: number, kept: typeof ENOUGH) {
   const row = (index: number, day: number) => ({
     throw_id: `d${day}-${index}`,
     created_utc: `2026-11-${day}T10:${String(59 - index).padStart(2, "0")}:00Z`,
@@ -24,6 +27,7 @@ function serve(count: number) {
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
   vi.spyOn(api, "GET").mockImplementation(((path: string, options: Asked) => {
     if (path === "/api/v1/auth/me") return answer({ permissions: ["gap.run"] });
+    if (path.endsWith("/kept-reference")) return answer(kept);
     const rows = options.params.query.until ? older : [...newer, ...older].slice(0, 60);
     return answer({ rows, next_cursor: null });
   }) as never);
@@ -35,8 +39,8 @@ function serve(count: number) {
 
 type Asked = { params: { query: { until?: string } } };
 
-async function open(count: number) {
-  serve(count);
+async function open(count: number, kept = ENOUGH) {
+  serve(count, kept);
   render(
     <QueryClientProvider client={new QueryClient()}>
       <MantineProvider>
@@ -59,11 +63,27 @@ afterEach(() => {
 });
 
 describe("a new diagnosis", () => {
-  it("compares with the machine type by default", async () => {
+  it("compares with kept reference throws by default, and names their days", async () => {
     await open(12);
+    expect(screen.getByText(/24 reference throws of 2026-05-01 and 2026-05-02/)).toBeTruthy();
     expect(screen.queryByRole("table", { name: TICKED })).toBeNull();
     fireEvent.click(start());
     await waitFor(() => expect(posted).toEqual([{ newest_count: 12, mode: null }]));
+  });
+
+  it("says when too few are kept, and what that means", async () => {
+    await open(12, FEW);
+    expect(screen.getByText(/6 are too few. It is compared with its type/)).toBeTruthy();
+  });
+
+  it("compares with the machine type when asked", async () => {
+    await open(12);
+    compare("Machine type");
+    expect(screen.getByText(/small effects stay hidden/)).toBeTruthy();
+    fireEvent.click(start());
+    await waitFor(() =>
+      expect(posted).toEqual([{ newest_count: 12, mode: null, against: "type" }]),
+    );
   });
 
   it("offers healthy throws that are not diagnosed, and asks for three", async () => {

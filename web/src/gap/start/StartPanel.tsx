@@ -11,7 +11,7 @@ import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
 import { diagnosedOf, fittingOf, MIN_THROWS, type Wish, wishOf } from "./wish";
 
-const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "type" };
+const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "kept" };
 
 type Props = { machineId: string; onStarted: (runId: string) => void };
 

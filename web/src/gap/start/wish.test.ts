@@ -7,7 +7,7 @@ const throws = Array.from({ length: 10 }, (_, index) => ({
   mode: index < 7 ? "3d" : "2d",
 })) as Throw[];
 const none: ReadonlySet<string> = new Set();
-const newest: Wish = { by: "newest", count: 12, mode: "any", against: "type" };
+const newest: Wish = { by: "newest", count: 12, mode: "any", against: "kept" };
 
 describe("a wish for a diagnosis", () => {
   it("asks for the newest", () => {
@@ -47,6 +47,7 @@ describe("a wish for a diagnosis", () => {
     expect(wishOf({ ...own, against: "type" }, throws, none, all).body).toEqual({
       newest_count: 6,
       mode: null,
+      against: "type",
     });
   });
 });

@@ -8,8 +8,9 @@ export type Wish = {
   by: "newest" | "hand";
   count: number;
   mode: "any" | "2d" | "3d";
-  /** What they are compared with: healthy machines of the type, or this machine while it was healthy. */
-  against: "type" | "machine";
+  /** What they are compared with: reference throws that are kept, throws of this machine that are ticked, or
+   * healthy machines of the type. */
+  against: "kept" | "machine" | "type";
 };
 
 type Asked = { body: Schema["GapRunRequest"] | null; problem: string | null };
@@ -53,7 +54,8 @@ export function wishOf(wish: Wish, throws: readonly Throw[], chosen: Ids, health
     wish.by === "hand"
       ? { throw_ids: ids }
       : { newest_count: wish.count, mode: wish.mode === "any" ? null : wish.mode };
-  if (wish.against === "type") return { body, problem: null };
+  if (wish.against === "kept") return { body, problem: null };
+  if (wish.against === "type") return { body: { ...body, against: "type" }, problem: null };
   const reference = [...healthy].filter((id) => !diagnosed.has(id));
   const have = `${counted(reference.length, "healthy throw")} chosen`;
   if (reference.length < MIN_HEALTHY) return refused(`${have}, at least ${MIN_HEALTHY}.`);
