@@ -47,8 +47,8 @@ class GapRunRequest(Request):
     )
     """Throws of this machine while it was healthy, to compare with. `newest_count` leaves them out."""
     against: Literal["kept", "type"] | None = None
-    """Without `reference_throw_ids`: `type` compares with healthy machines of the type; else the machine's kept
-    reference throws are compared with, if there are enough."""
+    """Without `reference_throw_ids`: `type` compares with healthy machines of the type; else the kept
+    reference throws of the machine are compared with, if there are enough."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
