@@ -89,7 +89,7 @@ def choose_healthy(page: Page) -> None:
     count = panel.get_by_label("How many throws")
     count.fill(f"{THROWS_COUNT}")
     compare = panel.get_by_role("radiogroup", name="Compare with")
-    compare.get_by_role("radio", name="Machine type").focus()
+    compare.get_by_role("radio", name="Kept throws").focus()
     page.keyboard.press("ArrowRight")
     expect(panel).to_contain_text("0 healthy throws chosen, at least 3.")
     table = panel.get_by_role("table", name="Healthy throws to compare with, newest first")
