@@ -9,6 +9,7 @@ import { Alerts } from "./Alerts";
 import classes from "./Frame.module.css";
 import { OfflineBanner } from "./OfflineBanner";
 import { Rail } from "./Rail";
+import { ShortcutHelp } from "./ShortcutHelp";
 import { TopBar } from "./TopBar";
 
 /** The frame around every page; without a session it leads to the login page and back. */
@@ -37,6 +38,7 @@ export function Frame() {
         <OfflineBanner />
         <Alerts />
       </div>
+      <ShortcutHelp />
       <div className={classes.body}>
         <Rail />
         <main className={classes.page} id="page" tabIndex={-1}>
