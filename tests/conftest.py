@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingRecord, file_sha256
@@ -17,6 +18,23 @@ from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
 settings.register_profile("downrange", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None, max_examples=1000)
 settings.load_profile("downrange")
+
+WHOLE_FOLDERS = ("server", "training")
+"""Their session fixtures, a running server and compiled environments, are built once, not in every worker."""
+
+
+class FolderScheduling(LoadFileScheduling):
+    """Tests of a file, or of a whole folder, run in one worker."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = nodeid.split("::", 1)[0]
+        folder = path.split("/")[1]
+        return folder if folder in WHOLE_FOLDERS else path
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> FolderScheduling:
+    return FolderScheduling(config, log)
+
 
 RELEASE_SPEED_M_PER_S = 0.6
 """The 2D throw from the safe pose then takes 1.2 s and lands 6.0 m away."""
