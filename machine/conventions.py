@@ -38,6 +38,7 @@ DEFAULT_PACE_RATIO: Final = 0.0
 GRAVITY_M_PER_S2: Final = 9.81
 
 UNIT_SUFFIXES: Final = (
+    "_rad_m_per_s3",
     "_rad_m_per_s2",
     "_rad_m_per_s",
     "_rad_m",

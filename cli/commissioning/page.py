@@ -15,7 +15,7 @@ MARGINS = Margins(left=46.0, right=8.0, top=8.0, bottom=22.0)
 
 def commissioning_html(found: Commissioning) -> str:
     """The page."""
-    days = found.reference_days
+    days = found.reference_day_count
     return render_page(
         Path(__file__).parent,
         "commissioning.html.j2",

@@ -78,7 +78,7 @@ class Commissioning(_Model):
     release: ReleaseDelay | None = None
     swing: tuple[AxisSwing, ...] = ()
     registrations: tuple[RegistrationFit, ...] = ()
-    reference_days: dict[str, int] = {}
+    reference_day_count: dict[str, int] = {}
     """Reference throws that landed, by day."""
 
     def done(self, step: StepName, words: str, **found: Any) -> "Commissioning":

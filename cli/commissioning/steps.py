@@ -171,7 +171,7 @@ class CommissioningJob:
             self._record(None, missing, seed, self.files.reference.folder / day)
         days = self.files.reference.days()
         words = f"{sum(days.values())} throws on {len(days)} days"
-        return found.done("reference", words, reference_days=days)
+        return found.done("reference", words, reference_day_count=days)
 
     def _test(self, test: TestKind) -> LoadedSet:
         """Record an identification test and load its logs.

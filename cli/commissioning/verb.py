@@ -70,6 +70,8 @@ def run(
         )
     for flag in found.flags():
         print(f"look at: {flag}")
-    print(f"{words_of_days(found.reference_days)}. {advice(found.reference_days)}".strip())
+    print(
+        f"{words_of_days(found.reference_day_count)}. {advice(found.reference_day_count)}".strip()
+    )
     print(f"wrote {files.calibration}, {files.profile}, {files.file('commissioning.html')}")
     return 0

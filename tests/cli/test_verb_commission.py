@@ -152,7 +152,7 @@ def test_one_command_measures_keeps_and_reports(
     assert all(log["twin_profile"]["drives"] for log in kept)
     record = json.loads((tmp_path / "yard-1.commissioning.json").read_text())
     assert record["schema_version"] == 1
-    assert record["reference_days"] == {"2026-05-01": 2}
+    assert record["reference_day_count"] == {"2026-05-01": 2}
     page = (tmp_path / "yard-1.commissioning.html").read_text()
     for part in ("Commissioning of yard-1", "oil spring", "95.0 %", "2026-05-01", "<svg", "0.20 m"):
         assert part in page
