@@ -66,7 +66,7 @@ def test_a_load_is_thrown_onto_the_truck_bed(demo: Stack, open_page: Callable[..
     expect(numbers).to_contain_text(f"{BED}, +1.20 m")
 
     throw_until_landed(page, "pointer")
-    page.get_by_role("link", name="Open this throw").click()
+    page.get_by_role("link", name="Open", exact=True).click()
     records = page.get_by_role("complementary").get_by_role("listitem")
     expect(records).to_have_count(1)
     expect(records).to_contain_text("+1.20 m high")
