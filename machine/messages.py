@@ -13,10 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.site.objects import SiteObjects
+from machine.site.zones import ZoneSet
 
 SCHEMA_VERSION = 1
-PROTOCOL_VERSION = 2
-"""What a machine of this software understands. 2: age of every command, clears that name their latch."""
+PROTOCOL_VERSION = 3
+"""What a machine of this software understands. 2: age of every command, clears that name their latch.
+3: exclusion zones."""
+ZONES_VERSION = 3
+"""First protocol version with exclusion zones."""
 
 
 class ThrowState(StrEnum):
@@ -52,6 +56,8 @@ class RejectReason(StrEnum):
     TARGET_OUT_OF_REACH = "target_out_of_reach"
     TARGET_TOO_NEAR = "target_too_near"
     TARGET_IN_ZONE = "target_in_zone"
+    ZONES_MISMATCH = "zones_mismatch"
+    """A plan was made with other exclusion zones than are approved, or than the machine has."""
     PREVIEW_REFUSED = "preview_refused"
     PLAN_EXPIRED = "plan_expired"
     CHECK_FAILED = "check_failed"
@@ -117,14 +123,17 @@ class ThrowPlan(_ToMachine):
     allowed_radius_m: float | None = Field(default=None, gt=0.0, le=20.0)
     """Of the region around the target in which the machine's safety gate lets the load come down; None = its
     own default."""
+    zones_sha256: str | None = None
+    """Set of exclusion zones that the preview was checked against (machine.site.zones); None = no zones."""
 
     @property
     def plan_hash(self) -> str:
         """sha256 of the canonical JSON: sorted keys, no spaces, full float precision."""
         content = self.model_dump(mode="json")
-        if self.allowed_radius_m is None:
-            # As hashed by software that does not know the field.
-            del content["allowed_radius_m"]
+        for name in ("allowed_radius_m", "zones_sha256"):
+            if content[name] is None:
+                # As hashed by software that does not know the field.
+                del content[name]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -210,6 +219,16 @@ class LoadRequest(_AgedCommand):
     epoch_count: int = Field(ge=0)
 
 
+class ZonesRequest(_AgedCommand):
+    """Gives the machine the approved set of exclusion zones; it keeps it over restarts.
+
+    It needs no lease: zones only take permission away, and plans name the set that they were made with.
+    """
+
+    kind: Literal["zones"] = "zones"
+    zone_set: ZoneSet
+
+
 Command = (
     LeaseNotice
     | ArmRequest
@@ -219,6 +238,7 @@ Command = (
     | StopRequest
     | StopClearRequest
     | LoadRequest
+    | ZonesRequest
 )
 
 
@@ -229,7 +249,7 @@ def command_json(command: Command, protocol_version: int = PROTOCOL_VERSION) -> 
     """A command as JSON that a machine of this protocol version can read."""
     if protocol_version >= 2 or isinstance(command, FireRequest):
         return command.model_dump_json(exclude_none=True)
-    return command.model_dump_json(exclude=set(_SINCE_VERSION_2))
+    return command.model_dump_json(exclude=set(_SINCE_VERSION_2), exclude_none=True)
 
 
 class CommandReply(_FromMachine):
@@ -296,6 +316,8 @@ class MachineState(_FromMachine):
     model_sha256: str
     policy_sha256: dict[str, str] = {}
     """Mode -> hash of the policy on board."""
+    zones_sha256: str | None = None
+    """Set of exclusion zones on board; empty = none are approved, null = unreadable, or older software."""
     heartbeat_age_s: float | None = None
     outbox_count: int = 0
     recorder_dropped_count: int = 0

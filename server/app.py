@@ -85,6 +85,7 @@ def _api_router() -> APIRouter:
         health,
     ):
         api.include_router(module.router)
+    api.include_router(sites.zones_router)
     api.include_router(logs.router, max_body_size=logs.MAX_BODY_BYTES)
     return api
 

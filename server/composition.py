@@ -31,12 +31,14 @@ from server.machines.machine_link import MachineLink
 from server.machines.machine_registry import MachineRegistry
 from server.machines.stop_service import StopService
 from server.machines.twin_files import TwinFiles
+from server.machines.zone_notices import ZoneNotices
 from server.metrics import ServiceMetrics
 from server.plans.plan_store import PlanStore
 from server.plans.planner import Planner
 from server.plans.policy_store import PolicyStore
 from server.plans.preview_pool import PreviewPool
 from server.plans.site_store import SiteStore
+from server.plans.zone_store import ZoneStore
 from server.settings import Settings
 from server.store.database import Database, DatabaseStanding, upgrade
 from server.throws.event_ingest import EventIngest
@@ -93,6 +95,8 @@ class Parts:
     gap_previews: GapPreviews
     views: MachineViews
     sites: SiteStore
+    zones: ZoneStore
+    zone_notices: ZoneNotices
     targets: TargetProposals
     scene: ViewerScene
 
@@ -181,6 +185,7 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         stack.callback(parts.gap.close)
         stack.callback(parts.hub.close)
         stack.callback(notices.close)
+        stack.callback(parts.zone_notices.close)
         stack.callback(parts.link.close)
         try:
             parts.link.open(link_config(settings, parts.registry))
@@ -217,11 +222,15 @@ def assemble(
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     twins = TwinFiles(settings.data_dir, spec)
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)
+    zones = ZoneStore(database, audit, registry, hub)
+    zone_notices = ZoneNotices(zones.active, registry, commands)
     planner = Planner(
-        plans, registry, policies, pool, twins, sites, hub, scene, spec, settings.plan_ttl_s
+        plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
     holds = HoldRelay(link, registry, metrics)
-    throw_service = ThrowService(database, registry, leases, plans, sites, throws, commands, holds)
+    throw_service = ThrowService(
+        database, registry, leases, plans, sites, zones, throws, commands, holds
+    )
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     replays = ReplayControl(logs, plans, scene)
     gap = GapService(database, audit, registry, logs, twins, hub)
@@ -230,8 +239,7 @@ def assemble(
     views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
     impacts = ImpactDisplay(database, scene)
     throws.on_change.append(impacts.refresh)
-    targets = TargetProposals(scene, policies, sites, hub, impacts)
-    sites.on_change.append(targets.show_site)
+    targets = TargetProposals(scene, policies, sites, zones, hub, impacts, spec.ball.radius_m)
     ingest.on_throw_end.append(holds.end)
     parts = Parts(
         settings=settings,
@@ -264,6 +272,8 @@ def assemble(
         gap_previews=gap_previews,
         views=views,
         sites=sites,
+        zones=zones,
+        zone_notices=zone_notices,
         targets=targets,
         scene=scene,
     )
@@ -273,6 +283,9 @@ def assemble(
 
 def _connect(parts: Parts) -> None:
     """Tell the parts of each other's news."""
+    parts.sites.on_change.append(parts.targets.show_site)
+    parts.zones.on_change.append(parts.zone_notices.changed)
+    parts.zones.on_change.append(parts.targets.show_zones)
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.holds.revoke(machine_id))
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.views.publish(machine_id))
     parts.stops.on_stop.append(parts.throw_service.forget)

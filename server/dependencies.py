@@ -32,6 +32,7 @@ from server.plans.planner import Planner
 from server.plans.policy_store import PolicyStore
 from server.plans.preview_pool import PreviewPool
 from server.plans.site_store import SiteStore
+from server.plans.zone_store import ZoneStore
 from server.schemas.console import Permission
 from server.settings import Settings
 from server.store.database import Database
@@ -89,6 +90,7 @@ TargetsDep = Annotated[TargetProposals, Depends(_get(TargetProposals))]
 ThrowServiceDep = Annotated[ThrowService, Depends(_get(ThrowService))]
 ThrowsDep = Annotated[ThrowStore, Depends(_get(ThrowStore))]
 TwinVersionsDep = Annotated[TwinVersions, Depends(_get(TwinVersions))]
+ZonesDep = Annotated[ZoneStore, Depends(_get(ZoneStore))]
 ViewsDep = Annotated[MachineViews, Depends(_get(MachineViews))]
 
 
@@ -129,5 +131,6 @@ StopClearer = Annotated[Session, Depends(requires(Permission.STOP_CLEAR))]
 GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
 TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
+ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
 Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]

@@ -23,6 +23,7 @@ from server.schemas.events import (
     TargetProposedEvent,
     ThrowUpdatedEvent,
     TwinUpdatedEvent,
+    ZonesUpdatedEvent,
 )
 
 DiscreteEvent = (
@@ -35,6 +36,7 @@ DiscreteEvent = (
     | GapUpdatedEvent
     | TwinUpdatedEvent
     | SiteUpdatedEvent
+    | ZonesUpdatedEvent
     | AlertEvent
 )
 

@@ -72,9 +72,11 @@ _VIOLATIONS = tuple(
         Violation.POLICY,
         Violation.RELEASE,
         Violation.LATE,
+        Violation.ZONE,
     )
 )
 _RELEASE_REFUSED = int(safety.Intervention.RELEASE_REFUSED)
+_FLIGHT_IN_ZONE = int(safety.Intervention.FLIGHT_IN_ZONE)
 _CLOSING_ON_ITS_OWN = int(safety.CLOSING & ~safety.Intervention.STOPPED)
 
 
@@ -310,7 +312,11 @@ def _drive(
     if np.count_nonzero(opening):
         opening = opening & ((motion == _THROW) | (motion == _SETTLE))
     tool = safety.ToolEstimate(
-        sensed.position, sensed.velocity, inputs.target_m, inputs.allowed_radius_m
+        sensed.position,
+        sensed.velocity,
+        inputs.target_m,
+        inputs.allowed_radius_m,
+        inputs.zones,
     )
     memory, gated = safety.apply(spec, valve, opening, state.safety, sample, motion, now_ns, tool)
     closed: BoolArray = np.not_equal(gated.intervention_count & _CLOSING, 0)
@@ -348,6 +354,7 @@ def _violations(
         + (policy.failed & ~policy.late) * _VIOLATIONS[3]
         + (gated.intervention_count & _RELEASE_REFUSED > 0) * _VIOLATIONS[4]
         + policy.late * _VIOLATIONS[5]
+        + (gated.intervention_count & _FLIGHT_IN_ZONE > 0) * _VIOLATIONS[6]
     )
 
 

@@ -19,6 +19,7 @@ from runtime.control.safety import SafetyMemory
 from runtime.control.swing_control import SwingState
 from runtime.control.velocity_controller import ControllerState, VelocityController
 from runtime.driver import SensorSample, ValveCommand
+from runtime.guard.zones import Prisms
 
 
 class Violation(IntFlag):
@@ -36,6 +37,8 @@ class Violation(IntFlag):
     """The gate refused the release: the load would come down outside the plan's region."""
     LATE = 32
     """The policy took too long for its tick."""
+    ZONE = 64
+    """The gate refused the release: the load would fly through an exclusion zone."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ class ControlInputs:
     """(N,), or one for all machines; 0 careful .. 1 fast."""
     allowed_radius_m: float = math.inf
     """Of the region around the target in which a load may come down; infinite = no plan says so."""
+    zones: Prisms | None = None
+    """Exclusion zones of the machine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from machine.spec import MachineSpec
 from runtime.driver import SensorSample
 from runtime.guard.plausibility import Contradiction, GuardMemory, check, initial_guard
 from runtime.guard.release_window import exceeds_tool_limits, is_allowed
+from runtime.guard.zones import Prisms, arm_enters, flight_enters
 
 
 class Intervention(IntFlag):
@@ -58,6 +59,10 @@ class Intervention(IntFlag):
     """A hold asked for more than braking needs."""
     RELEASE_REFUSED = 131072
     """The load would come down outside the plan's allowed region: the gripper stays closed."""
+    ARM_IN_ZONE = 262144
+    """Arm or gripper are in an exclusion zone, or could no longer stop before it: all valves closed."""
+    FLIGHT_IN_ZONE = 524288
+    """The load would fly through an exclusion zone: the gripper stays closed, as RELEASE_REFUSED says."""
 
 
 CLOSING = (
@@ -73,6 +78,7 @@ CLOSING = (
     | Intervention.VALVE_CONTRADICTED
     | Intervention.IMU_CONTRADICTED
     | Intervention.TOOL_LIMIT
+    | Intervention.ARM_IN_ZONE
 )
 """Bits that close all valves."""
 LATCHING = CLOSING & ~(
@@ -111,6 +117,8 @@ _NOT_PERMITTED = int(Intervention.NOT_PERMITTED)
 _TOOL_LIMIT = int(Intervention.TOOL_LIMIT)
 _HOLD_CLIPPED = int(Intervention.HOLD_CLIPPED)
 _RELEASE_REFUSED = int(Intervention.RELEASE_REFUSED)
+_ARM_IN_ZONE = int(Intervention.ARM_IN_ZONE)
+_FLIGHT_IN_ZONE = int(Intervention.FLIGHT_IN_ZONE)
 _CLIP_BITS = (_RANGE_CLIPPED, _RATE_CLIPPED, _HOLD_CLIPPED, _POSITION_LIMIT)
 _CONTRADICTIONS = (
     (Contradiction.JUMP | Contradiction.CLOCK, int(Intervention.SENSOR_JUMP)),
@@ -135,6 +143,8 @@ class ToolEstimate(NamedTuple):
     """(N, 3) frame `machine`."""
     allowed_radius_m: float
     """Of the plan's region around the target; infinite where there is no plan."""
+    zones: Prisms | None = None
+    """Exclusion zones; None where there are none."""
 
     @property
     def gripper_rad(self) -> Array:
@@ -255,6 +265,11 @@ def apply(
         if tool is not None:
             wild = exceeds_tool_limits(spec, tool.position_rad_m, tool.velocity_rad_m_per_s)
             bits = bits + wild * _TOOL_LIMIT
+            if tool.zones is not None:
+                entered = arm_enters(
+                    spec, tool.zones, tool.position_rad_m, tool.velocity_rad_m_per_s
+                )
+                bits = bits + entered * _ARM_IN_ZONE
         closed: BoolArray = np.not_equal(bits, 0)
         any_closed = np.count_nonzero(closed) > 0
         if any_closed:
@@ -268,9 +283,12 @@ def apply(
     opened = open_requested
     if np.count_nonzero(open_requested):
         may_open = (motion == _THROW) | ((motion == _SETTLE) & memory.gripper_open)
-        refused = _refused_release(spec, open_requested & may_open & ~memory.gripper_open, tool)
+        beginning = open_requested & may_open & ~memory.gripper_open
+        strays = _strays(spec, beginning, tool)
+        refused = strays | _refused_release(spec, beginning, tool)
         opened = open_requested & may_open & ~closed & ~refused
         bits = bits + (open_requested & ~opened) * _GRIPPER_KEPT_CLOSED + refused * _RELEASE_REFUSED
+        bits = bits + strays * _FLIGHT_IN_ZONE
     after = SafetyMemory(
         valve_ratio=valve,
         recent_up_ratio=np.fmax(valve, memory.recent_up_ratio - _FADE),
@@ -325,6 +343,19 @@ def _refused_release(spec: MachineSpec, opening: BoolArray, tool: ToolEstimate |
         tool.allowed_radius_m,
     )
     return opening & ~allowed
+
+
+def _strays(spec: MachineSpec, opening: BoolArray, tool: ToolEstimate | None) -> BoolArray:
+    """Machines (N,) that begin to open now although the load would fly through an exclusion zone."""
+    if tool is None or tool.zones is None or not np.count_nonzero(opening):
+        return np.zeros(opening.shape, dtype=np.bool_)
+    return opening & flight_enters(
+        spec,
+        tool.zones,
+        tool.position_rad_m,
+        tool.velocity_rad_m_per_s,
+        tool.target_m[:, 2],
+    )
 
 
 def _closing_bits(

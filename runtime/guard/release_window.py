@@ -79,6 +79,18 @@ def predicted_landing_m(
         velocity_rad_m_per_s: (N, 6)
         height_m: (N,) of the surface.
     """
+    tool = predicted_release(spec, position_rad_m, velocity_rad_m_per_s)
+    fall_m = tool.position_m[:, 2] - height_m - _geometry(spec).ball_radius_m
+    up = tool.velocity_m_per_s[:, 2]
+    with np.errstate(invalid="ignore"):
+        time_s = (up + np.sqrt(up * up + 2.0 * GRAVITY_M_PER_S2 * fall_m)) / GRAVITY_M_PER_S2
+    return tool.position_m[:, :2] + time_s[:, None] * tool.velocity_m_per_s[:, :2]
+
+
+def predicted_release(
+    spec: MachineSpec, position_rad_m: Array, velocity_rad_m_per_s: Array
+) -> Tool:
+    """Grip centres at the moment at which loads that are released now leave, for joints (N, 6)."""
     g = _geometry(spec)
     q, v = position_rad_m, velocity_rad_m_per_s
     step_s = g.delay_s / STEP_COUNT
@@ -91,12 +103,7 @@ def predicted_landing_m(
         swing = swing + step_s * swing_rate
         roll_rate = roll_rate - step_s * g.pendulum_per_s2 * np.sin(roll)
         roll = roll + step_s * roll_rate
-    tool = tool_motion(spec, active, v[:, :4], swing, swing_rate, roll, roll_rate)
-    fall_m = tool.position_m[:, 2] - height_m - g.ball_radius_m
-    up = tool.velocity_m_per_s[:, 2]
-    with np.errstate(invalid="ignore"):
-        time_s = (up + np.sqrt(up * up + 2.0 * GRAVITY_M_PER_S2 * fall_m)) / GRAVITY_M_PER_S2
-    return tool.position_m[:, :2] + time_s[:, None] * tool.velocity_m_per_s[:, :2]
+    return tool_motion(spec, active, v[:, :4], swing, swing_rate, roll, roll_rate)
 
 
 def is_allowed(

@@ -24,6 +24,7 @@ from machine.messages import (
     RejectReason,
     StopRequest,
     ThrowState,
+    ZonesRequest,
 )
 from runtime.link.ipc import Kind
 from runtime.link.server_link import ReplySlot
@@ -118,6 +119,8 @@ class CommandInbox:
             return
         if isinstance(pending.command, FireRequest) and pending.owns_intent and not reply.accepted:
             self._journal.forget_intent(pending.command.throw_id)
+        if isinstance(pending.command, ZonesRequest) and reply.accepted:
+            self._journal.keep_zones(pending.command.zone_set)
         pending.slot.answer(reply.model_dump_json().encode())
 
     def give_up(self, age_s: float = 0.0) -> None:

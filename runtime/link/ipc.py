@@ -64,6 +64,8 @@ class Kind(IntEnum):
     """control -> link: context of the log that the following ticks belong to"""
     LOG_END = 12
     """control -> link: result of the log"""
+    ZONES = 13
+    """link -> control: {zone_set}, the exclusion zones on the disk, null = unreadable; before the JOURNAL."""
 
 
 class Packet(NamedTuple):

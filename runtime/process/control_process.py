@@ -18,6 +18,7 @@ from machine import calibration
 from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.errors import DownrangeError, PolicyError
 from machine.messages import Command, OperatorHeartbeat, StopRequest, ThrowState
+from machine.site.zones import ZoneSet
 from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.link.ipc import (
@@ -73,6 +74,8 @@ class ControlProcess:
         self._alive = alive
         self._port: PacketSocket | None = None
         self._has_memory = False
+        self._zones: ZoneSet | None = None
+        """As the link process read them; None = they cannot be read."""
         self._is_connected = False
         self._event_number = 0
         self._kept: OrderedDict[int, bytes] = OrderedDict()
@@ -146,6 +149,9 @@ class ControlProcess:
                 self._forget_events(int(packet.json["number"]))
             elif packet.kind is Kind.LINK:
                 self._take_link(packet.json, messages)
+            elif packet.kind is Kind.ZONES:
+                found = packet.json["zone_set"]
+                self._zones = None if found is None else ZoneSet.model_validate(found)
             elif packet.kind is Kind.JOURNAL:
                 self._take_journal(packet.json)
         except (ValidationError, ValueError, KeyError) as error:
@@ -164,7 +170,9 @@ class ControlProcess:
             return
         latch = body["latch"]
         known = latch and Latch(latch["latch_id"], ThrowState(latch["state"]), latch["reason"])
-        self._control.remember(int(body["epoch_count"]), tuple(body["throw_ids"]), known or None)
+        self._control.remember(
+            int(body["epoch_count"]), tuple(body["throw_ids"]), known or None, self._zones
+        )
         self._has_memory = True
 
     def _forget_events(self, number: int) -> None:

@@ -89,6 +89,7 @@ class LinkProcess:
         self._stop_reply: CommandReply | None = None
         if damage:
             self._latch(damage)
+            self._journal.forget_zones()
         self._port: PacketSocket | None = None
         self._state: MachineState | None = None
         self._heard_s = time.monotonic()
@@ -242,6 +243,7 @@ class LinkProcess:
         self._report_latches()
         if not has_memory:
             memory = self._journal.memory()
+            self._send(Kind.ZONES, {"zone_set": self._journal.zones_for_control()})
             latch = self._latches.latch
             answer = {
                 "epoch_count": memory.epoch_count,

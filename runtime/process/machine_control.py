@@ -20,9 +20,11 @@ from machine.messages import (
     CommandReply,
     EventKind,
     MachineState,
+    ThrowPlan,
     ThrowState,
 )
 from machine.site.solids import Solids
+from machine.site.zones import ZoneSet
 from machine.spec import MachineSpec
 from runtime.control import swing_control
 from runtime.control.control_loop import (
@@ -38,6 +40,7 @@ from runtime.control.policy import PolicyRunner
 from runtime.control.policy_step import initial_throw
 from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
 from runtime.guard.release_window import DEFAULT_RADIUS_M
+from runtime.process.machine_zones import NO_ZONES, MachineZones
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
 from runtime.throw.protocol import (
@@ -124,6 +127,7 @@ class MachineControl:
         self._target_m: Array = np.full((1, 3), np.nan)
         self._pace_ratio = DEFAULT_PACE_RATIO
         self._allowed_radius_m = DEFAULT_RADIUS_M
+        self._zones = MachineZones(setup.spec, None)
         self._state: ControlState = initial_state(
             self._params[self._mode], self._sample, np.zeros((1, 3)), self._now_ns
         )
@@ -135,14 +139,22 @@ class MachineControl:
         self._nonce = secrets.token_hex(16)
         self._tracker = ThrowTracker(setup.spec, self._sample)
 
-    def remember(self, epoch_count: int, throw_ids: tuple[str, ...], latch: Latch | None) -> None:
+    def remember(
+        self,
+        epoch_count: int,
+        throw_ids: tuple[str, ...],
+        latch: Latch | None,
+        zones: ZoneSet | None = NO_ZONES,
+    ) -> None:
         """Take over what earlier processes left; without a call the machine stays STOPPED.
 
         Args:
             epoch_count: highest lease epoch.
             throw_ids: throws that must never run again.
             latch: the stop or fault that nobody has cleared; None where there is none.
+            zones: exclusion zones; None where they cannot be read.
         """
+        self._zones = MachineZones(self.setup.spec, zones)
         replies = self.throw.throw_replies
         for throw_id in throw_ids:
             reply = CommandReply(
@@ -184,8 +196,9 @@ class MachineControl:
         self._abort_reason = self._fault_reason = ""
         for request, message in [*messages, (0, Tick())]:
             self._take(request, message, facts, now_ns, report)
-            if facts.fresh_nonce != self._nonce:
-                facts = replace(facts, fresh_nonce=self._nonce)
+            is_other_set = facts.zones_sha256 != self._zones.sha256
+            if facts.fresh_nonce != self._nonce or is_other_set:
+                facts = replace(facts, fresh_nonce=self._nonce, zones_sha256=self._zones.sha256)
         outputs = self._step(now_ns)
         self._tick_count += 1
         if outputs is not None:
@@ -215,6 +228,9 @@ class MachineControl:
             self._take_plan()
         if actions.load:
             self.driver.load()
+        if actions.zones is not None:
+            self._zones = MachineZones(self.setup.spec, actions.zones)
+            self._checks = self._run_checks()
         for event in actions.events:
             report.events.append(self._tracker.enrich(event, self._tick_count, self._now_ns))
             if event.kind is EventKind.THROW_ACCEPTED:
@@ -239,7 +255,12 @@ class MachineControl:
     def _step(self, now_ns: int) -> ControlOutputs | None:
         motion = np.array([int(self.throw.motion)])
         inputs = ControlInputs(
-            self._sample, motion, self._target_m, self._pace_ratio, self._allowed_radius_m
+            self._sample,
+            motion,
+            self._target_m,
+            self._pace_ratio,
+            self._allowed_radius_m,
+            self._zones.prisms,
         )
         try:
             self._state, outputs = step(self._params[self._mode], self._state, inputs, now_ns)
@@ -274,6 +295,8 @@ class MachineControl:
             local_enable=bool(sample.local_enable[0]),
             emergency_stop=bool(sample.emergency_stop[0]),
             fresh_nonce=self._nonce,
+            zones_sha256=self._zones.sha256,
+            zone_conflict=self._zone_conflict,
         )
         if self._outputs is not None:
             facts = with_control(facts, self._outputs, sample, setup.spec.limits.swing_rad)
@@ -284,6 +307,9 @@ class MachineControl:
             abort_reason=facts.abort_reason or self._abort_reason,
             fault_reason=facts.fault_reason or self._fault_reason,
         )
+
+    def _zone_conflict(self, plan: ThrowPlan) -> str:
+        return self._zones.conflict(plan, np.nan_to_num(self._estimate()[0]))
 
     def _run_checks(self) -> tuple[CheckResult, ...]:
         setup, sample, now_ns = self.setup, self._sample, self._now_ns
@@ -311,6 +337,8 @@ class MachineControl:
                 joint_speed_rad_m_per_s=self._state.speed_rad_m_per_s[0],
                 swing_amplitude_rad=float(swing_control.swing_amplitude_rad(setup.spec, imu)[0]),
                 supply_pressure_pa=float(sample.supply_pressure_pa[0]),
+                zone_count=self._zones.count,
+                arm_zone=self._zones.arm_entry(position),
                 late_tick_ratio=self.host.late_tick_ratio,
                 outbox_count=self.host.outbox_count,
                 recorder_dropped_count=self.host.recorder_dropped_count,
@@ -380,6 +408,7 @@ class MachineControl:
             policy_sha256={
                 mode.value: runner.card.policy_sha256 for mode, runner in setup.policies.items()
             },
+            zones_sha256=self._zones.sha256,
             heartbeat_age_s=(self._now_ns - throw.heartbeat_ns) * 1e-9 if has_beat else None,
             late_tick_ratio=self.host.late_tick_ratio,
             software=setup.software,

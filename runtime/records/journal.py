@@ -4,16 +4,31 @@ Rules: a fire is written down before it is executed; the end of a throw and its 
 so that each throw is reported ended exactly once, whoever reports it.
 """
 
+import logging
 from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
 
 from machine.messages import EventKind, MachineEvent, ThrowEnd
+from machine.site.zones import ZoneSet
 from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import THROW_MEMORY_COUNT, EventDraft, Outbox, utc_now
+
+logger = logging.getLogger(__name__)
 
 INTENDED = "intended"
 """A fire command came in; the control process has not answered yet."""
 RUNNING = "running"
 ENDED = "ended"
+_ZONES = "zones"
+
+
+class _ZoneRecord(BaseModel):
+    """Exclusion zones as they are stored; the hash shows damage."""
+
+    sha256: str
+    zone_set: ZoneSet
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +63,43 @@ class Journal:
         if epoch_count > self.epoch_count():
             with self._outbox.transaction():
                 self._outbox.set_meta("epoch_count", str(epoch_count))
+
+    # Exclusion zones ------------------------------------------------------------------------------
+
+    def zone_set(self) -> ZoneSet:
+        """The stored exclusion zones; none before the first.
+
+        Raises:
+            ValueError: they cannot be read, or were lost with the records.
+        """
+        text = self._outbox.meta(_ZONES, "")
+        if not text:
+            return ZoneSet(version_count=0)
+        record = _ZoneRecord.model_validate_json(text)
+        if record.sha256 != record.zone_set.sha256:
+            raise ValueError("the stored exclusion zones are not those that were approved")
+        return record.zone_set
+
+    def zones_for_control(self) -> dict[str, Any] | None:
+        """The stored exclusion zones as JSON; None where they cannot be read."""
+        try:
+            return self.zone_set().model_dump(mode="json")
+        except ValueError as error:
+            logger.error("the exclusion zones cannot be read: %s", error)
+            return None
+
+    def keep_zones(self, zone_set: ZoneSet) -> None:
+        """Store another set; durable when this returns."""
+        record = _ZoneRecord(sha256=zone_set.sha256, zone_set=zone_set)
+        with self._outbox.transaction():
+            self._outbox.set_meta(_ZONES, record.model_dump_json())
+
+    def forget_zones(self) -> None:
+        """Note that zones may have been lost with the records: nobody knows them until others are stored."""
+        with self._outbox.transaction():
+            self._outbox.set_meta(_ZONES, "lost")
+
+    # Throws ---------------------------------------------------------------------------------------
 
     def boot_id(self) -> str:
         """The boot that was last begun; empty before the first."""

@@ -16,6 +16,7 @@ from machine.messages import CheckResult
 from machine.policy_card import PolicyCard
 from machine.spec import MachineSpec
 from machine.starts import is_valid_start
+from runtime.guard.zones import ZoneEntry
 
 SENSOR_AGE_MAX_S = 0.05
 IMU_AGE_MAX_S = 0.15
@@ -52,6 +53,10 @@ class CheckInputs:
     swing_amplitude_rad: float
     supply_pressure_pa: float
     """NaN = not measured."""
+    zone_count: int | None
+    """Exclusion zones on board; None = they cannot be read."""
+    arm_zone: ZoneEntry | None
+    """Zone that the arm stands in."""
     late_tick_ratio: float
     outbox_count: int
     recorder_dropped_count: int
@@ -194,6 +199,23 @@ def check_start_pose(given: CheckInputs) -> CheckResult:
     )
 
 
+def check_zones(given: CheckInputs) -> CheckResult:
+    """The exclusion zones can be read, and the arm is in none."""
+    inside = given.arm_zone
+    if given.zone_count is None:
+        text = "The exclusion zones on this machine cannot be read."
+        remedy = "Connect it to its server, which sends them again."
+    elif inside is not None:
+        text = f"The arm reaches {inside.depth_m:.2f} m into zone '{inside.name}'."
+        remedy = "Move it out at the machine, or change the zone."
+    else:
+        named = {0: "No exclusion zone", 1: "1 exclusion zone"}
+        count = named.get(given.zone_count, f"{given.zone_count} exclusion zones")
+        text, remedy = f"{count} on board.", ""
+    passed = given.zone_count is not None and inside is None
+    return _result("exclusion_zones", passed, "error", text, remedy)
+
+
 def check_calibration(given: CheckInputs) -> CheckResult:
     """The valve tables were measured on this machine."""
     own = given.calibration_machine_id == given.machine_id
@@ -242,6 +264,7 @@ CHECKS: tuple[Callable[[CheckInputs], CheckResult], ...] = (
     check_pressure,
     check_policies,
     check_start_pose,
+    check_zones,
     check_calibration,
     check_loop,
     check_records,

@@ -20,7 +20,9 @@ from machine.messages import (
     RejectReason,
     StopClearRequest,
     StopRequest,
+    ThrowPlan,
     ThrowState,
+    ZonesRequest,
 )
 from machine.reach import check_target
 from runtime.throw.freshness import why_stale
@@ -28,6 +30,7 @@ from runtime.throw.protocol import (
     BEFORE_COMMIT,
     LATCHED,
     NONCE_VALID_S,
+    RUNNING,
     Actions,
     CommandRefusal,
     Facts,
@@ -64,7 +67,8 @@ def handle_command(
             kept = keep_reply(machine.throw_replies, command.throw_id, reply)
             machine = replace(machine, throw_replies=kept)
     load = isinstance(command, LoadRequest) and refusal is None and not facts.payload_held
-    return machine, Actions(reply=reply, events=events, load=load)
+    zones = command.zone_set if isinstance(command, ZonesRequest) and refusal is None else None
+    return machine, Actions(reply=reply, events=events, load=load, zones=zones)
 
 
 def _first_answer(machine: ThrowMachine, command: Command) -> CommandReply | None:
@@ -114,6 +118,8 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
         return machine, CommandRefusal(RejectReason.WRONG_MACHINE, detail), ()
     if isinstance(command, StopRequest):
         return _stop(machine, command, now_ns)
+    if isinstance(command, ZonesRequest):
+        return _zones(machine, command, facts, now_ns)
     if command.epoch_count < machine.epoch_count:
         return machine, _stale(machine, command.epoch_count), ()
     if isinstance(command, LeaseNotice):
@@ -182,6 +188,19 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
         machine, events = abort(machine, reason, now_ns)
     after = replace(machine, epoch_count=command.epoch_count, lease_issuer=command.issuer)
     return after, None, events
+
+
+def _zones(machine: ThrowMachine, command: ZonesRequest, facts: Facts, now_ns: int) -> Answer:
+    """Take another set of exclusion zones; a throw goes on with the set it was armed with."""
+    if stale := why_stale(command, now_ns):
+        return machine, CommandRefusal(RejectReason.NONCE_EXPIRED, stale), ()
+    if machine.state in RUNNING:
+        detail = f"The machine is {machine.state.value}. It takes exclusion zones when the throw has ended."
+        return machine, CommandRefusal(RejectReason.BUSY, detail), ()
+    if machine.state is ThrowState.ARMED and command.zone_set.sha256 != facts.zones_sha256:
+        machine, events = disarm(machine, "the exclusion zones were changed", now_ns)
+        return machine, None, events
+    return machine, None, ()
 
 
 def _latched(machine: ThrowMachine) -> CommandRefusal | None:
@@ -259,7 +278,23 @@ def _plan_refusal(
         check_target(card, plan.target)
     except RefusedError as error:
         return CommandRefusal(error.reason, error.detail)
-    return None
+    return _zone_refusal(plan, facts)
+
+
+def _zone_refusal(plan: ThrowPlan, facts: Facts) -> CommandRefusal | None:
+    """Whether the plan was made with this machine's exclusion zones, and keeps out of them."""
+    if facts.zones_sha256 is None:
+        detail = "The exclusion zones on this machine cannot be read. Its server sends them again."
+        return CommandRefusal(RejectReason.ZONES_MISMATCH, detail)
+    if (plan.zones_sha256 or "") != facts.zones_sha256:
+        names = [(sha or "none")[:12] for sha in (plan.zones_sha256, facts.zones_sha256)]
+        detail = (
+            f"The plan was made with exclusion zones {names[0]}, this machine has {names[1]}. "
+            "Preview again."
+        )
+        return CommandRefusal(RejectReason.ZONES_MISMATCH, detail)
+    conflict = facts.zone_conflict(plan)
+    return CommandRefusal(RejectReason.TARGET_IN_ZONE, conflict) if conflict else None
 
 
 def _fire(machine: ThrowMachine, command: FireRequest, facts: Facts, now_ns: int) -> Answer:

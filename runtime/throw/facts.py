@@ -48,6 +48,8 @@ def abort_reason(violation_count: int, swing_limit_rad: float) -> str:
         return "the policy took too long for its tick; free the machine's computer, or use another policy"
     if Violation.POLICY in found:
         return "the policy gave a number that is not finite; use another policy version"
+    if Violation.ZONE in found:
+        return "the release was refused: the load would have flown through an exclusion zone"
     if Violation.RELEASE in found:
         return "the release was refused: the load would have come down outside the plan's region"
     return ""
@@ -82,5 +84,9 @@ _CONTRADICTION_TEXTS = {
         "the gripper IMU contradicts itself or the arm's motion; check its mounting and radio"
     ),
     safety.Intervention.TOOL_LIMIT: "the tool was too fast or pulled too hard for the machine",
+    safety.Intervention.ARM_IN_ZONE: (
+        "arm or gripper were in an exclusion zone, or could no longer stop before it; move them out, or "
+        "change the zone"
+    ),
     safety.Intervention.NOT_PERMITTED: "a valve was asked for although the machine was to hold",
 }

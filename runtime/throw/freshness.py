@@ -16,6 +16,7 @@ from machine.messages import (
     LoadRequest,
     OperatorHeartbeat,
     StopClearRequest,
+    ZonesRequest,
 )
 from runtime.throw.protocol import HEARTBEAT_SILENCE_S
 
@@ -24,6 +25,7 @@ COMMAND_AGE_MAX_NS: Final[dict[type[object], int]] = {
     ArmRequest: 500_000_000,
     LoadRequest: 500_000_000,
     StopClearRequest: 500_000_000,
+    ZonesRequest: 500_000_000,
 }
 """The server gives a command up after 0.5 s: none is executed after it was reported as unknown."""
 HEARTBEAT_AGE_MAX_NS: Final = round(HEARTBEAT_SILENCE_S * 1e9)

@@ -3,6 +3,7 @@
 No behaviour beyond lookups lives here. Times are the machine's monotonic clock.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from machine.messages import (
     ThrowState,
 )
 from machine.policy_card import PolicyCard
+from machine.site.zones import ZoneSet
 
 NONCE_VALID_S = 10.0
 """How long an armed machine waits for its fire."""
@@ -55,6 +57,10 @@ class Facts:
     emergency_stop: bool
     fresh_nonce: str
     """A secret that has never been given out; used if this message arms."""
+    zones_sha256: str | None = ""
+    """Exclusion zones on board; empty = none, None = they cannot be read."""
+    zone_conflict: Callable[[ThrowPlan], str] = lambda _: ""
+    """Why a plan conflicts with the zones on board, for people; empty = it does not."""
     motion: Motion = Motion.HOLD
     aligned: bool = False
     release_commanded: bool = False
@@ -178,11 +184,12 @@ class ThrowEvent:
 
 @dataclass(frozen=True, slots=True)
 class Actions:
-    """What follows from one message: answer it, emit these, take up a load."""
+    """What follows from one message: answer it, emit these, take up a load, keep these zones."""
 
     reply: CommandReply | None = None
     events: tuple[ThrowEvent, ...] = ()
     load: bool = False
+    zones: ZoneSet | None = None
 
 
 @dataclass(frozen=True, slots=True)

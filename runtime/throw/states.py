@@ -51,7 +51,7 @@ def update(
     """
     # What the machine itself says comes first: no message can overtake it.
     machine, events = _passing_time(machine, facts, now_ns)
-    reply, load = None, False
+    actions = Actions()
     if isinstance(message, OperatorHeartbeat):
         machine, more = _heartbeat(machine, message, now_ns)
     elif isinstance(message, LinkLost):
@@ -60,8 +60,8 @@ def update(
         more = ()
     else:
         machine, actions = handle_command(machine, message, facts, now_ns)
-        reply, more, load = actions.reply, actions.events, actions.load
-    return machine, Actions(reply, (*events, *more), load)
+        more = actions.events
+    return machine, replace(actions, events=(*events, *more))
 
 
 def _heartbeat(

@@ -38,7 +38,12 @@ _OPERATOR = _VIEWER | {
     Permission.GAP_RUN,
     Permission.SITE_EDIT,
 }
-_SUPERVISOR = _OPERATOR | {Permission.LEASE_TAKE, Permission.STOP_CLEAR, Permission.AUDIT_READ}
+_SUPERVISOR = _OPERATOR | {
+    Permission.LEASE_TAKE,
+    Permission.STOP_CLEAR,
+    Permission.AUDIT_READ,
+    Permission.ZONES_APPROVE,
+}
 _ENGINEER = _SUPERVISOR | {
     Permission.TWIN_APPLY,
     Permission.POLICY_UPLOAD,

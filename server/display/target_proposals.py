@@ -13,11 +13,13 @@ from server.errors import ApiError
 from server.event_hub import EventHub
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
+from server.plans.zone_store import ZoneStore
 from server.schemas.console import TargetView, ViewRequest
 from server.schemas.events import PointPickedEvent, TargetProposedEvent
 from server.viewer.pick import PickRefusedError
 from server.viewer.scene import ViewerScene
 from server.viewer.state import PickFor, Reach
+from sim_twin.throws.zone_check import ZoneCheck
 
 Source = Literal["pick", "fields"]
 SAME_REACH_M = 0.05
@@ -44,11 +46,15 @@ class TargetProposals:
         scene: ViewerScene,
         policies: PolicyStore,
         sites: SiteStore,
+        zones: ZoneStore,
         hub: EventHub,
         impacts: ImpactDisplay,
+        ball_radius_m: float,
     ) -> None:
+        self._ball_radius_m = ball_radius_m
         self._scene = scene
         self._sites = sites
+        self._zones = zones
         self._impacts = impacts
         self._policies = policies
         self._hub = hub
@@ -75,7 +81,8 @@ class TargetProposals:
             self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
         self._draw_reach(session_id)
         view = TargetView.of(target)
-        self._tell(session_id, machine_id, view, source, self._refusal(target, context.mode))
+        refusal = self._zone_refusal(machine_id, target) or self._refusal(target, context.mode)
+        self._tell(session_id, machine_id, view, source, refusal)
         return view
 
     def remove(self, session_id: str, machine_id: str) -> None:
@@ -104,7 +111,8 @@ class TargetProposals:
     def take_refused_pick(self, session_id: str, error: PickRefusedError) -> None:
         """A click that gave no target."""
         context = self._context(session_id)
-        if context.machine_id is not None:
+        # Where a point is asked for, a click that gives none says nothing about the target.
+        if context.machine_id is not None and context.pick_for == "target":
             self._tell(session_id, context.machine_id, None, "pick", str(error))
 
     def set_view(self, session_id: str, request: ViewRequest) -> None:
@@ -115,6 +123,7 @@ class TargetProposals:
             self._scene.show_machine(session_id, request.machine_id)
             self._impacts.watch(session_id, request.machine_id)
             self._scene.set_site(session_id, self._sites.objects(request.machine_id))
+            self._show_zones(session_id, request.machine_id)
         if request.mode is not None:
             context.mode = request.mode
         if request.machine_id is not None or request.mode is not None:
@@ -128,18 +137,33 @@ class TargetProposals:
         if request.pick_for is not None:
             context.pick_for = request.pick_for
             self._scene.set_pick_for(session_id, request.pick_for)
+        if request.sketch is not None:
+            sketch = request.sketch
+            self._scene.set_sketch(session_id, sketch.corners_m, sketch.bottom_m, sketch.top_m)
         if request.play_preview:
             self._scene.play_preview(session_id)
 
-    def show_site(self, machine_id: str) -> None:
-        """Redraw a changed site in all sessions that watch its machine."""
+    def _watching(self, machine_id: str) -> list[str]:
+        """Sessions that watch a machine."""
         with self._lock:
-            watching = [
+            return [
                 session_id
                 for session_id, context in self._contexts.items()
                 if context.machine_id == machine_id
             ]
-        for session_id in watching:
+
+    def show_zones(self, machine_id: str) -> None:
+        """Redraw changed exclusion zones in all sessions that watch their machine."""
+        for session_id in self._watching(machine_id):
+            self._show_zones(session_id, machine_id)
+
+    def _show_zones(self, session_id: str, machine_id: str) -> None:
+        active = self._zones.active(machine_id).zones
+        self._scene.set_zones(session_id, active, self._zones.draft(machine_id))
+
+    def show_site(self, machine_id: str) -> None:
+        """Redraw a changed site in all sessions that watch its machine."""
+        for session_id in self._watching(machine_id):
             self._scene.set_site(session_id, self._sites.objects(machine_id))
 
     def end_session(self, session_id: str) -> None:
@@ -174,6 +198,12 @@ class TargetProposals:
             raised_m=None if is_flat else raised_m,
             height_m=0.0 if is_flat else height_m,
         )
+
+    def _zone_refusal(self, machine_id: str, target: Target) -> str:
+        """Why no load may lie at the target; empty if one may."""
+        zones = ZoneCheck(self._zones.active(machine_id).zones, self._ball_radius_m)
+        refusal = zones.target_refusal(target)
+        return "" if refusal is None else refusal.detail
 
     def _refusal(self, target: Target, mode: Mode | None) -> str:
         """Why no throw (of this mode) can reach the target; empty if one can."""

@@ -8,6 +8,7 @@ from typing import Any
 from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.site.objects import GROUND, SiteObject
+from machine.site.zones import Zone, zones_sha256
 from server.clock import utc_now
 from server.plans.landing_errors import errors_of
 from server.plans.preview_worker import unit_of
@@ -33,6 +34,11 @@ def plan_target(row: Plan) -> Target:
 def plan_site(row: Plan) -> tuple[SiteObject, ...]:
     """What stood around the machine when a plan was made."""
     return tuple(SiteObject.model_validate(item) for item in row.site)
+
+
+def plan_zones(row: Plan) -> tuple[Zone, ...]:
+    """Exclusion zones that a plan was checked against."""
+    return tuple(Zone.model_validate(item) for item in row.zones)
 
 
 def prediction_of(target: Target, preview: ThrowPreview) -> PredictionView | None:
@@ -134,6 +140,7 @@ def throw_plan(row: Plan) -> ThrowPlan | None:
         predicted_impact_m=prediction.impact_m,
         predicted_ellipse=prediction.ellipse,
         site=plan_site(row),
+        zones_sha256=zones_sha256(plan_zones(row)) or None,
     )
 
 

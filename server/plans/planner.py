@@ -12,7 +12,7 @@ import numpy as np
 
 from machine.conventions import JOINT_COUNT
 from machine.errors import RefusedError
-from machine.messages import MachineState, RejectReason, Target
+from machine.messages import ZONES_VERSION, MachineState, RejectReason, Target
 from machine.reach import check_target
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
@@ -27,6 +27,7 @@ from server.plans.plan_views import (
     pack_frames,
     plan_site,
     plan_view,
+    plan_zones,
     take_preview,
     throw_plan,
 )
@@ -34,6 +35,7 @@ from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.plans.preview_pool import PreviewPool
 from server.plans.preview_worker import CancelledPreviewError, PreviewJob
 from server.plans.site_store import SiteStore, dump
+from server.plans.zone_store import ZoneStore, dump_zones
 from server.schemas.events import PlanUpdatedEvent
 from server.schemas.plans import PlanRequest, PlanState, PlanView
 from server.store.models import Plan
@@ -58,6 +60,7 @@ class Planner:
         pool: PreviewPool,
         twins: TwinFiles,
         sites: SiteStore,
+        zones: ZoneStore,
         hub: EventHub,
         scene: ViewerScene,
         spec: MachineSpec,
@@ -69,6 +72,7 @@ class Planner:
         self._pool = pool
         self._twins = twins
         self._sites = sites
+        self._zones = zones
         self._hub = hub
         self._scene = scene
         self._spec = spec
@@ -135,6 +139,7 @@ class Planner:
             model_sha256=self._spec.sha256,
             twin_profile_version=self._twins.profile_version(machine_id),
             site=dump(self._sites.objects(machine_id)),
+            zones=dump_zones(self._zones.active(machine_id).zones),
             refusals=[],
             prediction=None,
             start_rad_m=list(state.joint_position_rad_m),
@@ -166,7 +171,25 @@ class Planner:
                 f"{policy.card.mode.value}, active here is {policy.card.policy_sha256[:12]} "
                 f"({policy.card.policy_id}). Copy the policies folder to the machine and restart it.",
             )
-        return None
+        return self._zone_refusal(state)
+
+    def _zone_refusal(self, state: MachineState) -> RefusedError | None:
+        """Refusal while the machine has other exclusion zones than those that are approved."""
+        approved = self._zones.active(state.machine_id)
+        is_older = state.protocol_version < ZONES_VERSION
+        aboard = "" if is_older else state.zones_sha256
+        if aboard == approved.sha256:
+            return None
+        remedy = (
+            "Its software does not know zones: update it."
+            if is_older
+            else "They are being sent to it. Preview again."
+        )
+        return RefusedError(
+            RejectReason.ZONES_MISMATCH,
+            f"Refused: {state.machine_id} does not have the approved exclusion zones (version "
+            f"{approved.version_count}). {remedy}",
+        )
 
     def _supersede(self, session_id: str, plan_id: str) -> None:
         """A session looks at one preview at a time: the one before it stops."""
@@ -192,6 +215,7 @@ class Planner:
             pace_ratio=request.pace_ratio,
             joint_position_rad_m=state.joint_position_rad_m,
             site=plan_site(row),
+            zones=plan_zones(row),
             rollout_count=request.rollout_count,
             calibration_path=self._twins.calibration_path(row.machine_id),
             profile_path=self._twins.profile_path(row.machine_id),

@@ -14,6 +14,7 @@ from machine.errors import DownrangeError
 from machine.messages import Target
 from machine.policy_card import POLICY_FILE
 from machine.site.objects import SiteObject
+from machine.site.zones import Zone
 from machine.spec import MachineSpec, load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
@@ -45,6 +46,7 @@ class PreviewJob:
     seed: int
     pace_ratio: float = DEFAULT_PACE_RATIO
     site: tuple[SiteObject, ...] = ()
+    zones: tuple[Zone, ...] = ()
 
 
 class CancelledPreviewError(Exception):
@@ -85,6 +87,7 @@ class Worker:
             seed=job.seed,
             pace_ratio=job.pace_ratio,
             site=job.site,
+            zones=job.zones,
         )
         self._check(job)
         return preview(request, partial(self._progress, job))

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from machine.conventions import Mode
 from machine.messages import MachineState, Target, ThrowState
+from machine.site.zones import MAX_CORNER_COUNT, Corner
 
 
 class Request(BaseModel):
@@ -68,6 +69,7 @@ class Permission(StrEnum):
     POLICY_APPROVE = "policy.approve"
     POLICY_DEPLOY = "policy.deploy"
     SITE_EDIT = "site.edit"
+    ZONES_APPROVE = "zones.approve"
     MACHINE_ENROL = "machine.enrol"
     ADMIN = "admin"
 
@@ -266,6 +268,14 @@ class StopView(View):
     detail: str
 
 
+class ZoneSketch(Request):
+    """A zone on its way: corners so far, frame `machine`."""
+
+    corners_m: tuple[Corner, ...] = Field(max_length=MAX_CORNER_COUNT)
+    bottom_m: float = Field(default=0.0, ge=-5.0, le=30.0)
+    top_m: float = Field(default=3.0, ge=-5.0, le=40.0)
+
+
 class ViewRequest(Request):
     """What this session's 3D view shows; what is left out stays."""
 
@@ -278,6 +288,8 @@ class ViewRequest(Request):
     """Whether clicks count."""
     pick_for: Literal["target", "point"] | None = None
     """Whether a click places the target, or is only reported (event `point.picked`)."""
+    sketch: ZoneSketch | None = None
+    """The zone that is being drawn or changed; no corners: none."""
     play_preview: bool = False
     """Play the plan's ghost once more."""
 

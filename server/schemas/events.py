@@ -10,6 +10,7 @@ from server.schemas.gap import GapRunRow
 from server.schemas.history import ThrowRow
 from server.schemas.plans import PlanView
 from server.schemas.sites import SiteView
+from server.schemas.zones import ZonesView
 
 
 class MachineStateEvent(View):
@@ -97,6 +98,13 @@ class SiteUpdatedEvent(View):
     site: SiteView
 
 
+class ZonesUpdatedEvent(View):
+    """The exclusion zones of a machine were changed or approved."""
+
+    kind: Literal["zones.updated"] = "zones.updated"
+    zones: ZonesView
+
+
 class AlertEvent(View):
     """Something a person should look at."""
 
@@ -120,6 +128,7 @@ class ServerEvent(
             | GapUpdatedEvent
             | TwinUpdatedEvent
             | SiteUpdatedEvent
+            | ZonesUpdatedEvent
             | AlertEvent,
             Field(discriminator="kind"),
         ]

@@ -160,6 +160,8 @@ class Plan(Base):
     prediction: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     site: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     """JSON of the objects that the preview saw around the machine."""
+    zones: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
+    """JSON of the exclusion zones that the preview was checked against."""
     start_rad_m: Mapped[list[Any]]
     """Joint positions the preview started from."""
     plan_json: Mapped[str | None] = mapped_column(Text)
@@ -328,6 +330,25 @@ class SiteVersion(Base):
     """Version that undo goes back to; 0 is an empty site, None when there is none."""
     created_by: Mapped[str] = mapped_column(String(64))
     created_utc: Mapped[datetime]
+
+
+class ZoneVersion(Base):
+    """Exclusion zones of a machine: a draft, or approved; the newest approved one is in force."""
+
+    __tablename__ = "zone_versions"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    version_count: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    zones: Mapped[list[Any]]
+    """JSON of machine.site.zones.Zone."""
+    zones_sha256: Mapped[str] = mapped_column(String(64))
+    """machine.site.zones.zones_sha256; empty for no zones."""
+    reason: Mapped[str] = mapped_column(String(300))
+    before_version_count: Mapped[int | None] = mapped_column(BigInteger)
+    """Version that undo goes back to; 0 is no zones, None when there is none."""
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+    approved_by: Mapped[str | None] = mapped_column(String(64))
+    approved_utc: Mapped[datetime | None]
 
 
 class Audit(Base):

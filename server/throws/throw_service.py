@@ -18,6 +18,7 @@ from server.machines.machine_commands import MachineCommands
 from server.machines.machine_registry import MachineRegistry
 from server.plans.plan_store import PlanStore
 from server.plans.site_store import SiteStore
+from server.plans.zone_store import ZoneStore
 from server.schemas.history import Outcome
 from server.schemas.plans import ArmView, FireView
 from server.store.database import Database
@@ -47,6 +48,7 @@ class ThrowService:
         leases: LeaseService,
         plans: PlanStore,
         sites: SiteStore,
+        zones: ZoneStore,
         throws: ThrowStore,
         commands: MachineCommands,
         holds: HoldRelay,
@@ -56,6 +58,7 @@ class ThrowService:
         self._leases = leases
         self._plans = plans
         self._sites = sites
+        self._zones = zones
         self._throws = throws
         self._commands = commands
         self._holds = holds
@@ -77,6 +80,7 @@ class ThrowService:
             raise from_reason(RejectReason.MACHINE_LOST, self._commands.lost_text(machine_id))
         plan = self._plans.freeze(plan_id, shown_hash, state)
         self._sites.require_unchanged(machine_id, plan.site)
+        self._zones.require_active(machine_id, plan.zones_sha256)
         self.forget(machine_id)
         request = ArmRequest(
             command_id=new_id(),

@@ -12,6 +12,7 @@ import numpy as np
 from machine.conventions import Array
 from machine.messages import LandingEllipse
 from machine.site.objects import SiteObject
+from machine.site.zones import Corner, Zone
 from machine.spec import MJCF_PATH, MachineSpec
 from server.viewer.replay import Playback, ThrowMotion
 from server.viewer.stage import OnPick, OnPickRefused, ViewerStage
@@ -24,6 +25,7 @@ from server.viewer.state import (
     ReplayState,
     ShownPlan,
     ShownSession,
+    ZoneOutline,
     as_joints,
 )
 from server.viewer.theme import THEMES, VIEWPOINTS, CameraPreset, ThemeName
@@ -137,6 +139,25 @@ class ViewerScene:
             state.site = tuple(objects)
 
         self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
+
+    def set_zones(self, session_id: str, active: Sequence[Zone], draft: Sequence[Zone]) -> None:
+        """Show the approved exclusion zones, and those of a draft."""
+
+        def change(state: ShownSession) -> None:
+            state.zones, state.draft_zones = tuple(active), tuple(draft)
+
+        self._stage.apply(session_id, change, lambda view, state: view.draw_zones(state))
+
+    def set_sketch(
+        self, session_id: str, corners_m: Sequence[Corner], bottom_m: float, top_m: float
+    ) -> None:
+        """Show the zone that is being drawn; no corners take it away."""
+        sketch = ZoneOutline(tuple(corners_m), bottom_m, top_m)
+        self._stage.apply(
+            session_id,
+            lambda state: setattr(state, "sketch", sketch),
+            lambda view, state: view.draw_sketch(state),
+        )
 
     def set_target(self, session_id: str, target_m: Point | None) -> None:
         """Show or take away the target mark; the ellipse of the last preview goes along as an estimate."""
@@ -271,7 +292,11 @@ class ViewerScene:
             state.replay_ghost = None if predicted is None else Playback(predicted, False)
             state.replay_site = None if site is None else tuple(site)
 
-        self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
+        def draw(view: ClientView, state: ShownSession) -> None:
+            view.draw_site(state)
+            view.draw_zones(state)
+
+        self._stage.apply(session_id, change, draw)
 
     def replay_control(
         self,
@@ -301,6 +326,7 @@ class ViewerScene:
 
         def draw(view: ClientView, state: ShownSession) -> None:
             view.draw_site(state)
+            view.draw_zones(state)
             view.show_replay(None)
             view.show_ghost(None, state)
 

@@ -10,6 +10,7 @@ import numpy as np
 from machine.conventions import Array, Mode
 from machine.messages import LandingEllipse
 from machine.site.objects import SiteObject
+from machine.site.zones import Corner, Zone
 from server.viewer.replay import Playback, ThrowMotion
 from server.viewer.theme import CameraPreset, ThemeName
 
@@ -101,6 +102,14 @@ class ReplayState:
     is_playing: bool
 
 
+class ZoneOutline(NamedTuple):
+    """Corners so far and heights of a zone that is being drawn."""
+
+    corners_m: tuple[Corner, ...]
+    bottom_m: float = 0.0
+    top_m: float = 3.0
+
+
 @dataclass
 class ShownSession:
     """Everything drawn for one session."""
@@ -111,6 +120,11 @@ class ShownSession:
     is_picking: bool = True
     pick_for: PickFor = "target"
     """What a click gives: the target, or a point for the page around the view."""
+    zones: tuple[Zone, ...] = ()
+    """Approved."""
+    draft_zones: tuple[Zone, ...] = ()
+    sketch: ZoneOutline = field(default_factory=lambda: ZoneOutline(()))
+    """The zone that is being drawn."""
     reach: Reach | None = None
     plan: ShownPlan | None = None
     preview: Playback | None = None

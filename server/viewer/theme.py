@@ -32,6 +32,7 @@ class Theme:
     site: Rgb
     site_edge: Rgb
     pit: Rgb
+    zone: Rgb
 
 
 THEMES: dict[ThemeName, Theme] = {
@@ -54,6 +55,7 @@ THEMES: dict[ThemeName, Theme] = {
         site=(150, 158, 166),
         site_edge=(72, 80, 90),
         pit=(146, 138, 126),
+        zone=(190, 90, 0),
     ),
     "dark": Theme(
         is_dark=True,
@@ -74,6 +76,7 @@ THEMES: dict[ThemeName, Theme] = {
         site=(96, 104, 112),
         site_edge=(168, 176, 186),
         pit=(38, 36, 33),
+        zone=(255, 170, 60),
     ),
 }
 

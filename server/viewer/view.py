@@ -10,6 +10,7 @@ from server.viewer.nodes import PAYLOAD, MachineKit, MachineNodes, Tint
 from server.viewer.replay import Moment
 from server.viewer.state import LiveSample, Point, ShownSession
 from server.viewer.theme import MAX_ORBIT_M, MIN_ORBIT_M, THEMES, VIEWPOINTS
+from server.viewer.zone_nodes import ZoneNodes
 
 GHOST_RATIO = 0.34
 SAME_SLEW_RAD = 0.02
@@ -42,6 +43,7 @@ class ClientView:
         """Of the last preset gone to; a fresh browser goes to the session's, fitted to its picture."""
         self._lost_text: str | None = None
         self.ground = self._make_ground(state)
+        self._zones = ZoneNodes(client.scene)
         client.camera.min_orbit_distance = MIN_ORBIT_M
         client.camera.max_orbit_distance = MAX_ORBIT_M
 
@@ -62,9 +64,21 @@ class ClientView:
         """Draw what stands around the machine."""
         self.ground.draw_site(state.drawn_site)
 
+    def draw_zones(self, state: ShownSession) -> None:
+        """Draw the exclusion zones of today; a replay shows none, as nobody asks what they were then."""
+        is_live = state.replay is None
+        active = state.zones if is_live else ()
+        self._zones.draw(THEMES[state.theme], active, state.draft_zones if is_live else ())
+
+    def draw_sketch(self, state: ShownSession) -> None:
+        """Draw the zone that is being drawn."""
+        self._zones.draw_sketch(THEMES[state.theme], *state.sketch)
+
     def draw_all(self, state: ShownSession) -> None:
         """Draw all marks of the session and place the camera; the machine follows with its sample."""
         self.draw_site(state)
+        self.draw_zones(state)
+        self.draw_sketch(state)
         self.marks.draw_all(state, self.ground)
         self.place_camera(state)
 

@@ -73,7 +73,7 @@ def solid_clearances(
         ]
         for name, others in OBSTACLES.items()
     }
-    arm = _ArmPoints(model)
+    arm = ArmPoints(model)
     places: list[Array] = []
     smallest: dict[str, tuple[float, int]] = dict.fromkeys(pairs, (FAR_M, 0))
     smallest |= {c.name: (c.value_rad_m, round(c.at_s / period_s)) for c in known}
@@ -112,7 +112,7 @@ def _note_site(
             smallest[name] = (distance, first + at)
 
 
-class _ArmPoints:
+class ArmPoints:
     """Points on the axes of the arm's collision shapes: centres of spheres with the shapes' radii."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -125,7 +125,8 @@ class _ArmPoints:
             ids += [int(geom.id)] * count
             along += np.linspace(-half_m, half_m, count).tolist()
         self._ids, self._along = np.array(ids), np.array(along)[:, None]
-        self._radius_m: Array = model.geom_size[self._ids, 0]
+        self.radius_m: Array = model.geom_size[self._ids, 0]
+        """(P,)"""
 
     def places(self, data: mujoco.MjData) -> Array:
         """Positions (P, 3) of the points for the pose in `data`."""
@@ -134,7 +135,7 @@ class _ArmPoints:
 
     def distances(self, places_m: Array, solids: Solids) -> Array:
         """Distances (T, K) of points (T, P, 3) from the objects of a site."""
-        return (solids.distances(places_m)[..., 1:] - self._radius_m[:, None]).min(axis=1)
+        return (solids.distances(places_m)[..., 1:] - self.radius_m[:, None]).min(axis=1)
 
 
 def limit_clearances(

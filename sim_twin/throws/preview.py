@@ -13,9 +13,10 @@ import numpy as np
 from machine.ballistics import step_flight
 from machine.conventions import CONTROL_PERIOD_S, DEFAULT_PACE_RATIO, JOINT_COUNT, Array
 from machine.errors import RefusedError, UsageError
-from machine.messages import LandingEllipse, Target
+from machine.messages import LandingEllipse, RejectReason, Target
 from machine.reach import check_target
 from machine.site.objects import SiteObject
+from machine.site.zones import Zone
 from runtime.control.control_loop import ControlParams
 from sim_twin.throws.campaign import (
     ThrowBatch,
@@ -29,6 +30,7 @@ from sim_twin.throws.clearances import Clearance, limit_clearances, solid_cleara
 from sim_twin.throws.landing import SiteLanding
 from sim_twin.throws.refusals import PreviewRefusal, nominal_refusals, spread_refusals
 from sim_twin.throws.throw_start import scattered_starts, throw_start
+from sim_twin.throws.zone_check import ZoneCheck
 from sim_twin.twin.profile import TwinProfile, exact_profile
 from sim_twin.twin.twin import Twin
 
@@ -49,6 +51,8 @@ class PreviewRequest:
     """Present pose; the gripper is assumed plumb and loaded, its two entries are ignored."""
     site: tuple[SiteObject, ...] = ()
     """Objects around the machine."""
+    zones: tuple[Zone, ...] = ()
+    """Exclusion zones."""
     rollout_count: int = 200
     """Throws of the landing ellipse; 0 for none."""
     seed: int = 0
@@ -109,14 +113,26 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
         check_target(policy.card, request.target)
     except RefusedError as error:
         return _nothing(PreviewRefusal(error.reason, error.detail), perf_counter() - started)
-    unlikely = SiteLanding.of(request.site, request.target).target_refusal(request.target)
+    zones = ZoneCheck(request.zones, request.params.spec.ball.radius_m)
+    unlikely = zones.target_refusal(request.target) or SiteLanding.of(
+        request.site, request.target
+    ).target_refusal(request.target)
     if unlikely is not None:
         return _nothing(unlikely, perf_counter() - started)
-    nominal = _NominalThrow(request, started)
+    nominal = _NominalThrow(request, zones, started)
     shown = nominal.run(on_progress)
     if request.rollout_count == 0 or shown.impact_m is None:
         return replace(shown, is_final=True, wall_s=perf_counter() - started)
-    return _with_ellipse(request, nominal.start, shown, started, on_progress)
+    complete = _with_ellipse(request, nominal.start, shown, started, on_progress)
+    return _held_against(zones, request.target, complete)
+
+
+def _held_against(zones: ZoneCheck, target: Target, shown: ThrowPreview) -> ThrowPreview:
+    """The preview with the refusals of its landing region, where its nominal flight is in no zone."""
+    if any(refusal.reason is RejectReason.TARGET_IN_ZONE for refusal in shown.refused):
+        return shown
+    found = zones.flight_refusals(shown.ball_path_m, target, shown.impact_m, shown.ellipse)
+    return replace(shown, refused=(*found, *shown.refused))
 
 
 def _nothing(refusal: PreviewRefusal, wall_s: float) -> ThrowPreview:
@@ -146,8 +162,9 @@ def _point(target: Target) -> Array:
 class _NominalThrow:
     """The throw that is shown: the twin without random scatter."""
 
-    def __init__(self, request: PreviewRequest, started: float) -> None:
+    def __init__(self, request: PreviewRequest, zones: ZoneCheck, started: float) -> None:
         params = request.params
+        self._zones, self._request_target = zones, request.target
         self._spec, self._started = params.spec, started
         self._target = _point(request.target)
         self._landing = SiteLanding.of(request.site, request.target)
@@ -224,13 +241,17 @@ class _NominalThrow:
             *self._solids,
             # Limits matter up to the release only.
             *limit_clearances(self._spec, frames[:thrown], FRAME_PERIOD_S),
+            *self._zones.clearances(frames, FRAME_PERIOD_S),
         )
         path = self._flight_path(result) if landed else np.zeros((0, 3))
         end = self._twin.payload.predicted if landed else None
         contact = None if end is None else end.contact
+        impact_m = result.impact_m if landed else None
         return ThrowPreview(
-            refused=self._landing.refusals(contact) + nominal_refusals(result, clearances),
-            impact_m=result.impact_m if landed else None,
+            refused=self._zones.flight_refusals(path, self._request_target, impact_m)
+            + self._landing.refusals(contact)
+            + nominal_refusals(result, clearances),
+            impact_m=impact_m,
             ellipse=None,
             frames_rad_m=frames,
             frame_period_s=FRAME_PERIOD_S,

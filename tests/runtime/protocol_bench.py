@@ -17,8 +17,10 @@ from machine.messages import (
     Target,
     ThrowPlan,
     ThrowState,
+    ZonesRequest,
 )
 from machine.policy_card import PolicyCard
+from machine.site.zones import ZoneSet
 from runtime.throw.protocol import Actions, Facts, ThrowMachine, Tick
 from runtime.throw.states import update
 
@@ -135,6 +137,11 @@ class Bench:
 
     def load(self, facts: dict[str, Any] | None = None, **changes: Any) -> Actions:
         return self.send(LoadRequest(**self.head(**changes)), **(facts or {}))
+
+    def zones(self, zone_set: ZoneSet, **changes: Any) -> Actions:
+        values = self.head(**changes)
+        values.pop("epoch_count")
+        return self.send(ZonesRequest(zone_set=zone_set, **values))
 
     def stop(self, **changes: Any) -> Actions:
         values = self.head(**changes)

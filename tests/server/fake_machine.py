@@ -65,6 +65,7 @@ class FakeMachine:
         self.stops_received = 0
         self.stop_latched = False
         self.latch_id = ""
+        self.zones_sha256: str | None = ""
         self.payload_held = True
         self.joints = tuple(float(v) for v in safe_pose())
         self.impact_error_m = (0.12, -0.05)
@@ -130,6 +131,7 @@ class FakeMachine:
                 payload_held=self.payload_held,
                 stop_latched=self.stop_latched,
                 latch_id=self.latch_id,
+                zones_sha256=self.zones_sha256,
                 model_sha256=load_spec().sha256,
                 policy_sha256=self._policies,
                 outbox_count=len(self._outbox),
@@ -224,6 +226,10 @@ class FakeMachine:
         if command.kind == "stop":
             self._latch()
             return self._reply(command)
+        if command.kind == "zones":
+            self.zones_sha256 = command.zone_set.sha256
+            self._disarm()
+            return self._reply(command)
         if command.epoch_count < self.epoch_count:
             return self._reply(command, RejectReason.STALE_EPOCH)
         if command.epoch_count > self.epoch_count:
@@ -239,6 +245,8 @@ class FakeMachine:
                 return self._reply(command, RejectReason.STOP_LATCHED)
             if self.state is not ThrowState.DISARMED:
                 return self._reply(command, RejectReason.NOT_DISARMED)
+            if (command.plan.zones_sha256 or "") != self.zones_sha256:
+                return self._reply(command, RejectReason.ZONES_MISMATCH)
             self.nonce, self.nonce_until_s = uuid.uuid4().hex, time.monotonic() + NONCE_S
             self.plan_hash, self.plan_id = command.plan.plan_hash, command.plan.plan_id
             target = command.plan.target

@@ -263,7 +263,7 @@ def test_machines_of_a_batch_do_not_see_each_other():
 
 @each("bit", list(Intervention))
 def test_which_bits_close_and_which_are_faults(bit):
-    closing = {1, 2, 4, 8, 16, 32, 1024, 2048, 4096, 8192, 16384, 32768}
+    closing = {1, 2, 4, 8, 16, 32, 1024, 2048, 4096, 8192, 16384, 32768, 262144}
     assert bool(bit & safety.CLOSING) is (int(bit) in closing)
     assert bool(bit & safety.LATCHING) is (int(bit) in closing - {4, 8, 32})
 

@@ -1,14 +1,28 @@
 """One machine under control, without processes: what ticks give, and what faults around them do."""
 
+import re
+
 import numpy as np
 import pytest
 
 from machine.conventions import Mode, Motion
 from machine.errors import PolicyError
-from machine.messages import FireRequest, LeaseNotice, StopRequest, ThrowState
+from machine.messages import (
+    ArmRequest,
+    FireRequest,
+    LeaseNotice,
+    LoadRequest,
+    StopRequest,
+    Target,
+    ThrowState,
+    ZonesRequest,
+)
+from machine.site.zones import ZoneSet
+from runtime.guard.zones import arm_points
 from runtime.throw.protocol import Latch, LinkLost
 from tests.runtime.fake_driver import IMPACT_M
-from tests.runtime.machine_bench import Bench, make
+from tests.runtime.guard.test_guard_zones import ELLIPSE, box
+from tests.runtime.machine_bench import SPEC, Bench, make
 
 
 @pytest.mark.parametrize("mode", list(Mode))
@@ -282,3 +296,49 @@ def test_an_impact_without_a_throw_is_nobody_s(bench):
     bench.driver._left_ns = 1
     bench.ticks(80)
     assert "impact" not in bench.kinds
+
+
+def test_zones_are_taken_checked_and_keep_the_arm_still(bench):
+    office = ZoneSet(version_count=3, zones=(box(8.0, 0.0, top_m=2.0),))
+    bench.arm()
+    assert bench.ask(make(ZonesRequest, zone_set=office, **bench.seen())).accepted
+    assert bench.kinds[-1] == "disarmed"
+    assert bench.control.machine_state().zones_sha256 == office.sha256
+    bench.ticks(2)
+
+    def arm(**changes):
+        plan = bench.plan().model_copy(update=changes)
+        return bench.ask(make(ArmRequest, epoch_count=1, plan=plan, **bench.seen()))
+
+    assert arm().reason == "zones_mismatch"
+    named = {"zones_sha256": office.sha256}
+    assert "how its landings scatter" in arm(**named).detail
+    inside = arm(**named, predicted_ellipse=ELLIPSE)
+    assert inside.reason == "target_in_zone"
+    assert re.search(
+        r"reaches 0\.\d\d m into zone 'Office', which is kept free up to 2.0 m", inside.detail
+    )
+    beside = arm(**named, predicted_ellipse=ELLIPSE, target=Target(x_m=6.0, y_m=0.0, z_m=0.5))
+    assert beside.accepted, beside.detail
+    here = arm_points(
+        SPEC, np.array([bench.control.machine_state().joint_position_rad_m])
+    ).position_m[0, -1]
+    around = ZoneSet(version_count=4, zones=(box(float(here[0]), float(here[1]), top_m=9.0),))
+    assert bench.ask(make(ZonesRequest, zone_set=around, **bench.seen())).accepted
+    (check,) = (c for c in bench.control.machine_state().checks if c.check_id == "exclusion_zones")
+    assert not check.passed and "zone 'Office'" in check.text
+
+
+def test_a_machine_that_cannot_read_its_zones_does_not_arm(quick_policies):
+    bench = Bench(quick_policies, is_known=False)
+    bench.control.remember(0, (), None, None)
+    bench.ticks(5)
+    bench.ask(make(LeaseNotice, epoch_count=1))
+    bench.ask(make(LoadRequest, epoch_count=1, **bench.seen()))
+    bench.ticks(12)
+    refused = bench.ask(make(ArmRequest, epoch_count=1, plan=bench.plan(), **bench.seen()))
+    assert (refused.accepted, refused.reason) == (False, "zones_mismatch")
+    assert bench.control.machine_state().zones_sha256 is None
+    sent = make(ZonesRequest, zone_set=ZoneSet(version_count=1), **bench.seen())
+    assert bench.ask(sent).accepted
+    assert bench.ask(make(ArmRequest, epoch_count=1, plan=bench.plan(), **bench.seen())).accepted

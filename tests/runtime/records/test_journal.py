@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machine.messages import EventKind
+from machine.site.zones import ZoneSet
 from runtime.records.journal import Journal
 from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import EventDraft, Outbox
+from tests.machine.site.test_zones import zone
 
 
 def draft(kind: EventKind, throw_id: str | None = None, **data) -> EventDraft:
@@ -156,3 +158,29 @@ def test_each_throw_ends_exactly_once_under_any_order_of_crashes(tmp_path_factor
     ended = [throw_id for kind, throw_id in events(outbox) if kind == "throw_ended"]
     outbox.close()
     assert sorted(ended) == sorted(began)
+
+
+def test_zones_outlive_a_restart_and_damage_is_seen(tmp_path):
+    office = ZoneSet(version_count=2, approved_by="sue", zones=(zone(),))
+    path = tmp_path / "machine.db"
+    first = Outbox(path, "m001")
+    assert Journal(first).zone_set() == ZoneSet(version_count=0)
+    Journal(first).keep_zones(office)
+    first.close()
+    second = Outbox(path, "m001")
+    journal = Journal(second)
+    assert journal.zone_set() == office
+    for damaged in (
+        second.meta("zones", "").replace("3.0", "2.0"),
+        second.meta("zones", "")[:-9],
+        "\0",
+    ):
+        second.set_meta("zones", damaged)
+        with pytest.raises(ValueError, match=r"zones|JSON"):
+            journal.zone_set()
+    journal.forget_zones()
+    with pytest.raises(ValueError, match="JSON"):
+        journal.zone_set()
+    journal.keep_zones(ZoneSet(version_count=3))
+    assert journal.zone_set().sha256 == ""
+    second.close()

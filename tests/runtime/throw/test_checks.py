@@ -5,6 +5,7 @@ import numpy as np
 from machine.conventions import Mode
 from machine.spec import load_spec
 from machine.starts import safe_pose
+from runtime.guard.zones import ZoneEntry
 from runtime.throw import checks
 from runtime.throw.checks import CheckInputs, run_checks
 from tests.cases import each
@@ -25,6 +26,8 @@ GOOD = CheckInputs(
     joint_speed_rad_m_per_s=np.zeros(4),
     swing_amplitude_rad=0.01,
     supply_pressure_pa=35e6,
+    zone_count=0,
+    arm_zone=None,
     late_tick_ratio=0.0,
     outbox_count=0,
     recorder_dropped_count=0,
@@ -39,6 +42,7 @@ ERRORS = {
     "payload",
     "supply_pressure",
     "policies",
+    "exclusion_zones",
 }
 WARNINGS = {"start_pose", "calibration", "control_loop", "records"}
 
@@ -52,6 +56,20 @@ def test_a_ready_machine_passes_everything():
     results = run_checks(GOOD)
     assert all(r.passed for r in results)
     assert all(r.text and r.remedy == "" for r in results)
+
+
+def test_zones_that_cannot_be_read_and_an_arm_in_a_zone_forbid_arming():
+    unread = result("exclusion_zones", zone_count=None)
+    assert not unread.passed and "cannot be read" in unread.text and "server" in unread.remedy
+    inside = result("exclusion_zones", zone_count=2, arm_zone=ZoneEntry("Office", 0.125, 3.0))
+    assert not inside.passed and "0.12 m into zone 'Office'" in inside.text
+    assert inside.remedy
+    counts = [result("exclusion_zones", zone_count=count).text for count in (0, 1, 3)]
+    assert counts == [
+        "No exclusion zone on board.",
+        "1 exclusion zone on board.",
+        "3 exclusion zones on board.",
+    ]
 
 
 def test_every_check_has_its_own_name_and_severity():

@@ -10,7 +10,9 @@ from machine.messages import (
     OperatorHeartbeat,
     StopClearRequest,
     StopRequest,
+    ZonesRequest,
 )
+from machine.site.zones import ZoneSet
 from runtime.throw.freshness import COMMAND_AGE_MAX_NS, HEARTBEAT_AGE_MAX_NS, why_stale
 from tests.runtime.protocol_bench import Bench, plan
 
@@ -20,6 +22,7 @@ FIELDS = {
     FireRequest: {"throw_id": "t", "nonce": "n", "plan_hash": "h"},
     LoadRequest: {},
     StopClearRequest: {},
+    ZonesRequest: {"zone_set": ZoneSet(version_count=1)},
     LeaseNotice: {},
     AbortRequest: {},
     DisarmRequest: {},
@@ -27,7 +30,9 @@ FIELDS = {
 
 
 def command(kind, seen_ns):
-    head = {"command_id": "c", "machine_id": "m001", "issuer": "op", "epoch_count": 1}
+    head = {"command_id": "c", "machine_id": "m001", "issuer": "op"}
+    if "epoch_count" in kind.model_fields:
+        head["epoch_count"] = 1
     return kind(**head, seen_t_mono_ns=seen_ns, **FIELDS[kind])
 
 
@@ -55,7 +60,8 @@ def test_age_limits_are_exact_and_the_future_is_another_boot():
 
 
 def test_whatever_may_start_or_permit_motion_has_a_limit_of_at_most_half_a_second():
-    assert set(COMMAND_AGE_MAX_NS) == {FireRequest, ArmRequest, LoadRequest, StopClearRequest}
+    limited = {FireRequest, ArmRequest, LoadRequest, StopClearRequest, ZonesRequest}
+    assert set(COMMAND_AGE_MAX_NS) == limited
     assert max(COMMAND_AGE_MAX_NS.values()) <= 500_000_000
     assert HEARTBEAT_AGE_MAX_NS == 300_000_000
 

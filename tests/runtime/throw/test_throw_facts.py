@@ -59,6 +59,7 @@ def test_what_aborts(bit):
         Violation.IMU: "IMU",
         Violation.POLICY: "policy",
         Violation.RELEASE: "refused",
+        Violation.ZONE: "exclusion zone",
         Violation.LATE: "too long",
     }
     reason = abort_reason(int(bit), 1.35)

@@ -8,6 +8,7 @@ import pytest
 from machine.conventions import Mode
 from machine.messages import Target
 from machine.reach import reach_m
+from machine.site.zones import ZoneSet
 from server.display.target_proposals import TargetProposals
 from server.schemas.console import ModeReach, ReachView, ViewRequest
 from server.viewer.state import Reach
@@ -61,7 +62,8 @@ def desk(scene: Scene) -> TargetProposals:
     quiet = SimpleNamespace(
         objects=lambda _: (), watch=lambda *_: None, publish=lambda *_: None, end_session=print
     )
-    found = TargetProposals(scene, Shelf(), quiet, quiet, quiet)
+    zones = SimpleNamespace(active=lambda _: ZoneSet(version_count=0), draft=lambda _: ())
+    found = TargetProposals(scene, Shelf(), quiet, zones, quiet, quiet, 0.12)
     found.set_view("s", ViewRequest(machine_id="m001", mode=Mode.PLANAR))
     return found
 

@@ -20,6 +20,7 @@ export type ServerEvent =
   | Schema["GapUpdatedEvent"]
   | Schema["TwinUpdatedEvent"]
   | Schema["SiteUpdatedEvent"]
+  | Schema["ZonesUpdatedEvent"]
   | Schema["AlertEvent"];
 
 export type Live = {
@@ -29,6 +30,8 @@ export type Live = {
   gapRuns: Readonly<Record<string, GapRun>>;
   /** What stands around machines, as far as it was changed since the page was opened. */
   sites: Readonly<Record<string, Schema["SiteView"]>>;
+  /** Exclusion zones, as far as they were changed since the page was opened. */
+  zones: Readonly<Record<string, Schema["ZonesView"]>>;
   /** Why a picked point cannot be a target, by machine. */
   targetRefusals: Readonly<Record<string, string>>;
   /** The last point clicked in the 3D view for something else than the target, by machine. */
@@ -55,6 +58,7 @@ export const EMPTY_LIVE: Live = {
   throws: {},
   gapRuns: {},
   sites: {},
+  zones: {},
   targetRefusals: {},
   picked: {},
   proposing: {},
@@ -146,6 +150,8 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       return live;
     case "site.updated":
       return { ...live, sites: { ...live.sites, [event.site.machine_id]: event.site } };
+    case "zones.updated":
+      return { ...live, zones: { ...live.zones, [event.zones.machine_id]: event.zones } };
     case "alert":
       return { ...live, alerts: addAlert(live.alerts, event) };
   }

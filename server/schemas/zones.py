@@ -1,0 +1,65 @@
+"""Bodies of the HTTP interface for exclusion zones."""
+
+from datetime import datetime
+
+from pydantic import Field
+
+from machine.site.zones import Zones
+from server.schemas.console import Request, View
+
+
+class ZoneChangeBody(Request):
+    """All zones of a machine as they shall be from the next approval on."""
+
+    zones: Zones
+    from_version_count: int = Field(ge=0)
+    """Version that was changed; refused if somebody else was quicker."""
+    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    """Why they are changed."""
+
+
+class ZoneApprovalBody(Request):
+    """Approves the newest version."""
+
+    version_count: int = Field(ge=0)
+    """The version that was looked at; refused if it is not the newest."""
+
+
+class ZoneVersionView(View):
+    """One version: who, when, why."""
+
+    version_count: int
+    zones: Zones
+    zones_sha256: str
+    """Empty for no zones."""
+    reason: str
+    created_by: str
+    created_utc: datetime
+    approved_by: str | None
+    """Null for a draft."""
+    approved_utc: datetime | None
+
+
+class ZonesView(View):
+    """Exclusion zones of a machine, frame `machine`."""
+
+    machine_id: str
+    version_count: int
+    """Of the newest version, draft or approved; 0 before the first."""
+    zones: Zones
+    """As the newest version says."""
+    is_approved: bool
+    """The newest version says what is approved."""
+    active: Zones
+    """Approved: what previews and the machine keep out of."""
+    active_version_count: int
+    active_sha256: str
+    """As the machine's state names the set on board; empty for no zones."""
+    reason: str
+    changed_by: str | None
+    changed_utc: datetime | None
+    approved_by: str | None
+    """Of the active version."""
+    approved_utc: datetime | None
+    undo_version_count: int | None
+    """Version that undo goes back to; null when there is none."""
