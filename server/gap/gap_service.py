@@ -174,7 +174,7 @@ class GapService:
         days = self._twins.reference(machine_id).days()
         count = sum(days.values())
         return KeptReferenceView(
-            days=days,
+            day_throw_count=days,
             throw_count=count,
             is_used=count >= LEAST_REFERENCE_COUNT,
             words=". ".join(filter(None, [words_of_days(days), advice(days)])) + ".",

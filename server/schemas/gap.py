@@ -71,7 +71,7 @@ class GapRunRequest(Request):
 class KeptReferenceView(View):
     """Reference throws that are kept for a machine."""
 
-    days: dict[str, int]
+    day_throw_count: dict[str, int]
     """Number of throws by day, YYYY-MM-DD, oldest first."""
     throw_count: int
     is_used: bool

@@ -158,7 +158,7 @@ def test_kept_throws_are_compared_with_unless_the_type_is_asked_for(running, ada
         ticked = ended(ada, start(ada, throw_ids=throws[4:], reference_throw_ids=throws[:4]))
         assert ticked["reference_throw_ids"] == throws[:4]
     said = ada.get("/machines/m001/kept-reference").json()
-    assert said["days"] == {"2026-05-01": 12, "2026-05-02": 12}
+    assert said["day_throw_count"] == {"2026-05-01": 12, "2026-05-02": 12}
     assert said["is_used"]
     assert said["words"] == "24 reference throws of 2026-05-01 and 2026-05-02."
 

@@ -1671,8 +1671,8 @@ export interface components {
          * @description Reference throws that are kept for a machine.
          */
         KeptReferenceView: {
-            /** Days */
-            days: {
+            /** Day Throw Count */
+            day_throw_count: {
                 [key: string]: number;
             };
             /** Is Used */
