@@ -70,9 +70,13 @@ def conclude(found: Findings) -> Diagnosis:
             },
             "where": where(verdict, ranked, stages),
             "named": named(verdict, ranked),
-            "leftover_sd": {name: round(value, 2) for name, value in ranked.levels.items()},
+            "leftover_sd": {name: round(one.level_sd, 2) for name, one in ranked.left.items()},
+            "conflict_ratio": {
+                name: round(one.conflict_ratio, 2) for name, one in ranked.left.items()
+            },
+            "excess_ratio": {name: round(one.excess_ratio, 2) for name, one in ranked.left.items()},
             "log_evidence": {
-                effect_names(h.effects) or "none": round(float(h.log_evidence[0]), 1)
+                effect_names(h.effects) or "none": round(h.log_evidence, 1)
                 for h in ranked.hypotheses
             },
             "ruled_out": _ruled_out(found),

@@ -1,5 +1,7 @@
 """The next version of a machine's twin profile from a diagnosis."""
 
+from collections.abc import Sequence
+
 from diagnosis.verdict import Diagnosis, VerdictKind
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import TwinProfile
@@ -50,3 +52,13 @@ def corrected_profile(
         "intervals": {**values["intervals"], **intervals},
     }
     return TwinProfile.model_validate(values)
+
+
+def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile:
+    """The next version of a profile, with these effects added."""
+    return profile.model_copy(
+        update={
+            "effects": (*profile.effects, *effects),
+            "version_count": profile.version_count + 1,
+        }
+    )

@@ -5,23 +5,24 @@ reduction is predicted there. The twin profile with those effects is written to 
 held-out part is simulated from its valve commands to its impact.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.hypotheses.candidates import fitted_effects
-from diagnosis.hypotheses.exploration import Hypothesis
+from diagnosis.correction import with_effects
+from diagnosis.hypotheses.candidate import fitted_effects, weighed
 from diagnosis.hypotheses.gap_problem import GapProblem
-from diagnosis.inference.evidence import members_index, screen, total, weigh
+from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood
+from diagnosis.hypotheses.ranking import Hypothesis
+from diagnosis.inference.evidence import members_index
 from diagnosis.linearisation.open_loop import impacts
 from diagnosis.linearisation.parameters import ReplayKind, library
-from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, residual_power
+from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
 from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.linearisation.unmodelled_effects import unmodelled_names
-from diagnosis.linearisation.whitening import whiten_throw
 from diagnosis.tuning import CLEAR_RATIO, LEAST_GAP_RATIO
 from diagnosis.verdict import Shrink
 from machine.conventions import Array, IntArray
@@ -52,16 +53,6 @@ class Held(NamedTuple):
     after: Gaps
     trained_before: Gaps
     trained_after: Gaps
-
-
-def with_effects(profile: TwinProfile, effects: Sequence[Effect]) -> TwinProfile:
-    """The next version of a profile, with these effects added."""
-    return profile.model_copy(
-        update={
-            "effects": (*profile.effects, *effects),
-            "version_count": profile.version_count + 1,
-        }
-    )
 
 
 def moved_blocks(problem: GapProblem, hypothesis: Hypothesis) -> list[set[str]]:
@@ -99,45 +90,55 @@ def _under(
 
 
 def gaps(
-    problem: GapProblem, hypothesis: Hypothesis, moved: Sequence[set[str]], profile: TwinProfile
+    likelihood: MarginalLikelihood,
+    hypothesis: Hypothesis,
+    moved: Sequence[set[str]],
+    profile: TwinProfile,
 ) -> Gaps:
     """Gaps of all throws under a profile: of the impact, and of the channels that a hypothesis moves."""
+    problem = likelihood.problem
     measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
     under = _under(problem, hypothesis, profile, ())
     # Other scatter of the machine is not this effect's gap; unmodelled effects would absorb it.
-    others = hypothesis.mean.copy()
-    others[members_index(problem.layout.priors, hypothesis.members)] = 0.0
+    others = likelihood.healthy_mean(hypothesis.candidate.products)
     others[-len(unmodelled_names()) :] = 0.0
-    power: list[tuple[float, float]] = []
-    for i, (p, linear) in enumerate(zip(problem.prepared, under, strict=True)):
-        whitened = whiten_throw(p, linear, problem.model, problem.factor[i], problem.basis[i])
-        left = residual_power(whitened, others)
-        power.append(_power(left, moved[i] & left.keys(), problem.model.unknown_level))
+    left = likelihood.left_over([linear.change for linear in under], others)
+    power = [
+        _power(
+            {b.name: _square(rest[b.rows]) for b in p.blocks if b.name in names},
+            problem.model.unknown_level,
+        )
+        for p, rest, names in zip(problem.prepared, left, moved, strict=True)
+    ]
     squares, floors = np.array(power).T
     found = impacts(problem.prepared, problem.healthy, profile, problem.calibration)
     return Gaps(measured - found, squares, floors)
 
 
+def _square(rest: Array) -> tuple[float, int]:
+    return float(rest @ rest), rest.size
+
+
 def _power(
     left: Mapping[str, tuple[float, int]],
-    moved: Collection[str],
     healthy: Mapping[str, tuple[float, float]],
 ) -> tuple[float, float]:
     """Residual power per row of some blocks, and that of a healthy machine; NaN without blocks."""
-    count = sum(left[name][1] for name in moved)
+    count = sum(rows for _, rows in left.values())
     if count == 0:
         return float("nan"), float("nan")
-    square = sum(left[name][0] for name in moved)
-    floor = sum(left[name][1] * np.exp(healthy.get(name, (0.0, 0.0))[0]) for name in moved)
+    square = sum(power for power, _ in left.values())
+    floor = sum(rows * np.exp(healthy.get(n, (0.0, 0.0))[0]) for n, (_, rows) in left.items())
     return square / count, float(floor / count)
 
 
-def held_out(problem: GapProblem, hypothesis: Hypothesis, folder: Path) -> Held:
+def held_out(likelihood: MarginalLikelihood, hypothesis: Hypothesis, folder: Path) -> Held:
     """Hold out every third of the throws once."""
+    problem = likelihood.problem
     count = len(problem.prepared)
     everyone = np.arange(count)
     moved = moved_blocks(problem, hypothesis)
-    before = gaps(problem, hypothesis, moved, problem.profile)
+    before = gaps(likelihood, hypothesis, moved, problem.profile)
     after = Gaps(np.full((count, 2), np.nan), *np.full((2, count), np.nan))
     trained: list[Gaps] = []
     rows: list[IntArray] = []
@@ -145,11 +146,11 @@ def held_out(problem: GapProblem, hypothesis: Hypothesis, folder: Path) -> Held:
         # Consecutive throws go to different parts, which mixes modes and targets.
         left_out = everyone[everyone % PART_COUNT == part]
         used = np.setdiff1d(everyone, left_out)
-        sizes = _sizes(problem, hypothesis, used)
+        sizes = _sizes(likelihood, hypothesis, used)
         effects = fitted_effects(problem.layout, hypothesis.members, sizes)
         path = folder / f"part-{part}.profile.json"
         save_profile(with_effects(problem.profile, effects), path)
-        found = gaps(problem, hypothesis, moved, load_profile(path))
+        found = gaps(likelihood, hypothesis, moved, load_profile(path))
         after.impact_m[left_out] = found.impact_m[left_out]
         after.power[left_out] = found.power[left_out]
         after.floor[left_out] = found.floor[left_out]
@@ -167,10 +168,17 @@ def _rows(found: Gaps, rows: IntArray) -> Gaps:
     return Gaps(*(values[rows] for values in found))
 
 
-def _sizes(problem: GapProblem, hypothesis: Hypothesis, used: IntArray) -> Array:
-    data = total([hypothesis.information[int(i)] for i in used])
-    base = screen(data, problem.layout.priors)
-    return weigh(base, problem.layout.priors, hypothesis.members).mean
+def _sizes(likelihood: MarginalLikelihood, hypothesis: Hypothesis, used: IntArray) -> Array:
+    """Sizes (k,) of a set by some of the throws."""
+    one = hypothesis.candidate
+    there = weighed(
+        likelihood,
+        one.members,
+        one.sizes,
+        [one.products[int(i)] for i in used],
+        [one.change[int(i)] for i in used],
+    )
+    return there.sizes + there.step
 
 
 def _rms(gap: Array) -> float:
@@ -212,7 +220,7 @@ def _closed(ends: Ends | None, least_seen: float) -> float:
 
 
 def shrink(
-    problem: GapProblem, hypothesis: Hypothesis, floor_m: float
+    likelihood: MarginalLikelihood, hypothesis: Hypothesis, floor_m: float
 ) -> tuple[Shrink, str] | None:
     """The measured reduction with a paired bootstrap over throws, and its measure; None without impacts.
 
@@ -220,12 +228,12 @@ def shrink(
     it is the channels that the effects move: sensor effects move no impact in a replay.
 
     Args:
-        problem: the set.
+        likelihood: of the set.
         hypothesis: the effects.
         floor_m: gap of a healthy machine, root mean square.
     """
     with TemporaryDirectory(prefix="downrange-shrink-") as name:
-        held = held_out(problem, hypothesis, Path(name))
+        held = held_out(likelihood, hypothesis, Path(name))
     good = np.flatnonzero(np.isfinite(held.before.impact_m + held.after.impact_m).all(axis=1))
     if good.size < PART_COUNT:
         return None

@@ -10,10 +10,12 @@ from diagnosis.conclusion import Findings, conclude
 from diagnosis.cross_validation import shrink
 from diagnosis.healthy.health import Health, load_health
 from diagnosis.healthy.sensor_noise import with_measured_sensor_noise
-from diagnosis.hypotheses.exploration import explore
+from diagnosis.hypotheses.candidate import Throws, evaluate
 from diagnosis.hypotheses.gap_problem import pose_problem
+from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
 from diagnosis.hypotheses.ranking import rank
 from diagnosis.hypotheses.release_jitter import fit_jitter
+from diagnosis.hypotheses.search import search
 from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet
@@ -66,7 +68,7 @@ def diagnose_throws(
         check_reference(reference, loaded.throws)
     with one_blas_thread(), closing(WorkerProcess()) if is_alone else nullcontext() as worker:
         if worker is not None:
-            worker.preload(explore)
+            worker.preload(evaluate)
         known = load_health() if health is None else health
         return _diagnose(loaded, reference, profile, known, progress, cancel, worker)
 
@@ -93,28 +95,35 @@ def _diagnose(
     if reference is not None:
         report(0.0, "the machine while it was healthy")
         health = health_from_reference(reference, profile, health)
+    twin = profile if health.profile is None else health.profile
     # From these throws alone: a sticking joint looks noisy, and did not while the machine was healthy.
     health = health._replace(noise=with_measured_sensor_noise(health.noise, loaded))
     report(0.02, "measured motion")
     model = health.noise
-    prepared = prepare(loaded.throws, profile)
+    prepared = prepare(loaded.throws, twin)
     calibration = loaded.throws[0].calibration
     report(0.05, "where: stages swapped")
     terms = swap_stages(prepared, profile, calibration)
     report(0.15, "which: sensitivities")
-    jitter = fit_jitter(prepared, profile, model)
+    jitter = fit_jitter(prepared, twin, model)
     plan = layout(model)
     if jitter.log_odds > 0.0:
         health = health._replace(noise=model.with_jitter(jitter.size_s))
-    problem = pose_problem(prepared, profile, calibration, health, plan).shared_with(worker)
+    problem = pose_problem(prepared, twin, calibration, health, plan)
+    likelihood = marginal_likelihood(problem)
+    throws = Throws(likelihood, marginal_likelihood(problem.preview_subset()))
     report(0.35, "which: sets of effects")
-    hypotheses = explore(problem, lambda s: report(0.35 + 0.5 * s, "which: sets of effects"))
-    ranked = rank(problem, hypotheses, jitter)
+    candidates = search(
+        throws.shared_with(worker), lambda s: report(0.35 + 0.5 * s, "which: sets of effects")
+    )
+    ranked = rank(problem, likelihood, candidates, jitter)
     report(0.88, "how far: held-out throws")
     best = ranked.best
     floor = [model.healthy_gap_m.get(p.throw.mode, 0.0) for p in prepared]
     found = (
-        shrink(problem, best, float(np.sqrt(np.mean(np.square(floor))))) if best.members else None
+        shrink(likelihood, best, float(np.sqrt(np.mean(np.square(floor)))))
+        if best.members
+        else None
     )
     report(0.97, "series")
     concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found))

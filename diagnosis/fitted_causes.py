@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.hypotheses.exploration import Hypothesis
 from diagnosis.hypotheses.gap_problem import GapProblem
-from diagnosis.hypotheses.ranking import Ranked
+from diagnosis.hypotheses.ranking import Hypothesis, Ranked
 from diagnosis.hypotheses.release_jitter import JITTER, PARAMETER
 from diagnosis.inference.evidence import members_index
 from diagnosis.inference.model_selection import NORMAL_90
@@ -78,8 +77,8 @@ def _fitted(problem: GapProblem, hypothesis: Hypothesis) -> tuple[FittedEffect, 
     """
     priors = problem.layout.priors
     index = members_index(priors, hypothesis.members)
-    variance = np.maximum(np.diag(hypothesis.evidence.covariance), 0.0)
-    form = SIZE_ERROR_RATIO * np.abs(hypothesis.evidence.mean)
+    variance = np.maximum(np.diag(hypothesis.candidate.covariance), 0.0)
+    form = SIZE_ERROR_RATIO * np.abs(hypothesis.candidate.sizes)
     sd = np.sqrt(variance + form**2)
     effects: list[FittedEffect] = []
     at = 0
@@ -88,7 +87,10 @@ def _fitted(problem: GapProblem, hypothesis: Hypothesis) -> tuple[FittedEffect, 
         for name, place in zip(
             _ordered(effect, problem, group), range(at, at + priors.groups[group].size), strict=True
         ):
-            mean, low, high = hypothesis.evidence.mean[place], *_bounds(problem, int(index[place]))
+            mean, low, high = (
+                hypothesis.candidate.sizes[place],
+                *_bounds(problem, int(index[place])),
+            )
             value = float(np.clip(mean, low, high))
             ends = np.clip([mean - NORMAL_90 * sd[place], mean + NORMAL_90 * sd[place]], low, high)
             parameters[name] = FittedParameter(

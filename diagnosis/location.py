@@ -1,23 +1,16 @@
 """Stage and joint of a cause, or of what no effect explains."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
-
-import numpy as np
+from collections.abc import Sequence
+from typing import Any
 
 from diagnosis.fitted_causes import effect_names
-from diagnosis.hypotheses.ranking import Ranked, unknown_log_odds
-from diagnosis.linearisation.unmodelled_effects import unmodelled_effect_of
-from diagnosis.tuning import QUIET_SD
+from diagnosis.hypotheses.ranking import Ranked
 from diagnosis.verdict import (
     Stage,
     StageGap,
     VerdictKind,
 )
 from sim_twin.effects.effect import Effect, effect_stage
-
-SIDEWAYS: Final = {"swing.gyro.x": "slew", "swing.gyro.y": None}
-"""Rates about the axes of the two passive joints, and the driven joint that alone moves the pin that way."""
 
 
 def where(
@@ -60,33 +53,16 @@ def named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
     return [_place(effect) for effect in named]
 
 
-def _is_of_one_axis(name: str, levels: Mapping[str, float]) -> bool:
-    """Whether the swing deviates about one of the gripper's axes alone.
-
-    Friction, length and inertia act about both axes. Motion of the pin that the joint sensors do not show
-    acts on one.
-    """
-    others = [other for other in SIDEWAYS if other != name]
-    return name in SIDEWAYS and all(levels.get(other, np.inf) < QUIET_SD for other in others)
-
-
 def signature_of(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows, and what it resembles."""
-    best, ahead = ranked.best, ranked.ahead
-    name = max(ranked.levels, key=lambda b: unknown_log_odds(best, ahead, b, ranked.levels[b]))
+    name = max(ranked.left, key=lambda b: ranked.left[b].ratio)
     stage, _, channel = name.partition(".")
     joint = channel if stage == Stage.ACTUATION else None
-    if _is_of_one_axis(name, ranked.levels):
-        stage, joint = Stage.AIM.value, SIDEWAYS[name]
-    shape = None if ranked.shape is None else unmodelled_effect_of(ranked.shape[0])
-    if ranked.shape is not None and shape is not None:
-        stage, joint = shape.stage, ranked.shape[1]
-        name = stage if joint is None else f"{stage}.{joint}"
     return {
         "stage": stage,
         "joint": joint,
         "channel": name,
-        "leftover_sd": round(ranked.levels.get(name, 0.0), 1),
-        "looks_like": None if shape is None else shape.description,
+        "leftover_sd": round(ranked.left[name].level_sd, 1),
+        "looks_like": None,
         "nearest": effect_names(ranked.best.effects) or "none",
     }

@@ -8,14 +8,22 @@ twin, the covariance of what the twin misses on it, and the scatter above which 
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from diagnosis.correction import with_effects
 from diagnosis.healthy.health import Health
-from diagnosis.hypotheses.gap_problem import pose_problem
-from diagnosis.linearisation.parameters import layout
-from diagnosis.loading.prepared import prepare
+from diagnosis.healthy.noise import NoiseModel
+from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
+from diagnosis.linearisation.open_loop import impacts
+from diagnosis.linearisation.parameters import layout, library
+from diagnosis.loading.prepared import PreparedThrow, prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
-from diagnosis.population.machine_baseline import ReferenceThrows, machine_model
+from diagnosis.population.machine_baseline import SMOOTH_EFFECTS, ReferenceThrows, machine_model
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
+
+ROUND_COUNT = 1
+"""Times that a machine's deviations are added to its twin before the last linearisation."""
 
 
 def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> None:
@@ -53,9 +61,43 @@ def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
 
 
 def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:
-    """The model of this machine from that of its type and from throws while it was healthy."""
-    plan = layout(health.noise)
-    prepared, calibration = prepare(reference.throws, profile), reference.throws[0].calibration
-    problem = pose_problem(prepared, profile, calibration, health, plan)
+    """The model of this machine from that of its type and from throws while it was healthy.
+
+    What the throws show of the machine's deviations is added to the twin, and the throws are linearised again
+    there, as in Gauss and Newton's method: a twin with its own machine's lengths and friction has the slopes
+    of that machine.
+    """
+    prepared = prepare(reference.throws, profile)
+    own, model = profile, health.noise
+    for _ in range(ROUND_COUNT):
+        problem, found = _linearised(prepared, own, health._replace(noise=model))
+        offsets = {
+            p: p.clip(found.healthy_mean[p.key]) for p in library() if p.effect in SMOOTH_EFFECTS
+        }
+        own = with_effects(own, [p.at(size) for p, size in offsets.items()])
+        model = model.about({p.key: size for p, size in offsets.items()})
+    problem, found = _linearised(prepared, own, health._replace(noise=model))
+    return Health(problem.healthy, _with_gap(found, problem), own)
+
+
+def _linearised(
+    prepared: Sequence[PreparedThrow], profile: TwinProfile, health: Health
+) -> tuple[GapProblem, NoiseModel]:
+    """Reference throws about a profile, and the model of their machine."""
+    calibration = prepared[0].throw.calibration
+    problem = pose_problem(prepared, profile, calibration, health, layout(health.noise))
     throws = ReferenceThrows(problem.prepared, problem.linear, problem.beside)
-    return Health(problem.healthy, machine_model(problem.model, throws), is_own=True)
+    return problem, machine_model(problem.model, throws)
+
+
+def _with_gap(model: NoiseModel, problem: GapProblem) -> NoiseModel:
+    """The model with the impact gap of this machine's reference throws by mode, root mean square."""
+    found = impacts(problem.prepared, problem.healthy, problem.profile, problem.calibration)
+    gap_m = np.stack([p.throw.impact_m[:2] for p in problem.prepared]) - found
+    modes = np.array([p.throw.mode for p in problem.prepared])
+    is_known = np.isfinite(gap_m).all(axis=1)
+    by_mode = {
+        mode: float(np.sqrt(np.square(gap_m[is_known & (modes == mode)]).sum(axis=1).mean()))
+        for mode in np.unique(modes[is_known]).tolist()
+    }
+    return model.model_copy(update={"healthy_gap_m": {**model.healthy_gap_m, **by_mode}})

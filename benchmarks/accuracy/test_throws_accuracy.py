@@ -8,15 +8,14 @@ from benchmarks.other_plant import Variant
 from benchmarks.other_plant import throws as plant_throws
 from cli.main import main
 from diagnosis.diagnose import diagnose_throws
-from diagnosis.hypotheses import generation
-from diagnosis.hypotheses.candidates import no_effect
-from diagnosis.hypotheses.comparison import beats_none
-from diagnosis.hypotheses.exploration import explore
-from diagnosis.hypotheses.refinement import large_enough
+from diagnosis.hypotheses.candidate import Throws, fitted_effects
+from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
+from diagnosis.hypotheses.search import search
 from diagnosis.linearisation.unmodelled_effects import (
     UNMODELLED_EFFECTS,
 )
 from diagnosis.loading.logs import load_throws
+from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.verdict import VerdictKind
 from machine.conventions import Array
 from machine.spec import load_spec
@@ -27,31 +26,29 @@ from tests.diagnosis.twin_throws import health, posed, profile, throws
 SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})
 
 
-def test_a_second_effect_without_slopes_is_found() -> None:
-    loaded = throws(
-        (
-            Effect(effect="backlash", joint="dipper", parameters={"gap_rad_m": 0.02}),
-            Effect(effect="valve_hysteresis", joint="dipper", parameters={"half_width_ratio": 0.1}),
-        ),
-        4,
-    )
+def named(loaded: LoadedSet) -> dict[tuple[str, str | None], Effect]:
+    """The effects of the set with the highest evidence."""
     problem = posed(loaded)
-    found = explore(problem, lambda share: None)
-    best = max(found, key=lambda h: h.log_evidence[0])
-    pairs = [(e.effect, e.joint) for e in best.effects]
-    assert ("backlash", "dipper") in pairs
-    assert ("valve_hysteresis", "dipper") in pairs
+    likelihood = marginal_likelihood(problem)
+    best = search(Throws(likelihood, likelihood), lambda share: None)[0]
+    effects = fitted_effects(problem.layout, best.members, best.sizes)
+    return {(e.effect, e.joint): e for e in effects}
+
+
+def test_a_second_effect_without_slopes_is_found() -> None:
+    backlash = Effect(effect="backlash", joint="dipper", parameters={"gap_rad_m": 0.02})
+    play = Effect(effect="valve_hysteresis", joint="dipper", parameters={"half_width_ratio": 0.1})
+    assert set(named(throws((backlash, play), 4))) == {
+        ("backlash", "dipper"),
+        ("valve_hysteresis", "dipper"),
+    }
 
 
 def test_a_soft_chassis_is_found_and_a_firm_one_is_not() -> None:
-    for effects, is_found in (((SOFT,), True), ((), False)):
-        problem = posed(throws(effects, 6))
-        singles = large_enough(problem, generation.refined_singles(problem, no_effect(problem)))
-        found = [t for t in singles if problem.layout.groups[t.members[0]][0] == SOFT.effect]
-        assert bool(found) is is_found
-        if found:
-            assert beats_none(found[0])
-            assert found[0].sizes[0] == pytest.approx(SOFT.parameters["pitch_rad"], rel=0.2)
+    (found,) = named(throws((SOFT,), 6)).values()
+    assert found.effect == SOFT.effect
+    assert found.parameters["pitch_rad"] == pytest.approx(SOFT.parameters["pitch_rad"], rel=0.2)
+    assert not named(throws((), 6))
 
 
 def test_a_machine_closer_to_its_twin_than_the_type_has_its_own_model() -> None:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from diagnosis.healthy.filters import HealthyModel, load_healthy
 from diagnosis.healthy.noise import NoiseModel, load_noise
+from sim_twin.twin.profile import TwinProfile
 
 
 class Health(NamedTuple):
@@ -11,8 +12,14 @@ class Health(NamedTuple):
 
     filters: HealthyModel
     noise: NoiseModel
-    is_own: bool = False
-    """Whether it was also learned from throws of this machine; then it is not adapted further."""
+    profile: TwinProfile | None = None
+    """The twin profile with what reference throws show of this machine's own deviations.
+    None for the model of the type."""
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it was also learned from throws of this machine; then it is not adapted further."""
+        return self.profile is not None
 
 
 def load_health() -> Health:

@@ -67,6 +67,11 @@ class Scatter(BaseModel):
         )
         return self.model_copy(update={"sd": changed})
 
+    def widened(self, sd: Mapping[str, float]) -> "Scatter":
+        """With further deviations of some names, independent of all others, of these standard deviations."""
+        more = np.array([sd.get(name, 0.0) for name in self.names])
+        return Scatter.of(self.names, self.covariance(self.names) + np.diag(more**2))
+
     @classmethod
     def of(cls, names: Sequence[str], covariance: Array) -> "Scatter":
         """From a covariance (n, n)."""
@@ -101,12 +106,16 @@ class NoiseModel(BaseModel):
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of the log residual power per row."""
 
-    usual_unmodelled: tuple[str, ...] = ()
-    """Unmodelled effects (``<name>.<joint>``) that healthy throws of this machine show: no evidence there."""
-
     def scatter(self, names: Sequence[str]) -> Array:
         """Covariance (n, n) of the deviations of one healthy set, in the order of names."""
         return self.machine_scatter.covariance(names) + self.set_scatter.covariance(names)
+
+    def about(self, offsets: Mapping[str, float]) -> "NoiseModel":
+        """The model of deviations from a twin that has these deviations already, by parameter key."""
+        mean = {**self.healthy_mean}
+        for name, size in offsets.items():
+            mean[name] = mean.get(name, 0.0) - size
+        return self.model_copy(update={"healthy_mean": mean})
 
     def with_jitter(self, extra_sd_s: float) -> "NoiseModel":
         """The model of a machine whose opening scatters by this much more."""

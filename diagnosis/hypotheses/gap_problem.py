@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
-from diagnosis.hypotheses.noise_normalisation import NoEffectThrow, no_effect_throw
 from diagnosis.inference.evidence import Information, screen, total
-from diagnosis.linearisation.model_error import factors, with_common_error
+from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.parameters import ParameterLayout
 from diagnosis.linearisation.parameters import layout as layout_of
-from diagnosis.linearisation.residual_power import in_units, levels, residual_after
+from diagnosis.linearisation.residual_power import levels
 from diagnosis.linearisation.sensitivities import LinearThrow, linearise
 from diagnosis.linearisation.whitening import (
-    Basis,
     Whitened,
     beside_named,
     information,
@@ -25,7 +23,6 @@ from diagnosis.loading.prepared import PreparedThrow
 from diagnosis.population.model_misfit import filters_help, misfit, scaled_to
 from diagnosis.population.other_machine_type import fitted_other_type_model, other_type_model
 from diagnosis.tuning import CLEAR_LOG_POWER, PREVIEW_COUNT
-from diagnosis.worker_process import WorkerProcess
 from machine.calibration import ValveCalibration
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.twin.profile import TwinProfile
@@ -36,17 +33,7 @@ Machines of the type are never much closer to their twin than the others."""
 OTHER_TYPE_ADAPTATIONS = ((0.0, 0.0), (1.0, 0.0))
 """Adaptations of a machine of another type: twice, since a factor scales the discrepancy and not the
 noise beside it."""
-OF_THROWS = (
-    "prepared",
-    "healthy_factor",
-    "factor",
-    "linear",
-    "whitened",
-    "information",
-    "no_effect_residual",
-    "basis",
-    "no_effect_throw",
-)
+OF_THROWS = ("prepared", "factor", "linear", "whitened", "information")
 """Fields of a problem with an entry for every throw."""
 
 
@@ -60,32 +47,16 @@ class GapProblem:
     healthy: HealthyModel
     model: NoiseModel
     layout: ParameterLayout
-    healthy_factor: Sequence[Sequence[Array]]
-    """Cholesky factors of a healthy machine's noise, of every throw's blocks."""
     factor: Sequence[Sequence[Array]]
-    """Cholesky factors of the noise that hypotheses are weighed with (`with_common_error`)."""
+    """Cholesky factors of the noise of every throw's blocks."""
     linear: Sequence[LinearThrow]
     """At "no effect"."""
     whitened: Sequence[Whitened]
     information: Sequence[Information]
     beside: Array
     """Projection of the unmodelled effects on the named slopes (`beside_named`)."""
-    no_effect_residual: Sequence[Array]
-    """Residual (n,) of every throw without effect, in the channels' units."""
-    basis: Sequence[Basis]
-    """Every throw at "no effect", for hypotheses."""
     none_levels: Mapping[str, float]
-    """Log residual power of every block without effect (`levels`), in a healthy machine's noise."""
-    no_effect_throw: Sequence[NoEffectThrow]
-    """Every throw without effect, with its nuisances, in the channels' units."""
-    worker: WorkerProcess | None = None
-    """Evaluates half of the sets."""
-
-    def shared_with(self, worker: WorkerProcess | None) -> "GapProblem":
-        """The same problem, with a worker process that evaluates half of the sets."""
-        if worker is not None:
-            worker.hold(self)
-        return replace(self, worker=worker)
+    """Log residual power of every block without effect (`levels`)."""
 
     def preview_subset(self) -> "GapProblem":
         """Every other throw of each mode, for a preview of many sets of which few are evaluated again."""
@@ -104,11 +75,7 @@ def pose_problem(
     health: Health,
     layout: ParameterLayout,
 ) -> GapProblem:
-    """Linearise at "no effect", with the model of healthy machines adapted to this machine.
-
-    The model error of effects is part of the noise wherever the twin without effect deviates
-    (`with_common_error`).
-    """
+    """Linearise at "no effect", with the model of healthy machines adapted to this machine."""
     healthy, model = health.filters, health.noise
     linear = linearise(prepared, profile, calibration, healthy)
     is_other_type = not health.is_own and not filters_help(prepared, linear, healthy)
@@ -129,7 +96,8 @@ def pose_problem(
         model = near.model_copy(update={"channels": model.channels})
         # The whitening does not depend on the machines' scatter.
         found = replace(found, model=model, layout=layout_of(model))
-    return _with_form_error(found)
+    mean = screen(total(found.information), found.layout.priors).mean
+    return replace(found, none_levels=levels(found.whitened, mean))
 
 
 def _whitened(
@@ -155,54 +123,9 @@ def _whitened(
         model,
         layout,
         factor,
-        factor,
         linear,
         whitened,
         information(whitened),
         beside,
-        [],
-        [],
         {},
-        [],
-    )
-
-
-def _with_form_error(first: GapProblem) -> GapProblem:
-    """With the model error of effects in the noise.
-
-    From here on an unmodelled effect moves its projection on the named parameters, too
-    (`Priors.looks_like`).
-    """
-    prepared, model = first.prepared, first.model
-    mean = screen(total(first.information), first.layout.priors).mean
-    off = [
-        in_units(p, f, residual_after(w, mean))
-        for p, f, w in zip(prepared, first.healthy_factor, first.whitened, strict=True)
-    ]
-    factor = [
-        with_common_error(p, model, f, o)
-        for p, f, o in zip(prepared, first.healthy_factor, off, strict=True)
-    ]
-    whitened = [
-        whiten_throw(p, one, model, f, beside=first.beside)
-        for p, one, f in zip(prepared, first.linear, factor, strict=True)
-    ]
-    found = information(whitened)
-    none = screen(total(found), first.layout.priors).mean
-    return replace(
-        first,
-        layout=replace(first.layout, priors=first.layout.priors._replace(looks_like=first.beside)),
-        factor=factor,
-        no_effect_residual=off,
-        whitened=whitened,
-        information=found,
-        none_levels=levels(first.whitened, mean),
-        basis=[
-            Basis(one, f, w, first.beside)
-            for one, f, w in zip(first.linear, factor, whitened, strict=True)
-        ],
-        no_effect_throw=[
-            no_effect_throw(p, f, w, none)
-            for p, f, w in zip(prepared, factor, whitened, strict=True)
-        ],
     )

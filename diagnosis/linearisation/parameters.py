@@ -152,9 +152,6 @@ NONSMOOTH_EFFECTS = effects_where(lambda effect: effect.stops_joint)
 """Effects under which a joint stands while its valve is open, breaks loose, and meets its drive again by
 forces that the twin lacks."""
 
-EXCLUDED_LOG_PRIOR = -1e6
-"""Prior log odds of what is no hypothesis; finite, so that differences of log odds are numbers."""
-
 
 def set_names() -> tuple[str, ...]:
     """Names of the set's nuisances and unmodelled effects, in the order of the vector."""
@@ -183,9 +180,7 @@ def layout(model: NoiseModel) -> ParameterLayout:
     first = 2 * len(constants) + len(SET_NUISANCES)
     for group, places in unmodelled_groups().items():
         groups[group] = [first + place for place in places]
-        name = ".".join(part for part in group if part is not None)
-        is_usual = name in model.usual_unmodelled
-        logs.append(EXCLUDED_LOG_PRIOR if is_usual else UNMODELLED_LOG_PRIOR)
+        logs.append(UNMODELLED_LOG_PRIOR)
     nuisances = np.concatenate([np.ones(len(SET_NUISANCES)), unmodelled_slab_sd()])
     free = np.full(nuisances.size, np.inf)
     # A drift has half the size of its effect, in either direction.

@@ -1,20 +1,17 @@
 """Residual power of a throw after a set of effects, block by block."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.whitening import Whitened
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.tuning import JUMP_SD
 from machine.conventions import Array
 
 INSENSITIVE_BLOCKS = "swing.accel"
 """Blocks that are no measure of what is unexplained: joints that stop or break loose within a tick
 accelerate the gripper by more than smoothed joint motion shows."""
-EXCITED_BLOCKS = ("actuation", "swing.gyro")
-"""Blocks that are no measure where the best cause is nonsmooth; those of the other joints, too."""
 OPENING = "release.switch"
 
 
@@ -41,23 +38,16 @@ def residual_after(whitened: Whitened, mean: Array) -> Array:
     return unexplained - nuisance @ np.linalg.solve(inner, nuisance.T @ unexplained)
 
 
-def residual_power(
-    whitened: Whitened, mean: Array, nonsmooth: Collection[str] = ()
-) -> dict[str, tuple[float, int]]:
+def residual_power(whitened: Whitened, mean: Array) -> dict[str, tuple[float, int]]:
     """Residual power and number of rows of each block of a throw after the parameters `mean` (p,).
 
-    The throw's nuisances are set to their best values first. In the blocks named `nonsmooth` samples are
-    limited to `JUMP_SD`.
+    The throw's nuisances are set to their best values first.
     """
     unexplained = whitened.residual - prediction_of(whitened, mean)
     nuisance = whitened.nuisance
     left = residual_after(whitened, mean)
-    left = {
-        name: np.clip(left[rows], -JUMP_SD, JUMP_SD) if name in nonsmooth else left[rows]
-        for name, rows in whitened.rows.items()
-    }
     power = {
-        name: (float(left[name] @ left[name]), rows.stop - rows.start)
+        name: (float(left[rows] @ left[rows]), rows.stop - rows.start)
         for name, rows in whitened.rows.items()
     }
     if OPENING in whitened.rows:
@@ -68,14 +58,12 @@ def residual_power(
     return power
 
 
-def levels(
-    whitened: Sequence[Whitened], mean: Array, nonsmooth: Collection[str] = ()
-) -> dict[str, float]:
+def levels(whitened: Sequence[Whitened], mean: Array) -> dict[str, float]:
     """Log residual power per row of every block over all throws, after the parameters `mean`."""
     power: dict[str, float] = {}
     rows: dict[str, int] = {}
     for one in whitened:
-        for name, (square, count) in residual_power(one, mean, nonsmooth).items():
+        for name, (square, count) in residual_power(one, mean).items():
             power[name] = power.get(name, 0.0) + square
             rows[name] = rows.get(name, 0) + count
     return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}

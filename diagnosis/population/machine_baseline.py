@@ -4,7 +4,7 @@ The model of the type says how far its machines are from their twins, and what r
 machine may deviate further, and its residual may be larger and last longer: what a twin of a given structure
 misses on a machine, it misses in every throw. Four steps, each judged by the reference throws themselves:
 
-1. Every driven joint, and everything else, gets a wide prior where the throws are more probable under it.
+1. The machine's own parameters have the wide priors of effects: it is not taken for one of its type.
 2. The covariance of each channel is fitted to the residual of held-out throws.
 3. From set to set every parameter scatters by no less than the effect table's tolerance.
 4. What one half of the healthy throws shows as an effect, given the other half, is scatter of this machine.
@@ -25,8 +25,11 @@ from diagnosis.linearisation.whitening import Whitened, information, whiten_thro
 from diagnosis.loading.prepared import Block, PreparedThrow
 from diagnosis.population.expectation_maximisation import fitted_channel
 from diagnosis.population.hierarchical_prior import Levels, of_machine, set_likelihood
-from machine.conventions import ACTIVE_JOINTS, Array
+from machine.conventions import Array
+from sim_twin.effects.table import effects_where
 
+SMOOTH_EFFECTS = effects_where(lambda effect: effect.growth in ("linear", "curved", "delay"))
+"""Effects that a machine's twin can take from a posterior mean."""
 MEASURED_STAGES = ("actuation", "swing")
 """Stages whose channels have enough samples in a throw for a covariance of their own."""
 ROUND_COUNT = 8
@@ -59,41 +62,20 @@ class ReferenceThrows(NamedTuple):
 
 def machine_model(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
     """The model of this machine from that of its type and its reference throws."""
-    wide = with_wide_priors(model, reference)
+    wide = with_wide_priors(model)
     measured = with_measured_noise(wide, reference)
     tolerant = with_set_tolerance(measured)
     consistent = with_scatter_between_halves(tolerant, reference)
     return with_posterior(consistent, information(reference.whitened(consistent)))
 
 
-def with_wide_priors(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
-    """The model with wide priors where this machine is not like its type.
+def with_wide_priors(model: NoiseModel) -> NoiseModel:
+    """The model of a machine of which nothing is known but that effects with slopes may be part of it.
 
-    A part is a driven joint, or everything else. Its parameters scatter by the prior width of their effects
-    if the marginal likelihood of the reference throws is larger then.
+    A machine differs from its twin by more than the machines of the virtual type differ from theirs.
     """
-    names = model.machine_scatter.names
-    covariance = model.machine_scatter.covariance(names)
-    prior_sd = {p.key: p.prior_sd for p in library()}
-    data = total(information(reference.whitened(model)))
-
-    def log_evidence(scatter: Array) -> float:
-        trial = model.model_copy(update={"machine_scatter": Scatter.of(names, scatter)})
-        return screen(data, layout(trial).priors).log_evidence
-
-    best = log_evidence(covariance)
-    for part in (*ACTIVE_JOINTS, None):
-        index = [i for i, name in enumerate(names) if name in prior_sd and _joint_of(name) == part]
-        trial = covariance.copy()
-        trial[index, index] += np.square([prior_sd[names[i]] for i in index])
-        found = log_evidence(trial)
-        if found > best:
-            covariance, best = trial, found
-    return model.model_copy(update={"machine_scatter": Scatter.of(names, covariance)})
-
-
-def _joint_of(name: str) -> str | None:
-    return next((joint for joint in ACTIVE_JOINTS if f".{joint}." in name), None)
+    wide = {p.key: p.prior_sd for p in library() if p.effect in SMOOTH_EFFECTS}
+    return model.model_copy(update={"machine_scatter": model.machine_scatter.widened(wide)})
 
 
 def with_measured_noise(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
@@ -127,56 +109,38 @@ def with_measured_noise(model: NoiseModel, reference: ReferenceThrows) -> NoiseM
 
 
 def with_set_tolerance(model: NoiseModel) -> NoiseModel:
-    """The model whose parameters scatter between sets by no less than the effect table's tolerance.
+    """The model whose parameters scatter between sets by the effect table's tolerance, each by itself.
 
     Oil, grease and play change from day to day within what maintenance would leave alone.
     """
-    scatter = model.set_scatter
-    for parameter in library():
-        sd = max(scatter.sd_of(parameter.key), parameter.tolerance)
-        scatter = scatter.with_sd(parameter.key, sd)
-    return model.model_copy(update={"set_scatter": scatter})
+    tolerance = {p.key: p.tolerance for p in library()}
+    return model.model_copy(update={"set_scatter": model.set_scatter.widened(tolerance)})
 
 
 def with_scatter_between_halves(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
     """The model with the scatter that one half of the reference throws shows given the other.
 
     The part of the twin's misfit that the covariances do not hold lies along the sensitivities of some
-    effects. Healthy throws have no effect, so an effect that is more probable than none in one half measures
-    that misfit: its parameters scatter from set to set by its size. An unmodelled effect that is more
-    probable than none is no evidence on this machine.
+    effects. Healthy throws have no effect, so the most probable one, where it is more probable than none in
+    one half, measures that misfit: its parameters scatter from set to set by its size.
     """
     data = information(reference.whitened(model))
     for _ in range(ROUND_COUNT):
         sizes: dict[str, float] = {}
-        usual = set(model.usual_unmodelled)
         for half in (0, 1):
             other = with_posterior(model, data[1 - half :: 2])
-            found, unmodelled = _probable_effects(other, reference.every_other(half))
-            usual |= unmodelled
-            for name, size in found.items():
+            for name, size in _most_probable(other, reference.every_other(half)).items():
                 sizes[name] = max(sizes.get(name, 0.0), size)
-        if not sizes and usual == set(model.usual_unmodelled):
+        if not sizes:
             break
-        model = _with_scatter(model, sizes, usual)
+        drift_sd = dict(model.drift_sd)
+        for name, size in sizes.items():
+            if name.startswith(_DRIFT):
+                key = name.removeprefix(_DRIFT)
+                drift_sd[key] = float(np.hypot(drift_sd[key], size))
+        scatter = model.set_scatter.widened(sizes)
+        model = model.model_copy(update={"set_scatter": scatter, "drift_sd": drift_sd})
     return model
-
-
-def _with_scatter(model: NoiseModel, sizes: dict[str, float], usual: set[str]) -> NoiseModel:
-    scatter, drift_sd = model.set_scatter, dict(model.drift_sd)
-    for name, size in sizes.items():
-        if name.startswith(_DRIFT):
-            key = name.removeprefix(_DRIFT)
-            drift_sd[key] = float(np.hypot(drift_sd[key], size))
-        else:
-            scatter = scatter.with_sd(name, float(np.hypot(scatter.sd_of(name), size)))
-    return model.model_copy(
-        update={
-            "set_scatter": scatter,
-            "drift_sd": drift_sd,
-            "usual_unmodelled": tuple(sorted(usual)),
-        }
-    )
 
 
 def with_posterior(model: NoiseModel, data: Sequence[Information]) -> NoiseModel:
@@ -204,27 +168,19 @@ def with_posterior(model: NoiseModel, data: Sequence[Information]) -> NoiseModel
     )
 
 
-def _probable_effects(
-    model: NoiseModel, healthy: ReferenceThrows
-) -> tuple[dict[str, float], set[str]]:
-    """Magnitudes by key of the single effects that are more probable than none, and unmodelled ones."""
+def _most_probable(model: NoiseModel, healthy: ReferenceThrows) -> dict[str, float]:
+    """Magnitudes by key of the most probable single effect; empty where no effect is more probable."""
     plan = layout(model)
     priors = plan.priors._replace(looks_like=healthy.beside)
     base = screen(total(information(healthy.whitened(model))), priors)
     keys = [p.key for p in library()]
     names = (*keys, *(_DRIFT + key for key in keys), *set_names())
-    sizes: dict[str, float] = {}
-    unmodelled: set[str] = set()
-    for group, found in enumerate(plan.groups):
-        weighed = weigh(base, priors, (group,))
-        if weighed.log_odds <= 0.0:
-            continue
-        if plan.is_unmodelled(group):
-            unmodelled.add(".".join(part for part in found if part is not None))
-        else:
-            index = priors.groups[group].tolist()
-            sizes |= {names[i]: abs(float(v)) for i, v in zip(index, weighed.mean, strict=True)}
-    return sizes, unmodelled
+    groups = range(len(plan.groups))
+    best = max((weigh(base, priors, (group,)) for group in groups), key=lambda one: one.log_odds)
+    if best.log_odds <= 0.0:
+        return {}
+    index = priors.groups[best.members[0]].tolist()
+    return {names[i]: abs(float(v)) for i, v in zip(index, best.mean, strict=True)}
 
 
 def _held_out_residuals(model: NoiseModel, reference: ReferenceThrows) -> list[Array]:

@@ -142,10 +142,11 @@ SERIES: Mapping[str, tuple[str, ...]] = {
 }
 """Role of a series in a plot -> the names under which diagnoses store it."""
 
-_CHANNELS: Mapping[str, str] = {
-    "release.switch": "the time of the opening",
-    "flight.ball": "the tracked flight of the load",
-    "flight.impact": "the impact",
+_PARTS: Mapping[str, str] = {
+    "swing": "the swing of the gripper",
+    "release": "the opening",
+    "flight": "the flight of the load",
+    "aim": "the pose of base and sensors",
 }
 
 
@@ -164,17 +165,12 @@ def sentence(name: str, **values: object) -> str:
     return SENTENCES[name].format(**values)
 
 
-def channel_words(channel: str) -> str:
-    """What a channel of residuals measures: "the speed of the boom"."""
-    stage, _, rest = channel.partition(".")
-    if stage == Stage.ACTUATION:
-        return f"the speed of the {rest}"
-    kind, _, axis = rest.partition(".")
-    if stage == Stage.SWING and kind == "gyro":
-        return f"the gripper's turning about its {axis} axis"
-    if stage == Stage.SWING and kind == "accel":
-        return f"the gripper's acceleration along its {axis} axis"
-    return _CHANNELS.get(channel, channel.replace(".", " ").replace("_", " "))
+def channel_words(part: str) -> str:
+    """What a part of the chain is that leaves a residual: "the speed of the boom"."""
+    stage, _, joint = part.partition(".")
+    if stage == Stage.ACTUATION and joint:
+        return f"the speed of the {joint}"
+    return _PARTS.get(part, part.replace(".", " ").replace("_", " "))
 
 
 def signature_facts(signature: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,8 @@ from typing import cast
 
 from diagnosis.conclusion import ambiguity_of, sentence_of, verdict_of
 from diagnosis.hypotheses.ranking import Ranked
-from diagnosis.location import signature_of, where
+from diagnosis.hypotheses.unknown_check import Left
+from diagnosis.location import where
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 
@@ -13,14 +14,14 @@ from sim_twin.effects.effect import Effect
 def test_an_unknown_effect_is_placed_in_words() -> None:
     best = SimpleNamespace(members=(1,), effects=())
     ranked = SimpleNamespace(
-        levels={"flight.ball": 12.4, "actuation.boom": 1.1}, shape=None, best=best, ahead=0.0
+        left={"flight": Left(12.4, 3.0), "actuation.boom": Left(1.1, 0.2)}, best=best
     )
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
     sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
     assert sentence == (
         "The twin misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
-        "tracked flight of the load 12 standard deviations above a healthy machine."
+        "flight of the load 12 standard deviations above a healthy machine."
     )
 
 
@@ -75,7 +76,7 @@ def test_the_location_is_that_of_the_most_probable_effect() -> None:
         hypotheses=hypotheses,
         probability=[0.4, 0.3, 0.2],
         best=hypotheses[0],
-        levels={},
+        left={},
         has_jitter=False,
     )
     for verdict in (VerdictKind.AMBIGUOUS, VerdictKind.NONE):
@@ -154,13 +155,3 @@ def test_jitter_is_part_of_both_rivals() -> None:
             jitter=_jitter_of(0.07),
         )
         assert ambiguity_of(cast("Ranked", ranked), None).members == members
-
-
-def test_a_swing_that_deviates_about_one_axis_is_located_at_the_pin() -> None:
-    best = SimpleNamespace(members=(), effects=())
-    for other, stage, joint in ((1.3, "aim", "slew"), (9.0, "swing", None)):
-        levels = {"swing.gyro.x": 22.0, "swing.gyro.y": other, "swing.gyro.z": 5.0}
-        ranked = SimpleNamespace(levels=levels, shape=None, best=best, ahead=0.0)
-        found = signature_of(cast("Ranked", ranked))
-        assert (found["stage"], found["joint"]) == (stage, joint)
-        assert found["channel"] == "swing.gyro.x"

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from diagnosis.cross_validation import Ends, _closed, shrink, with_effects
-from diagnosis.hypotheses.exploration import Hypothesis
+from diagnosis.correction import with_effects
+from diagnosis.cross_validation import Ends, _closed, shrink
+from diagnosis.hypotheses.candidate import Throws, evaluate
 from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
-from diagnosis.inference.evidence import SetEvidence
+from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, marginal_likelihood
+from diagnosis.hypotheses.ranking import Hypothesis
 from diagnosis.linearisation.open_loop import impacts
 from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
@@ -26,21 +28,17 @@ def problem() -> GapProblem:
     return pose_problem(prepared, profile(), loaded.throws[0].calibration, known, plan)
 
 
-def hypothesis(problem: GapProblem) -> Hypothesis:
-    members = (problem.layout.groups.index(("valve_lag", "boom")),)
-    return Hypothesis(
-        members=members,
-        effects=(EFFECT,),
-        evidence=SetEvidence(members, 0.0, np.array([0.12]), np.eye(1)),
-        log_evidence=np.zeros(1),
-        mean=np.zeros(problem.layout.size_count),
-        levels={},
-        information=problem.information,
-    )
+def posed_with(problem: GapProblem, effect: Effect) -> tuple[MarginalLikelihood, Hypothesis]:
+    """The throws, and the hypothesis of this effect at its size."""
+    likelihood = marginal_likelihood(problem)
+    members = (problem.layout.groups.index((effect.effect, effect.joint)),)
+    sizes = np.array(list(effect.parameters.values()))
+    (found,) = evaluate(Throws(likelihood, likelihood), [(members, sizes)])
+    return likelihood, Hypothesis(members, (effect,), found)
 
 
 def test_held_out_gap_closes_as_predicted(problem: GapProblem) -> None:
-    shown = shrink(problem, hypothesis(problem), floor_m=0.03)
+    shown = shrink(*posed_with(problem, EFFECT), floor_m=0.03)
     assert shown is not None
     found, measure = shown
     assert measure == "impact"
@@ -68,7 +66,7 @@ def test_profile_with_the_effect_moves_the_impact_after_a_round_trip(
 
 
 def test_gap_within_healthy_scatter_is_measured_on_the_channels(problem: GapProblem) -> None:
-    shown = shrink(problem, hypothesis(problem), floor_m=10.0)
+    shown = shrink(*posed_with(problem, EFFECT), floor_m=10.0)
     assert shown is not None
     found, measure = shown
     assert measure == "channels"
@@ -91,20 +89,7 @@ def test_a_late_release_is_a_gap_that_closes() -> None:
     prepared = prepare(loaded.throws, profile())
     calibration = loaded.throws[0].calibration
     one = pose_problem(prepared, profile(), calibration, known, plan)
-    members = (plan.groups.index(("release_delay", None)),)
-    found = shrink(
-        one,
-        Hypothesis(
-            members=members,
-            effects=(late,),
-            evidence=SetEvidence(members, 0.0, np.array([0.08]), np.eye(1)),
-            log_evidence=np.zeros(1),
-            mean=np.zeros(plan.size_count),
-            levels={},
-            information=one.information,
-        ),
-        floor_m=0.3,
-    )
+    found = shrink(*posed_with(one, late), floor_m=0.3)
     assert found is not None
     assert found[0].ratio > 0.7
     assert found[0].ci90[0] > 0.0

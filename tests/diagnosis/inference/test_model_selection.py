@@ -10,7 +10,6 @@ from scipy.stats import multivariate_normal
 from diagnosis.inference.evidence import (
     Information,
     Priors,
-    SetEvidence,
     inform,
     inform_gram,
     mean_with,
@@ -20,15 +19,8 @@ from diagnosis.inference.evidence import (
     weigh,
     without_effect,
 )
-from diagnosis.inference.model_selection import (
-    bagged_probability,
-    bootstrap_weights,
-    expected_log_odds,
-    search,
-)
+from diagnosis.inference.model_selection import search
 from diagnosis.tuning import (
-    COUNT_TEMPERATURE_RATIO,
-    FORM_TEMPERATURE_RATIO,
     MIN_SLAB_OVER_SPIKE_RATIO,
     PARTNER_LOG_PRIOR,
     THIRD_LOG_PRIOR,
@@ -183,17 +175,6 @@ def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:
     assert weigh(base, prior, (1,)).log_odds < 0.0
 
 
-def test_equal_sensitivities_cannot_be_separated() -> None:
-    rng = np.random.default_rng(5)
-    jacobian = rng.standard_normal((400, 3))
-    jacobian[:, 1] = jacobian[:, 0] + 0.01 * rng.standard_normal(400)
-    residual = 0.5 * jacobian[:, 0] + rng.standard_normal(400)
-    information, prior = inform(residual, jacobian, np.zeros((400, 1))), priors(3)
-    truth: SetEvidence = weigh(screen(information, prior), prior, (0,))
-    assert abs(expected_log_odds(information, prior, truth, (1,))) < 1.0
-    assert expected_log_odds(information, prior, truth, (2,)) > 5.0
-
-
 def test_a_third_effect_is_rarer_than_an_unmodelled_one_beside_two() -> None:
     plain = priors(4)
     unmodelled = plain._replace(looks_like=np.zeros((3, 1)))
@@ -203,36 +184,6 @@ def test_a_third_effect_is_rarer_than_an_unmodelled_one_beside_two() -> None:
     assert set_log_prior(plain, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
     assert set_log_prior(unmodelled, (0, 1, 3)) == beside
     assert set_log_prior(unmodelled, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
-
-
-def test_bagging_shares_probability_when_throws_disagree() -> None:
-    weights = bootstrap_weights(4, 50)
-    np.testing.assert_allclose(weights.sum(axis=1), 4.0)
-    assert (weights[0] == 1).all()
-    assert (weights > 0.0).all(), "every throw counts in every bootstrap"
-    # Half of the throws speak for each hypothesis: one fit is sure, bootstraps are not.
-    speaks = np.array([30.0, 30.0, -30.0, -29.0])
-    log_odds = np.column_stack([weights @ speaks, np.zeros(50)])
-    probability = bagged_probability(log_odds, np.array([1, 0]))
-    assert 0.2 < probability[0] < 0.8
-    assert probability.sum() == pytest.approx(1.0)
-
-
-def test_which_effect_is_less_sure_than_that_there_is_one() -> None:
-    # "No effect" is out by 40; the two effects are 8 apart.
-    probability = bagged_probability(np.array([[40.0, 32.0, 0.0]]), np.array([1, 1, 0]))
-    assert probability[2] < 1e-10
-    assert probability[0] / probability[1] == pytest.approx(np.exp(8.0 / FORM_TEMPERATURE_RATIO))
-    np.testing.assert_allclose(bagged_probability(np.zeros((3, 1)), np.array([0])), [1.0])
-
-
-def test_how_many_effects_is_surer_than_which() -> None:
-    # The pair is 9 behind its single, another single as well.
-    probability = bagged_probability(np.array([[60.0, 51.0, 51.0, 0.0]]), np.array([1, 1, 2, 0]))
-    assert probability[2] < probability[1] < probability[0]
-    assert probability[2] == pytest.approx(
-        1.0 / (1.0 + np.exp(9.0 / COUNT_TEMPERATURE_RATIO)), rel=0.01
-    )
 
 
 def test_a_slab_is_no_wider_than_its_bound_allows_to_either_side() -> None:

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.hypotheses.candidates import no_effect
-from diagnosis.inference.evidence import total, weigh
+from diagnosis.inference.evidence import screen, total, weigh
 from diagnosis.linearisation.basis_functions import unmodelled_columns
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.unmodelled_effects import (
@@ -175,7 +174,11 @@ def test_scale_and_bias_of_a_sensor_are_separated(
     changed: Callable[[ThrowData, float], ThrowData], size: float, is_scale: bool
 ) -> None:
     problem = posed(measured_as(changed, size))
-    base, priors, groups = no_effect(problem).base, problem.layout.priors, problem.layout.groups
+    priors, groups = (
+        problem.layout.priors._replace(looks_like=problem.beside),
+        problem.layout.groups,
+    )
+    base = screen(total(problem.information), priors)
     scale, bias = (
         weigh(base, priors, (groups.index((name, "dipper")),))
         for name in (f"{UNMODELLED}:scale", "joint_sensor_bias")

@@ -1,28 +1,30 @@
-"""A machine of another type is its own baseline: its misfit is no effect, and what it never had still is."""
+"""A machine is its own baseline: wide priors, and the tolerance of another day."""
 
 import numpy as np
 
-from diagnosis.linearisation.parameters import EXCLUDED_LOG_PRIOR, layout, library
+from diagnosis.linearisation.parameters import library
 from diagnosis.population.machine_baseline import (
+    SMOOTH_EFFECTS,
     with_set_tolerance,
+    with_wide_priors,
 )
 from tests.diagnosis.twin_throws import health
 
 
-def test_parameters_scatter_between_sets_by_their_tolerance_at_least() -> None:
+def test_every_parameter_scatters_between_days_by_its_tolerance_alone() -> None:
     model = health().noise
-    tolerant = with_set_tolerance(model)
-    for parameter in library():
-        sd = tolerant.set_scatter.sd_of(parameter.key)
-        assert sd == max(model.set_scatter.sd_of(parameter.key), parameter.tolerance)
+    names = model.set_scatter.names
+    more = with_set_tolerance(model).set_scatter.covariance(names) - model.set_scatter.covariance(
+        names
+    )
+    tolerance = {p.key: p.tolerance for p in library()}
+    expected = np.array([tolerance.get(name, 0.0) for name in names])
+    np.testing.assert_allclose(more, np.diag(expected**2), rtol=2e-3, atol=1e-6)
 
 
-def test_an_unmodelled_effect_that_healthy_throws_show_is_no_hypothesis() -> None:
+def test_a_machine_may_have_any_smooth_effect_of_its_own() -> None:
     model = health().noise
-    plan = layout(model)
-    name = next(g for i, g in enumerate(plan.groups) if plan.is_unmodelled(i))
-    key = ".".join(part for part in name if part is not None)
-    usual = layout(model.model_copy(update={"usual_unmodelled": (key,)}))
-    changed = np.flatnonzero(usual.priors.log_prior != plan.priors.log_prior)
-    assert [plan.groups[i] for i in changed] == [name]
-    assert usual.priors.log_prior[changed] == EXCLUDED_LOG_PRIOR
+    before, after = model.machine_scatter, with_wide_priors(model).machine_scatter
+    for p in library():
+        widened = after.sd_of(p.key) > 1.01 * before.sd_of(p.key)
+        assert widened is (p.effect in SMOOTH_EFFECTS), p.key

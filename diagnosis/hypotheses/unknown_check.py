@@ -1,0 +1,108 @@
+"""One posterior predictive check: whether what the best set leaves is what healthy throws leave.
+
+The power that remains in each channel is compared with that of healthy throws of another day. It counts as
+unknown where it is significantly more, and more than the form error of an effect that explains the rest.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import expit
+
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
+from diagnosis.linearisation.parameters import SET_NUISANCES, library, set_names
+from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
+from diagnosis.tuning import CONFLICT_SD, FORM_LEFT_RATIO, UNKNOWN_LEVEL_SD, UNKNOWN_WIDTH_RATIO
+from machine.conventions import ACTIVE_JOINTS, Array, IntArray
+
+
+class Left(NamedTuple):
+    """What a set of effects leaves in one part of the chain."""
+
+    level_sd: float
+    """Standard deviations above healthy throws of another day."""
+    excess_ratio: float
+    """Power above healthy throws, over what may remain."""
+    conflict_ratio: float = 0.0
+    """How far the machine's own parameters had to move, over what another day may move them."""
+
+    @property
+    def ratio(self) -> float:
+        """The larger of both."""
+        return max(self.excess_ratio, self.conflict_ratio)
+
+
+def levels_of(likelihood: MarginalLikelihood, left: list[Array]) -> dict[str, float]:
+    """Log power per row of every channel."""
+    power: dict[str, float] = {}
+    rows: dict[str, int] = {}
+    for p, rest in zip(likelihood.problem.prepared, left, strict=True):
+        for block in p.blocks:
+            own = rest[block.rows]
+            power[block.name] = power.get(block.name, 0.0) + float(own @ own)
+            rows[block.name] = rows.get(block.name, 0) + own.size
+    return {name: float(np.log(max(power[name], 1e-12) / rows[name])) for name in power}
+
+
+def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
+    """What a set leaves in every part of the chain."""
+    healthy = problem.model.unknown_level
+    rows = {b.name: 0 for p in problem.prepared for b in p.blocks}
+    for p in problem.prepared:
+        for block in p.blocks:
+            rows[block.name] += block.rows.stop - block.rows.start
+    found: dict[str, Left] = {}
+    names = [n for n in levels if n in healthy and not n.startswith(INSENSITIVE_BLOCKS)]
+    for stage in dict.fromkeys(stage_of(name) for name in names):
+        own = [name for name in names if stage_of(name) == stage]
+        usual, spread, left, before = 0.0, 0.0, 0.0, 0.0
+        for name in own:
+            middle, sd = healthy[name]
+            usual += rows[name] * np.exp(middle)
+            spread += rows[name] * np.exp(middle) * (np.exp(sd) - 1.0)
+            left += rows[name] * np.exp(levels[name])
+            before += rows[name] * np.exp(problem.none_levels[name])
+        may_remain = UNKNOWN_LEVEL_SD * spread + FORM_LEFT_RATIO * max(before - usual, 0.0)
+        found[stage] = Left(float((left - usual) / spread), float((left - usual) / may_remain))
+    return found
+
+
+def conflicts(likelihood: MarginalLikelihood, mean: Array) -> dict[str, float]:
+    """How much further a set moves the healthy parameters of each part than another day does.
+
+    The square of their posterior mean in the metric of their prior, against its expectation, over its
+    standard deviation times `CONFLICT_SD` (a check for prior-data conflict: Evans and Moshonov 2006, Bayesian
+    Analysis 1, 893).
+    """
+    scatter = likelihood.problem.layout.priors.scatter
+    learned = scatter - likelihood.covariance
+    found: dict[str, float] = {}
+    for part, index in _parameters_by_part().items():
+        inverse = np.linalg.inv(scatter[np.ix_(index, index)])
+        expected = float(np.trace(inverse @ learned[np.ix_(index, index)]))
+        square = float(mean[index] @ inverse @ mean[index])
+        found[part] = (square - expected) / (CONFLICT_SD * np.sqrt(2.0 * max(expected, 0.5)))
+    return found
+
+
+@cache
+def _parameters_by_part() -> dict[str, IntArray]:
+    """Indices of the healthy parameters of each part of the chain: a driven joint, or a stage."""
+    keys = [p.key for p in library()]
+    stage = {p.key: p.stage for p in library()}
+    parts: dict[str, list[int]] = {}
+    for place, name in enumerate((*keys, *keys, *set_names())):
+        joint = next((j for j in ACTIVE_JOINTS if f".{j}." in name), None)
+        part = stage.get(name, "release") if joint is None else f"actuation.{joint}"
+        if name not in SET_NUISANCES:
+            parts.setdefault(part, []).append(place)
+    return {part: np.array(places) for part, places in parts.items()}
+
+
+def unknown_probability(left: Mapping[str, Left]) -> float:
+    """Probability of something unknown, by the channel with the largest excess."""
+    most = max((one.ratio for one in left.values()), default=0.0)
+    return float(expit(np.log(max(most, 1e-9)) / UNKNOWN_WIDTH_RATIO))

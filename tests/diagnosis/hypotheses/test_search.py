@@ -1,0 +1,71 @@
+"""Sets of effects are found at their sizes, large ones included, and nothing beside them."""
+
+import numpy as np
+import pytest
+
+from diagnosis.hypotheses.candidate import (
+    CandidateSet,
+    Throws,
+    evaluate,
+    fitted_effects,
+    log_prior,
+    refined,
+    sizes_by_member,
+)
+from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
+from diagnosis.hypotheses.search import search
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import posed, throws
+
+STICKING = Effect(effect="stiction", joint="dipper", parameters={"breakaway_rad_m_per_s": 0.06})
+SHORT = Effect(effect="gripper_length", parameters={"extra_length_m": -0.18})
+LATE = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
+
+
+def found(*effects: Effect) -> tuple[Throws, list[CandidateSet]]:
+    """Throws of a twin with these effects, and the sets that the search finds."""
+    problem = posed(throws(effects, 4))
+    preview = marginal_likelihood(problem.preview_subset())
+    asked = Throws(marginal_likelihood(problem), preview)
+    return asked, search(asked, lambda share: None)
+
+
+@pytest.mark.parametrize("effects", [(STICKING,), (SHORT,), (LATE, SHORT), ()])
+def test_a_set_is_found_at_its_sizes(effects: tuple[Effect, ...]) -> None:
+    asked, candidates = found(*effects)
+    best = candidates[0]
+    layout = asked.likelihood.problem.layout
+    named = {(e.effect, e.joint): e for e in fitted_effects(layout, best.members, best.sizes)}
+    assert set(named) == {(e.effect, e.joint) for e in effects}
+    for e in effects:
+        own = named[e.effect, e.joint].parameters
+        assert own == pytest.approx(dict(e.parameters), rel=0.15)
+    assert [c.log_evidence for c in candidates] == sorted(
+        (c.log_evidence for c in candidates), reverse=True
+    )
+    assert any(not c.members for c in candidates), "no effect is always among them"
+
+
+def test_refinement_raises_the_evidence_and_stays_within_bounds() -> None:
+    problem = posed(throws((LATE,), 3))
+    likelihood = marginal_likelihood(problem)
+    asked = Throws(likelihood, likelihood)
+    members = (problem.layout.groups.index(("valve_dead_time", "boom")),)
+    (far,) = evaluate(asked, [(members, np.array([9.0]))])
+    assert far.sizes == problem.layout.priors.high[problem.layout.priors.groups[members[0]]]
+    (near,) = refined(asked, [far], 6)
+    assert near.log_evidence > far.log_evidence + 10.0
+    assert near.sizes[0] == pytest.approx(0.1, abs=0.03)
+
+
+def test_a_further_effect_and_an_unlikely_size_cost_evidence() -> None:
+    problem = posed(throws((), 1))
+    priors, groups = problem.layout.priors, problem.layout.groups
+    one = (groups.index(("gripper_length", None)),)
+    two = tuple(sorted((*one, groups.index(("release_delay", None)))))
+    small, large = (log_prior(priors, one, np.array([size])) for size in (0.05, 0.25))
+    assert small > large
+    assert log_prior(priors, (), np.zeros(0)) == 0.0
+    sizes = np.full(2, 0.05)
+    assert log_prior(priors, two, sizes) < log_prior(priors, one, sizes[:1])
+    assert list(sizes_by_member(priors, two, sizes)) == list(two)

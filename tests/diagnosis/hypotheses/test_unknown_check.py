@@ -1,0 +1,59 @@
+"""What the best set leaves is compared with what healthy throws leave."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.hypotheses.candidate import no_effect
+from diagnosis.hypotheses.gap_problem import GapProblem
+from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
+from diagnosis.hypotheses.unknown_check import (
+    Left,
+    check,
+    conflicts,
+    levels_of,
+    unknown_probability,
+)
+from tests.diagnosis.twin_throws import posed, throws
+
+
+@pytest.fixture(scope="module")
+def problem() -> GapProblem:
+    """Throws of the twin, whose residual is the usual one."""
+    found = posed(throws((), 3))
+    likelihood = marginal_likelihood(found)
+    none = no_effect(likelihood)
+    rest = likelihood.left_over(none.change, likelihood.healthy_mean(none.products))
+    usual = {name: (level, 0.1) for name, level in levels_of(likelihood, rest).items()}
+    return replace(found, model=found.model.model_copy(update={"unknown_level": usual}))
+
+
+def test_healthy_throws_leave_what_is_usual(problem: GapProblem) -> None:
+    usual = {name: level for name, (level, _) in problem.model.unknown_level.items()}
+    left = check(problem, usual)
+    assert set(left) >= {"actuation.boom", "swing", "flight"}
+    assert unknown_probability(left) < 1e-3
+
+
+def test_a_part_that_leaves_more_is_unknown_and_named(problem: GapProblem) -> None:
+    usual = {name: level for name, (level, _) in problem.model.unknown_level.items()}
+    louder = usual | {"actuation.boom": usual["actuation.boom"] + 1.0}
+    left = check(problem, louder)
+    assert max(left, key=lambda part: left[part].ratio) == "actuation.boom"
+    assert unknown_probability(left) > 0.9
+    # The form error of an effect that explains most of a large misfit is none.
+    before = replace(
+        problem, none_levels={**usual, "actuation.boom": usual["actuation.boom"] + 5.0}
+    )
+    assert unknown_probability(check(before, louder)) < 0.1
+
+
+def test_a_machine_that_had_to_move_too_far_is_unknown(problem: GapProblem) -> None:
+    likelihood = marginal_likelihood(problem)
+    scatter = problem.layout.priors.scatter
+    small, large = (conflicts(likelihood, k * np.sqrt(np.diag(scatter))) for k in (0.1, 10.0))
+    assert max(small.values()) < 0.5
+    assert min(large.values()) > 1.0
+    part = {"actuation.boom": Left(0.0, 0.0, large["actuation.boom"])}
+    assert unknown_probability(part) > 0.5
