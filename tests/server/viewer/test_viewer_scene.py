@@ -284,6 +284,7 @@ def test_clicks_for_a_point_leave_the_target(
     app.scene.set_target(session, (9.0, 0.0, 0.0))
     app.scene.set_pick_for(session, "point")
     client.until(lambda: "/target" in client.nodes, "the target")
+    wait_for(lambda: app.scene._stage.session(session).pick_for == "point", "the mode of clicks")
     before = len(app.picks)
     client.send(click((0.0, 0.0, 5.0), (1.5, 0.5, -1.0)))
     wait_for(lambda: len(app.picks) > before, "the point")
