@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
+END_WAIT_S = 2.0
+
 
 def process_pool(count: int) -> ProcessPoolExecutor:
     """Worker processes that end with this one, however it ends.
@@ -23,9 +25,13 @@ def end_pool(pool: ProcessPoolExecutor) -> None:
     """Kill the workers of a pool, whatever they do."""
     # Python 3.14 has `kill_workers`.
     processes = list((getattr(pool, "_processes", None) or {}).values())
+    manager = getattr(pool, "_executor_manager_thread", None)
     pool.shutdown(wait=False, cancel_futures=True)
     for process in processes:
         process.kill()
+    if manager is not None:
+        # Otherwise it may still be closing its pipes when the interpreter exits.
+        manager.join(END_WAIT_S)
 
 
 def end_with_parent() -> None:
