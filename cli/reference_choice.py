@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from diagnosis.loading.kept_reference import (
     LEAST_REFERENCE_COUNT,
+    LEAST_USABLE_COUNT,
     advice,
     kept_reference,
     words_of_days,
@@ -45,13 +46,16 @@ def choose_reference(
         return ReferenceChoice(None, "reference throws: none, as asked", {})
     if given:
         loaded = load_throws([Path(path) for path in given])
-        if len(loaded.throws) < LEAST_REFERENCE_COUNT:
+        count = len(loaded.throws)
+        if count < LEAST_USABLE_COUNT:
             why = "; ".join(f"{path.name}: {reason}" for path, reason in loaded.refused[:3])
             raise UsageError(
-                f"{len(loaded.throws)} usable reference throws, at least {LEAST_REFERENCE_COUNT} are needed. "
-                f"{why}".strip()
+                f"{count} usable reference throws, at least {LEAST_USABLE_COUNT} are needed. {why}".strip()
             )
-        return ReferenceChoice(loaded, f"compared with {len(loaded.throws)} reference throws", {})
+        more = (
+            f"; {LEAST_REFERENCE_COUNT} or more are better" if count < LEAST_REFERENCE_COUNT else ""
+        )
+        return ReferenceChoice(loaded, f"compared with {count} reference throws{more}", {})
     if not diagnosed.throws:
         return ReferenceChoice(None, "", {})
     return _kept(diagnosed, folders)

@@ -7,7 +7,9 @@ from typing import Final, NamedTuple
 from diagnosis.verdict import Diagnosis, VerdictKind
 
 LEAST_REFERENCE_COUNT: Final = 12
-"""Reference throws below which a machine has no baseline (docs/diagnosis.md)."""
+"""Reference throws to record at least (docs/diagnosis.md)."""
+LEAST_USABLE_COUNT: Final = 8
+"""Usable ones of them, below which a machine has no baseline: some throws end early or lack their impact."""
 ADVISED_REFERENCE_COUNT: Final = 24
 """Reference throws, over two days, that are recommended."""
 

@@ -76,8 +76,12 @@ def test_none_turns_kept_throws_off(tmp_path: Path) -> None:
 
 def test_too_few_given_throws_are_refused(tmp_path: Path) -> None:
     keep(tmp_path, "2026-05-01", 6)
-    with pytest.raises(UsageError, match="6 usable reference throws, at least 12"):
+    with pytest.raises(UsageError, match="6 usable reference throws, at least 8"):
         choose_reference((str(tmp_path),), diagnosed(), ())
+    keep(tmp_path, "2026-05-02", 4)
+    found = choose_reference((str(tmp_path),), diagnosed(), ())
+    assert found.throws is not None
+    assert found.words == "compared with 10 reference throws; 12 or more are better"
 
 
 def test_where_nothing_is_kept_the_remedy_is_named(tmp_path: Path) -> None:
