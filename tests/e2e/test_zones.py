@@ -53,8 +53,8 @@ def _approve(page: Page, reason: str) -> None:
 
 def _aim(page: Page, range_m: float, azimuth_deg: float) -> None:
     open_step(page, "Target")
-    page.get_by_label("Range, m").fill(str(range_m))
-    page.get_by_label("Azimuth, °").fill(str(azimuth_deg))
+    page.get_by_label("Range, m").fill(f"{range_m:g}")
+    page.get_by_label("Azimuth, °").fill(f"{azimuth_deg:g}")
 
 
 def test_a_zone_is_drawn_approved_obeyed_and_changed(
@@ -80,7 +80,7 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     _aim(page, 9.0, 0.0)
     refused = gate(page, "refused")
     expect(refused).to_contain_text("into zone 'Office', which is kept free up to 3.0 m")
-    _aim(page, 8.5, 30.0)
+    _aim(page, 8.5, -30.0)
     throw_until_landed(page, "key")
 
     page.get_by_role("navigation", name="Pages").get_by_role("link", name="Site").click()
