@@ -80,7 +80,7 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     _aim(page, 9.0, 0.0)
     refused = gate(page, "refused")
     expect(refused).to_contain_text("into zone 'Office', which is kept free up to 3.0 m")
-    _aim(page, 8.5, -30.0)
+    _aim(page, 8.5, -60.0)
     throw_until_landed(page, "key")
 
     page.get_by_role("navigation", name="Pages").get_by_role("link", name="Site").click()
