@@ -8,7 +8,7 @@ from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.inference.evidence import Information, screen, total
 from diagnosis.linearisation.model_error import factors
-from diagnosis.linearisation.parameters import ParameterLayout
+from diagnosis.linearisation.parameters import ParameterLayout, beside
 from diagnosis.linearisation.parameters import layout as layout_of
 from diagnosis.linearisation.residual_power import levels
 from diagnosis.linearisation.sensitivities import LinearThrow, linearise
@@ -77,11 +77,12 @@ def pose_problem(
 ) -> GapProblem:
     """Linearise at "no effect", with the model of healthy machines adapted to this machine."""
     healthy, model = health.filters, health.noise
+    layout = beside(layout, profile.effects)
     linear = linearise(prepared, profile, calibration, healthy)
     is_other_type = not health.is_own and not filters_help(prepared, linear, healthy)
     if is_other_type:
         healthy, model = nothing(), other_type_model(model, (1.0,) * len(ACTIVE_JOINTS))
-        layout = layout_of(model)
+        layout = beside(layout_of(model), profile.effects)
         linear = linearise(prepared, profile, calibration, healthy)
     found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
     previews = OTHER_TYPE_ADAPTATIONS if is_other_type else TYPE_ADAPTATIONS
@@ -95,7 +96,7 @@ def pose_problem(
         near = fitted_other_type_model(health.noise, total(found.information))
         model = near.model_copy(update={"channels": model.channels})
         # The whitening does not depend on the machines' scatter.
-        found = replace(found, model=model, layout=layout_of(model))
+        found = replace(found, model=model, layout=beside(layout_of(model), profile.effects))
     mean = screen(total(found.information), found.layout.priors).mean
     return replace(found, none_levels=levels(found.whitened, mean))
 

@@ -1,7 +1,7 @@
 """The effect library as one parameter vector, and the simulations that each parameter moves."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 
@@ -198,6 +198,19 @@ def layout(model: NoiseModel) -> ParameterLayout:
         parameter_count=len(constants),
         drift_count=len(constants),
     )
+
+
+def beside(plan: ParameterLayout, effects: Sequence[Effect]) -> ParameterLayout:
+    """The layout for sizes in addition to constant effects that a twin has: their sums keep the bounds."""
+    low, high = plan.priors.low.copy(), plan.priors.high.copy()
+    for effect in effects:
+        for name, size in effect.parameters.items() if effect.effect != DRIFT else ():
+            key = ".".join(part for part in (effect.effect, effect.joint, name) if part is not None)
+            if key in index_of():
+                place = index_of()[key]
+                low[place] = min(max(low[place], low[place] - size), 0.0)
+                high[place] = max(min(high[place], high[place] - size), 0.0)
+    return replace(plan, priors=plan.priors._replace(low=low, high=high))
 
 
 def _scatter(model: NoiseModel) -> Array:

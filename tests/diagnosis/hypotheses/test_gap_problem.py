@@ -1,10 +1,16 @@
-"""Previews of a set of throws."""
+"""Previews of a set of throws, and the bounds of its sizes."""
 
 from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pytest
+
 from diagnosis.hypotheses.gap_problem import OF_THROWS, GapProblem
+from diagnosis.linearisation.parameters import beside, layout
+from sim_twin.effects.effect import Effect
+from tests.diagnosis.twin_throws import health
 
 
 def problem(modes: str) -> GapProblem:
@@ -31,3 +37,15 @@ def test_a_preview_has_every_other_throw_of_each_mode() -> None:
         assert [p.place for p in preview.prepared] == expected, modes
         kept = [getattr(preview, name) for name in OF_THROWS if name != "prepared"]
         assert all(one == expected for one in kept), modes
+
+
+def test_sizes_beside_what_a_twin_has_keep_the_bounds() -> None:
+    plan = layout(health().noise)
+    lighter = Effect(effect="payload_mass", parameters={"extra_mass_kg": -0.4})
+    place = plan.priors.groups[plan.groups.index(("payload_mass", None))]
+    own = beside(plan, (lighter,)).priors
+    assert plan.priors.low[place] == -0.5
+    assert own.low[place] == pytest.approx(-0.1)
+    assert own.high[place] == plan.priors.high[place]
+    others = np.delete(np.arange(plan.size_count), place)
+    np.testing.assert_array_equal(own.low[others], plan.priors.low[others])
