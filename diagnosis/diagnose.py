@@ -93,18 +93,18 @@ def _diagnose(
             progress(share, text)
 
     if reference is not None:
-        report(0.0, "the machine while it was healthy")
+        report(0.01, "the machine while it was healthy")
         health = health_from_reference(reference, profile, health)
     twin = profile if health.profile is None else health.profile
     # From these throws alone: a sticking joint looks noisy, and did not while the machine was healthy.
     health = health._replace(noise=with_measured_sensor_noise(health.noise, loaded))
-    report(0.02, "measured motion")
+    report(0.2, "measured motion")
     model = health.noise
     prepared = prepare(loaded.throws, twin)
     calibration = loaded.throws[0].calibration
-    report(0.05, "where: stages swapped")
+    report(0.22, "where: stages swapped")
     terms = swap_stages(prepared, profile, calibration)
-    report(0.15, "which: sensitivities")
+    report(0.25, "which: sensitivities")
     jitter = fit_jitter(prepared, twin, model)
     plan = layout(model)
     if jitter.log_odds > 0.0:
