@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cli import diagnose as verb
+from cli import reference_choice
 from cli.main import main
 from diagnosis import diagnose as module
 from diagnosis.loading.throw_data import LoadedSet
@@ -15,8 +16,8 @@ from tests.diagnosis.twin_throws import health, throws
 
 
 def load(paths: Sequence[Path]) -> LoadedSet:
-    """Three throws of the twin for each folder, named after it."""
-    found = throws((), 3)
+    """Four throws of the twin for each folder, named after it."""
+    found = throws((), 4)
     named = [
         replace(throw, throw_id=f"{path.name}-{throw.throw_id}")
         for path in paths
@@ -28,6 +29,7 @@ def load(paths: Sequence[Path]) -> LoadedSet:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verb, "load_throws", load)
+    monkeypatch.setattr(reference_choice, "load_throws", load)
     monkeypatch.setattr(module, "load_health", health)
 
 
@@ -37,15 +39,17 @@ def test_reference_throws_come_from_all_folders_given(tmp_path: Path) -> None:
     code = main(["diagnose", "throws", *asked, "--json", str(result), "--html", str(page)])
     assert code == 0
     evidence = json.loads(result.read_text())["evidence"]
-    assert evidence["throws_used"] == [f"today-twin-{i:04d}" for i in range(3)]
+    assert evidence["throws_used"] == [f"today-twin-{i:04d}" for i in range(4)]
     assert evidence["reference"] == {
-        "throws_count": 6,
-        "throw_ids": [f"{week}-twin-{i:04d}" for week in ("week1", "week2") for i in range(3)],
+        "throws_count": 8,
+        "throw_ids": [f"{week}-twin-{i:04d}" for week in ("week1", "week2") for i in range(4)],
         "refused": [],
     }
-    assert "<dt>Compared with</dt><dd>6 healthy throws of this machine</dd>" in page.read_text()
+    assert "<dt>Compared with</dt><dd>8 healthy throws of this machine</dd>" in page.read_text()
 
 
 def test_a_throw_in_both_sets_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["diagnose", "throws", "today", "--reference", "today"]) == 1
-    assert "3 throws are to be diagnosed and are reference throws" in capsys.readouterr().err
+    assert (
+        main(["diagnose", "throws", "today", "--reference", "today", "--reference", "week1"]) == 1
+    )
+    assert "4 throws are to be diagnosed and are reference throws" in capsys.readouterr().err

@@ -78,7 +78,7 @@ def test_what_cannot_be_identified_is_refused(tmp_path: Path, capsys: pytest.Cap
         (["identify", "response"], "give throw logs"),
         (["identify", "response", str(tmp_path)], "none of the logs can be used"),
         (["identify", "swing", str(tmp_path), "--plot", "x.txt"], "must end with"),
-        (["record", "--out", str(tmp_path)], "give --mode 2d or 3d, or --test"),
+        (["record", "--out", str(tmp_path)], "give --mode 2d, 3d or both, or --test"),
     ):
         assert main(words) == 1
         assert why in capsys.readouterr().err

@@ -16,7 +16,7 @@ from tests.server.server_bench import wait_for
 
 MANY = 40
 """More than a person may have open, few enough for a test."""
-PLAN = {"mode": "2d", "target": {"range_m": 6.03, "azimuth_rad": 0.02}, "rollout_count": 0}
+PLAN = {"mode": "2d", "target": {"range_m": 6.03, "azimuth_rad": 0.02}, "rollout_count": 50}
 
 
 def websocket(running, client, path, **more):
