@@ -12,7 +12,12 @@ from tests.e2e.stack import ServerAlone, Stack
 def test_server_dies_and_comes_back(
     server: ServerAlone, open_page: Callable[..., Page], console: Console
 ) -> None:
-    console.allowed += ["ERR_CONNECTION_REFUSED", "ERR_INCOMPLETE_CHUNKED_ENCODING", "ERR_EMPTY"]
+    console.allowed += [
+        "ERR_CONNECTION_REFUSED",
+        "ERR_CONNECTION_RESET",
+        "ERR_INCOMPLETE_CHUNKED_ENCODING",
+        "ERR_EMPTY",
+    ]
     stack = server.start()
     page = open_page(stack)
     without_view(page)
