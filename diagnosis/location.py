@@ -5,8 +5,8 @@ from typing import Any
 
 from diagnosis.fitted_causes import effect_names
 from diagnosis.hypotheses.ranking import Ranked
+from diagnosis.linearisation.unmodelled_effects import unmodelled_effect_of
 from diagnosis.verdict import (
-    Stage,
     StageGap,
     VerdictKind,
 )
@@ -55,14 +55,17 @@ def named(verdict: VerdictKind, ranked: Ranked) -> list[dict[str, str | None]]:
 
 def signature_of(ranked: Ranked) -> dict[str, Any]:
     """Where an unknown effect shows, and what it resembles."""
-    name = max(ranked.left, key=lambda b: ranked.left[b].ratio)
-    stage, _, channel = name.partition(".")
-    joint = channel if stage == Stage.ACTUATION else None
+    name = max(ranked.left, key=lambda part: ranked.left[part].ratio)
+    leftover_sd = ranked.left[name].level_sd
+    stage, _, joint = name.partition(".")
+    shape = None if ranked.resembles is None else unmodelled_effect_of(ranked.resembles[0])
+    if ranked.resembles is not None and shape is not None:
+        stage, joint = shape.stage, ranked.resembles[1]
     return {
         "stage": stage,
-        "joint": joint,
+        "joint": joint or None,
         "channel": name,
-        "leftover_sd": round(ranked.left[name].level_sd, 1),
-        "looks_like": None,
+        "leftover_sd": round(leftover_sd, 1),
+        "looks_like": None if shape is None else shape.description,
         "nearest": effect_names(ranked.best.effects) or "none",
     }

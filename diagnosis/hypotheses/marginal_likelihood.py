@@ -14,7 +14,6 @@ explains a small share of its misfit alone is no evidence.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +55,7 @@ class ThrowColumns:
         return columns - self.nuisance @ (self.inner @ (self.nuisance.T @ columns))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class MarginalLikelihood:
     """The marginal likelihood of one set of throws."""
 
@@ -66,11 +65,8 @@ class MarginalLikelihood:
     """(p, p) of the healthy parameters, given the throws."""
     precision: Array
     """(p, p) information of the throws about the parameters along the slopes of no effect."""
-
-    @cached_property
-    def healthy_precision(self) -> Array:
-        """(p, p) the same, with the deviations of a healthy machine marginalised."""
-        return self.precision - self.precision @ self.covariance @ self.precision
+    healthy_precision: Array
+    """(p, p) the same, with the deviations of a healthy machine marginalised."""
 
     def healthy_gradient(self, across: Array) -> Array:
         """(p,) gradient about no size, from the products of a residual with the slopes."""
@@ -127,21 +123,17 @@ class MarginalLikelihood:
         return np.asarray(self.covariance @ across)
 
 
-def marginal_likelihood(
-    problem: GapProblem, throws: Sequence[int] | None = None
-) -> MarginalLikelihood:
-    """The marginal likelihood of a problem's throws, or of some of them.
-
-    The channels' weights are always those of all throws.
-    """
-    chosen = range(len(problem.prepared)) if throws is None else throws
+def marginal_likelihood(problem: GapProblem) -> MarginalLikelihood:
+    """The marginal likelihood of a problem's throws."""
     weights = channel_weights(problem)
-    columns = [_columns(problem.whitened[i], weights) for i in chosen]
+    columns = [_columns(whitened, weights) for whitened in problem.whitened]
     precision = np.sum([c.healthy.T @ c.without_nuisances(c.healthy) for c in columns], axis=0)
     root = np.linalg.cholesky(problem.layout.priors.scatter)
     inner = np.eye(root.shape[0]) + root.T @ precision @ root
     covariance = root @ np.linalg.solve(inner, root.T)
-    return MarginalLikelihood(problem, columns, 0.5 * (covariance + covariance.T), precision)
+    covariance = 0.5 * (covariance + covariance.T)
+    healthy_precision = precision - precision @ covariance @ precision
+    return MarginalLikelihood(problem, columns, covariance, precision, healthy_precision)
 
 
 def stage_of(channel: str) -> str:

@@ -10,6 +10,7 @@ from diagnosis.hypotheses.candidate import CandidateSet, fitted_effects
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood
 from diagnosis.hypotheses.release_jitter import JitterFit
+from diagnosis.hypotheses.search import linear_gains
 from diagnosis.hypotheses.unknown_check import (
     Left,
     check,
@@ -18,6 +19,8 @@ from diagnosis.hypotheses.unknown_check import (
     unknown_probability,
 )
 from diagnosis.inference.evidence import Set
+from diagnosis.linearisation.parameters import Group
+from diagnosis.linearisation.unmodelled_effects import group_of
 from diagnosis.tuning import DOUBT_PROBABILITY, RIVAL_PROBABILITY, SURE_PROBABILITY
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
@@ -47,7 +50,10 @@ class Ranked:
     """(hypotheses,) that each is true; the rest is "unknown"."""
     unknown: float
     left: Mapping[str, Left]
-    """What the best hypothesis leaves in every channel."""
+    """What the best hypothesis leaves in every part of the chain."""
+    resembles: Group | None
+    """The unmodelled effect that explains most of what is left where most is left; ``opening`` where the
+    spread of the openings follows the swing; None where none explains any."""
     jitter: JitterFit
     jitter_probability: float
     rival: Hypothesis | None
@@ -106,17 +112,41 @@ def rank(
         for part in {**left, **conflict}
     }
     follows = float(expit(jitter.log_odds) * expit(jitter.follows_log_odds))
-    unknown = 1.0 - (1.0 - unknown_probability(left)) * (1.0 - follows)
+    of_left = unknown_probability(left)
+    unknown = 1.0 - (1.0 - of_left) * (1.0 - follows)
+    resembles = (
+        (group_of("opening"), None) if follows > of_left else _resembled(likelihood, best, left)
+    )
     return Ranked(
         likelihood=likelihood,
         hypotheses=hypotheses,
         probability=probability * (1.0 - unknown),
         unknown=unknown,
         left=left,
+        resembles=resembles,
         jitter=jitter,
         jitter_probability=float(expit(jitter.log_odds)),
         rival=_rival(hypotheses, probability),
     )
+
+
+def _resembled(
+    likelihood: MarginalLikelihood, best: CandidateSet, left: Mapping[str, Left]
+) -> Group | None:
+    """The unmodelled effect with the highest evidence beside a set, at the part that leaves most."""
+    layout = likelihood.problem.layout
+    part = max(left, key=lambda name: left[name].ratio)
+    there = [
+        g
+        for g, (_, joint) in enumerate(layout.groups)
+        if layout.is_unmodelled(g) and joint is not None and part == f"actuation.{joint}"
+    ]
+    gains = linear_gains(likelihood, best, there)
+    found = max(there, key=lambda g: gains[g][0], default=None)
+    # Without the prior odds: that something is unknown is settled by the check.
+    if found is None or gains[found][0] <= layout.priors.log_prior[found]:
+        return None
+    return layout.groups[found]
 
 
 def _rival(hypotheses: Sequence[Hypothesis], probability: Array) -> Hypothesis | None:

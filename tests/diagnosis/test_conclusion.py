@@ -6,7 +6,8 @@ from typing import cast
 from diagnosis.conclusion import ambiguity_of, sentence_of, verdict_of
 from diagnosis.hypotheses.ranking import Ranked
 from diagnosis.hypotheses.unknown_check import Left
-from diagnosis.location import where
+from diagnosis.linearisation.unmodelled_effects import UNMODELLED_EFFECTS
+from diagnosis.location import signature_of, where
 from diagnosis.verdict import Cause, Gap, Shrink, VerdictKind
 from sim_twin.effects.effect import Effect
 
@@ -14,7 +15,9 @@ from sim_twin.effects.effect import Effect
 def test_an_unknown_effect_is_placed_in_words() -> None:
     best = SimpleNamespace(members=(1,), effects=())
     ranked = SimpleNamespace(
-        left={"flight": Left(12.4, 3.0), "actuation.boom": Left(1.1, 0.2)}, best=best
+        left={"flight": Left(12.4, 3.0), "actuation.boom": Left(1.1, 0.2)},
+        resembles=None,
+        best=best,
     )
     causes = (Cause(effects=(), probability=0.9, name="unknown"),)
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
@@ -155,3 +158,18 @@ def test_jitter_is_part_of_both_rivals() -> None:
             jitter=_jitter_of(0.07),
         )
         assert ambiguity_of(cast("Ranked", ranked), None).members == members
+
+
+def test_an_unknown_effect_says_what_it_resembles_and_where_that_acts() -> None:
+    best = SimpleNamespace(members=(), effects=())
+    left = {"actuation.dipper": Left(9.0, 2.0), "actuation": Left(0.0, 2.5, 2.5)}
+    for resembles, stage, joint in (
+        (("unmodelled:neighbours", "dipper"), "actuation", "dipper"),
+        (("unmodelled:opening", None), "release", None),
+        (None, "actuation", None),
+    ):
+        ranked = SimpleNamespace(left=left, resembles=resembles, best=best)
+        found = signature_of(cast("Ranked", ranked))
+        assert (found["stage"], found["joint"]) == (stage, joint)
+        shape = None if resembles is None else UNMODELLED_EFFECTS[resembles[0].partition(":")[2]]
+        assert found["looks_like"] == (None if shape is None else shape.description)

@@ -50,3 +50,7 @@ def test_channels_of_one_part_share_a_weight_and_a_misfit_lowers_it(problem: Gap
         n: w for n, w in weights.items() if n != "actuation.boom"
     }
     assert 0.0 < min(weights.values()) <= max(weights.values()) <= 1.0
+
+
+def test_it_never_changes_while_a_second_process_is_given_it(problem: GapProblem) -> None:
+    assert not hasattr(marginal_likelihood(problem), "__dict__"), "a cached value would be one"
