@@ -121,7 +121,7 @@ def _precision_of(problem: GapProblem, throw: int, change: Array) -> Array:
         white[block.rows] = whiten(lower, change[block.rows])
     share = prepared.input.progress_ratio
     table = np.column_stack(
-        [np.zeros((change.shape[0], 2)), white, share * white, base.slopes, base.nuisance]
+        [np.zeros(change.shape[0]), white, share * white, base.slopes, base.nuisance]
     )
     count = 2 * change.shape[1] + base.slopes.shape[1]
     return inform_gram(table.T @ table, count).precision

@@ -44,10 +44,6 @@ class Information(NamedTuple):
     """c"""
     log_volume: float
     """v: half the log determinant of the noise, nuisances included; it can differ between hypotheses."""
-    none_gradient: Array
-    """b (p,) of the residual without effect, in the same noise and against the same slopes."""
-    none_square: float
-    """c of that residual."""
 
 
 NO_PROJECTION = np.zeros((0, 0))
@@ -124,7 +120,7 @@ def inform(
         nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
         log_volume: half the log determinant of the noise.
     """
-    table = np.column_stack([residual, residual, jacobian, nuisance])
+    table = np.column_stack([residual, jacobian, nuisance])
     return inform_gram(table.T @ table, jacobian.shape[1], log_volume)
 
 
@@ -132,19 +128,16 @@ def inform_gram(gram: Array, parameter_count: int, log_volume: float = 0.0) -> I
     """Marginalise a throw's nuisances, from the products of all columns.
 
     Args:
-        gram: (2 + p + q, 2 + p + q) of residual, residual without effect, jacobian and nuisance, side by
-            side.
+        gram: (1 + p + q, 1 + p + q) of residual, jacobian and nuisance, side by side.
         parameter_count: p.
         log_volume: as in `inform`.
     """
-    data, noise = slice(0, 2 + parameter_count), slice(2 + parameter_count, None)
-    inner = gram[noise, noise] + np.eye(gram.shape[0] - 2 - parameter_count)
+    data, noise = slice(0, 1 + parameter_count), slice(1 + parameter_count, None)
+    inner = gram[noise, noise] + np.eye(gram.shape[0] - 1 - parameter_count)
     across = gram[noise, data]
     left = gram[data, data] - across.T @ np.linalg.solve(inner, across)
     volume = log_volume + 0.5 * float(np.linalg.slogdet(inner)[1])
-    return Information(
-        left[2:, 2:], left[2:, 0], float(left[0, 0]), volume, left[2:, 1], float(left[1, 1])
-    )
+    return Information(left[1:, 1:], left[1:, 0], float(left[0, 0]), volume)
 
 
 def total(informations: Sequence[Information], weights: Array | None = None) -> Information:
@@ -156,8 +149,6 @@ def total(informations: Sequence[Information], weights: Array | None = None) -> 
         gradient=np.sum([w * i.gradient for w, i in parts], axis=0),
         square=float(sum(w * i.square for w, i in parts)),
         log_volume=float(sum(w * i.log_volume for w, i in parts)),
-        none_gradient=np.sum([w * i.none_gradient for w, i in parts], axis=0),
-        none_square=float(sum(w * i.none_square for w, i in parts)),
     )
 
 
@@ -193,15 +184,6 @@ def _squared(lower: Array, right: Array) -> Array:
     """B' (L L')^-1 B of `lower` L and `right` B."""
     half = solve_triangular(lower, right, lower=True, check_finite=False)
     return half.T @ half
-
-
-def without_effect(information: Information) -> Information:
-    """The information of the residual without effect, in the same noise and against the same slopes.
-
-    A candidate's residual is extrapolated back to size 0 along its slopes. A nonlinear effect does not
-    return to where it started, and "no effect" or a rival must not gain from that error.
-    """
-    return information._replace(gradient=information.none_gradient, square=information.none_square)
 
 
 def members_index(priors: Priors, members: Set) -> IntArray:
@@ -246,14 +228,6 @@ def _moved_by(priors: Priors, index: IntArray) -> Array:
     is_shape = shape >= 0
     moved[: priors.looks_like.shape[0], is_shape] += priors.looks_like[:, shape[is_shape]]
     return moved
-
-
-def mean_with(base: Screen, data: Information, priors: Priors, found: SetEvidence) -> Array:
-    """Posterior mean of all parameters: members at their sizes, and the scatter given those sizes."""
-    if not found.members:
-        return base.mean
-    moved = _moved_by(priors, members_index(priors, found.members)) @ found.mean
-    return np.asarray(base.mean - base.covariance @ (data.precision @ moved) + moved)
 
 
 def set_log_prior(priors: Priors, members: Set) -> float:

@@ -78,17 +78,6 @@ class LinearThrow:
     """(n,) change of the twin's prediction by the effects."""
 
 
-def extrapolated_to_none(
-    at: LinearThrow, effects: Sequence[Effect], progress_ratio: float
-) -> LinearThrow:
-    """With the residual extrapolated from these effects back to none, along the slopes at the effects."""
-    residual = at.residual.copy()
-    for key, size in resolve(effects, progress_ratio).items():
-        name = ".".join(part for part in key if part is not None)
-        residual += at.jacobian[:, index_of()[name]] * size
-    return replace(at, residual=residual)
-
-
 def linear_throw(
     prepared: PreparedThrow,
     output: Simulated,

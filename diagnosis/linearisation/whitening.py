@@ -32,7 +32,7 @@ class Whitened:
     """A throw in units of its noise."""
 
     table: Array
-    """All columns (n, 2 + p + s + q): the residual, twice; slopes of the library's parameters, then of the
+    """All columns (n, 1 + p + s + q): the residual; slopes of the library's parameters, then of the
     set's nuisances; then the deviations between throws, in independent directions of unit variance."""
     progress_ratio: float
     """Share of a drift that acts in this throw."""
@@ -41,7 +41,7 @@ class Whitened:
     log_volume: float
     """Sum of the logs of the noise's Cholesky diagonals."""
     gram: Array
-    """(2 + p + s + q,) squared: products of the table's columns."""
+    """(1 + p + s + q,) squared: products of the table's columns."""
 
     @property
     def residual(self) -> Array:
@@ -51,12 +51,12 @@ class Whitened:
     @property
     def slopes(self) -> Array:
         """Of the parameters, then the nuisances of the set, (n, p + s)."""
-        return self.table[:, 2 : 2 + slope_count()]
+        return self.table[:, 1 : 1 + slope_count()]
 
     @property
     def nuisance(self) -> Array:
         """Of the deviations between throws, (n, q)."""
-        return self.table[:, 2 + slope_count() :]
+        return self.table[:, 1 + slope_count() :]
 
 
 def whiten_throw(
@@ -105,7 +105,7 @@ def _columns(prepared: PreparedThrow, linear: LinearThrow, model: NoiseModel) ->
     root = np.linalg.cholesky(model.throw_scatter.covariance(throw_nuisances()))
     usual = of_set[:, : len(SET_NUISANCES)] @ healthy_mean_of(model, SET_NUISANCES)
     residual = linear.residual - linear.jacobian @ middle - usual
-    columns = np.column_stack([residual, residual, linear.jacobian, of_set, of_throw @ root])
+    columns = np.column_stack([residual, linear.jacobian, of_set, of_throw @ root])
     # Only the ball and the impact can be missing, and their noise is white.
     columns[~np.isfinite(linear.residual)] = 0.0
     return columns
@@ -125,10 +125,10 @@ def beside_named(data: Information, plan: ParameterLayout) -> Array:
 
 def _subtract_projection(table: Array, beside: Array, model: NoiseModel) -> None:
     """Subtract the projection of the unmodelled effects on the named, in place, and their healthy mean."""
-    named, last = 2 + len(library()), 2 + slope_count()
+    named, last = 1 + len(library()), 1 + slope_count()
     shapes = table[:, last - beside.shape[1] : last]
-    shapes -= table[:, 2:named] @ beside
-    table[:, :2] -= (shapes @ healthy_mean_of(model, unmodelled_names()))[:, None]
+    shapes -= table[:, 1:named] @ beside
+    table[:, 0] -= shapes @ healthy_mean_of(model, unmodelled_names())
 
 
 def with_projection_subtracted(whitened: Whitened, beside: Array, model: NoiseModel) -> Whitened:
@@ -153,5 +153,4 @@ def _in_layout(whitened: Whitened, count: int) -> Information:
     return found._replace(
         precision=precision,
         gradient=found.gradient[order] * share,
-        none_gradient=found.none_gradient[order] * share,
     )

@@ -11,13 +11,10 @@ from diagnosis.inference.evidence import (
     Information,
     Priors,
     inform,
-    inform_gram,
-    mean_with,
     screen,
     set_log_prior,
     total,
     weigh,
-    without_effect,
 )
 from diagnosis.inference.model_selection import search
 from diagnosis.tuning import (
@@ -73,24 +70,6 @@ def test_marginalised_nuisances_equal_the_dense_gaussian() -> None:
     assert found.square == pytest.approx(float(residual @ inverse @ residual))
 
 
-def test_information_without_effect_is_that_of_the_other_residual() -> None:
-    rng = np.random.default_rng(9)
-    extrapolated_to_none, plain, jacobian, nuisance = (
-        rng.standard_normal((12, 1)),
-        rng.standard_normal((12, 1)),
-        rng.standard_normal((12, 3)),
-        rng.standard_normal((12, 2)),
-    )
-    table = np.column_stack([extrapolated_to_none, plain, jacobian, nuisance])
-    both = inform_gram(table.T @ table, 3)
-    prior = priors(3, spike=0.5)
-    found = screen(without_effect(both), prior)
-    alone = screen(inform(plain[:, 0], jacobian, nuisance), prior)
-    assert found.log_evidence == pytest.approx(alone.log_evidence)
-    np.testing.assert_allclose(found.mean, alone.mean, atol=1e-12)
-    np.testing.assert_allclose(found.gradient, alone.gradient, atol=1e-10)
-
-
 def test_evidence_equals_the_dense_gaussian() -> None:
     rng = np.random.default_rng(1)
     jacobian, residual = rng.standard_normal((30, 4)), rng.standard_normal(30)
@@ -125,8 +104,6 @@ def test_an_unmodelled_effect_moves_its_projection_as_the_dense_gaussian_does() 
     none, own = (np.eye(30) + jacobian @ c @ jacobian.T for c in (prior.scatter, spread))
     ahead = density.logpdf(residual, cov=own) - density.logpdf(residual, cov=none)
     assert found.log_odds == pytest.approx(float(ahead) - 4.0)
-    expected = spread @ jacobian.T @ np.linalg.solve(own, residual)
-    np.testing.assert_allclose(mean_with(base, data, prior, found), expected, atol=1e-10)
 
 
 def test_true_pair_is_found_and_nothing_else() -> None:

@@ -24,7 +24,7 @@ def informed(sizes: Array, model: NoiseModel) -> Information:
     precision = np.diag(400.0 / np.diag(layout(model).priors.scatter))
     gradient = precision @ sizes
     square = float(sizes @ gradient)
-    return Information(precision, gradient, square, 0.0, gradient, square)
+    return Information(precision, gradient, square, 0.0)
 
 
 def machine(ratio: float, **effect: float) -> Information:
