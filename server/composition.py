@@ -15,6 +15,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.deployments.machine_policies import MachinePolicies
 from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
@@ -79,6 +80,7 @@ class Parts:
     commands: MachineCommands
     leases: LeaseService
     policies: PolicyStore
+    machine_policies: MachinePolicies
     throws: ThrowStore
     stops: StopService
     plans: PlanStore
@@ -232,15 +234,11 @@ def assemble(
         database, registry, leases, plans, sites, zones, throws, commands, holds
     )
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
-    replays = ReplayControl(logs, plans, scene)
     gap = GapService(database, audit, registry, logs, twins, hub)
     twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
-    gap_previews = GapPreviews(registry, policies, pool, twins, twin_versions, settings.data_dir)
-    views = MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics)
     impacts = ImpactDisplay(database, scene)
     throws.on_change.append(impacts.refresh)
     targets = TargetProposals(scene, policies, sites, zones, hub, impacts, spec.ball.radius_m)
-    ingest.on_throw_end.append(holds.end)
     parts = Parts(
         settings=settings,
         database=database,
@@ -256,6 +254,7 @@ def assemble(
         commands=commands,
         leases=leases,
         policies=policies,
+        machine_policies=MachinePolicies(database, registry, policies),
         throws=throws,
         stops=stops,
         plans=plans,
@@ -266,23 +265,25 @@ def assemble(
         history=ThrowHistory(database),
         statistics=ThrowStatistics(database),
         logs=logs,
-        replays=replays,
+        replays=ReplayControl(logs, plans, scene),
         gap=gap,
         twin_versions=twin_versions,
-        gap_previews=gap_previews,
-        views=views,
+        gap_previews=GapPreviews(registry, policies, pool, twins, twin_versions, settings.data_dir),
+        views=MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics),
         sites=sites,
         zones=zones,
         zone_notices=zone_notices,
         targets=targets,
         scene=scene,
     )
-    _connect(parts)
+    _connect(parts, ingest)
     return parts, notices
 
 
-def _connect(parts: Parts) -> None:
+def _connect(parts: Parts, ingest: EventIngest) -> None:
     """Tell the parts of each other's news."""
+    ingest.on_store.append(parts.machine_policies.record)
+    ingest.on_throw_end.append(parts.holds.end)
     parts.sites.on_change.append(parts.targets.show_site)
     parts.zones.on_change.append(parts.zone_notices.changed)
     parts.zones.on_change.append(parts.targets.show_zones)

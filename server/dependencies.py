@@ -13,6 +13,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts, Session
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.deployments.machine_policies import MachinePolicies
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
@@ -74,6 +75,7 @@ HubDep = Annotated[EventHub, Depends(_get(EventHub))]
 LeasesDep = Annotated[LeaseService, Depends(_get(LeaseService))]
 LinkDep = Annotated[MachineLink, Depends(_get(MachineLink))]
 LogsDep = Annotated[LogStore, Depends(_get(LogStore))]
+MachinePoliciesDep = Annotated[MachinePolicies, Depends(_get(MachinePolicies))]
 MetricsDep = Annotated[ServiceMetrics, Depends(_get(ServiceMetrics))]
 PlannerDep = Annotated[Planner, Depends(_get(Planner))]
 PlansDep = Annotated[PlanStore, Depends(_get(PlanStore))]

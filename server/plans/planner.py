@@ -94,7 +94,8 @@ class Planner:
                 RejectReason.MACHINE_LOST,
                 f"{machine_id} is not connected: its pose is not known, so nothing can be predicted.",
             )
-        policy = self._policies.active(request.mode)
+        aboard = known.state.policy_sha256.get(request.mode.value)
+        policy = self._policies.on_machine(request.mode, aboard)
         row = self._new_row(machine_id, request, session, known.state, policy)
         target = request.target.target()
         refusal = self._refusal(policy, known.state, target)
@@ -168,8 +169,8 @@ class Planner:
             return RefusedError(
                 RejectReason.POLICY_MISMATCH,
                 f"Refused: the machine has policy {(aboard or 'none')[:12]} for "
-                f"{policy.card.mode.value}, active here is {policy.card.policy_sha256[:12]} "
-                f"({policy.card.policy_id}). Copy the policies folder to the machine and restart it.",
+                f"{policy.card.mode.value} on board, which this server does not have. "
+                "Add it to the server's policies folder, or install a version that is there.",
             )
         return self._zone_refusal(state)
 

@@ -128,6 +128,21 @@ class PolicyStore:
             raise self._unusable(mode)
         return policy
 
+    def on_machine(self, mode: Mode, policy_sha256: str | None) -> StoredPolicy:
+        """The version that a machine says it has on board; the active one where it is not known here.
+
+        Raises:
+            ApiError: neither can be used, with the cause.
+        """
+        self.refresh()
+        found = self._present.get(policy_sha256 or "")
+        is_usable = (
+            found is not None
+            and found.card.mode is mode
+            and found.card.model_sha256 == self._spec.sha256
+        )
+        return found if found is not None and is_usable else self.active(mode)
+
     def name_of(self, policy_sha256: str) -> str:
         """Id of a version; the start of its hash if its files are gone."""
         found = self._present.get(policy_sha256)

@@ -135,6 +135,21 @@ class Policy(Base):
     first_seen_utc: Mapped[datetime]
 
 
+class MachinePolicy(Base):
+    """Which policy a machine had loaded from a moment on, as its own events say; rows are only added."""
+
+    __tablename__ = "machine_policies"
+    machine_policy_count: Mapped[int] = mapped_column(BigCount, primary_key=True)
+    """In the order of the machine's events."""
+    machine_id: Mapped[str] = mapped_column(String(32))
+    mode: Mapped[str] = mapped_column(String(2))
+    policy_sha256: Mapped[str | None] = mapped_column(String(64))
+    """None: no usable policy on board."""
+    since_utc: Mapped[datetime]
+    """By the machine's clock."""
+    __table_args__ = (Index("ix_machine_policies_machine_id_since_utc", "machine_id", "since_utc"),)
+
+
 class Plan(Base):
     """A previewed throw; what is armed is frozen in `plan_json`."""
 

@@ -36,6 +36,7 @@ _ALERTS = {
     EventKind.STOP_CLEARED: ("info", "is released from stop"),
 }
 EndListener = Callable[[str], None]
+StoreListener = Callable[[DatabaseSession, MachineEvent], None]
 
 
 class EventIngest:
@@ -49,6 +50,8 @@ class EventIngest:
         self._hub = hub
         self._metrics = metrics
         self.on_throw_end: list[EndListener] = []
+        self.on_store: list[StoreListener] = []
+        """Called for each new event inside the transaction that stores it."""
 
     def take(self, batch: EventBatch) -> EventAck:
         """Store a batch; returns what the machine may delete."""
@@ -57,6 +60,8 @@ class EventIngest:
             for event in fresh:
                 database.add(_row(event))
                 self._apply(database, event)
+                for listener in self.on_store:
+                    listener(database, event)
         for event in fresh:
             self._metrics.events_count.labels(kind=event.kind.value).inc()
             self._follow(event)

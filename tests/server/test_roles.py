@@ -12,8 +12,8 @@ LEAST = {
     Role.VIEWER: """
         logout list_machines read_machine stop_machine stop_all read_plan read_plan_frames list_throws
         read_throw_stats export_throws read_throw read_throw_series read_throw_log read_throw_csv replay_throw
-        set_view read_site list_policies read_policy list_gap_runs read_gap_run read_gap_report
-        read_kept_reference
+        set_view read_site list_policies read_policy read_machine_policies list_gap_runs read_gap_run
+        read_gap_report read_kept_reference
         read_twin_profile stream_events read_zones list_zone_versions""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 
@@ -123,6 +124,25 @@ def test_another_policy_aboard_is_refused(machine, ada):
     assert "cccccccccccc" in plan["refusals"][0]["detail"]
 
 
+def test_a_machine_is_previewed_with_the_version_that_it_has(running, machine, ada):
+    """Another usable version is on board, not the active one: the plan is of that one."""
+    folder = running.settings.policies_dir
+    active = folder / "active.json"
+    text = active.read_text()
+    policies = running.parts.policies
+    aboard = policies.active("2d").card
+    assert machine._policies["2d"] == aboard.policy_sha256
+    try:
+        active.write_text(json.dumps({"3d": "swing-3d"}))
+        policies._looked_s = -1e9
+        plan = create(ada)
+        assert plan["policy_sha256"] == aboard.policy_sha256
+        assert plan["refusals"] == []
+    finally:
+        active.write_text(text)
+        policies._looked_s = -1e9
+
+
 def test_a_lost_machine_cannot_be_previewed(running, ada):
     wait_for(lambda: not running.parts.registry.is_connected("m001"))
     reply = ada.post(
@@ -132,6 +152,8 @@ def test_a_lost_machine_cannot_be_previewed(running, ada):
 
 
 def test_without_a_usable_policy_the_cause_is_reported(running, machine, ada):
+    machine._policies = {"2d": "c" * 64}
+    wait_for(lambda: ada.get("/machines/m001").json()["state"]["policy_sha256"] == {"2d": "c" * 64})
     policies = running.parts.policies
     active = running.settings.policies_dir / "active.json"
     text = active.read_text()

@@ -1,0 +1,122 @@
+"""Which policy each machine had on board, and since when, by the machine's own durable events.
+
+An event arrives when the machine has a connection again, with the time at which it happened: the answer for
+any moment is right also for times without a connection.
+"""
+
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session as DatabaseSession
+
+from machine.conventions import Mode
+from machine.messages import EventKind, MachineEvent
+from server.clock import utc_now
+from server.machines.machine_registry import MachineRegistry
+from server.plans.policy_store import PolicyStore
+from server.schemas.deployments import MachinePoliciesView, MachinePolicyView
+from server.store.database import Database
+from server.store.models import MachinePolicy
+
+
+class MachinePolicies:
+    """Writes and reads the history of policies on machines; thread-safe."""
+
+    def __init__(
+        self, database: Database, registry: MachineRegistry, policies: PolicyStore
+    ) -> None:
+        self._database = database
+        self._registry = registry
+        self._policies = policies
+
+    def record(self, database: DatabaseSession, event: MachineEvent) -> None:
+        """Add what a new event says about policies; inside the transaction that stores the event."""
+        if event.kind is not EventKind.BOOTED:
+            return
+        aboard = event.data.get("policy_sha256")
+        if not isinstance(aboard, dict):
+            return  # an older machine, which does not say
+        for mode in Mode:
+            policy_sha256 = aboard.get(mode.value)
+            known = policy_sha256[:64] if isinstance(policy_sha256, str) else None
+            _add_change(database, event, mode, known)
+
+    def view(self, machine_id: str, at_utc: datetime | None) -> MachinePoliciesView:
+        """What a machine had on board at a time; now without one.
+
+        Raises:
+            NotFoundError: there is no such machine.
+        """
+        self._registry.get(machine_id)
+        at_utc = at_utc or utc_now()
+        if at_utc.tzinfo is None:
+            at_utc = at_utc.replace(tzinfo=UTC)
+        ranked = (
+            select(
+                MachinePolicy,
+                func.row_number()
+                .over(
+                    partition_by=MachinePolicy.mode,
+                    order_by=(
+                        MachinePolicy.since_utc.desc(),
+                        MachinePolicy.machine_policy_count.desc(),
+                    ),
+                )
+                .label("rank"),
+            )
+            .where(MachinePolicy.machine_id == machine_id, MachinePolicy.since_utc <= at_utc)
+            .subquery()
+        )
+        newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.mode)
+        with self._database.read() as session:
+            rows = session.execute(newest).all()
+        return MachinePoliciesView(
+            machine_id=machine_id,
+            at_utc=at_utc,
+            policies=tuple(
+                MachinePolicyView(
+                    mode=Mode(row.mode),
+                    policy_sha256=row.policy_sha256,
+                    policy_id=None
+                    if row.policy_sha256 is None
+                    else self._policies.name_of(row.policy_sha256),
+                    since_utc=row.since_utc,
+                )
+                for row in rows
+            ),
+        )
+
+
+def _add_change(
+    database: DatabaseSession, event: MachineEvent, mode: Mode, policy_sha256: str | None
+) -> None:
+    last = database.scalars(
+        select(MachinePolicy)
+        .where(MachinePolicy.machine_id == event.machine_id, MachinePolicy.mode == mode.value)
+        .order_by(MachinePolicy.machine_policy_count.desc())
+        .limit(1)
+    ).first()
+    if last is not None and last.policy_sha256 == policy_sha256:
+        return
+    since_utc = _time(event)
+    if last is not None:
+        # Events come in their order; a clock that was set back must not hide the newer one.
+        since_utc = max(since_utc, last.since_utc)
+    row = MachinePolicy(
+        machine_id=event.machine_id,
+        mode=mode.value,
+        policy_sha256=policy_sha256,
+        since_utc=min(since_utc, utc_now()),
+    )
+    database.add(row)
+    # One insert each: rows that are added together are numbered in no promised order.
+    database.flush()
+
+
+def _time(event: MachineEvent) -> datetime:
+    """When an event happened, by the machine's clock; now where that cannot be read."""
+    try:
+        time = datetime.fromisoformat(event.t_utc)
+    except ValueError:
+        return utc_now()
+    return time if time.tzinfo is not None else time.replace(tzinfo=UTC)

@@ -1,0 +1,114 @@
+import bisect
+import random
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from machine.messages import EventBatch, EventKind, MachineEvent
+from server.errors import NotFoundError
+from server.store.models import MachinePolicy
+
+START = datetime(2026, 3, 1, 6, 0, tzinfo=UTC)
+VERSIONS = ("a" * 64, "b" * 64, "c" * 64)
+
+
+@pytest.fixture
+def ingest(assembled):
+    from server.throws.event_ingest import EventIngest
+
+    parts = assembled.parts
+    found = EventIngest(parts.database, parts.throws, parts.hub, parts.metrics)
+    found.on_store.append(parts.machine_policies.record)
+    return found
+
+
+def booted(machine_id, sequence, time, aboard, boot="b"):
+    return MachineEvent(
+        machine_id=machine_id,
+        boot_id=boot,
+        sequence_count=sequence,
+        t_mono_ns=sequence * 1000,
+        t_utc=time.isoformat(timespec="milliseconds"),
+        kind=EventKind.BOOTED,
+        data={"policy_sha256": aboard},
+    )
+
+
+def take(ingest, *events):
+    ingest.take(EventBatch(machine_id=events[0].machine_id, boot_id="b", events=events))
+
+
+def aboard(assembled, machine_id, time):
+    view = assembled.parts.machine_policies.view(machine_id, time)
+    return {policy.mode.value: policy.policy_sha256 for policy in view.policies}
+
+
+def test_what_was_on_board_at_any_time_is_what_an_own_log_says(assembled, ingest):
+    """1000 times of two machines that change versions, go back, lose one, and report hours later."""
+    draw = random.Random(5)
+    log = {"m001": [], "m002": []}
+    for machine_id, kept in log.items():
+        time, waiting = START, []
+        for sequence in range(1, 60):
+            time += timedelta(milliseconds=draw.randrange(1, 40_000_000))
+            versions = {mode: draw.choice(VERSIONS) for mode in ("2d", "3d")}
+            if draw.random() < 0.1:
+                del versions[draw.choice(("2d", "3d"))]
+            kept.append((time, {mode: versions.get(mode) for mode in ("2d", "3d")}))
+            waiting.append(booted(machine_id, sequence, time, versions))
+            if draw.random() < 0.4:
+                # Connected again: what happened meanwhile arrives at once, some of it twice.
+                take(ingest, *waiting)
+                waiting = waiting[-1:]
+        take(ingest, *waiting)
+    span_ms = int((max(kept[-1][0] for kept in log.values()) - START) / timedelta(milliseconds=1))
+    for _ in range(1000):
+        machine_id = draw.choice(("m001", "m002"))
+        kept = log[machine_id]
+        time = START + timedelta(milliseconds=draw.randrange(span_ms + 1000))
+        place = bisect.bisect_right([row[0] for row in kept], time)
+        assert aboard(assembled, machine_id, time) == (kept[place - 1][1] if place else {})
+
+
+def test_starts_with_the_same_version_are_one_row(assembled, ingest):
+    for sequence in range(1, 4):
+        time = START + timedelta(hours=sequence)
+        take(ingest, booted("m001", sequence, time, {"2d": "a" * 64}))
+    view = assembled.parts.machine_policies.view("m001", None)
+    assert [(p.mode, p.since_utc) for p in view.policies] == [
+        ("2d", START + timedelta(hours=1)),
+        ("3d", START + timedelta(hours=1)),
+    ]
+    assert view.policies[1].policy_sha256 is None
+
+
+def test_a_clock_that_was_set_back_or_far_ahead_does_not_hide_the_newest(assembled, ingest):
+    take(ingest, booted("m001", 1, START, {"2d": "a" * 64}))
+    take(ingest, booted("m001", 2, START - timedelta(days=400), {"2d": "b" * 64}))
+    assert aboard(assembled, "m001", START)["2d"] == "b" * 64
+    take(ingest, booted("m001", 3, START + timedelta(days=40_000), {"2d": "c" * 64}))
+    assert aboard(assembled, "m001", None)["2d"] == "c" * 64
+
+
+def test_an_older_machine_that_does_not_say_adds_nothing(assembled, ingest):
+    take(ingest, booted("m001", 1, START, None))
+    with assembled.parts.database.read() as session:
+        assert session.query(MachinePolicy).count() == 0
+    with pytest.raises(NotFoundError):
+        assembled.parts.machine_policies.view("nobody", None)
+
+
+def test_the_interface_answers_with_names_and_refuses_what_is_no_time(running, machine, ada):
+    sha256 = running.parts.policies.active("2d").card.policy_sha256
+    event = machine.event(EventKind.BOOTED, policy_sha256={"2d": sha256, "3d": "d" * 64})
+    from tests.server.server_bench import wait_for
+
+    def view():
+        return ada.get("/machines/m001/policies").json()
+
+    wait_for(lambda: [p["policy_sha256"] for p in view()["policies"]] == [sha256, "d" * 64])
+    assert [p["policy_id"] for p in view()["policies"]] == ["swing-2d", "d" * 12]
+    assert view()["policies"][0]["since_utc"][:19] <= event.t_utc[:19]
+    early = ada.get("/machines/m001/policies", params={"at": "2001-01-01T00:00:00"})
+    assert early.json()["policies"] == []
+    assert ada.get("/machines/m001/policies", params={"at": "soon"}).status_code == 422
