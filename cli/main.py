@@ -26,6 +26,10 @@ VERBS: dict[str, Verb] = {
     ),
     "server": Verb("cli.service.server", "run the web service", "server"),
     "machine": Verb("cli.machine", "run on a machine's computer, or stand in for one"),
+    "rollback": Verb(
+        "cli.service.rollback", "put a machine back on its policy version before, at the machine"
+    ),
+    "policy": Verb("cli.service.policy", "show policy versions, deploy them, roll back", "server"),
     "throw": Verb("cli.service.throw", "throw once through a running server", "server"),
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb(

@@ -357,6 +357,8 @@ class EventKind(StrEnum):
     FAULT = "fault"
     COMMAND_REFUSED = "command_refused"
     LOG_STORED = "log_stored"
+    POLICY_SWITCHED = "policy_switched"
+    POLICY_REFUSED = "policy_refused"
 
 
 class MachineEvent(_FromMachine):
@@ -372,7 +374,8 @@ class MachineEvent(_FromMachine):
     throw_id: str | None = None
     plan_id: str | None = None
     data: dict[str, Any] = {}
-    """IMPACT: ImpactSurvey; THROW_ENDED: ThrowEnd; LOG_STORED: {log_sha256, size_bytes}; else details."""
+    """IMPACT: ImpactSurvey; THROW_ENDED: ThrowEnd; LOG_STORED: {log_sha256, size_bytes};
+    POLICY_SWITCHED and POLICY_REFUSED: {mode, policy_sha256, deployment_count, ...}; else details."""
 
 
 class ImpactSurvey(_FromMachine):

@@ -15,6 +15,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
 from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
@@ -81,6 +82,7 @@ class Parts:
     leases: LeaseService
     policies: PolicyStore
     machine_policies: MachinePolicies
+    deployments: Deployments
     throws: ThrowStore
     stops: StopService
     plans: PlanStore
@@ -255,6 +257,7 @@ def assemble(
         leases=leases,
         policies=policies,
         machine_policies=MachinePolicies(database, registry, policies),
+        deployments=Deployments(database, audit, registry, policies, spec),
         throws=throws,
         stops=stops,
         plans=plans,
@@ -282,7 +285,7 @@ def assemble(
 
 def _connect(parts: Parts, ingest: EventIngest) -> None:
     """Tell the parts of each other's news."""
-    ingest.on_store.append(parts.machine_policies.record)
+    ingest.on_store += [parts.machine_policies.record, parts.deployments.record]
     ingest.on_throw_end.append(parts.holds.end)
     parts.sites.on_change.append(parts.targets.show_site)
     parts.zones.on_change.append(parts.zone_notices.changed)

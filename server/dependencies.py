@@ -6,17 +6,19 @@ Those that hand out a part are coroutines: a plain function would wait for one o
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Protocol, TypeVar
 
-from fastapi import Depends
+from fastapi import Depends, Header
 from starlette.requests import HTTPConnection
 
 from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts, Session
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
+from server.errors import NotSignedInError
 from server.event_hub import EventHub
 from server.gap.gap_previews import GapPreviews
 from server.gap.gap_service import GapService
@@ -65,6 +67,7 @@ AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
 AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
 AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
 CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
+DeploymentsDep = Annotated[Deployments, Depends(_get(Deployments))]
 DevicesDep = Annotated[KnownDevices, Depends(_get(KnownDevices))]
 DatabaseDep = Annotated[Database, Depends(_get(Database))]
 GapDep = Annotated[GapService, Depends(_get(GapService))]
@@ -134,5 +137,23 @@ GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
 TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
 ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
+Deployer = Annotated[Session, Depends(requires(Permission.POLICY_DEPLOY))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
 Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]
+
+
+def require_machine(
+    machine_id: str, registry: RegistryDep, authorization: Annotated[str, Header()] = ""
+) -> str:
+    """Admit a machine by its own token.
+
+    Raises:
+        NotSignedInError: it is not this machine's.
+    """
+    token = authorization.removeprefix("Bearer ")
+    if token == authorization or not registry.is_token_of(machine_id, token):
+        raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
+    return machine_id
+
+
+MachineCaller = Annotated[str, Depends(require_machine)]

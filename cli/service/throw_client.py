@@ -84,7 +84,7 @@ class ThrowClient:
 
     def __enter__(self) -> Self:
         try:
-            self._call("POST", "/auth/login", self._login)
+            self.call("POST", "/auth/login", self._login)
         except BaseException:
             self._http.close()
             raise
@@ -98,7 +98,12 @@ class ThrowClient:
         finally:
             self._http.close()
 
-    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
+    def call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
+        """Ask the server for something; the answer's JSON.
+
+        Raises:
+            ServerError: it refuses, or cannot be reached.
+        """
         try:
             reply = self._http.request(method, path, json=body)
         except httpx.HTTPError as error:
@@ -129,13 +134,13 @@ class ThrowClient:
             ServerError: refused at any step, with the server's reason.
         """
         began_s = time.monotonic()
-        self._call("POST", f"/machines/{machine_id}/lease")
+        self.call("POST", f"/machines/{machine_id}/lease")
         try:
-            with Renewal(self._call, machine_id):
+            with Renewal(self.call, machine_id):
                 plan = self._plan(machine_id, mode, target_m, pace_ratio)
                 row = self._fire_and_hold(machine_id, plan["plan_id"], timeout_s)
         finally:
-            self._call("DELETE", f"/machines/{machine_id}/lease")
+            self.call("DELETE", f"/machines/{machine_id}/lease")
         prediction = plan["prediction"]
         return ThrowReport(
             throw_id=row["throw_id"],
@@ -159,11 +164,11 @@ class ThrowClient:
         target_m: tuple[float, float, float],
         pace_ratio: float,
     ) -> dict[str, Any]:
-        machine = self._call("GET", f"/machines/{machine_id}")
+        machine = self.call("GET", f"/machines/{machine_id}")
         if machine["state"] is not None and not machine["state"]["payload_held"]:
-            self._call("POST", f"/machines/{machine_id}/load")
+            self.call("POST", f"/machines/{machine_id}/load")
             self._wait_for_load(machine_id)
-        plan = self._call(
+        plan = self.call(
             "POST",
             f"/machines/{machine_id}/plans",
             {
@@ -175,7 +180,7 @@ class ThrowClient:
         end_s = time.monotonic() + PREVIEW_TIMEOUT_S
         while plan["state"] == "previewing" and time.monotonic() < end_s:
             time.sleep(POLL_PERIOD_S)
-            plan = self._call("GET", f"/plans/{plan['plan_id']}")
+            plan = self.call("GET", f"/plans/{plan['plan_id']}")
         if plan["state"] != "ready":
             reasons = " ".join(item["detail"] for item in plan["refusals"])
             raise ServerError(
@@ -186,7 +191,7 @@ class ThrowClient:
     def _wait_for_load(self, machine_id: str) -> None:
         end_s = time.monotonic() + 10.0
         while time.monotonic() < end_s:
-            state = self._call("GET", f"/machines/{machine_id}")["state"]
+            state = self.call("GET", f"/machines/{machine_id}")["state"]
             if state is not None and state["payload_held"]:
                 return
             time.sleep(POLL_PERIOD_S)
@@ -201,8 +206,8 @@ class ThrowClient:
                 additional_headers={"Cookie": f"{COOKIE}={cookie}", "Origin": self._server},
                 proxy=None,
             ) as socket:
-                self._call("POST", f"/plans/{plan_id}/arm", {})
-                fired = self._call("POST", f"/plans/{plan_id}/fire")
+                self.call("POST", f"/plans/{plan_id}/arm", {})
+                fired = self.call("POST", f"/plans/{plan_id}/fire")
                 with Holding(socket, fired["throw_id"]):
                     return self._wait_for_end(fired["throw_id"], timeout_s)
         except (OSError, WebSocketException) as error:
@@ -212,7 +217,7 @@ class ThrowClient:
         end_s = time.monotonic() + timeout_s
         row: dict[str, Any] = {}
         while time.monotonic() < end_s:
-            row = self._call("GET", f"/throws/{throw_id}")["row"]
+            row = self.call("GET", f"/throws/{throw_id}")["row"]
             if row["phase"] == "ended":
                 if row["outcome"] != "landed" or row["measured_downrange_error_m"] is not None:
                     return row
@@ -230,7 +235,7 @@ class Renewal:
     """Renews the lease while the block runs."""
 
     def __init__(self, call: Any, machine_id: str) -> None:
-        self._call = call
+        self.call = call
         self._path = f"/machines/{machine_id}/lease"
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -246,7 +251,7 @@ class Renewal:
     def _run(self) -> None:
         while not self._done.wait(RENEW_PERIOD_S):
             try:
-                self._call("POST", self._path)
+                self.call("POST", self._path)
             except ServerError:
                 return  # the next step of the throw is refused and says why
 

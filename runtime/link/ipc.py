@@ -66,6 +66,8 @@ class Kind(IntEnum):
     """control -> link: result of the log"""
     ZONES = 13
     """link -> control: {zone_set}, the exclusion zones on the disk, null = unreadable; before the JOURNAL."""
+    POLICY = 14
+    """link -> control: PolicyOffer, a version on the disk to switch to while no plan is armed"""
 
 
 class Packet(NamedTuple):

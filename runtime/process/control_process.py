@@ -19,8 +19,8 @@ from machine.conventions import CONTROL_PERIOD_NS, Mode
 from machine.errors import DownrangeError, PolicyError
 from machine.messages import Command, OperatorHeartbeat, StopRequest, ThrowState
 from machine.site.zones import ZoneSet
-from machine.spec import load_spec
-from runtime.control.policy import PolicyRunner, find_policy
+from machine.spec import MachineSpec, load_spec
+from runtime.control.policy import PolicyRunner
 from runtime.link.ipc import (
     TICK_ROW,
     TICK_TAGS,
@@ -30,10 +30,14 @@ from runtime.link.ipc import (
     PeerGoneError,
     pack_rows,
 )
+from runtime.policies.on_board import OnBoardPolicies
+from runtime.policies.puller import PolicyOffer
+from runtime.policies.slots import PolicySlots
 from runtime.process.alive_counter import AliveCounter
 from runtime.process.driver_loader import load_driver
 from runtime.process.machine_control import MachineControl, MachineSetup, TickReport
 from runtime.process.machine_settings import MachineSettings
+from runtime.process.policy_switch import PolicySwitch
 from runtime.process.real_time import IdleGarbageCollector, become_real_time
 from runtime.process.supervisor_connection import SupervisorConnection
 from runtime.process.ticker import Clock, RealTimeClock, Ticker
@@ -67,8 +71,10 @@ class ControlProcess:
         supervisor: SupervisorConnection,
         clock: Clock,
         alive: AliveCounter,
+        policies: PolicySwitch,
     ) -> None:
         self._control = control
+        self._policies = policies
         self._supervisor = supervisor
         self._clock = clock
         self._alive = alive
@@ -106,6 +112,9 @@ class ControlProcess:
                 elif self._control.is_waiting:
                     break
                 closing_ticks += 1
+            loaded = self._policies.next(self._control.throw.state)
+            if loaded is not None:
+                self._control.use_policy(loaded)
             due_ns = start_ns + tick.period_count * CONTROL_PERIOD_NS
             report = self._control.tick(due_ns, messages, tick.skipped_count)
             self._send(report, tick.period_count)
@@ -152,6 +161,8 @@ class ControlProcess:
             elif packet.kind is Kind.ZONES:
                 found = packet.json["zone_set"]
                 self._zones = None if found is None else ZoneSet.model_validate(found)
+            elif packet.kind is Kind.POLICY:
+                self._policies.take(PolicyOffer.model_validate(packet.json))
             elif packet.kind is Kind.JOURNAL:
                 self._take_journal(packet.json)
         except (ValidationError, ValueError, KeyError) as error:
@@ -273,6 +284,11 @@ class ControlProcess:
         self._port.send(Kind.TICK, pack_rows({TICK_TAGS["tick"]: head, **parts}))
 
 
+def on_board(settings: MachineSettings, spec: MachineSpec) -> OnBoardPolicies:
+    """The policy versions on this machine's disk."""
+    return OnBoardPolicies(PolicySlots(settings.policy_slots_dir), settings.policies_dir, spec)
+
+
 def build_control(settings: MachineSettings) -> MachineControl:
     """Driver, policies and calibration of a machine.
 
@@ -281,10 +297,10 @@ def build_control(settings: MachineSettings) -> MachineControl:
     """
     spec = load_spec()
     policies: dict[Mode, PolicyRunner] = {}
+    versions = on_board(settings, spec)
     for mode in Mode:
         try:
-            folder = find_policy(settings.policies_dir, mode)
-            policies[mode] = PolicyRunner(folder, spec, has_deadline=True)
+            policies[mode] = versions.start(mode)
         except PolicyError as error:
             # The machine runs without it and says so in its arming checks.
             logger.warning("no %s policy on board: %s", mode.value, error)
@@ -316,7 +332,8 @@ def main(argument: str, alive_argument: str) -> int:
         return 1
     supervisor.tell(is_ready=True)
     alive = AliveCounter(int(alive_argument))
-    ControlProcess(control, supervisor, RealTimeClock(), alive).run()
+    policies = PolicySwitch(on_board(settings, control.setup.spec).load)
+    ControlProcess(control, supervisor, RealTimeClock(), alive, policies).run()
     return 0
 
 

@@ -33,6 +33,7 @@ from runtime.link.command_inbox import COMMANDS, CommandInbox
 from runtime.link.ipc import Kind, Packet, PacketSocket, PeerGoneError
 from runtime.link.server_link import ReplySlot, ServerLink
 from runtime.link.zenoh_config import client_config
+from runtime.policies.puller import PolicyPuller
 from runtime.process.alive_counter import AliveCounter
 from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import SupervisorConnection
@@ -97,15 +98,17 @@ class LinkProcess:
         self._packet_count = 0
         self._joints_ns = 0
         self._beat_s = 0.0
-        self._uploader: LogUploader | None = None
-        if settings.server_url is not None:
-            target = UploadTarget(settings.server_url, settings.machine_id, settings.password())
-            self._uploader = LogUploader(target, self._journal, settings.throws_dir)
+        url = settings.server_url
+        target = UploadTarget(url, settings.machine_id, settings.password()) if url else None
+        self._uploader = LogUploader(target, self._journal, settings.throws_dir) if target else None
+        self._policies = PolicyPuller(settings.policy_slots_dir, target, self._send)
         self._records = Records(settings.throws_dir, self._journal, self._log_stored)
         stack.callback(self._records.close)
         if self._uploader is not None:
             stack.callback(self._uploader.close)
             self._uploader.start()
+        stack.callback(self._policies.close)
+        self._policies.start()
         self._inbox = CommandInbox(settings.machine_id, self._journal, self._send, self._stop_alone)
         stack.callback(self._inbox.close)
         self._link = ServerLink(settings.site, settings.machine_id, self._config, self)
@@ -151,8 +154,7 @@ class LinkProcess:
         self._disconnect(selector)
         self._port = port
         selector.register(port, selectors.EVENT_READ)
-        self._event_number = 0
-        self._hello = None
+        self._event_number, self._hello = 0, None
         self._heard_s = time.monotonic()
 
     def _disconnect(self, selector: selectors.BaseSelector) -> None:
@@ -294,6 +296,7 @@ class LinkProcess:
             body["t_utc"],
         )
         self._event_number = int(body["number"])
+        self._policies.take_event(draft.kind, draft.data)
         # Not acknowledged while it waits for the disk: control keeps it too.
         if self._intake.take(ControlEvent(state.boot_id, self._event_number, draft)):
             self._send(Kind.EVENT_ACK, {"number": self._event_number})

@@ -41,6 +41,7 @@ from runtime.control.policy_step import initial_throw
 from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
 from runtime.guard.release_window import DEFAULT_RADIUS_M
 from runtime.process.machine_zones import NO_ZONES, MachineZones
+from runtime.process.policy_switch import LoadedPolicy
 from runtime.throw.checks import CheckInputs, run_checks
 from runtime.throw.facts import with_control
 from runtime.throw.protocol import (
@@ -67,7 +68,7 @@ _CLOSED: Final = ValveCommand(np.zeros((1, ACTIVE_COUNT)), np.zeros(1, dtype=np.
 
 @dataclass(frozen=True, slots=True)
 class MachineSetup:
-    """What the machine is; constant from boot to boot."""
+    """What the machine is; constant from boot to boot, but for its policies."""
 
     machine_id: str
     boot_id: str
@@ -138,6 +139,7 @@ class MachineControl:
         self._fault_reason = ""
         self._nonce = secrets.token_hex(16)
         self._tracker = ThrowTracker(setup.spec, self._sample)
+        self._policy_events: list[ThrowEvent] = []
 
     def remember(
         self,
@@ -174,6 +176,28 @@ class MachineControl:
             machine = take_latch(machine, latch, self._now_ns)
         self.throw = machine
 
+    def use_policy(self, loaded: LoadedPolicy) -> None:
+        """Switch to a version, or report why not; only while no plan is armed. The next tick reports it."""
+        offer = loaded.offer
+        data: dict[str, Any] = {
+            "mode": offer.mode.value,
+            "policy_sha256": offer.policy_sha256,
+            "slot": offer.policy_sha256,
+            "deployment_count": offer.deployment_count,
+        }
+        if loaded.runner is None:
+            event = ThrowEvent(EventKind.POLICY_REFUSED, data=data | {"detail": loaded.refusal})
+            self._policy_events.append(event)
+            return
+        policies = {**self.setup.policies, offer.mode: loaded.runner}
+        setup = self.setup = replace(self.setup, policies=policies)
+        self._params[offer.mode] = ControlParams(
+            setup.spec, setup.calibration, offer.mode, loaded.runner
+        )
+        self._checks = self._run_checks()
+        data["policy_sha256"] = loaded.runner.card.policy_sha256
+        self._policy_events.append(ThrowEvent(EventKind.POLICY_SWITCHED, data=data))
+
     # One period -----------------------------------------------------------------------------------
 
     def tick(
@@ -186,7 +210,8 @@ class MachineControl:
             messages: (request number, message); those that nobody waits for have number 0.
             skipped_count: periods missed just before.
         """
-        report = TickReport()
+        report = TickReport(events=self._policy_events)
+        self._policy_events = []
         self.driver.advance(due_ns)
         self._now_ns = now_ns = self.driver.now_ns()
         self._sample = self.driver.read()

@@ -56,6 +56,11 @@ class MachineSettings(BaseModel):
         return self.data_dir / "throws"
 
     @property
+    def policy_slots_dir(self) -> Path:
+        """Versions that came from the server, and which of them is in use."""
+        return self.data_dir / "policies"
+
+    @property
     def lock_file(self) -> Path:
         """Held while processes of this machine run."""
         return self.data_dir / "machine.lock"

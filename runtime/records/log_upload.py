@@ -38,7 +38,7 @@ class UploadOutcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class UploadTarget:
-    """Where logs go."""
+    """The server's HTTP interface, as one machine sees it."""
 
     server_url: str
     """e.g. ``http://127.0.0.1:8000``"""

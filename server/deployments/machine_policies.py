@@ -31,6 +31,11 @@ class MachinePolicies:
 
     def record(self, database: DatabaseSession, event: MachineEvent) -> None:
         """Add what a new event says about policies; inside the transaction that stores the event."""
+        if event.kind is EventKind.POLICY_SWITCHED:
+            mode, policy_sha256 = event.data.get("mode"), event.data.get("policy_sha256")
+            if mode in list(Mode) and isinstance(policy_sha256, str):
+                _add_change(database, event, Mode(mode), policy_sha256[:64])
+            return
         if event.kind is not EventKind.BOOTED:
             return
         aboard = event.data.get("policy_sha256")
@@ -109,7 +114,7 @@ def _add_change(
         since_utc=min(since_utc, utc_now()),
     )
     database.add(row)
-    # One insert each: rows that are added together are numbered in no promised order.
+    # One insert each: the order in which rows added together are numbered is not defined.
     database.flush()
 
 

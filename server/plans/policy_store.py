@@ -143,6 +143,11 @@ class PolicyStore:
         )
         return found if found is not None and is_usable else self.active(mode)
 
+    def find(self, policy_sha256: str) -> StoredPolicy | None:
+        """A version whose files are there; None without."""
+        self.refresh()
+        return self._present.get(policy_sha256)
+
     def name_of(self, policy_sha256: str) -> str:
         """Id of a version; the start of its hash if its files are gone."""
         found = self._present.get(policy_sha256)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
-from server.dependencies import LogsDep, RegistryDep, ThrowsDep
-from server.errors import ApiError, NotSignedInError
+from server.dependencies import LogsDep, MachineCaller, ThrowsDep
+from server.errors import ApiError
 
 router = APIRouter(tags=["logs"])
 
@@ -28,19 +28,14 @@ _THROW_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
     },
 )
 async def put_throw_log(
-    machine_id: str,
+    machine_id: MachineCaller,
     throw_id: str,
     request: Request,
-    registry: RegistryDep,
     logs: LogsDep,
     throws: ThrowsDep,
-    authorization: Annotated[str, Header()] = "",
     x_content_sha256: Annotated[str, Header()] = "",
 ) -> Response:
     """Store a throw's log; the same upload again changes nothing."""
-    token = authorization.removeprefix("Bearer ")
-    if token == authorization or not registry.is_token_of(machine_id, token):
-        raise NotSignedInError("wrong_token", f"This is not the token of {machine_id[:40]}.")
     if not _SHA256.fullmatch(x_content_sha256) or not _THROW_ID.fullmatch(throw_id):
         raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
     await asyncio.to_thread(logs.require_throw, machine_id, throw_id)

@@ -1,11 +1,27 @@
 """Policy versions."""
 
 from datetime import datetime
+from typing import Literal
 
 from fastapi import APIRouter
+from fastapi.responses import FileResponse
 
-from server.dependencies import MachinePoliciesDep, PoliciesDep, Viewer
-from server.schemas.deployments import MachinePoliciesView
+from machine.conventions import Mode
+from server.dependencies import (
+    Deployer,
+    DeploymentsDep,
+    MachineCaller,
+    MachinePoliciesDep,
+    PoliciesDep,
+    Viewer,
+)
+from server.schemas.deployments import (
+    DeploymentView,
+    DeployRequest,
+    MachinePoliciesView,
+    RollBackRequest,
+    WantedPoliciesView,
+)
 from server.schemas.history import PolicyView
 
 router = APIRouter(tags=["policies"])
@@ -32,3 +48,54 @@ def read_machine_policies(
 ) -> MachinePoliciesView:
     """What the machine had on board at a time (ISO 8601; UTC where it names no zone), or has now."""
     return machine_policies.view(machine_id, at)
+
+
+@router.get("/machines/{machine_id}/deployments")
+def list_deployments(
+    machine_id: str, session: Viewer, deployments: DeploymentsDep
+) -> list[DeploymentView]:
+    """The newest hundred, newest first: who wanted which version, when and why, and what became of it."""
+    return deployments.list(machine_id)
+
+
+@router.post("/machines/{machine_id}/policies/{mode}/deploy", status_code=201)
+def deploy_policy(
+    machine_id: str, mode: Mode, body: DeployRequest, session: Deployer, deployments: DeploymentsDep
+) -> DeploymentView:
+    """Ask the machine to switch to a version; it does so while no plan is armed."""
+    return deployments.deploy(machine_id, mode, body, session)
+
+
+@router.post("/machines/{machine_id}/policies/{mode}/rollback", status_code=201)
+def roll_back_policy(
+    machine_id: str,
+    mode: Mode,
+    body: RollBackRequest,
+    session: Deployer,
+    deployments: DeploymentsDep,
+) -> DeploymentView:
+    """Ask the machine to go back to the version that it had before."""
+    return deployments.roll_back(machine_id, mode, body.reason, session)
+
+
+@router.get("/machines/{machine_id}/policies/wanted")
+def read_wanted_policies(
+    machine_id: MachineCaller, deployments: DeploymentsDep
+) -> WantedPoliciesView:
+    """For the machine itself: the version that it is to have in each mode."""
+    return deployments.wanted(machine_id)
+
+
+@router.get(
+    "/machines/{machine_id}/policy-files/{policy_sha256}/{name}", response_class=FileResponse
+)
+def read_policy_file(
+    machine_id: MachineCaller,
+    policy_sha256: str,
+    name: Literal["policy.onnx", "card.json"],
+    deployments: DeploymentsDep,
+) -> FileResponse:
+    """For the machine itself: a file of a version, whole or a range of bytes."""
+    return FileResponse(
+        deployments.file(policy_sha256, name), media_type="application/octet-stream"
+    )

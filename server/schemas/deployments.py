@@ -1,9 +1,12 @@
 """Bodies of the HTTP interface for policies on machines."""
 
 from datetime import datetime
+from enum import StrEnum
+
+from pydantic import Field
 
 from machine.conventions import Mode
-from server.schemas.console import View
+from server.schemas.console import Request, View
 
 
 class MachinePolicyView(View):
@@ -24,3 +27,69 @@ class MachinePoliciesView(View):
     at_utc: datetime
     policies: tuple[MachinePolicyView, ...]
     """Empty before the machine's first start."""
+
+
+class RollBackRequest(Request):
+    """Goes back to the version that the machine had before."""
+
+    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    """Why, for the history."""
+
+
+class DeployRequest(RollBackRequest):
+    """Asks a machine to switch to a version."""
+
+    policy_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class DeploymentOutcome(StrEnum):
+    """What became of a deployment."""
+
+    PENDING = "pending"
+    """The machine has not answered: it is off, fetches the version, or has a plan armed."""
+    SWITCHED = "switched"
+    REFUSED = "refused"
+    """The machine cannot use the version; `detail` says why. It throws with the one it had."""
+    REPLACED = "replaced"
+    """A newer deployment took its place first."""
+
+
+class DeploymentView(View):
+    """Who wanted which version on a machine, when and why, and what became of it."""
+
+    machine_id: str
+    mode: Mode
+    deployment_count: int
+    policy_sha256: str
+    policy_id: str
+    is_rollback: bool
+    reason: str
+    created_by: str
+    created_utc: datetime
+    outcome: DeploymentOutcome
+    detail: str
+    ended_utc: datetime | None
+
+
+class VersionFileView(View):
+    """One file of a version, for machines."""
+
+    name: str
+    sha256: str
+    size_bytes: int
+
+
+class WantedPolicyView(View):
+    """The version that a machine is to have in one mode."""
+
+    mode: Mode
+    deployment_count: int
+    policy_sha256: str
+    files: tuple[VersionFileView, ...]
+    """Empty where the server does not have the version any more."""
+
+
+class WantedPoliciesView(View):
+    """What a machine is to have, one a mode at most."""
+
+    policies: tuple[WantedPolicyView, ...]

@@ -150,6 +150,25 @@ class MachinePolicy(Base):
     __table_args__ = (Index("ix_machine_policies_machine_id_since_utc", "machine_id", "since_utc"),)
 
 
+class Deployment(Base):
+    """A version that a machine is to have in one mode; the newest counts."""
+
+    __tablename__ = "deployments"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    mode: Mapped[str] = mapped_column(String(2), primary_key=True)
+    deployment_count: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    policy_sha256: Mapped[str] = mapped_column(String(64))
+    is_rollback: Mapped[bool]
+    reason: Mapped[str] = mapped_column(String(300))
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+    outcome: Mapped[str] = mapped_column(String(16))
+    """server.schemas.deployments.DeploymentOutcome"""
+    detail: Mapped[str] = mapped_column(Text)
+    """Why the machine refused it."""
+    ended_utc: Mapped[datetime | None]
+
+
 class Plan(Base):
     """A previewed throw; what is armed is frozen in `plan_json`."""
 

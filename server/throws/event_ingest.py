@@ -34,6 +34,8 @@ _ALERTS = {
     EventKind.STOP_LATCHED: ("error", "is stopped"),
     EventKind.FAULT: ("error", "has a fault"),
     EventKind.STOP_CLEARED: ("info", "is released from stop"),
+    EventKind.POLICY_SWITCHED: ("info", "throws with another policy version"),
+    EventKind.POLICY_REFUSED: ("error", "cannot use a policy version"),
 }
 EndListener = Callable[[str], None]
 StoreListener = Callable[[DatabaseSession, MachineEvent], None]

@@ -20,19 +20,20 @@ DIPPER_ACTION = 0.3
 def write_policies(root: Path) -> Path:
     """A policies folder with both modes; returns it."""
     for mode in Mode:
-        _write(root / f"quick-{mode.value}", mode)
+        write_policy(root / f"quick-{mode.value}", mode)
     active = {mode.value: f"quick-{mode.value}" for mode in Mode}
     (root / "active.json").write_text(json.dumps(active), encoding="utf-8")
     return root
 
 
-def _write(folder: Path, mode: Mode) -> None:
+def write_policy(folder: Path, mode: Mode, move_rad: float = MOVE_RAD) -> str:
+    """One version that lets go after the dipper has moved so far; returns its sha256."""
     names, actions = OBSERVATION_NAMES[mode], ACTION_NAMES[mode]
     weights, bias = np.zeros((len(names), len(actions))), np.zeros(len(actions))
     bias[actions.index("dipper_velocity")] = np.arctanh(DIPPER_ACTION)
     release = actions.index("release")
     weights[names.index("dipper_position_k"), release] = 200.0
-    bias[release] = -200.0 * (safe_pose()[2] + MOVE_RAD)
+    bias[release] = -200.0 * (safe_pose()[2] + move_rad)
     graph = helper.make_graph(
         [
             helper.make_node("Gemm", ["observation", "W", "b"], ["raw"]),
@@ -76,3 +77,4 @@ def _write(folder: Path, mode: Mode) -> None:
         ),
     )
     (folder / CARD_FILE).write_text(card.model_dump_json(), encoding="utf-8")
+    return card.policy_sha256

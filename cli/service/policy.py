@@ -1,0 +1,174 @@
+"""`downrange policy`: which versions there are, and which each machine has; through a running server."""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from cli.service.throw_client import ThrowClient, login_from_file
+from machine.errors import UsageError
+from server.accounts.accounts import FIRST_LOGIN_FILE
+
+SERVER = "http://127.0.0.1:8000"
+POLL_PERIOD_S = 0.2
+PENDING = "pending"
+
+
+def listed(
+    *, server: str = SERVER, user: str | None = None, password_file: Path | None = None
+) -> int:
+    """Show the versions that the server has or ever had.
+
+    Args:
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+    """
+    with _client(server, user, password_file) as client:
+        for policy in client.call("GET", "/policies"):
+            notes = ["active"] * policy["is_active"] + ["files gone"] * (not policy["is_present"])
+            print(
+                f"{policy['policy_id']:<24} {policy['mode']}  {policy['policy_sha256'][:12]}  "
+                f"{policy['throw_count']:>6} throws  {', '.join(notes)}".rstrip()
+            )
+    return 0
+
+
+def deploy(
+    *,
+    policy: str,
+    machine: str,
+    reason: str,
+    server: str = SERVER,
+    user: str | None = None,
+    password_file: Path | None = None,
+    timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
+) -> int:
+    """Ask a machine to switch to a version; exit 3 when it has not, or refused.
+
+    Args:
+        policy: id of the version, or the beginning of its sha256.
+        machine: machine id.
+        reason: why, for the history.
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+        timeout_s: how long to wait for the machine; it switches later, too.
+    """
+    with _client(server, user, password_file) as client:
+        chosen = _choose(client.call("GET", "/policies"), policy)
+        body = {"policy_sha256": chosen["policy_sha256"], "reason": reason}
+        path = f"/machines/{machine}/policies/{chosen['mode']}/deploy"
+        return _follow(client, client.call("POST", path, body), timeout_s)
+
+
+def rollback(
+    *,
+    machine: str,
+    mode: Literal["2d", "3d"],
+    reason: str,
+    server: str = SERVER,
+    user: str | None = None,
+    password_file: Path | None = None,
+    timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
+) -> int:
+    """Ask a machine to go back to the version it had before; exit 3 when it has not, or refused.
+
+    Args:
+        machine: machine id.
+        mode: 2d or 3d.
+        reason: why, for the history.
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+        timeout_s: how long to wait for the machine; it switches later, too.
+    """
+    with _client(server, user, password_file) as client:
+        path = f"/machines/{machine}/policies/{mode}/rollback"
+        return _follow(client, client.call("POST", path, {"reason": reason}), timeout_s)
+
+
+def history(
+    *,
+    machine: str,
+    at: str | None = None,
+    server: str = SERVER,
+    user: str | None = None,
+    password_file: Path | None = None,
+) -> int:
+    """Show what a machine has on board, or had at a time, and who wanted which version when and why.
+
+    Args:
+        machine: machine id.
+        at: time, ISO 8601, UTC where it names no zone; now without.
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+    """
+    with _client(server, user, password_file) as client:
+        query = f"?at={at.replace('+', '%2B')}" if at else ""
+        aboard = client.call("GET", f"/machines/{machine}/policies{query}")
+        for row in aboard["policies"]:
+            print(
+                f"{row['mode']}  {row['policy_id'] or 'no usable policy'}  since {row['since_utc']}"
+            )
+        if not aboard["policies"]:
+            print("the machine had not been started yet")
+        if at is None:
+            for row in client.call("GET", f"/machines/{machine}/deployments"):
+                what = "back to" if row["is_rollback"] else "deploy"
+                print(
+                    f"{row['created_utc']}  {row['mode']}  {what} {row['policy_id']}  {row['outcome']}  "
+                    f"{row['created_by']}: {row['reason']}  {row['detail']}".rstrip()
+                )
+    return 0
+
+
+ACTIONS: dict[str, Callable[..., int]] = {
+    "list": listed,
+    "deploy": deploy,
+    "rollback": rollback,
+    "history": history,
+}
+
+
+def _client(server: str, user: str | None, password_file: Path | None) -> ThrowClient:
+    name = user or os.environ.get("DOWNRANGE_USER") or "admin"
+    first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
+    file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
+    return ThrowClient(server, name, login_from_file(file, name))
+
+
+def _choose(policies: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    present = [policy for policy in policies if policy["is_present"]]
+    found = [p for p in present if p["policy_id"] == name] or [
+        p for p in present if len(name) >= 6 and p["policy_sha256"].startswith(name)
+    ]
+    if len(found) != 1:
+        known = ", ".join(policy["policy_id"] for policy in present)
+        raise UsageError(f"--policy {name!r} names {len(found)} of the server's versions: {known}")
+    return found[0]
+
+
+def _follow(client: ThrowClient, row: dict[str, Any], timeout_s: float) -> int:
+    """Wait until the machine has answered; says what became of it."""
+    path = f"/machines/{row['machine_id']}/deployments"
+    end_s = time.monotonic() + timeout_s
+    while row["outcome"] == PENDING and time.monotonic() < end_s:
+        time.sleep(POLL_PERIOD_S)
+        row = next(
+            new
+            for new in client.call("GET", path)
+            if (new["mode"], new["deployment_count"]) == (row["mode"], row["deployment_count"])
+        )
+    if row["outcome"] == PENDING:
+        print(
+            f"{row['machine_id']} has not switched to {row['policy_id']} yet: it is off, or has a plan "
+            "armed. It does so later."
+        )
+        return 3
+    print(f"{row['machine_id']}: {row['policy_id']} {row['outcome']} {row['detail']}".rstrip())
+    return 0 if row["outcome"] == "switched" else 3

@@ -1,0 +1,184 @@
+"""Brings versions onto the machine: asks the server what it wants, fetches it, offers it to control.
+
+The slots follow the control process: they name a version only after it has been loaded and switched to.
+A rollback at the machine itself needs no server.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from machine.conventions import Mode
+from machine.errors import UsageError
+from machine.messages import EventKind
+from runtime.link.ipc import Kind
+from runtime.policies.download import (
+    TransferError,
+    WantedPolicy,
+    fetch_version,
+    fetch_wanted,
+)
+from runtime.policies.slots import PolicySlots
+from runtime.records.log_upload import UploadTarget
+
+logger = logging.getLogger(__name__)
+
+LOOK_PERIOD_S: Final = 0.1
+"""A rollback that is asked for at the machine is seen within this time."""
+POLL_PERIOD_S: Final = 2.0
+POLL_PERIOD_MAX_S: Final = 30.0
+OFFER_PERIOD_S: Final = 5.0
+"""An offer that the control process has not answered is repeated; it waits there while a plan is armed."""
+ROLLBACK_FILE: Final = "rollback-request.json"
+
+
+class PolicyOffer(BaseModel):
+    """A version on the disk that the control process is to switch to."""
+
+    model_config = ConfigDict(frozen=True)
+    mode: Mode
+    policy_sha256: str
+    """Empty: the installed version."""
+    deployment_count: int | None = Field(default=None, ge=1)
+    """None: a rollback asked for at the machine."""
+
+
+class RollbackRequest(BaseModel):
+    """What `downrange rollback` leaves for a running machine."""
+
+    model_config = ConfigDict(frozen=True)
+    mode: Mode
+
+
+@dataclass(slots=True)
+class _Offered:
+    offer: PolicyOffer
+    sent_s: float
+
+
+class PolicyPuller:
+    """A thread of the link process."""
+
+    def __init__(
+        self,
+        folder: Path,
+        target: UploadTarget | None,
+        send: Callable[[Kind, dict[str, Any]], bool],
+    ) -> None:
+        """Begin.
+
+        Args:
+            folder: of the machine's slots.
+            target: the server; None = rollbacks at the machine only.
+            send: sends a packet to the control process; whether it went.
+        """
+        self._slots = PolicySlots(folder)
+        self._target = target
+        self._request_file = folder / ROLLBACK_FILE
+        self._send = send
+        self._offered: dict[Mode, _Offered] = {}
+        self._lock = threading.Lock()
+        self._wait_s = POLL_PERIOD_S
+        self._polled_s = -1e9
+        self._said = ""
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="policies", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Stop; a transfer goes on at the next start where it was."""
+        self._is_closing.set()
+        self._thread.join(timeout_s)
+
+    def take_event(self, kind: EventKind, data: dict[str, Any]) -> None:
+        """What the control process did with an offer; on any thread, before the event is stored."""
+        if kind not in (EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED):
+            return
+        mode, count = Mode(data["mode"]), data.get("deployment_count")
+        try:
+            if kind is EventKind.POLICY_SWITCHED:
+                self._slots.switch(mode, str(data["slot"]), count)
+                logger.info("%s throws with policy %s", mode.value, data["policy_sha256"][:12])
+            elif count is not None:
+                self._slots.note(mode, int(count))
+        except OSError as error:
+            # The version is in use until the next start, which begins with what the slots say.
+            logger.error("the slots cannot be written: %s", error)
+        with self._lock:
+            self._offered.pop(mode, None)
+
+    def _run(self) -> None:
+        while not self._is_closing.wait(LOOK_PERIOD_S):
+            try:
+                self._look_for_rollback()
+                if time.monotonic() - self._polled_s >= self._wait_s:
+                    self.poll()
+            except OSError as error:
+                logger.error("policies: %s", error)
+
+    def _look_for_rollback(self) -> None:
+        if not self._request_file.exists():
+            return
+        try:
+            text = self._request_file.read_bytes()
+            mode = RollbackRequest.model_validate_json(text).mode
+            offer = PolicyOffer(mode=mode, policy_sha256=self._slots.previous(mode))
+        except (ValidationError, UsageError) as error:
+            logger.warning("a rollback cannot be done: %s", error)
+            self._request_file.unlink(missing_ok=True)
+            return
+        if self._offer(offer):
+            self._request_file.unlink(missing_ok=True)
+
+    def poll(self) -> None:
+        """Ask the server once, and do what it wants."""
+        self._polled_s = time.monotonic()
+        if self._target is None:
+            return
+        try:
+            for wanted in fetch_wanted(self._target):
+                self._follow(self._target, wanted)
+            self._wait_s, self._said = POLL_PERIOD_S, ""
+        except TransferError as error:
+            self._wait_s = min(self._wait_s * 2.0, POLL_PERIOD_MAX_S)
+            if str(error) != self._said:
+                self._said = str(error)
+                logger.info("%s", error)
+
+    def _follow(self, target: UploadTarget, wanted: WantedPolicy) -> None:
+        if wanted.deployment_count <= self._slots.of(wanted.mode).deployment_count:
+            return
+        with self._lock:
+            waiting = self._offered.get(wanted.mode)
+        is_waiting = (
+            waiting is not None
+            and (waiting.offer.deployment_count or wanted.deployment_count)
+            >= wanted.deployment_count
+            and time.monotonic() - waiting.sent_s < OFFER_PERIOD_S
+        )
+        if is_waiting:
+            return
+        fetch_version(target, wanted, self._slots)
+        self._offer(
+            PolicyOffer(
+                mode=wanted.mode,
+                policy_sha256=wanted.policy_sha256,
+                deployment_count=wanted.deployment_count,
+            )
+        )
+        self._slots.remove_unused(frozenset({wanted.policy_sha256}))
+
+    def _offer(self, offer: PolicyOffer) -> bool:
+        # Noted before it is sent: the answer may come on another thread at once.
+        with self._lock:
+            self._offered[offer.mode] = _Offered(offer, time.monotonic())
+        return self._send(Kind.POLICY, offer.model_dump(mode="json"))

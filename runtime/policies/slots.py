@@ -1,0 +1,166 @@
+"""Two slots a mode: the version in use, and the one before it. One small file, replaced as a whole.
+
+Versions lie beside it in folders named by the policy's sha256. A version enters `versions/` by a rename, so
+that a folder there is always complete.
+"""
+
+import json
+import logging
+import os
+import shutil
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from machine.conventions import Mode
+from machine.errors import UsageError
+
+logger = logging.getLogger(__name__)
+
+INSTALLED: Final = ""
+"""In place of a sha256: the version that was installed with the software (`--policies`)."""
+SLOTS_FILE: Final = "slots.json"
+_SHA256: Final = r"^([0-9a-f]{64})?$"
+
+
+class ModeSlots(BaseModel):
+    """The slots of one mode."""
+
+    model_config = ConfigDict(frozen=True)
+    current: str = Field(default=INSTALLED, pattern=_SHA256)
+    """sha256 of the policy in use."""
+    previous: str | None = Field(default=None, pattern=_SHA256)
+    """The one before; None = there was none."""
+    deployment_count: int = Field(default=0, ge=0)
+    """Newest deployment of the server that was carried out or refused here."""
+
+
+_SLOTS: Final = TypeAdapter(dict[Mode, ModeSlots])
+
+
+class PolicySlots:
+    """The slots of one machine; safe from any thread."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lock = threading.RLock()
+
+    @property
+    def incoming(self) -> Path:
+        """Folder of versions on their way."""
+        return self._folder / "incoming"
+
+    def version_folder(self, policy_sha256: str) -> Path:
+        """Where a complete version lies."""
+        return self._folder / "versions" / policy_sha256
+
+    def of(self, mode: Mode) -> ModeSlots:
+        """The slots of a mode; those of a machine that never switched where the file cannot be read."""
+        return self._read().get(mode, ModeSlots())
+
+    def switch(self, mode: Mode, policy_sha256: str, deployment_count: int | None = None) -> None:
+        """Put a version into use; the one in use becomes the previous one. The same again changes nothing.
+
+        Raises:
+            OSError: the disk refuses; the slots are as before.
+        """
+        with self._lock:
+            slots = self.of(mode)
+            counted = max(slots.deployment_count, deployment_count or 0)
+            changes: dict[str, str | int | None] = {"deployment_count": counted}
+            if policy_sha256 != slots.current:
+                changes |= {"current": policy_sha256, "previous": slots.current}
+            self._write(mode, slots.model_copy(update=changes))
+
+    def note(self, mode: Mode, deployment_count: int) -> None:
+        """Remember that a deployment was refused, so that it is not tried again.
+
+        Raises:
+            OSError: the disk refuses.
+        """
+        with self._lock:
+            slots = self.of(mode)
+            if deployment_count > slots.deployment_count:
+                self._write(mode, slots.model_copy(update={"deployment_count": deployment_count}))
+
+    def roll_back(self, mode: Mode) -> str:
+        """Put the previous version into use; returns its sha256, empty for the installed one.
+
+        Raises:
+            UsageError: there is none.
+            OSError: the disk refuses.
+        """
+        with self._lock:
+            previous = self.previous(mode)
+            self.switch(mode, previous)
+            return previous
+
+    def previous(self, mode: Mode) -> str:
+        """The version before.
+
+        Raises:
+            UsageError: there is none.
+        """
+        previous = self.of(mode).previous
+        if previous is None:
+            raise UsageError(f"mode {mode.value} has no version before the one in use")
+        return previous
+
+    def add(self, incoming: Path, policy_sha256: str) -> Path:
+        """Take in a folder that is complete; returns where it lies now.
+
+        Raises:
+            OSError: the disk refuses.
+        """
+        folder = self.version_folder(policy_sha256)
+        with self._lock:
+            if folder.exists():
+                shutil.rmtree(folder)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            incoming.rename(folder)
+            _sync(folder.parent)
+        return folder
+
+    def remove_unused(self, kept: frozenset[str] = frozenset()) -> None:
+        """Remove versions that no slot names, but for those to be kept."""
+        with self._lock:
+            slots = self._read().values()
+            named = {s.current for s in slots} | {s.previous or "" for s in slots} | kept
+            folder = self._folder / "versions"
+            for path in folder.iterdir() if folder.is_dir() else ():
+                if path.name not in named:
+                    shutil.rmtree(path, ignore_errors=True)
+
+    def _read(self) -> Mapping[Mode, ModeSlots]:
+        path = self._folder / SLOTS_FILE
+        try:
+            return _SLOTS.validate_json(path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValidationError) as error:
+            logger.error("%s cannot be read; the installed policies are used: %s", path, error)
+            return {}
+
+    def _write(self, mode: Mode, slots: ModeSlots) -> None:
+        every = {**self._read(), mode: slots}
+        body = {key.value: value.model_dump(mode="json") for key, value in every.items()}
+        self._folder.mkdir(parents=True, exist_ok=True)
+        part = self._folder / f"{SLOTS_FILE}.part"
+        with part.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(body, indent=2) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(self._folder / SLOTS_FILE)
+        _sync(self._folder)
+
+
+def _sync(folder: Path) -> None:
+    """Make renames in a folder durable."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

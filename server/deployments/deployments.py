@@ -1,0 +1,284 @@
+"""Which version each machine is to have: who asked for it, when and why, and what became of it.
+
+The server proposes: a machine asks what is wanted, fetches and checks it, and switches with no plan armed.
+Rows are only added; how a deployment ended is written beside it, once.
+"""
+
+import threading
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session as DatabaseSession
+
+from machine.conventions import Mode
+from machine.messages import EventKind, MachineEvent
+from machine.policy_card import CARD_FILE, POLICY_FILE
+from machine.spec import MachineSpec
+from server.accounts.accounts import Session
+from server.accounts.audit_chain import AuditChain, Entry
+from server.clock import utc_now
+from server.errors import ConflictError, NotFoundError
+from server.machines.machine_registry import MachineRegistry
+from server.plans.policy_store import PolicyStore, StoredPolicy
+from server.schemas.deployments import (
+    DeploymentOutcome,
+    DeploymentView,
+    DeployRequest,
+    VersionFileView,
+    WantedPoliciesView,
+    WantedPolicyView,
+)
+from server.store.database import Database
+from server.store.models import Deployment, MachinePolicy
+
+LISTED_COUNT: Final = 100
+FILES: Final = (POLICY_FILE, CARD_FILE)
+
+
+class Deployments:
+    """Asks for versions, hands them out to machines, and notes what machines did; thread-safe."""
+
+    def __init__(
+        self,
+        database: Database,
+        audit: AuditChain,
+        registry: MachineRegistry,
+        policies: PolicyStore,
+        spec: MachineSpec,
+    ) -> None:
+        self._database = database
+        self._audit = audit
+        self._registry = registry
+        self._policies = policies
+        self._spec = spec
+        self._lock = threading.Lock()
+        self._hashes: dict[tuple[Path, int, int], str] = {}
+
+    # People ---------------------------------------------------------------------------------------
+
+    def deploy(
+        self, machine_id: str, mode: Mode, body: DeployRequest, session: Session
+    ) -> DeploymentView:
+        """Ask a machine to switch to a version.
+
+        Raises:
+            NotFoundError: no such machine, or no files of such a version.
+            ConflictError: the version is for another mode or machine type.
+        """
+        self._registry.get(machine_id)
+        policy = self._require_usable(mode, body.policy_sha256)
+        return self._add(machine_id, mode, policy, body.reason, session, is_rollback=False)
+
+    def roll_back(
+        self, machine_id: str, mode: Mode, reason: str, session: Session
+    ) -> DeploymentView:
+        """Ask a machine to go back to the version that it had before.
+
+        Raises:
+            NotFoundError: no such machine, or the version's files are gone.
+            ConflictError: it has had no other version.
+        """
+        self._registry.get(machine_id)
+        with self._database.read() as database:
+            before = self._version_before(database, machine_id, mode)
+        if before is None:
+            raise ConflictError(
+                "no_version_before", f"{machine_id} has had no other version in {mode.value}."
+            )
+        policy = self._require_usable(mode, before)
+        return self._add(machine_id, mode, policy, reason, session, is_rollback=True)
+
+    def list(self, machine_id: str) -> list[DeploymentView]:
+        """The newest hundred of a machine, newest first.
+
+        Raises:
+            NotFoundError: no such machine.
+        """
+        self._registry.get(machine_id)
+        query = (
+            select(Deployment)
+            .where(Deployment.machine_id == machine_id)
+            .order_by(Deployment.created_utc.desc(), Deployment.deployment_count.desc())
+            .limit(LISTED_COUNT)
+        )
+        with self._database.read() as database:
+            return [self._view(row) for row in database.scalars(query)]
+
+    # Machines -------------------------------------------------------------------------------------
+
+    def wanted(self, machine_id: str) -> WantedPoliciesView:
+        """The newest deployment of each mode, with the files to fetch."""
+        found: list[WantedPolicyView] = []
+        with self._database.read() as database:
+            rows = [row for mode in Mode if (row := _newest(database, machine_id, mode))]
+        for row in rows:
+            policy = self._policies.find(row.policy_sha256)
+            files = () if policy is None else tuple(self._file(policy, name) for name in FILES)
+            found.append(
+                WantedPolicyView(
+                    mode=Mode(row.mode),
+                    deployment_count=row.deployment_count,
+                    policy_sha256=row.policy_sha256,
+                    files=files,
+                )
+            )
+        return WantedPoliciesView(policies=tuple(found))
+
+    def file(self, policy_sha256: str, name: str) -> Path:
+        """Where a file of a version lies.
+
+        Raises:
+            NotFoundError: no files of such a version.
+        """
+        policy = self._policies.find(policy_sha256)
+        if policy is None or name not in FILES:
+            raise NotFoundError(
+                "no_policy", f"There are no files of policy {policy_sha256[:12]} here."
+            )
+        return policy.folder / name
+
+    def record(self, database: DatabaseSession, event: MachineEvent) -> None:
+        """Note how a deployment ended; inside the transaction that stores the machine's event."""
+        if event.kind is EventKind.BOOTED:
+            _note_aboard(database, event)
+        if event.kind not in (EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED):
+            return
+        count, mode = event.data.get("deployment_count"), event.data.get("mode")
+        if not isinstance(count, int) or not isinstance(mode, str):
+            return  # a rollback at the machine itself
+        row = database.get(Deployment, (event.machine_id, mode[:2], count))
+        if row is None or row.outcome in (DeploymentOutcome.SWITCHED, DeploymentOutcome.REFUSED):
+            return
+        is_switched = event.kind is EventKind.POLICY_SWITCHED
+        row.outcome = (
+            DeploymentOutcome.SWITCHED if is_switched else DeploymentOutcome.REFUSED
+        ).value
+        row.detail = str(event.data.get("detail", ""))[:1000]
+        row.ended_utc = utc_now()
+
+    # Parts ----------------------------------------------------------------------------------------
+
+    def _require_usable(self, mode: Mode, policy_sha256: str) -> StoredPolicy:
+        policy = self._policies.find(policy_sha256)
+        if policy is None:
+            raise NotFoundError(
+                "no_policy", f"There are no files of policy {policy_sha256[:12]} here."
+            )
+        if policy.card.mode is not mode:
+            raise ConflictError(
+                "wrong_mode",
+                f"{policy.card.policy_id} is for mode {policy.card.mode.value}, not {mode.value}.",
+            )
+        if policy.card.model_sha256 != self._spec.sha256:
+            raise ConflictError(
+                "model_mismatch",
+                f"{policy.card.policy_id} is for machine model {policy.card.model_sha256[:12]}, "
+                f"the machines here are {self._spec.sha256[:12]}.",
+            )
+        return policy
+
+    @staticmethod
+    def _version_before(database: DatabaseSession, machine_id: str, mode: Mode) -> str | None:
+        query = (
+            select(MachinePolicy.policy_sha256)
+            .where(
+                MachinePolicy.machine_id == machine_id,
+                MachinePolicy.mode == mode.value,
+                MachinePolicy.policy_sha256.is_not(None),
+            )
+            .order_by(MachinePolicy.machine_policy_count.desc())
+        )
+        current: str | None = None
+        for policy_sha256 in database.scalars(query):
+            if current is None:
+                current = policy_sha256
+            elif policy_sha256 != current:
+                return policy_sha256
+        return None
+
+    def _add(
+        self,
+        machine_id: str,
+        mode: Mode,
+        policy: StoredPolicy,
+        reason: str,
+        session: Session,
+        *,
+        is_rollback: bool,
+    ) -> DeploymentView:
+        with self._lock, self._database.write() as database:
+            newest = _newest(database, machine_id, mode)
+            if newest is not None and newest.outcome == DeploymentOutcome.PENDING:
+                newest.outcome, newest.ended_utc = DeploymentOutcome.REPLACED.value, utc_now()
+            row = Deployment(
+                machine_id=machine_id,
+                mode=mode.value,
+                deployment_count=1 + (0 if newest is None else newest.deployment_count),
+                policy_sha256=policy.card.policy_sha256,
+                is_rollback=is_rollback,
+                reason=reason,
+                created_by=session.username,
+                created_utc=utc_now(),
+                outcome=DeploymentOutcome.PENDING.value,
+                detail="",
+                ended_utc=None,
+            )
+            database.add(row)
+            detail: dict[str, Any] = {
+                "mode": row.mode,
+                "deployment_count": row.deployment_count,
+                "policy_sha256": row.policy_sha256,
+                "reason": reason,
+            }
+            action = "policy.roll_back" if is_rollback else "policy.deploy"
+            entry = Entry(session.actor, action, "fact", machine_id=machine_id, detail=detail)
+            self._audit.append(database, entry)
+        return self._view(row)
+
+    def _view(self, row: Deployment) -> DeploymentView:
+        return DeploymentView(
+            machine_id=row.machine_id,
+            mode=Mode(row.mode),
+            deployment_count=row.deployment_count,
+            policy_sha256=row.policy_sha256,
+            policy_id=self._policies.name_of(row.policy_sha256),
+            is_rollback=row.is_rollback,
+            reason=row.reason,
+            created_by=row.created_by,
+            created_utc=row.created_utc,
+            outcome=DeploymentOutcome(row.outcome),
+            detail=row.detail,
+            ended_utc=row.ended_utc,
+        )
+
+    def _file(self, policy: StoredPolicy, name: str) -> VersionFileView:
+        path = policy.folder / name
+        status = path.stat()
+        key = (path, status.st_mtime_ns, status.st_size)
+        known = self._hashes.get(key)
+        if known is None:
+            known = self._hashes[key] = sha256(path.read_bytes()).hexdigest()
+        return VersionFileView(name=name, sha256=known, size_bytes=status.st_size)
+
+
+def _note_aboard(database: DatabaseSession, event: MachineEvent) -> None:
+    """A machine that was cut off while it switched says at its start what it has."""
+    aboard = event.data.get("policy_sha256")
+    if not isinstance(aboard, dict):
+        return
+    for mode in Mode:
+        row = _newest(database, event.machine_id, mode)
+        is_open = row is not None and row.outcome == DeploymentOutcome.PENDING
+        if row is not None and is_open and aboard.get(mode.value) == row.policy_sha256:
+            row.outcome, row.ended_utc = DeploymentOutcome.SWITCHED.value, utc_now()
+
+
+def _newest(database: DatabaseSession, machine_id: str, mode: Mode) -> Deployment | None:
+    return database.scalars(
+        select(Deployment)
+        .where(Deployment.machine_id == machine_id, Deployment.mode == mode.value)
+        .order_by(Deployment.deployment_count.desc())
+        .limit(1)
+    ).first()

@@ -1,0 +1,108 @@
+"""Policy versions over the real link: fetched, switched to, kept over power cuts, taken back."""
+
+import signal
+
+import pytest
+
+from cli.main import main
+from machine.conventions import Mode
+from machine.policy_card import file_sha256, load_card
+from tests.link.yard import MACHINE, Machine, Yard
+from tests.runtime.policies.policy_server import policy_server
+from tests.runtime.quick_policy import write_policies, write_policy
+from tests.waiting import wait_for
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """(yard, policy server, folder): the machine asks the policy server."""
+    folder = tmp_path_factory.mktemp("policy-yard")
+    installed = write_policies(folder / "installed")
+    with policy_server() as server:
+        yard = Yard(folder, installed)
+        yard.machine = Machine(
+            folder / MACHINE, installed, yard.relay.endpoint, **{"server-url": server.url}
+        )
+        yield yard, server, folder
+        yard.close()
+
+
+def aboard(yard):
+    return yard.server.state.policy_sha256["2d"]
+
+
+def told(yard, kind):
+    return [event.data for event in yard.server.events if event.kind == kind]
+
+
+def version(folder, name, move_rad):
+    write_policy(folder / name, Mode.PLANAR, move_rad)
+    return folder / name
+
+
+def test_deploy_refuse_roll_back_and_power_cuts(place):
+    yard, server, folder = place
+    data = folder / MACHINE
+    yard.ready()
+    installed = load_card(folder / "installed" / "quick-2d").policy_sha256
+    assert aboard(yard) == installed
+    roll_back = ["rollback", "--data", str(data), "--mode", "2d"]
+    assert main(roll_back) == 1  # there is no version before
+
+    # Deployed: the transfer breaks off twice.
+    server.breaks_after_bytes = [50, 70]
+    second = server.want(version(folder, "second-2d", 0.25), 1)
+    wait_for(lambda: aboard(yard) == second, 90.0)
+    (switched,) = wait_for(lambda: told(yard, "policy_switched"))
+    assert (switched["policy_sha256"], switched["deployment_count"]) == (second, 1)
+
+    # A version that is no usable network is refused, and the machine keeps what it has.
+    broken = version(folder, "broken-2d", 0.4)
+    (broken / "policy.onnx").write_bytes(b"no network")
+    card = load_card(folder / "second-2d")
+    text = card.model_copy(update={"policy_sha256": file_sha256(broken / "policy.onnx")})
+    (broken / "card.json").write_text(text.model_dump_json())
+    server.want(broken, 2)
+    (refused,) = wait_for(lambda: told(yard, "policy_refused"), 90.0)
+    assert refused["deployment_count"] == 2
+    assert "policy.onnx" in refused["detail"]
+    assert aboard(yard) == second
+
+    # Power cut: it begins with what it had, and does not try the refused one again.
+    yard.machine.kill()
+    known = len(yard.server.states)
+    yard.machine.start()
+    wait_for(lambda: len(yard.server.states) > known and aboard(yard) == second, 90.0)
+    yard.ready()
+
+    # Taken back at the machine, and again with the machine off.
+    assert main(roll_back) == 0
+    wait_for(lambda: aboard(yard) == installed)
+    wait_for(lambda: told(yard, "policy_switched")[-1]["policy_sha256"] == installed)
+    assert told(yard, "policy_switched")[-1]["deployment_count"] is None
+    yard.machine.stop()
+    assert main(roll_back) == 0
+    known = len(yard.server.states)
+    yard.machine.start()
+    wait_for(lambda: len(yard.server.states) > known and aboard(yard) == second, 90.0)
+    assert len(told(yard, "policy_refused")) == 1
+
+
+@pytest.mark.parametrize("victim", ["link", "control", "machine"])
+def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
+    yard, server, folder = place
+    yard.ready()
+    count = 10 + ["link", "control", "machine"].index(victim)
+    asked = len(server.ranges)
+    server.breaks_after_bytes = [40]
+    wanted = server.want(version(folder, f"for-{victim}", 0.3 + 0.01 * count), count)
+    wait_for(lambda: len(server.ranges) > asked)
+    if victim == "machine":
+        yard.machine.kill()
+        yard.machine.start()
+    else:
+        yard.machine.kill_child(f"runtime.process.{victim}_process", signal.SIGKILL)
+    known = len(yard.server.states)
+    wait_for(lambda: len(yard.server.states) > known and yard.server.state.policy_sha256.get("2d"))
+    wait_for(lambda: aboard(yard) == wanted, 120.0)
+    assert yard.server.state.policy_sha256.get("3d")

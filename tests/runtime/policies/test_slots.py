@@ -1,0 +1,109 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from machine.conventions import Mode
+from machine.errors import PolicyError, UsageError
+from machine.spec import load_spec
+from runtime.policies import slots as module
+from runtime.policies.on_board import OnBoardPolicies
+from runtime.policies.slots import INSTALLED, PolicySlots
+from tests.runtime.quick_policy import write_policies, write_policy
+
+A, B = "a" * 64, "b" * 64
+
+
+def test_two_slots_a_mode_and_back(tmp_path):
+    slots = PolicySlots(tmp_path)
+    with pytest.raises(UsageError, match="no version before"):
+        slots.roll_back(Mode.PLANAR)
+    slots.switch(Mode.PLANAR, A, 1)
+    slots.switch(Mode.PLANAR, A, 1)
+    found = PolicySlots(tmp_path).of(Mode.PLANAR)
+    assert (found.current, found.previous, found.deployment_count) == (A, INSTALLED, 1)
+    assert slots.roll_back(Mode.PLANAR) == INSTALLED
+    slots.switch(Mode.PLANAR, B, 3)
+    slots.note(Mode.PLANAR, 2)
+    found = PolicySlots(tmp_path).of(Mode.PLANAR)
+    assert (found.current, found.previous, found.deployment_count) == (B, INSTALLED, 3)
+    assert PolicySlots(tmp_path).of(Mode.SPATIAL).current == INSTALLED
+
+
+@pytest.mark.parametrize("step", ["write", "replace"])
+def test_a_switch_that_is_cut_off_leaves_the_slots_as_they_were(tmp_path, monkeypatch, step):
+    slots = PolicySlots(tmp_path)
+    slots.switch(Mode.PLANAR, A, 1)
+    before = (tmp_path / "slots.json").read_bytes()
+
+    def cut(*_):
+        raise OSError("the power went")
+
+    with monkeypatch.context() as patch:
+        if step == "write":
+            patch.setattr(module.os, "fsync", cut)
+        else:
+            patch.setattr(Path, "replace", cut)
+        with pytest.raises(OSError, match="power"):
+            slots.switch(Mode.PLANAR, B, 2)
+    assert (tmp_path / "slots.json").read_bytes() == before
+    assert PolicySlots(tmp_path).of(Mode.PLANAR).current == A
+    slots.switch(Mode.PLANAR, B, 2)
+    assert PolicySlots(tmp_path).of(Mode.PLANAR).current == B
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"2d": {"current": "../../etc"}}', '{"4d": {}}', '{"2d": 3}', "\x00\xff"]
+)
+def test_damaged_slots_are_those_of_a_machine_that_never_switched(tmp_path, text):
+    (tmp_path / "slots.json").write_text(text, encoding="latin-1")
+    assert PolicySlots(tmp_path).of(Mode.PLANAR).current == INSTALLED
+
+
+@pytest.fixture
+def board(tmp_path):
+    installed = write_policies(tmp_path / "installed")
+    return OnBoardPolicies(PolicySlots(tmp_path / "slots"), installed, load_spec())
+
+
+def put(tmp_path, name, move_rad):
+    sha256 = write_policy(tmp_path / name, Mode.PLANAR, move_rad)
+    return PolicySlots(tmp_path / "slots").add(tmp_path / name, sha256), sha256
+
+
+def test_a_version_that_cannot_be_used_gives_way_to_the_one_before_and_that_to_the_installed(
+    tmp_path, board
+):
+    slots = PolicySlots(tmp_path / "slots")
+    first, first_sha256 = put(tmp_path, "first-2d", 0.2)
+    second, second_sha256 = put(tmp_path, "second-2d", 0.3)
+    slots.switch(Mode.PLANAR, first_sha256)
+    slots.switch(Mode.PLANAR, second_sha256)
+    assert board.start(Mode.PLANAR).card.policy_id == "second-2d"
+    (second / "policy.onnx").write_bytes(b"cut off")
+    assert board.start(Mode.PLANAR).card.policy_id == "first-2d"
+    (first / "card.json").unlink()
+    assert board.start(Mode.PLANAR).card.policy_id == "quick-2d"
+    assert board.start(Mode.SPATIAL).card.policy_id == "quick-3d"
+
+
+def test_a_folder_that_holds_another_version_than_its_name_says_is_refused(tmp_path, board):
+    folder, _ = put(tmp_path, "first-2d", 0.2)
+    folder.rename(folder.with_name(B))
+    with pytest.raises(PolicyError, match="holds first-2d"):
+        board.load(Mode.PLANAR, B)
+    with pytest.raises(PolicyError, match="is missing"):
+        board.load(Mode.PLANAR, A)
+
+
+def test_versions_that_no_slot_names_are_removed(tmp_path):
+    slots = PolicySlots(tmp_path / "slots")
+    kept = []
+    for number in range(4):
+        _, sha256 = put(tmp_path, f"version-{number}", 0.1 + 0.05 * number)
+        slots.switch(Mode.PLANAR, sha256)
+        kept.append(sha256)
+    slots.remove_unused(frozenset({kept[0]}))
+    found = {path.name for path in (tmp_path / "slots" / "versions").iterdir()}
+    assert found == {kept[0], kept[2], kept[3]}
+    assert json.loads((tmp_path / "slots" / "slots.json").read_text())["2d"]["current"] == kept[3]
