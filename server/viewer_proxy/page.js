@@ -36,6 +36,20 @@
     const news = messages.findLast((message) => message.type === "ThemeConfigurationMessage");
     if (news) document.documentElement.dataset.theme = news.dark_mode ? "dark" : "light";
   };
+  // The viewer sorts Gaussian splats with a module that compiles code from text, which this page's policy
+  // forbids. Nothing here draws splats: the module is never loaded, and nothing waits for it.
+  const nativeFetch = window.fetch;
+  window.fetch = (resource, options) => {
+    const isSorter = typeof resource === "string" && resource.startsWith("data:application/wasm");
+    return isSorter ? new Promise(() => {}) : nativeFetch(resource, options);
+  };
+  // The viewer prevents the default of a press on what can be dragged, from a listener that it declares
+  // passive; the browser then says that it cannot, on every press.
+  const nativeListen = EventTarget.prototype.addEventListener;
+  EventTarget.prototype.addEventListener = function (type, listener, options) {
+    const isPassive = type === "pointerdown" && options?.passive === true;
+    nativeListen.call(this, type, listener, isPassive ? { ...options, passive: false } : options);
+  };
   const NativeWorker = window.Worker;
   window.Worker = class extends NativeWorker {
     constructor(...args) {

@@ -1,5 +1,6 @@
 """What an operator does in the console, in words."""
 
+import contextlib
 import re
 
 from playwright.sync_api import Locator, Page
@@ -63,10 +64,15 @@ def result_text(page: Page) -> str:
 
 def throw_until_landed(page: Page, press: str, attempts: int = 4) -> None:
     """Hold until the load has landed, by pointer or by key; again if this computer starved the signal."""
+    text = "nothing"
     for _ in range(attempts):
         load_if_empty(page)
         button = page.locator(HOLD)
         _press(page, button, press)
+        if not _is_taken(page):
+            # A preview that is made anew turns the button off: a person sees it, lets go, presses again.
+            _let_go(page, press)
+            continue
         text = outcome(page, while_held=True)
         _let_go(page, press)
         if not any(words in text for words in STARVED):
@@ -86,6 +92,16 @@ def _press(page: Page, button: Locator, press: str) -> None:
     assert box is not None
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.down()
+
+
+def _is_taken(page: Page) -> bool:
+    """Whether the button answers the press: with its ring, or with why not."""
+    answers = page.locator(f'{HOLD}:not([data-phase="idle"]), {HOLD}[data-note]')
+    try:
+        answers.or_(page.get_by_test_id("result")).first.wait_for(timeout=5_000.0)
+    except BrowserTimeoutError:
+        return False
+    return True
 
 
 def _let_go(page: Page, press: str) -> None:
@@ -111,6 +127,23 @@ def _wait_for(page: Page, awaited: Locator, otherwise: str) -> None:
     except BrowserTimeoutError as error:
         words = page.get_by_role("complementary").inner_text()
         raise AssertionError(f"{otherwise}; the panel says:\n{words}") from error
+
+
+def click_until(page: Page, share: tuple[float, float], shown: Locator) -> tuple[float, float]:
+    """Click the 3D view until the page shows that it has the point; returns the pixel.
+
+    On a computer without graphics the picture may hang for seconds; a person clicks again.
+    """
+    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
+    box = page.get_by_test_id("viewer").bounding_box()
+    assert box is not None
+    at = box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+    for _ in range(4):
+        page.mouse.click(*at)
+        with contextlib.suppress(BrowserTimeoutError):
+            shown.wait_for(timeout=15_000.0)
+            return at
+    raise AssertionError(f"four clicks on the 3D view and no answer; waited for {shown}")
 
 
 def metres_of(text: str) -> float:

@@ -1,14 +1,13 @@
 """Off the ground: click on the truck bed, see that the load will land there, throw, read its height."""
 
-import contextlib
 import re
 from collections.abc import Callable
 
 from playwright.sync_api import Page, expect
-from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import (
+    click_until,
     load_if_empty,
     open_step,
     sign_in,
@@ -32,32 +31,16 @@ def _mode_that_reaches(demo: Stack) -> str:
     return sorted(able)[-1]
 
 
-def _click_the_bed(page: Page) -> None:
-    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
-    box = page.get_by_test_id("viewer").bounding_box()
-    assert box is not None
-    height = page.get_by_label("Height, m")
-    # On a computer without graphics the picture may hang for seconds; a person clicks again.
-    for _ in range(4):
-        page.mouse.click(
-            box["x"] + ON_THE_BED[0] * box["width"], box["y"] + ON_THE_BED[1] * box["height"]
-        )
-        with contextlib.suppress(BrowserTimeoutError):
-            summary = page.get_by_role("complementary").get_by_text("+1.20 m high")
-            summary.wait_for(timeout=15_000.0)
-            open_step(page, "Target")
-            expect(height).to_have_value("1.2")
-            return
-    raise AssertionError("four clicks on the bed and no target on it")
-
-
 def test_a_load_is_thrown_onto_the_truck_bed(demo: Stack, open_page: Callable[..., Page]) -> None:
     mode = _mode_that_reaches(demo)
     page = open_page(demo)
     sign_in(page, demo)
     take_control(page)
     page.get_by_text("3D with cabin" if mode == "3d" else "2D arm plane").click()
-    _click_the_bed(page)
+    panel = page.get_by_role("complementary")
+    click_until(page, ON_THE_BED, panel.get_by_text("+1.20 m high"))
+    open_step(page, "Target")
+    expect(page.get_by_label("Height, m")).to_have_value("1.2")
 
     load_if_empty(page)
     open_step(page, "Preview")

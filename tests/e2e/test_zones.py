@@ -1,13 +1,12 @@
 """Exclusion zones: drawn in the 3D view, approved, obeyed by clicks and throws, changed."""
 
-import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
 from playwright.sync_api import Page, expect
-from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
 from tests.e2e.operator_page import (
+    click_until,
     gate,
     open_step,
     sign_in,
@@ -32,18 +31,6 @@ def without_zones(demo: Stack) -> Iterator[None]:
         admin.post(f"{ZONES}/approve", json={"version_count": version + 1}).raise_for_status()
 
 
-def _click_corner(page: Page, share: tuple[float, float], words: str) -> None:
-    """Click the view until the page says that it has the corner; pictures without graphics may hang."""
-    box = page.get_by_test_id("viewer").bounding_box()
-    assert box is not None
-    for _ in range(4):
-        page.mouse.click(box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"])
-        with contextlib.suppress(BrowserTimeoutError):
-            page.get_by_text(words).first.wait_for(timeout=15_000.0)
-            return
-    raise AssertionError(f"four clicks and the page does not say {words!r}")
-
-
 def _approve(page: Page, reason: str) -> None:
     page.get_by_label("Why it is changed").fill(reason)
     page.get_by_role("button", name="Save draft").click()
@@ -63,10 +50,9 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     page = open_page(demo)
     sign_in(page, demo, "admin", path="/site")
     page.get_by_text("Zones", exact=True).click()
-    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
     page.get_by_role("button", name="Draw box").click()
-    _click_corner(page, CORNERS[0], "Click the opposite corner.")
-    _click_corner(page, CORNERS[1], "4 corners, 0.0 m to 3.0 m")
+    click_until(page, CORNERS[0], page.get_by_text("Click the opposite corner.").first)
+    click_until(page, CORNERS[1], page.get_by_text("4 corners, 0.0 m to 3.0 m").first)
     # By keyboard to where the throws go: a box around 9 m ahead.
     page.get_by_role("textbox", name="Name", exact=True).fill("Office")
     page.get_by_role("textbox", name="What is there").fill("people work there")

@@ -17,6 +17,7 @@ import { presentStep } from "./steps";
 import { DEFAULT_PACE_RATIO } from "./target/pace";
 import { pointKey } from "./target/target";
 import { useTarget } from "./target/useTarget";
+import { useThrow } from "./useThrow";
 
 export function useOperate() {
   const machine = useMachine();
@@ -30,7 +31,7 @@ export function useOperate() {
     defaultValue: DEFAULT_PACE_RATIO,
   });
   const [throwId, setThrowId] = useState<string | null>(null);
-  const thrown = useLive((live) => (throwId === null ? null : (live.throws[throwId] ?? null)));
+  const thrown = useThrow(throwId);
   const [isMarking, setMarking] = useState(false);
   const refusal = useLive((live) => (machineId ? (live.targetRefusals[machineId] ?? "") : ""));
   const aim = useTarget(machineId);

@@ -7,19 +7,20 @@
 import type { ServerEvent } from "./live";
 
 /** What this console knows; a newer server may say more. */
-const EVENT_KINDS: ReadonlySet<ServerEvent["kind"]> = new Set([
-  "machine.state",
-  "machine.lost",
-  "lease.changed",
-  "target.proposed",
-  "point.picked",
-  "plan.updated",
-  "throw.updated",
-  "gap.updated",
-  "twin.updated",
-  "site.updated",
-  "alert",
-] as const);
+const EVENT_KINDS: Record<ServerEvent["kind"], true> = {
+  "machine.state": true,
+  "machine.lost": true,
+  "lease.changed": true,
+  "target.proposed": true,
+  "point.picked": true,
+  "plan.updated": true,
+  "throw.updated": true,
+  "gap.updated": true,
+  "twin.updated": true,
+  "site.updated": true,
+  "zones.updated": true,
+  alert: true,
+};
 
 const FIRST_RETRY_MS = 500;
 const LAST_RETRY_MS = 5000;
@@ -98,7 +99,7 @@ export class EventStream {
   private deliver(text: string): void {
     this.callbacks.onData();
     for (const event of JSON.parse(text) as ServerEvent[]) {
-      if (EVENT_KINDS.has(event.kind)) this.callbacks.onEvent(event);
+      if (Object.hasOwn(EVENT_KINDS, event.kind)) this.callbacks.onEvent(event);
     }
   }
 

@@ -42,6 +42,8 @@ export type Live = {
   leaseNews: Readonly<Record<string, Schema["LeaseChangedEvent"]>>;
   alerts: readonly Alert[];
   isLoaded: boolean;
+  /** How often everything was read anew, because events may have been missed. */
+  resync_count: number;
 };
 
 export type LiveAction =
@@ -65,6 +67,7 @@ export const EMPTY_LIVE: Live = {
   leaseNews: {},
   alerts: [],
   isLoaded: false,
+  resync_count: 0,
 };
 
 const ALERT_LIMIT = 20;
@@ -92,6 +95,7 @@ export function reduceLive(live: Live, action: LiveAction): Live {
       return {
         ...live,
         isLoaded: true,
+        resync_count: live.resync_count + 1,
         // News of runs may have been missed: what is asked anew counts.
         gapRuns: {},
         machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, quiet(m)])),

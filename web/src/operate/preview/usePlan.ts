@@ -10,6 +10,8 @@ import { pointKey, type Target } from "../target/target";
 const SETTLE_MS = 250;
 const ROLLOUT_COUNT = 200;
 
+/** The plan that was asked for, and the facts it was asked for with; null once it was thrown. */
+type Asked = { planId: string; key: string | null };
 type Wish = { machineId: string; mode: "2d" | "3d"; target: Target; pace_ratio: number };
 
 async function requestPlan({ machineId, mode, target, pace_ratio }: Wish): Promise<Plan> {
@@ -37,29 +39,37 @@ export function usePlan(
   pace_ratio: number,
   isWanted: boolean,
 ) {
-  const [planId, setPlanId] = useState<string | null>(null);
+  const [asked, setAsked] = useState<Asked | null>(null);
   const [error, setError] = useState<string | null>(null);
   const [round, setRound] = useState(0);
   const latest = useRef(0);
-  const plan = useLive((live) => (planId === null ? null : (live.plans[planId] ?? null)));
-
   const machineId = machine?.machine_id ?? null;
   const policy = machine?.reach.modes.find((other) => other.mode === mode)?.policy_sha256 ?? null;
   // What was refused because the gripper was empty is previewed anew once it is not.
   const isLoaded = machine?.state?.payload_held ?? false;
   // A plan knows what stood around the machine: it cannot be armed once that was changed.
   const site = useLive((live) => (machineId ? live.sites[machineId]?.version_count : 0)) ?? 0;
+  const zones = useLive((live) => (machineId ? live.zones[machineId]?.active_sha256 : "")) ?? "";
   const key =
     target && machineId && policy
-      ? [machineId, mode, policy, isLoaded, site, pace_ratio, pointKey(target), round].join(" ")
+      ? [machineId, mode, policy, isLoaded, site, zones, pace_ratio, pointKey(target), round].join(
+          " ",
+        )
       : null;
+  // A plan for other facts is none, from the first picture on: the hold button must not offer it.
+  const planId = asked && (!isWanted || asked.key === key) ? asked.planId : null;
+  const plan = useLive((live) => (planId === null ? null : (live.plans[planId] ?? null)));
   const wish = useRef<Wish | null>(null);
   wish.current = target && machineId ? { machineId, mode, target, pace_ratio } : null;
 
   useEffect(() => {
     const ticket = ++latest.current;
-    if (!isWanted) return;
-    setPlanId(null);
+    if (!isWanted) {
+      // Shown while it is thrown and after; no plan is thrown twice.
+      setAsked((old) => old && { ...old, key: null });
+      return;
+    }
+    setAsked(null);
     setError(null);
     if (key === null) return;
     const timer = setTimeout(async () => {
@@ -68,7 +78,7 @@ export function usePlan(
         const fresh = await requestPlan(wish.current);
         if (ticket !== latest.current) return;
         dispatchLive({ kind: "plan", plan: fresh });
-        setPlanId(fresh.plan_id);
+        setAsked({ planId: fresh.plan_id, key });
       } catch (problem) {
         if (ticket === latest.current) setError(errorWords(problem));
       }
@@ -77,8 +87,10 @@ export function usePlan(
   }, [key, isWanted]);
 
   const estimate = useEstimate(plan, `${machineId} ${mode} ${pace_ratio}`);
-  useExpiry(plan, isWanted, () => setRound((value) => value + 1));
-  return { plan, estimate, error, again: () => setRound((value) => value + 1) };
+  const again = () => setRound((value) => value + 1);
+  useExpiry(plan, isWanted, again);
+  useMissedNews(plan, isWanted, again);
+  return { plan, estimate, error, again };
 }
 
 /**
@@ -103,4 +115,18 @@ function useExpiry(plan: Plan | null, isWanted: boolean, renew: () => void): voi
     const timer = setTimeout(() => renewNow.current(), Math.min(wait_ms, 2 ** 31 - 1));
     return () => clearTimeout(timer);
   }, [expires]);
+}
+
+/** News of a plan may be missed while the events are cut: one that is not complete is previewed anew. */
+function useMissedNews(plan: Plan | null, isWanted: boolean, renew: () => void): void {
+  const resyncs = useLive((live) => live.resync_count);
+  const seen = useRef(resyncs);
+  const latest = useRef({ plan, isWanted, renew });
+  latest.current = { plan, isWanted, renew };
+  useEffect(() => {
+    if (resyncs === seen.current) return;
+    seen.current = resyncs;
+    const now = latest.current;
+    if (now.isWanted && now.plan?.state === "previewing") now.renew();
+  }, [resyncs]);
 }

@@ -1,0 +1,120 @@
+"""What the pointer says beside a click for a target: drag the target, click where the load came down."""
+
+import contextlib
+import re
+from collections.abc import Callable
+
+from playwright.sync_api import Page, expect
+
+from tests.e2e.operator_page import (
+    click_until,
+    open_step,
+    sign_in,
+    take_control,
+    throw_until_landed,
+)
+from tests.e2e.stack import Stack
+
+GROUND = (0.45, 0.8)
+"""Open ground within reach in the 3D view of a page of 1024 by 768, as a share of it."""
+DRAG_PX = (60.0, 20.0)
+POSITIVE = re.compile(r"^0?\.\d+$|^[1-9]\d*(\.\d+)?$")
+
+
+COUNT_ESTIMATES = """() => {
+  window.estimates = 0;
+  const count = () => {
+    if (document.querySelector('[data-testid="estimate"]')) window.estimates += 1;
+  };
+  new MutationObserver(count).observe(document.body, { subtree: true, childList: true });
+}"""
+
+
+def _polar(page: Page) -> tuple[str, str]:
+    return (
+        page.get_by_label("Range, m").input_value(),
+        page.get_by_label("Azimuth, °").input_value(),
+    )
+
+
+def _drag(page: Page, start: tuple[float, float]) -> None:
+    """Drag the target and keep it held; again where the picture hung and it was not taken hold of."""
+    before = page.get_by_label("Range, m").input_value()
+    for _ in range(4):
+        page.mouse.move(*start)
+        page.mouse.down()
+        page.mouse.move(start[0] + DRAG_PX[0], start[1] + DRAG_PX[1], steps=12)
+        with contextlib.suppress(AssertionError):
+            expect(page.get_by_label("Range, m")).not_to_have_value(before, timeout=15_000.0)
+            return
+        page.mouse.up()
+    raise AssertionError("four drags and the target stayed")
+
+
+def test_the_target_is_dragged_and_its_ellipse_follows(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    sign_in(page, demo)
+    take_control(page)
+    panel = page.get_by_role("complementary")
+    preview = panel.get_by_role("button", name="2 Preview", expanded=True)
+    at = click_until(page, GROUND, preview)
+    numbers = page.get_by_test_id("preview-numbers")
+    # The ellipse from which that of a target nearby is estimated.
+    expect(numbers).to_contain_text("of 200")
+    open_step(page, "Target")
+    before = _polar(page)
+    page.evaluate(COUNT_ESTIMATES)
+
+    _drag(page, at)
+    held = _polar(page)
+    assert held != before
+    page.wait_for_function("window.estimates > 0")
+    page.mouse.move(at[0] - DRAG_PX[0], at[1], steps=12)
+    expect(page.get_by_label("Azimuth, °")).not_to_have_value(held[1])
+    page.mouse.up()
+
+    # Where it was let go it is previewed in full.
+    expect(numbers).to_contain_text("of 200")
+    page.get_by_role("button", name="Give back control").click()
+
+
+def test_an_impact_is_marked_by_click_in_plot_and_view(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    sign_in(page, demo)
+    take_control(page)
+    open_step(page, "Target")
+    page.get_by_label("Range, m").fill("9")
+    page.get_by_label("Azimuth, °").fill("5")
+    page.get_by_label("Azimuth, °").press("Tab")
+    throw_until_landed(page, "key")
+
+    page.get_by_role("button", name="Mark impact").click()
+    form = page.get_by_role("form", name="Mark impact")
+    along, across = form.get_by_label("Long +"), form.get_by_label("Left +")
+    expect(along).not_to_have_value("")
+    plot = form.get_by_role("img", name="Landing around the target")
+    box = plot.bounding_box()
+    assert box is not None
+    # Right of the middle of the plot is long, its upper half is left of the line.
+    plot.click(position={"x": 0.75 * box["width"], "y": 0.25 * box["height"]})
+    expect(along).to_have_value(POSITIVE)
+    expect(across).to_have_value(POSITIVE)
+
+    # Empty, it cannot be saved until the ground was clicked.
+    along.fill("")
+    save = form.get_by_role("button", name="Save as a new record", disabled=False)
+    click_until(page, GROUND, save)
+    along_m, across_m = float(along.input_value()), float(across.input_value())
+    save.click()
+    expect(form).to_have_count(0)
+    shown = page.get_by_test_id("measured-downrange")
+    expect(shown).to_contain_text(f"{abs(along_m):.2f} m")
+    expect(page.get_by_test_id("measured-crossrange")).to_contain_text(f"{abs(across_m):.2f} m")
+    # The click was for the impact: the target stayed.
+    open_step(page, "Target")
+    assert _polar(page) == ("9", "5")
+    page.get_by_role("button", name="Give back control").click()
