@@ -4,6 +4,9 @@ SHELL := /bin/bash
 PYTHON ?= python3
 PORT ?= 8000
 DATA ?= data
+MACHINES ?= 1
+# On a terminal uv shows its progress; in a log it is silent.
+QUIETLY := $(shell [ -t 2 ] || echo --quiet)
 BIN := .venv/bin
 STAMP := build/stamps
 export UV_PYTHON_DOWNLOADS = never
@@ -22,8 +25,8 @@ help:  ## Show this list
 	@.tools/bin/python -m pip --quiet --disable-pip-version-check install 'uv==0.13.9'
 
 $(STAMP)/python: .tools/bin/uv pyproject.toml uv.lock
-	@echo "== installing Python packages into .venv"
-	@.tools/bin/uv sync --frozen --all-extras --quiet
+	@echo "== installing Python packages into .venv (once; 1 to 3 minutes)"
+	@.tools/bin/uv sync --frozen --all-extras $(QUIETLY)
 	@mkdir -p $(@D) && touch $@
 
 setup: $(STAMP)/python  ## Python environment with the command .venv/bin/downrange
@@ -34,10 +37,11 @@ runtime: .tools/bin/uv  ## Only what a machine's computer needs: .venv/bin/downr
 
 WEB_SOURCES := $(shell find web -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 $(STAMP)/web: $(STAMP)/python $(WEB_SOURCES)
-	@echo "== building the console (web/dist)"
+	@echo "== installing the console's packages into web/node_modules (once; about a minute)"
 	@# Not `npm ci`: it refuses a lock file from a registry that leaves out other platforms' packages.
 	@$(BIN)/python scripts/node.py npm --prefix web install --no-save --no-audit --no-fund --loglevel=error
-	@$(BIN)/python scripts/node.py npm --prefix web run --silent build
+	@echo "== building the console into web/dist"
+	@$(BIN)/python scripts/node.py npm --prefix web run --silent build -- --logLevel warn
 	@mkdir -p $(@D) && touch $@
 
 web: $(STAMP)/web  ## Build the console
@@ -47,8 +51,9 @@ $(STAMP)/browser: $(STAMP)/python
 	@mkdir -p $(@D) && touch $@
 
 # --- use ------------------------------------------------------------------------------------------
-demo: $(STAMP)/python $(STAMP)/web  ## Server, virtual machine and console: make demo PORT=8000 DATA=data
-	@$(BIN)/downrange demo --port $(PORT) --data $(DATA)
+demo: $(STAMP)/python $(STAMP)/web  ## Server, virtual machines and console: make demo PORT=8000 DATA=data MACHINES=1
+	@echo "== starting the demo"
+	@$(BIN)/downrange demo --port $(PORT) --data $(DATA) --machines $(MACHINES)
 
 # --- checks ---------------------------------------------------------------------------------------
 lint: $(STAMP)/python

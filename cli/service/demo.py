@@ -1,4 +1,4 @@
-"""`downrange demo`: server, router, console and one virtual machine on this computer, ready to throw."""
+"""`downrange demo`: server, router, console and virtual machines on this computer, ready to throw."""
 
 import os
 import signal
@@ -20,7 +20,6 @@ from machine.site.objects import SiteKind, SiteObject
 from server.accounts.accounts import FIRST_LOGIN_FILE
 from server.serve import open_socket
 
-MACHINE_ID = "m001"
 DEMO_SITE = (
     SiteObject(
         name="truck bed",
@@ -47,6 +46,8 @@ DEMO_SITE = (
 READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 8.0
 RESTART_PAUSE_S = 1.0
+MOST_MACHINES = 9
+"""Each takes about a fifth of a core."""
 
 
 @dataclass
@@ -131,38 +132,72 @@ def _connected_count(health_url: str) -> int:
         return -1
 
 
-def _machine_arguments(
-    data: Path, policies: Path, port: int, link_port: int, unit_seed: int
-) -> list[str]:
-    machines = data / "machines"
-    return [
-        *(
-            "machine",
-            "--driver",
-            "virtual",
-            "--machine-id",
-            MACHINE_ID,
-            "--unit-seed",
-            str(unit_seed),
-        ),
-        *("--connect", f"tcp/127.0.0.1:{link_port}", "--data", str(data / MACHINE_ID)),
-        *("--password-file", str(machines / f"{MACHINE_ID}.password")),
-        *("--calibration", str(machines / f"{MACHINE_ID}.calibration.json")),
-        *("--policies", str(policies), "--server-url", f"http://127.0.0.1:{port}"),
+@dataclass(frozen=True)
+class Place:
+    """Where the demo runs: its folders and ports."""
+
+    data: Path
+    policies: Path
+    port: int
+    link_port: int
+
+    @property
+    def machines(self) -> Path:
+        """Folder of passwords, profiles, calibrations and sites."""
+        return self.data / "machines"
+
+
+def _server(place: Place) -> Child:
+    return _child(
+        "server",
+        place.data,
+        [
+            *("server", "--host", "127.0.0.1", "--port", str(place.port)),
+            *("--data", str(place.data), "--policies", str(place.policies)),
+        ],
+        {
+            "DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{place.link_port}",
+            "DOWNRANGE_DATABASE_UPGRADE": "1",
+        },
+    )
+
+
+def _machine(place: Place, machine_id: str, unit_seed: int) -> Child:
+    own = place.machines / machine_id
+    arguments = [
+        *("machine", "--driver", "virtual"),
+        *("--machine-id", machine_id, "--unit-seed", str(unit_seed)),
+        *("--connect", f"tcp/127.0.0.1:{place.link_port}", "--data", str(place.data / machine_id)),
+        *("--password-file", f"{own}.password", "--calibration", f"{own}.calibration.json"),
+        *("--policies", str(place.policies), "--server-url", f"http://127.0.0.1:{place.port}"),
     ]
+    return _child(machine_id, place.data, arguments, {})
 
 
-def _watch(server: Child, machine: Child, data: Path) -> int:
+def _measure(place: Place, machine_id: str, unit_seed: int) -> None:
+    """Commission a virtual machine that is new here, and put the demo's objects around it."""
+    if (place.machines / f"{machine_id}.profile.json").is_file():
+        return
+    print(f"== first start: measuring the virtual machine {machine_id}", flush=True)
+    calibrate_machine(
+        out=place.machines, unit_seed=unit_seed, machine_id=machine_id, policies=place.policies
+    )
+    site = SITE.dump_json(DEMO_SITE, indent=2)
+    (place.machines / f"{machine_id}.site.json").write_bytes(site)
+
+
+def _watch(server: Child, machines: list[Child], data: Path) -> int:
     """Run until the server ends; a machine that ends is started again, as its supervisor would."""
     while True:
         time.sleep(0.3)
         if server.has_ended():
             print(f"the server ended; its log says:\n{_log_tail(data, 'server')}", file=sys.stderr)
             return 1
-        if machine.has_ended():
-            print("the virtual machine ended; starting it again", file=sys.stderr, flush=True)
-            time.sleep(RESTART_PAUSE_S)
-            machine.start()
+        for machine in machines:
+            if machine.has_ended():
+                print(f"{machine.name} ended; starting it again", file=sys.stderr, flush=True)
+                time.sleep(RESTART_PAUSE_S)
+                machine.start()
 
 
 def run(
@@ -171,55 +206,58 @@ def run(
     data: Path = Path("data"),
     policies: Path = Path("policies"),
     unit_seed: int = 0,
+    machines: int = 1,
 ) -> int:
     """Run everything on this computer and print the address and the login; Ctrl-C ends it.
 
-    The first start measures the virtual machine's valves and response, as one would on a new machine.
+    The first start measures the virtual machines' valves and response, as one would on new machines.
 
     Args:
         port: of the console; 0 takes a free one.
         data: folder of database, throw logs, secrets and logs; kept between runs.
         policies: folder of policy versions.
-        unit_seed: which machine of its kind the virtual machine is; 0 is the nominal one.
+        unit_seed: which machine of its kind the first virtual machine is; 0 is the nominal one.
+        machines: how many virtual machines, 1 to 9: m001, m002 ...; each is another of its kind.
+
+    Raises:
+        UsageError: a count outside its range, a taken port, or a part that does not come up.
     """
+    if not 1 <= machines <= MOST_MACHINES:
+        raise UsageError(f"--machines is {machines}; 1 to {MOST_MACHINES} fit on one computer.")
     port = port or _free_port()
     open_socket("127.0.0.1", port).close()
-    data, policies = data.resolve(), policies.resolve()
-    link_port = _free_port()
-    server = _child(
-        "server",
-        data,
-        [
-            *("server", "--host", "127.0.0.1", "--port", str(port)),
-            *("--data", str(data), "--policies", str(policies)),
-        ],
-        {"DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{link_port}", "DOWNRANGE_DATABASE_UPGRADE": "1"},
-    )
-    machine = _child(
-        "machine", data, _machine_arguments(data, policies, port, link_port, unit_seed), {}
-    )
+    place = Place(data.resolve(), policies.resolve(), port, _free_port())
+    units = {f"m{number + 1:03d}": unit_seed + number for number in range(machines)}
     signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
+    children: list[Child] = []
     try:
-        if not (data / "machines" / f"{MACHINE_ID}.profile.json").is_file():
-            print("first start: measuring the virtual machine", flush=True)
-            calibrate_machine(
-                out=data / "machines",
-                unit_seed=unit_seed,
-                machine_id=MACHINE_ID,
-                policies=policies,
-            )
-            site = SITE.dump_json(DEMO_SITE, indent=2)
-            (data / "machines" / f"{MACHINE_ID}.site.json").write_bytes(site)
+        for machine_id, unit in units.items():
+            _measure(place, machine_id, unit)
+        server = _server(place)
+        children = [_machine(place, machine_id, unit) for machine_id, unit in units.items()]
+        print("== starting the server", flush=True)
         server.start()
-        password = data / "machines" / f"{MACHINE_ID}.password"
-        _wait_for(server, data, "the machine's account", password.is_file)
-        machine.start()
+        children.append(server)
+        passwords = [place.machines / f"{machine_id}.password" for machine_id in units]
+        _wait_for(
+            server,
+            place.data,
+            "the machines' accounts",
+            lambda: all(p.is_file() for p in passwords),
+        )
+        names = " ".join(units)
+        print(f"== starting the virtual machine{'s' if machines > 1 else ''} {names}", flush=True)
+        for child in children[:-1]:
+            child.start()
         health_url = f"http://127.0.0.1:{port}/api/v1/health"
-        _wait_for(server, data, "the virtual machine", lambda: _connected_count(health_url) > 0)
+        _wait_for(server, place.data, names, lambda: _connected_count(health_url) >= machines)
         print(f"\nDownrange is at http://127.0.0.1:{port}\n")
-        print((data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
-        print(f"\nlogs: {data / 'logs'}   Ctrl-C ends it", flush=True)
-        return _watch(server, machine, data)
+        print((place.data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
+        print(f"\nlogs: {place.data / 'logs'}   Ctrl-C ends it", flush=True)
+        return _watch(server, children[:-1], place.data)
+    except KeyboardInterrupt:
+        print("\nThe demo has ended. `make demo` starts it again with the same data.", flush=True)
+        return 0
     finally:
-        machine.stop()
-        server.stop()
+        for child in children:
+            child.stop()
