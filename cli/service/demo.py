@@ -133,8 +133,8 @@ def _connected_count(health_url: str) -> int:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the demo runs: its folders and ports."""
+class DemoSetup:
+    """Folders and ports of the demo."""
 
     data: Path
     policies: Path
@@ -147,43 +147,43 @@ class Place:
         return self.data / "machines"
 
 
-def _server(place: Place) -> Child:
+def _server(setup: DemoSetup) -> Child:
     return _child(
         "server",
-        place.data,
+        setup.data,
         [
-            *("server", "--host", "127.0.0.1", "--port", str(place.port)),
-            *("--data", str(place.data), "--policies", str(place.policies)),
+            *("server", "--host", "127.0.0.1", "--port", str(setup.port)),
+            *("--data", str(setup.data), "--policies", str(setup.policies)),
         ],
         {
-            "DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{place.link_port}",
+            "DOWNRANGE_LINK_LISTEN": f"tcp/127.0.0.1:{setup.link_port}",
             "DOWNRANGE_DATABASE_UPGRADE": "1",
         },
     )
 
 
-def _machine(place: Place, machine_id: str, unit_seed: int) -> Child:
-    own = place.machines / machine_id
+def _machine(setup: DemoSetup, machine_id: str, unit_seed: int) -> Child:
+    own = setup.machines / machine_id
     arguments = [
         *("machine", "--driver", "virtual"),
         *("--machine-id", machine_id, "--unit-seed", str(unit_seed)),
-        *("--connect", f"tcp/127.0.0.1:{place.link_port}", "--data", str(place.data / machine_id)),
+        *("--connect", f"tcp/127.0.0.1:{setup.link_port}", "--data", str(setup.data / machine_id)),
         *("--password-file", f"{own}.password", "--calibration", f"{own}.calibration.json"),
-        *("--policies", str(place.policies), "--server-url", f"http://127.0.0.1:{place.port}"),
+        *("--policies", str(setup.policies), "--server-url", f"http://127.0.0.1:{setup.port}"),
     ]
-    return _child(machine_id, place.data, arguments, {})
+    return _child(machine_id, setup.data, arguments, {})
 
 
-def _measure(place: Place, machine_id: str, unit_seed: int) -> None:
+def _measure(setup: DemoSetup, machine_id: str, unit_seed: int) -> None:
     """Commission a virtual machine that is new here, and put the demo's objects around it."""
-    if (place.machines / f"{machine_id}.profile.json").is_file():
+    if (setup.machines / f"{machine_id}.profile.json").is_file():
         return
     print(f"== first start: measuring the virtual machine {machine_id}", flush=True)
     calibrate_machine(
-        out=place.machines, unit_seed=unit_seed, machine_id=machine_id, policies=place.policies
+        out=setup.machines, unit_seed=unit_seed, machine_id=machine_id, policies=setup.policies
     )
     site = SITE.dump_json(DEMO_SITE, indent=2)
-    (place.machines / f"{machine_id}.site.json").write_bytes(site)
+    (setup.machines / f"{machine_id}.site.json").write_bytes(site)
 
 
 def _watch(server: Child, machines: list[Child], data: Path) -> int:
@@ -226,22 +226,22 @@ def run(
         raise UsageError(f"--machines is {machines}; 1 to {MOST_MACHINES} fit on one computer.")
     port = port or _free_port()
     open_socket("127.0.0.1", port).close()
-    place = Place(data.resolve(), policies.resolve(), port, _free_port())
+    setup = DemoSetup(data.resolve(), policies.resolve(), port, _free_port())
     units = {f"m{number + 1:03d}": unit_seed + number for number in range(machines)}
     signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
     children: list[Child] = []
     try:
         for machine_id, unit in units.items():
-            _measure(place, machine_id, unit)
-        server = _server(place)
-        children = [_machine(place, machine_id, unit) for machine_id, unit in units.items()]
+            _measure(setup, machine_id, unit)
+        server = _server(setup)
+        children = [_machine(setup, machine_id, unit) for machine_id, unit in units.items()]
         print("== starting the server", flush=True)
         server.start()
         children.append(server)
-        passwords = [place.machines / f"{machine_id}.password" for machine_id in units]
+        passwords = [setup.machines / f"{machine_id}.password" for machine_id in units]
         _wait_for(
             server,
-            place.data,
+            setup.data,
             "the machines' accounts",
             lambda: all(p.is_file() for p in passwords),
         )
@@ -250,11 +250,11 @@ def run(
         for child in children[:-1]:
             child.start()
         health_url = f"http://127.0.0.1:{port}/api/v1/health"
-        _wait_for(server, place.data, names, lambda: _connected_count(health_url) >= machines)
+        _wait_for(server, setup.data, names, lambda: _connected_count(health_url) >= machines)
         print(f"\nDownrange is at http://127.0.0.1:{port}\n")
-        print((place.data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
-        print(f"\nlogs: {place.data / 'logs'}   Ctrl-C ends it", flush=True)
-        return _watch(server, children[:-1], place.data)
+        print((setup.data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
+        print(f"\nlogs: {setup.data / 'logs'}   Ctrl-C ends it", flush=True)
+        return _watch(server, children[:-1], setup.data)
     except KeyboardInterrupt:
         print("\nThe demo has ended. `make demo` starts it again with the same data.", flush=True)
         return 0
