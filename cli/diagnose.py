@@ -19,6 +19,8 @@ from diagnosis.single_stage.csv_diagnosis import (
     diagnose_swing_csv,
 )
 from diagnosis.single_stage.flight_problem import BallProperties
+from diagnosis.tables.cells import Decimal
+from diagnosis.tables.table import ReadOptions
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
@@ -95,6 +97,8 @@ def actuation(
     velocity: str | None = None,
     group: str | None = None,
     kind: Literal["auto", "speed", "position"] = "auto",
+    decimal: Literal["auto", "point", "comma"] = "auto",
+    missing: str = "",
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -118,11 +122,21 @@ def actuation(
         velocity: column of velocities, if there is no position.
         group: column that separates runs; a restart of time does so too.
         kind: whether a constant command means a constant speed or a position; auto tries both.
+        decimal: sign before the decimals, if the cells leave it open.
+        missing: cells that stand for no value, separated by commas.
         json: file for the whole result.
         html: file for the report.
     """
     found = diagnose_actuation_csv(
-        file, time, command, position, velocity, group, kind, _progress_printer()
+        file,
+        time,
+        command,
+        position,
+        velocity,
+        group,
+        kind,
+        _progress_printer(),
+        _options(decimal, missing),
     )
     return _finish(found, json, html, f"Actuation, {file.name}")
 
@@ -138,6 +152,8 @@ def swing(
     angle_unit: Literal["auto", "rad", "deg"] = "auto",
     fps: float | None = None,
     counts_per_turn: float | None = None,
+    decimal: Literal["auto", "point", "comma"] = "auto",
+    missing: str = "",
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -160,12 +176,23 @@ def swing(
         angle_unit: unit of the angle; auto takes the column's name, or degrees beyond 2 pi.
         fps: frames a second, when the times are frame numbers of a film.
         counts_per_turn: of an encoder, when the angle is in counts.
+        decimal: sign before the decimals, if the cells leave it open.
+        missing: cells that stand for no value, separated by commas.
         json: file for the whole result.
         html: file for the report.
     """
     _check_positive(fps=fps, counts_per_turn=counts_per_turn)
     found = diagnose_swing_csv(
-        file, time, angle, group, length_m, angle_unit, fps, counts_per_turn, _progress_printer()
+        file,
+        time,
+        angle,
+        group,
+        length_m,
+        angle_unit,
+        fps,
+        counts_per_turn,
+        _progress_printer(),
+        _options(decimal, missing),
     )
     return _finish(found, json, html, f"Swing, {file.name}")
 
@@ -183,6 +210,8 @@ def flight(
     diameter_m: float | None = None,
     length_unit: Literal["auto", "m", "cm", "mm", "ft", "in", "yd", "px"] = "auto",
     fps: float | None = None,
+    decimal: Literal["auto", "point", "comma"] = "auto",
+    missing: str = "",
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -207,6 +236,8 @@ def flight(
         diameter_m: of the ball.
         length_unit: of the positions; auto takes the columns' names. px takes the scale from gravity.
         fps: frames a second, when the times are frame numbers of a film.
+        decimal: sign before the decimals, if the cells leave it open.
+        missing: cells that stand for no value, separated by commas.
         json: file for the whole result.
         html: file for the report.
     """
@@ -224,9 +255,21 @@ def flight(
         else BallProperties(mass_kg, diameter_m)
     )
     found = diagnose_flight_csv(
-        file, time, axes, group, ball, length_unit, fps, _progress_printer()
+        file,
+        time,
+        axes,
+        group,
+        ball,
+        length_unit,
+        fps,
+        _progress_printer(),
+        _options(decimal, missing),
     )
     return _finish(found, json, html, f"Flight, {file.name}")
+
+
+def _options(decimal: Decimal, missing: str) -> ReadOptions:
+    return ReadOptions(decimal, tuple(text.strip() for text in missing.split(",") if text.strip()))
 
 
 def _check_positive(**options: float | None) -> None:

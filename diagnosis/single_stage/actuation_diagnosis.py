@@ -18,8 +18,8 @@ from diagnosis.single_stage.actuation_problem import (
 )
 from diagnosis.single_stage.stage_result import StageLabels, build_diagnosis
 from diagnosis.single_stage.structure_selection import Selection, select_structure
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import JointRecord, read_command_scale
-from diagnosis.tables.table import RefusedTableError
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import Array
 

@@ -25,8 +25,8 @@ from diagnosis.single_stage.joint_response import (
     simulate_position,
     simulate_speed,
 )
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import CommandScale, JointRecord
-from diagnosis.tables.table import RefusedTableError
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
 

@@ -17,6 +17,7 @@ from diagnosis.single_stage.flight_diagnosis import diagnose_flight
 from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.single_stage.stage_result import bad_data_diagnosis, combine_diagnoses
 from diagnosis.single_stage.swing_diagnosis import diagnose_swing
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import AngleUnit, are_pixels, metres_per_unit, remove_outliers
 from diagnosis.tables.columns import (
     find_axis_columns,
@@ -31,10 +32,12 @@ from diagnosis.tables.columns import (
 )
 from diagnosis.tables.free_swings import SwingRecord, swing_from_rate
 from diagnosis.tables.joint_record import read_joint_record
+from diagnosis.tables.layouts import MIN_ROWS
+from diagnosis.tables.repairs import find_lost_detections, find_repeated_frames
 from diagnosis.tables.swing_column import find_swing_column
-from diagnosis.tables.table import MIN_ROWS, RefusedTableError, Table, read_table
+from diagnosis.tables.table import DEFAULT_OPTIONS, ReadOptions, Table, read_table
 from diagnosis.tables.time_series import check_rate, clean_series, split_runs, time_in_seconds
-from diagnosis.tables.tracks import FlightRecord, TrackScale
+from diagnosis.tables.tracks import RETIMED_TOLERANCE_RATIO, FlightRecord, TrackScale
 from diagnosis.verdict import Diagnosis
 from machine.conventions import Array, BoolArray, IntArray
 from machine.errors import UsageError
@@ -54,6 +57,7 @@ def diagnose_actuation_csv(
     group: str | None = None,
     kind: CommandKind = "auto",
     progress: Progress | None = None,
+    options: ReadOptions = DEFAULT_OPTIONS,
 ) -> Diagnosis:
     """Diagnose the joints of a CSV file; several columns are separated by commas.
 
@@ -66,6 +70,7 @@ def diagnose_actuation_csv(
         group: column that labels runs; a restart of time also begins a run.
         kind: whether a constant command means a speed or a position; auto tries both.
         progress: called with a line of text at each level of the search.
+        options: what the user says about the cells.
 
     Raises:
         UsageError: commands and outputs do not pair up.
@@ -75,10 +80,11 @@ def diagnose_actuation_csv(
             "give --position or --velocity, not both; the position tells more if it is there"
         )
     try:
-        table = read_table(path)
+        table = read_table(path, options)
         time = find_time_column(table, time)
         is_speed = velocity is not None
-        commands, outputs = split_list(command), split_list(velocity if is_speed else position)
+        commands = split_list(command, table)
+        outputs = split_list(velocity if is_speed else position, table)
         if not commands and not outputs:
             commands, outputs = pair_joint_columns(table)
         commands = commands or [find_command_column(table, time, next(iter(outputs), None))]
@@ -121,6 +127,7 @@ def diagnose_swing_csv(
     fps: float | None = None,
     counts_per_turn: float | None = None,
     progress: Progress | None = None,
+    options: ReadOptions = DEFAULT_OPTIONS,
 ) -> Diagnosis:
     """Diagnose the free swings of one body.
 
@@ -134,9 +141,10 @@ def diagnose_swing_csv(
         fps: frames per second of a video.
         counts_per_turn: of an encoder.
         progress: called with a line of text at each level of the search.
+        options: what the user says about the cells.
     """
     try:
-        table = read_table(path)
+        table = read_table(path, options)
         time = find_time_column(table, time, fps)
         column = find_swing_column(table, time, angle, angle_unit, counts_per_turn)
         if group is None:
@@ -168,6 +176,7 @@ def diagnose_flight_csv(
     length_unit: str = "auto",
     fps: float | None = None,
     progress: Progress | None = None,
+    options: ReadOptions = DEFAULT_OPTIONS,
 ) -> Diagnosis:
     """Diagnose tracked balls.
 
@@ -180,17 +189,18 @@ def diagnose_flight_csv(
         length_unit: m, cm, mm, ft, in, yd, px, or auto: by the columns' names, else m.
         fps: frames per second of a video.
         progress: called with a line of text at each level of the search.
+        options: what the user says about the cells.
     """
     try:
-        table = read_table(path)
+        table = read_table(path, options)
         time = find_time_column(table, time, fps)
         names = list(axes) or find_axis_columns(table)
-        columns = [
-            table.numbers(name) * metres_per_unit(table, name, length_unit) for name in names
-        ]
-        scale = TrackScale(are_pixels(table, names, length_unit), not axes, length_unit == "auto")
+        columns, is_retimed = _read_track(table, names, length_unit)
+        scale = TrackScale(
+            are_pixels(table, names, length_unit), not axes, length_unit == "auto", is_retimed
+        )
         owner, run = find_group_columns(table, [time, *names]) if group is None else (None, None)
-        owner = next(iter(split_list(group)), owner)
+        owner = next(iter(split_list(group, table)), owner)
         group = group or ",".join(name for name in (owner, run) if name is not None) or None
         labels = group_labels(table, group)
         balls = table.labels(owner) if owner else ["ball"] * table.row_count
@@ -229,6 +239,32 @@ def diagnose_flight_csv(
         if progress is not None:
             progress(f"{name}: {found.verdict.value}")
     return combine_diagnoses(parts)
+
+
+def _read_track(table: Table, names: Sequence[str], length_unit: str) -> tuple[list[Array], bool]:
+    """Columns of positions in m, or pixels, and whether frames are repeated.
+
+    They are nan where the tracker lost the body or repeated a frame.
+    """
+    raw = [table.numbers(table.column(name)) for name in names]
+    lost, place = find_lost_detections(raw)
+    repeated = find_repeated_frames(raw)
+    if np.any(lost):
+        table.note(
+            f"{int(np.sum(lost))} rows hold {place:g} in all of {', '.join(names)}: taken as lost, left out"
+        )
+    if np.any(repeated):
+        table.note(
+            f"{int(np.sum(repeated))} rows repeat the place of the row before: frames that are there several "
+            f"times, kept once; the frame rate is doubtful ({RETIMED_TOLERANCE_RATIO:.0%} of gravity are "
+            "allowed for)"
+        )
+    no_value = lost | repeated
+    columns = [
+        np.where(no_value, np.nan, column) * metres_per_unit(table, name, length_unit)
+        for name, column in zip(names, raw, strict=True)
+    ]
+    return columns, bool(np.any(repeated))
 
 
 def _remove_ball_outliers(table: Table, name: str, column: Array, of_ball: BoolArray) -> Array:

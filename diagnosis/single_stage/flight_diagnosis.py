@@ -23,17 +23,18 @@ from diagnosis.single_stage.flight_problem import (
 from diagnosis.single_stage.stage_result import StageLabels, build_diagnosis
 from diagnosis.single_stage.structure_selection import Selection, select_structure
 from diagnosis.single_stage.uncertainty import estimate_correlation_samples
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.consistency import (
     refuse_mixed_length_units,
     refuse_mixed_time_units,
     refuse_motionless,
 )
-from diagnosis.tables.table import RefusedTableError
 from diagnosis.tables.tracks import (
     FlightRecord,
     TrackScale,
     estimate_track_noise,
     falls_freely,
+    falls_impossibly,
     guess_length_unit,
     measure_curvature,
     orient_tracks,
@@ -160,8 +161,10 @@ def diagnose_flight(
     problem = make_flight_problem(usable, ball, scale.tolerance_ratio)
     noise = problem.noise
     if not falls_freely(usable):
-        if _is_in_other_unit(usable, ball) or not _is_explained_by_drag(
-            problem, ("air_drag", "release_delay", "release_spin")
+        if (
+            falls_impossibly(usable)
+            or _is_in_other_unit(usable, ball)
+            or not _is_explained_by_drag(problem, ("air_drag", "release_delay", "release_spin"))
         ):
             refuse_no_free_fall(usable)
         notes.append("drag or lift is as strong as gravity for part of the flight")

@@ -25,6 +25,7 @@ from diagnosis.single_stage.uncertainty import (
     estimate_standard_errors,
     interval_half_width_factor,
 )
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.consistency import find_clipping, refuse_mixed_time_units
 from diagnosis.tables.free_swings import (
     MIN_PERIODS,
@@ -33,7 +34,6 @@ from diagnosis.tables.free_swings import (
     extract_free_swing,
     find_half_periods,
 )
-from diagnosis.tables.table import RefusedTableError
 from diagnosis.verdict import Diagnosis, Stage
 from machine.conventions import GRAVITY_M_PER_S2
 

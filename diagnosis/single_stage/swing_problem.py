@@ -20,8 +20,8 @@ from diagnosis.single_stage.fit_problem import (
     mask_every_third_block,
     number_blocks,
 )
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.free_swings import SwingRecord, estimate_period, find_half_periods
-from diagnosis.tables.table import RefusedTableError
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
 Acceleration = Callable[[Array, Array, Array], Array]

@@ -10,7 +10,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy.ndimage import median_filter
 
-from diagnosis.tables.table import RefusedTableError, Table, says_degrees
+from diagnosis.tables.cells import RefusedTableError
+from diagnosis.tables.table import Table, says_degrees
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray
 

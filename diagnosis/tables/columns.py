@@ -8,13 +8,26 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import LENGTHS_M
-from diagnosis.tables.table import RefusedTableError, Table, says_degrees, split_name
+from diagnosis.tables.table import Table, says_degrees, split_name
 from machine.conventions import Array
 
 TIME_WORDS: Final = (
     *("time", "t", "timestamp", "stamp", "seconds", "sec", "secs", "epoch", "clock", "datetime"),
-    *("date", "millis", "micros", "elapsed", "zeit", "zeitstempel", "temps", "tiempo", "tempo"),
+    *(
+        "date",
+        "millis",
+        "micros",
+        "elapsed",
+        "zeit",
+        "zeitstempel",
+        "datum",
+        "uhrzeit",
+        "temps",
+        "tiempo",
+        "tempo",
+    ),
 )
 """Names of time columns."""
 FRAME_WORDS: Final = ("frame", "frames", "framenumber", "image", "bild")
@@ -25,7 +38,7 @@ EVEN_STEPS_RATIO: Final = 0.98
 """Share of the steps of a time column that must be within 0.3 to 3 times the median step."""
 COMMAND_WORDS: Final = (
     *("command", "cmd", "joystick", "joy", "lever", "valve", "input", "u", "control", "setpoint"),
-    *("pwm", "duty", "throttle", "js", "ansteuerung", "hebel", "ventil", "stellgröße"),
+    *("pwm", "duty", "throttle", "js", "ansteuerung", "hebel", "ventil", "stellgröße", "befehl"),
 )
 """Names of lever and valve commands."""
 REFERENCE_WORDS: Final = (
@@ -37,13 +50,14 @@ REFERENCE_WORDS: Final = (
     "request",
     "goal",
     "soll",
+    "sollwert",
 )
 """Names of reference positions or velocities: the command of a servo, if no lever or valve was logged."""
 FALLBACK_COMMAND_WORDS: Final = ("current", "voltage", "signal", "spannung", "strom")
 """Names of electrical signals, taken as the command if nothing else fits."""
 POSITION_WORDS: Final = (
     *("position", "pos", "angle", "q", "theta", "extension", "encoder", "stroke", "winkel", "weg"),
-    *("displacement", "counts", "hub"),
+    *("displacement", "counts", "hub", "istwert"),
 )
 VELOCITY_WORDS: Final = (
     *("velocity", "vel", "speed", "omega", "qd", "rate", "gyro", "rpm", "dps", "drehzahl"),
@@ -171,8 +185,16 @@ def _find_steady_column(table: Table) -> str:
     if len(frames) == 1:
         raise _make_frame_rate_error(table, frames[0])
     found = [
-        name for name in table.columns if table.is_numeric(name) and _has_even_steps(table, name)
+        name
+        for name in table.columns
+        if table.is_numeric(name) and not _is_motion(table, name) and _has_even_steps(table, name)
     ]
+    paths = [name for name in table.columns if _is_motion(table, name)]
+    if not found and len(paths) > 1:
+        raise RefusedTableError(
+            f"{table.path.name} has no column of times ({', '.join(table.columns)}): a path alone does not "
+            "tell how fast it was. Give --time COLUMN, or --fps if each row is a frame of a film"
+        )
     if len(found) != 1:
         seen = "none goes up steadily" if not found else f"{' and '.join(found)} go up steadily"
         raise RefusedTableError(
@@ -183,9 +205,16 @@ def _find_steady_column(table: Table) -> str:
     return found[0]
 
 
+def _is_motion(table: Table, name: str) -> bool:
+    """Whether a column's name says that it is a place, a velocity or a command."""
+    words = split_name(name)
+    known = (*AXIS_WORDS, *COMMAND_WORDS, *REFERENCE_WORDS, *POSITION_WORDS, *VELOCITY_WORDS)
+    return any(word in known for word in words) or _has_motion_unit(table, name)
+
+
 def _has_even_steps(table: Table, name: str) -> bool:
-    values = table.numbers(name)
-    if np.mean(np.isfinite(values)) < EVEN_STEPS_RATIO:
+    values = table.values_if_numeric(name)
+    if values is None or np.mean(np.isfinite(values)) < EVEN_STEPS_RATIO:
         return False
     steps: Array = np.diff(values)
     typical = float(np.nanmedian(steps))
@@ -193,16 +222,28 @@ def _has_even_steps(table: Table, name: str) -> bool:
     return typical > 0.0 and float(np.mean(good)) > EVEN_STEPS_RATIO
 
 
-def split_list(names: str | None) -> list[str]:
-    """Column names from a comma-separated list."""
-    return [] if names is None else [name.strip() for name in names.split(",") if name.strip()]
+def split_list(names: str | None, table: Table | None = None) -> list[str]:
+    """Column names from a comma-separated list; commas within a column's own name do not separate."""
+    parts = [] if names is None else [name.strip() for name in names.split(",") if name.strip()]
+    own = {} if table is None else {_squeeze(name): name for name in table.columns if "," in name}
+    found: list[str] = []
+    while parts:
+        joined = {k: _squeeze(",".join(parts[:k])) for k in range(len(parts), 0, -1)}
+        size = next((k for k, text in joined.items() if text in own), 1)
+        found.append(own.get(joined[size], parts[0]))
+        parts = parts[size:]
+    return found
+
+
+def _squeeze(name: str) -> str:
+    return ",".join(part.strip().lower() for part in name.split(","))
 
 
 def group_labels(table: Table, group: str | None) -> list[str]:
     """Labels of the runs, (rows,); without a group all rows have the same label."""
     if group is None:
         return [""] * table.row_count
-    columns = [table.labels(name) for name in split_list(group)]
+    columns = [table.labels(name) for name in split_list(group, table)]
     return [", ".join(texts) for texts in zip(*columns, strict=True)]
 
 

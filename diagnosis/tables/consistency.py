@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.tables.table import RefusedTableError
+from diagnosis.tables.cells import RefusedTableError
 from machine.conventions import Array, BoolArray
 
 MIXED_PERIODS_RATIO: Final = 100.0

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.consistency import find_clipping
-from diagnosis.tables.table import RefusedTableError
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
 

@@ -9,8 +9,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from diagnosis.loading.clock_audit import ClockAudit
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import joint_output_in_si
-from diagnosis.tables.table import MIN_ROWS, RefusedTableError, Table
+from diagnosis.tables.layouts import MIN_ROWS
+from diagnosis.tables.table import Table
 from diagnosis.tables.time_series import (
     MAX_MISSING_RATIO,
     audit_times,
@@ -35,6 +37,8 @@ FULL_SCALES: Final = {
     **dict.fromkeys((127.0, 255.0, 1023.0, 1024.0, 32767.0), 0.9),
 }
 """Full scale of usual levers, bus signals and duty cycles, and the share of it that a record must reach."""
+MIN_PERCENT: Final = 5.0
+"""Largest command of a column in percent below which it holds parts of 1 in spite of its unit."""
 RESTING_RATIO: Final = 0.3
 """Largest speed at rest, as a share of the top speed."""
 
@@ -243,7 +247,7 @@ def read_command_scale(
 
 def _find_full(largest: float, words: tuple[str, ...]) -> float:
     """The nominal full scale if the largest command comes near it, else the largest command."""
-    if {"pct", "percent"} & set(words) and largest <= 100.0:
+    if {"pct", "percent"} & set(words) and MIN_PERCENT <= largest <= 100.0:
         return 100.0
     for end, ratio in FULL_SCALES.items():
         if ratio * end <= largest <= end:

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import (
     AngleUnit,
     angle_in_radians,
@@ -17,7 +18,7 @@ from diagnosis.tables.column_units import (
     remove_outliers,
 )
 from diagnosis.tables.columns import find_axis_columns, is_angular_rate
-from diagnosis.tables.table import RefusedTableError, Table
+from diagnosis.tables.table import Table
 from machine.conventions import Array
 
 ANGLE_WORDS: Final = (

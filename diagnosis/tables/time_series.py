@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 
 from diagnosis.loading.clock_audit import ClockAudit, audit_clock
-from diagnosis.tables.table import MIN_ROWS, RefusedTableError, Table
+from diagnosis.tables.cells import RefusedTableError
+from diagnosis.tables.layouts import MIN_ROWS
+from diagnosis.tables.table import Table
 from machine.conventions import Array, IntArray
 
 MIN_RATE_HZ: Final = 8.0
@@ -23,6 +25,10 @@ MAX_MISSING_RATIO: Final = 0.3
 """Largest share of missing values."""
 CONTINUOUS_RATIO: Final = 0.5
 """Share of command changes followed by another in the next row above which a command moves continuously."""
+UNIT_CHANGE_BLOCKS: Final = 10
+"""Parts of a record whose sample periods are compared."""
+UNIT_CHANGE_TOLERANCE_RATIO: Final = 0.25
+"""Deviation of the ratio of two sample periods from a power of 1000, up to which the unit of time changed."""
 HOLE_PERIODS: Final = 3.5
 """A step longer than this many median steps is a gap."""
 TIME_UNITS: Final[Mapping[str, float]] = {
@@ -56,6 +62,7 @@ def time_in_seconds(table: Table, name: str) -> Array:
             f"the times in column {name!r} never increase (all {finite[0]:.6g}): constant channel. "
             "Choose the time column"
         )
+    _refuse_change_of_unit(name, steps)
     period = float(np.median(steps))
     named = [unit for unit in TIME_UNITS if table.words(name)[-1:] == [unit]]
     if named:
@@ -72,6 +79,24 @@ def time_in_seconds(table: Table, name: str) -> Array:
         factor = 1e-9
         table.notes.append(f"times in {name!r} taken as nanoseconds (median step {period:.4g})")
     return (values - finite[0]) * factor
+
+
+def _refuse_change_of_unit(name: str, steps: Array) -> None:
+    """Refuse a time column whose steps grow or shrink a thousandfold, as from s to ms.
+
+    Raises:
+        RefusedTableError: the unit changes.
+    """
+    parts = [part for part in np.array_split(steps, UNIT_CHANGE_BLOCKS) if part.size]
+    periods = [float(np.median(part)) for part in parts]
+    ratio = max(periods) / min(periods)
+    power = round(math.log(ratio, 1000.0))
+    if power > 0 and abs(ratio / 1000.0**power - 1.0) < UNIT_CHANGE_TOLERANCE_RATIO:
+        raise RefusedTableError(
+            f"the times in column {name!r} go on in steps of {min(periods):.3g} in one part of the file and "
+            f"of {max(periods):.3g} in another: their unit changes (s and ms?). Write one unit in all rows, "
+            "or one file a recording"
+        )
 
 
 def check_rate(audit: ClockAudit, what: str, min_rate_hz: float = MIN_RATE_HZ) -> None:

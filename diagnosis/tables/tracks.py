@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
-from diagnosis.tables.table import RefusedTableError
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import GRAVITY_M_PER_S2, Array
 
@@ -28,12 +29,16 @@ LAUNCH_ENERGY_RATIO: Final = 0.25
 """Gain of energy, as a share of the largest kinetic energy, above which a launch is in the record."""
 SCALE_TOLERANCE_RATIO: Final = 0.02
 """Allowed error of a length scale."""
+RETIMED_TOLERANCE_RATIO: Final = 0.1
+"""Allowed error of gravity in a film that was converted to another frame rate: 5 % of the rate, squared."""
 PIXEL_TOLERANCE_RATIO: Final = 0.25
 """Allowed error of a scale taken from gravity; drag bends the parabola from which it is read."""
 UNITS_PER_METRE: Final = ((1000.0, "mm"), (100.0, "cm"), (1.0 / 0.3048, "feet"))
 """Units per metre, and their names."""
 SLOW_MOTION_RATIO: Final = 0.3
 """Share of gravity below which a video may be in slow motion."""
+MAX_FALL_RATIO: Final = 6.0
+"""Largest initial fall in gravities: a table-tennis ball with full topspin reaches about 4."""
 MAX_FLIGHT_ROWS: Final = 150
 """Longer flights are averaged down to at most this many rows."""
 
@@ -54,11 +59,15 @@ class TrackScale(NamedTuple):
     """Whether the axes were guessed, so that another one may be the vertical."""
     may_convert_unit: bool = False
     """Whether no unit was given, so that gravity may identify mm and cm."""
+    is_retimed: bool = False
+    """Whether the film repeats frames, so that its frame rate, and with it gravity, is doubtful."""
 
     @property
     def tolerance_ratio(self) -> float:
         """Allowed error of the length scale."""
-        return PIXEL_TOLERANCE_RATIO if self.are_pixels else SCALE_TOLERANCE_RATIO
+        if self.are_pixels:
+            return PIXEL_TOLERANCE_RATIO
+        return RETIMED_TOLERANCE_RATIO if self.is_retimed else SCALE_TOLERANCE_RATIO
 
 
 def orient_tracks(
@@ -130,7 +139,14 @@ def _derivative(flight: FlightRecord, values: Array, order: int) -> Array:
     """First or second derivative from parabolas through short windows, (rows,)."""
     period_s = float(np.median(np.diff(flight.time_s)))
     size = min(max(round(WINDOW_S / period_s) | 1, 7), (len(values) - 1) // 2 * 2 + 1)
-    return np.asarray(savgol_filter(values, size, 2, deriv=order, delta=period_s))
+    # Rows may be missing: the parabolas need an even grid.
+    even_s = np.linspace(flight.time_s[0], flight.time_s[-1], len(values))
+    if np.allclose(even_s, flight.time_s, atol=0.1 * period_s):
+        return np.asarray(savgol_filter(values, size, 2, deriv=order, delta=period_s))
+    step_s = float(even_s[1] - even_s[0])
+    on_grid = np.asarray(CubicSpline(flight.time_s, values)(even_s), dtype=np.float64)
+    even: Array = np.asarray(savgol_filter(on_grid, size, 2, deriv=order, delta=step_s), np.float64)
+    return np.interp(flight.time_s, even_s, even)
 
 
 def select_flights(
@@ -227,6 +243,12 @@ def falls_freely(flights: Sequence[FlightRecord]) -> bool:
     """Whether the initial fall is 0.2 to 1.6 times gravity."""
     fall = float(np.median([_estimate_initial_fall(flight) for flight in flights]))
     return 0.2 < fall / GRAVITY_M_PER_S2 < 1.6
+
+
+def falls_impossibly(flights: Sequence[FlightRecord]) -> bool:
+    """Whether the initial fall exceeds what drag and lift can add to gravity."""
+    fall = float(np.median([_estimate_initial_fall(flight) for flight in flights]))
+    return abs(fall) > MAX_FALL_RATIO * GRAVITY_M_PER_S2
 
 
 def guess_length_unit(flights: Sequence[FlightRecord]) -> tuple[float, str] | None:

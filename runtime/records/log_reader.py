@@ -18,6 +18,7 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Footer, Message, Metadata
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from machine.channels import LOG_CHANNELS
 from machine.errors import LogError
@@ -74,8 +75,26 @@ class RawLog:
 
 _NAMES: Final = {channel.topic: name for name, channel in LOG_CHANNELS.items()}
 
+_LFS_MARK: Final = b"version https://git-lfs"
+"""First bytes of the stand-in for a file that Git LFS did not fetch."""
+
 MIGRATIONS: dict[int, Callable[[RawLog], RawLog]] = {}
 """Version n -> function that makes version n + 1. Version 1 is the first one."""
+
+
+def _explain_damage(path: Path) -> str:
+    """Why a file without metadata is no throw log, and what to do."""
+    with path.open("rb") as file:
+        start = file.read(len(_LFS_MARK))
+        file.seek(max(path.stat().st_size - len(MCAP0_MAGIC), 0))
+        end = file.read()
+    if start == _LFS_MARK:
+        return "It is a Git LFS pointer, not the file itself: run git lfs pull"
+    if not start.startswith(MCAP0_MAGIC):
+        return "It is another file"
+    if end != MCAP0_MAGIC:
+        return "It is cut off at its end: fetch it from the machine again"
+    return "It is an MCAP file of another program"
 
 
 def read_throw_log(path: Path) -> ThrowLog:
@@ -88,10 +107,7 @@ def read_throw_log(path: Path) -> ThrowLog:
     raw = _read_raw(path)
     if CONTEXT_RECORD not in raw.metadata:
         cause = raw.damage or "it has no metadata record 'throw'"
-        raise LogError(
-            f"{path} is not a readable throw log: {cause}. Another file, or cut off at its start: fetch it "
-            "from the machine again"
-        )
+        raise LogError(f"{path} is not a readable throw log: {cause}. {_explain_damage(path)}")
     context: dict[str, Any] = raw.metadata[CONTEXT_RECORD]
     version = context.get("log_schema_version")
     if not isinstance(version, int) or version > LOG_SCHEMA_VERSION:

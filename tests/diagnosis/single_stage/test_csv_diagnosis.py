@@ -142,3 +142,50 @@ def test_unreadable_rows_are_refused_without_an_error(tmp_path: Path) -> None:
         ):
             assert found.verdict is VerdictKind.BAD_DATA, rows[0]
             assert found.sentence
+
+
+def _throw(period_s: float, drag_per_m: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
+    """Times and (rows, 2) places in m of a ball with quadratic drag, with 1 mm of noise."""
+    fine = 10
+    state = np.array([0.0, 1.5, 7.0, 8.0])
+    rows = [state[:2]]
+    for _ in range(round(1.4 / period_s)):
+        for _ in range(fine):
+            speed = np.hypot(state[2], state[3])
+            slope = np.array([0.0, -9.81]) - drag_per_m * speed * state[2:]
+            step = period_s / fine
+            state = np.concatenate([state[:2] + step * state[2:], state[2:] + step * slope])
+        rows.append(state[:2])
+    place = np.array(rows)
+    place += np.random.default_rng(5).normal(0.0, 0.001, place.shape)
+    return period_s * np.arange(len(place)), place
+
+
+def test_lost_detections_are_left_out(tmp_path: Path) -> None:
+    time_s, place = _throw(0.02)
+    for scale, stand_in, unit in ((1.0, 0.0, "m"), (1000.0, -1.0, "mm")):
+        track = scale * place
+        track[4::6] = stand_in
+        path = table(tmp_path / "a.csv", f"t,x_{unit},z_{unit}", time_s, *track.T)
+        code, found = diagnose(tmp_path, "flight", path)
+        assert code == 0, found.sentence
+        assert effects(found) == {"air_drag"}
+        assert any("taken as lost" in note for note in found.evidence["notes"])
+
+
+def test_repeated_frames_are_kept_once(tmp_path: Path) -> None:
+    place = _throw(0.02)[1]
+    held = np.repeat(place, 2, axis=0)
+    path = table(tmp_path / "a.csv", "t,x_m,z_m", 0.01 * np.arange(len(held)), *held.T)
+    code, found = diagnose(tmp_path, "flight", path)
+    assert code == 0, found.sentence
+    assert effects(found) == {"air_drag"}
+    assert any("kept once" in note for note in found.evidence["notes"])
+
+
+def test_a_track_without_a_unit_that_falls_too_fast_asks_for_it(tmp_path: Path) -> None:
+    time_s, place = _throw(0.02)
+    path = table(tmp_path / "a.csv", "t,x,z", time_s, *(70.0 * place).T)
+    code, found = diagnose(tmp_path, "flight", path)
+    assert code == 4
+    assert "--length-unit" in found.sentence

@@ -5,10 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import find_outliers, find_wrap_period
-from diagnosis.tables.columns import find_command_column, find_output_columns, find_time_column
+from diagnosis.tables.columns import (
+    find_command_column,
+    find_output_columns,
+    find_time_column,
+    split_list,
+)
 from diagnosis.tables.joint_record import CommandScale, JointRecord
-from diagnosis.tables.table import RefusedTableError, Table, read_table
+from diagnosis.tables.table import Table, read_table
 from diagnosis.tables.time_series import split_runs, time_in_seconds
 
 TIME_S = np.arange(0.0, 12.0, 0.02)
@@ -97,3 +103,24 @@ def test_a_command_that_changes_within_a_tick_counts_for_its_share() -> None:
     scale = CommandScale(0.0, 1.0, False, 0.01, ())
     on_grid = scale.on_grid(record, np.arange(0.0, 0.05, 0.01))
     np.testing.assert_allclose(on_grid, [0.0, 0.7, 1.0, -0.8, -1.0], atol=1e-9)
+
+
+def test_a_path_without_times_is_refused(tmp_path: Path) -> None:
+    found = table(tmp_path / "a.csv", "x_m,z_m", TIME_S, 2.0 * TIME_S)
+    with pytest.raises(RefusedTableError, match="a path alone does not tell"):
+        find_time_column(found, None)
+
+
+def test_a_comma_within_a_name_does_not_separate(tmp_path: Path) -> None:
+    found = table(tmp_path / "a.csv", 't,"Lever, left",q', TIME_S, TIME_S, TIME_S)
+    assert split_list("Lever, left", found) == ["Lever, left"]
+    assert split_list("q,lever,left", found) == ["q", "Lever, left"]
+    assert split_list("t, q", found) == ["t", "q"]
+
+
+def test_german_names_of_command_and_position_are_found(tmp_path: Path) -> None:
+    wave = np.sin(TIME_S)
+    for command, position in (("Befehl", "Winkel_rad"), ("Sollwert", "Istwert")):
+        found = table(tmp_path / "a.csv", f"Zeit,{command},{position}", TIME_S, wave, wave)
+        assert find_command_column(found, "Zeit", None) == command
+        assert find_output_columns(found, ["Zeit", command]) == ([position], False)

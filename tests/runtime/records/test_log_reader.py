@@ -195,3 +195,14 @@ def test_part_file_without_content_is_given_up(tmp_path, caplog):
 
 def test_complete_log_says_so(tmp_path):
     assert read_throw_log(write_throw_log(tmp_path / "t.mcap", random_log()).path).is_complete
+
+
+def test_the_refusal_says_what_the_file_is(tmp_path_factory, whole):
+    for content, words in (
+        (whole[:40], "cut off at its end"),
+        (b"version https://git-lfs.github.com/spec/v1", "git lfs pull"),
+        (b"not a log", "another file"),
+        (b"", "another file"),
+    ):
+        with pytest.raises(LogError, match=words):
+            read(tmp_path_factory, content)

@@ -1,0 +1,130 @@
+"""Lines of a text file: kinds of files that are no text are named, the encoding is found or refused."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from diagnosis.tables.cells import RefusedTableError
+
+MAX_BYTES: Final = 1_500_000_000
+"""Largest file, bytes; reading takes about four times as much memory."""
+SNIFFED_BYTES: Final = 4096
+"""Bytes from the start of a file that decide whether it is text."""
+BINARY_RATIO: Final = 0.1
+"""Share of control characters in those bytes above which a file is not text."""
+SEPARATOR_LINES: Final = 400
+"""Lines, half from each end of the file, from which the separator is found."""
+MCAP_MARK: Final = b"\x89MCAP0\r\n"
+_AS_CSV: Final = "export its channels as CSV with the program that wrote it"
+_TOPICS: Final = "export the topics as CSV, e.g. with PlotJuggler"
+CONTAINERS: Final = (
+    (MCAP_MARK, f"is an MCAP (rosbag) file: {_TOPICS}"),
+    (b"#ROSBAG V", f"is a ROS 1 bag: {_TOPICS}"),
+    (b"SQLite format 3", f"is an SQLite file, such as a ROS 2 bag: {_TOPICS}"),
+    (b"version https://git-lfs", "is a Git LFS pointer, not the file itself: run git lfs pull"),
+    (b"PK\x03\x04", "is an archive or a spreadsheet (.xlsx), not text: export the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "is an old spreadsheet (.xls), not text: export the sheet as CSV"),
+    (b"\x1f\x8b", "is compressed (gzip): unpack it"),
+    (b"\x28\xb5\x2f\xfd", "is compressed (zstd): unpack it"),
+    (b"BZh", "is compressed (bzip2): unpack it"),
+    (b"\x89HDF", f"is an HDF5 file: {_AS_CSV}"),
+    (b"MATLAB 5.0", "is a MATLAB file: write the variables with writetable"),
+    (b"MDF  ", f"is a measurement file (MDF): {_AS_CSV}"),
+    (b"UnFinMF", f"is an unfinished measurement file (MDF): {_AS_CSV}"),
+    (b"PAR1", "is a Parquet file: write it as CSV"),
+    (b"ULog", "is a PX4 log: convert it with ulog2csv"),
+    (b"%PDF", "is a PDF: give the measurements as CSV"),
+    (b"<?xml", f"is XML: {_AS_CSV}"),
+    (b"<!DOCTYPE", "is a web page, perhaps of a failed download"),
+    (b"<html", "is a web page, perhaps of a failed download"),
+    (b"{", f"is JSON: {_AS_CSV}"),
+)
+"""First bytes of files that are no tables, and what to do with them."""
+
+
+class TextLines(NamedTuple):
+    """Lines of a file that are not blank, and the number of each in the file."""
+
+    lines: list[str]
+    numbers: list[int]
+    notes: list[str]
+
+
+def read_lines(path: Path) -> TextLines:
+    """Read the lines of a text file in UTF-8, UTF-16 or, with a note, Windows-1252.
+
+    Raises:
+        RefusedTableError: the file is missing, too large, or not text.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise RefusedTableError(
+                f"{path.name} has {size / 1e9:.1f} GB, at most {MAX_BYTES / 1e9:g} GB are read: "
+                "give the part with the motion, or every tenth row"
+            )
+        refuse_other_kinds(path)
+        text, notes = _decode(path)
+    except OSError as error:
+        raise RefusedTableError(f"cannot open {path}: {error.strerror}") from error
+    every = text.replace("\x00", "").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    kept = [k for k, line in enumerate(every) if line.strip()]
+    return TextLines([every[k] for k in kept], [k + 1 for k in kept], notes)
+
+
+def refuse_other_kinds(path: Path) -> None:
+    """Refuse files that are no text, by name.
+
+    Raises:
+        RefusedTableError: with the kind of the file, and what to do with it.
+    """
+    with path.open("rb") as file:
+        start = file.read(SNIFFED_BYTES)
+        file.seek(max(path.stat().st_size - len(MCAP_MARK), 0))
+        end = file.read()
+    for mark, words in CONTAINERS:
+        if start.startswith(mark):
+            cut = " It is cut off at its end." if mark == MCAP_MARK and end != MCAP_MARK else ""
+            raise RefusedTableError(f"{path.name} {words}.{cut}")
+    control = sum(byte < 0x20 and byte not in b"\t\n\r\x00" for byte in start)
+    if control > BINARY_RATIO * len(start):
+        raise RefusedTableError(
+            f"{path.name} is not text ({control} of its first {len(start)} bytes are control characters): "
+            "export the record as CSV"
+        )
+
+
+def _decode(path: Path) -> tuple[str, list[str]]:
+    data = path.read_bytes()
+    try:
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return data.decode("utf-16"), []
+        return data.decode("utf-8-sig"), []
+    except UnicodeDecodeError:
+        pass
+    try:
+        return data.decode("cp1252"), ["not UTF-8: read as Windows-1252 (European spreadsheets)"]
+    except UnicodeDecodeError as error:
+        row = data.count(b"\n", 0, error.start) + 1
+        raise RefusedTableError(
+            f"row {row} of {path.name} holds byte 0x{data[error.start]:02x}, which is neither UTF-8 nor "
+            "Windows-1252: save the file as UTF-8"
+        ) from error
+
+
+def find_separator(lines: Sequence[str]) -> str:
+    """The separator that most lines have equally often, outside quotation marks.
+
+    A decimal comma does not occur equally often, so it is not taken for a separator.
+    """
+    part = [*lines[: SEPARATOR_LINES // 2], *lines[-SEPARATOR_LINES // 2 :]]
+    part = [re.sub(r'"[^"]*"', "", line) for line in part]
+    best, most = " ", 0
+    for separator in ";\t|,":
+        counts = Counter(line.count(separator) for line in part)
+        count, lines_count = counts.most_common(1)[0]
+        if count > 0 and lines_count > max(most, 0.5 * len(part)):
+            best, most = separator, lines_count
+    return best
