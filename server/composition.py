@@ -17,6 +17,7 @@ from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
+from server.deployments.site_approvals import SiteApprovals
 from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
@@ -82,6 +83,7 @@ class Parts:
     leases: LeaseService
     policies: PolicyStore
     machine_policies: MachinePolicies
+    approvals: SiteApprovals
     deployments: Deployments
     throws: ThrowStore
     stops: StopService
@@ -174,6 +176,7 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         parts, notices = assemble(settings, database, scene)
         parts.accounts.create_first_users(settings.data_dir)
         parts.registry.provision(settings.machine_slot_count)
+        parts.approvals.start()
         parts.plans.start()
         parts.sites.start()
         parts.throws.start()
@@ -213,6 +216,7 @@ def assemble(
     accounts = Accounts(database, audit, settings.session_s)
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
     policies = PolicyStore(database, settings.policies_dir, spec)
+    approvals = SiteApprovals(database, audit, policies, settings.site, settings.data_dir)
     throws = ThrowStore(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
@@ -257,7 +261,8 @@ def assemble(
         leases=leases,
         policies=policies,
         machine_policies=MachinePolicies(database, registry, policies),
-        deployments=Deployments(database, audit, registry, policies, spec),
+        approvals=approvals,
+        deployments=Deployments(database, audit, registry, policies, approvals, spec),
         throws=throws,
         stops=stops,
         plans=plans,

@@ -15,6 +15,7 @@ from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
+from server.deployments.site_approvals import SiteApprovals
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
@@ -65,6 +66,7 @@ def _get(kind: type[PartT]) -> Callable[[HTTPConnection], Awaitable[PartT]]:
 
 AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
 AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
+ApprovalsDep = Annotated[SiteApprovals, Depends(_get(SiteApprovals))]
 AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
 CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
 DeploymentsDep = Annotated[Deployments, Depends(_get(Deployments))]
@@ -137,6 +139,7 @@ GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
 TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
 ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
+Approver = Annotated[Session, Depends(requires(Permission.POLICY_APPROVE))]
 Deployer = Annotated[Session, Depends(requires(Permission.POLICY_DEPLOY))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
 Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]

@@ -28,12 +28,61 @@ def listed(
         password_file: file with the password alone, or with lines `name password`.
     """
     with _client(server, user, password_file) as client:
+        approved = {a["policy_sha256"]: a for a in client.call("GET", "/policy-approvals")}
         for policy in client.call("GET", "/policies"):
-            notes = ["active"] * policy["is_active"] + ["files gone"] * (not policy["is_present"])
+            approval = approved.get(policy["policy_sha256"])
+            notes = [f"approved by {approval['approved_by']}" if approval else "not approved"]
+            notes += ["active"] * policy["is_active"] + ["files gone"] * (not policy["is_present"])
             print(
                 f"{policy['policy_id']:<24} {policy['mode']}  {policy['policy_sha256'][:12]}  "
                 f"{policy['throw_count']:>6} throws  {', '.join(notes)}".rstrip()
             )
+    return 0
+
+
+def approve(
+    *,
+    policy: str,
+    server: str = SERVER,
+    user: str | None = None,
+    password_file: Path | None = None,
+) -> int:
+    """Approve a version by the site's key; machines load no other.
+
+    Args:
+        policy: id of the version, or the beginning of its sha256.
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+    """
+    with _client(server, user, password_file) as client:
+        chosen = _choose(client.call("GET", "/policies"), policy)
+        approval = client.call("POST", f"/policies/{chosen['policy_sha256']}/approve")
+        print(
+            f"{chosen['policy_id']}: approved by {approval['approved_by']}, key {approval['key_id']}"
+        )
+    return 0
+
+
+def withdraw(
+    *,
+    policy: str,
+    server: str = SERVER,
+    user: str | None = None,
+    password_file: Path | None = None,
+) -> int:
+    """Withdraw an approval; machines go back to an approved version before, or have none.
+
+    Args:
+        policy: id of the version, or the beginning of its sha256.
+        server: address of the server.
+        user: account name; DOWNRANGE_USER or `admin` if not given.
+        password_file: file with the password alone, or with lines `name password`.
+    """
+    with _client(server, user, password_file) as client:
+        chosen = _choose(client.call("GET", "/policies"), policy)
+        client.call("POST", f"/policies/{chosen['policy_sha256']}/withdraw")
+        print(f"{chosen['policy_id']}: no longer approved")
     return 0
 
 
@@ -129,6 +178,8 @@ def history(
 
 ACTIONS: dict[str, Callable[..., int]] = {
     "list": listed,
+    "approve": approve,
+    "withdraw": withdraw,
     "deploy": deploy,
     "rollback": rollback,
     "history": history,

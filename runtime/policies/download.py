@@ -13,6 +13,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.conventions import Mode
+from machine.policy_approval import SiteTrust
 from machine.policy_card import CARD_FILE, POLICY_FILE
 from runtime.policies.slots import PolicySlots
 from runtime.records.log_upload import UploadTarget
@@ -21,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 TIMEOUT_S: Final = 10.0
 CHUNK_BYTES: Final = 64 * 1024
-ANSWER_LIMIT_BYTES: Final = 64 * 1024
+ANSWER_LIMIT_BYTES: Final = 1024 * 1024
 FILE_LIMIT_BYTES: Final = 8 * 1024 * 1024
 """As for the policy file itself (runtime/control/policy_file.py)."""
 PARTIAL: Final = 206
@@ -53,14 +54,16 @@ class WantedPolicies(BaseModel):
 
     model_config = ConfigDict(frozen=True)
     policies: tuple[WantedPolicy, ...]
+    trust: SiteTrust | None = None
+    """None from a server of older software."""
 
 
 class TransferError(Exception):
     """The network, the server or the disk failed; to be tried again."""
 
 
-def fetch_wanted(target: UploadTarget) -> tuple[WantedPolicy, ...]:
-    """What the server wants this machine to have.
+def fetch_wanted(target: UploadTarget) -> WantedPolicies:
+    """What the server wants this machine to have, and what the site has approved.
 
     Raises:
         TransferError: no answer, or one that cannot be read.
@@ -68,7 +71,7 @@ def fetch_wanted(target: UploadTarget) -> tuple[WantedPolicy, ...]:
     try:
         with _open(target, "policies/wanted") as answer:
             text = answer.read(ANSWER_LIMIT_BYTES)
-        return WantedPolicies.model_validate_json(text).policies
+        return WantedPolicies.model_validate_json(text)
     except (OSError, http.client.HTTPException, ValidationError) as error:
         raise TransferError(f"the wanted policies cannot be read: {error}") from error
 

@@ -20,23 +20,32 @@ class OnBoardPolicies:
         self._installed_dir = installed_dir
         self._spec = spec
 
-    def load(self, mode: Mode, policy_sha256: str) -> PolicyRunner:
+    def load(self, mode: Mode, policy_sha256: str | None) -> PolicyRunner:
         """Load one version.
 
         Args:
             mode: it must be for.
-            policy_sha256: its name; empty = the installed one.
+            policy_sha256: its name; empty = the installed one, None = as at a start.
 
         Raises:
-            PolicyError: it cannot be used, with the reason.
+            PolicyError: it cannot be used, or its site has not approved it, with the reason.
         """
-        if policy_sha256 == INSTALLED:
-            return PolicyRunner(
-                find_policy(self._installed_dir, mode), self._spec, has_deadline=True
-            )
-        runner = PolicyRunner(
-            self._slots.version_folder(policy_sha256), self._spec, has_deadline=True
+        if policy_sha256 is None:
+            return self.start(mode)
+        is_installed = policy_sha256 == INSTALLED
+        folder = (
+            find_policy(self._installed_dir, mode)
+            if is_installed
+            else self._slots.version_folder(policy_sha256)
         )
+        trust = self._slots.trust()
+        if trust is None:
+            logger.warning("bound to no site yet: %s is loaded without its approval", folder.name)
+        else:
+            trust.check(folder, mode)
+        runner = PolicyRunner(folder, self._spec, has_deadline=True)
+        if is_installed:
+            return runner
         card = runner.card
         if card.policy_sha256 != policy_sha256 or card.mode is not mode:
             raise PolicyError(

@@ -15,7 +15,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.conventions import Mode
-from machine.errors import UsageError
+from machine.errors import PolicyError, UsageError
 from machine.messages import EventKind
 from runtime.link.ipc import Kind
 from runtime.policies.download import (
@@ -43,8 +43,8 @@ class PolicyOffer(BaseModel):
 
     model_config = ConfigDict(frozen=True)
     mode: Mode
-    policy_sha256: str
-    """Empty: the installed version."""
+    policy_sha256: str | None
+    """Empty: the installed version. None: approvals have changed, take what a start would take."""
     deployment_count: int | None = Field(default=None, ge=1)
     """None: a rollback asked for at the machine."""
 
@@ -87,6 +87,7 @@ class PolicyPuller:
         self._wait_s = POLL_PERIOD_S
         self._polled_s = -1e9
         self._said = ""
+        self._recheck: set[Mode] = set()
         self._is_closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="policies", daemon=True)
 
@@ -106,7 +107,8 @@ class PolicyPuller:
         mode, count = Mode(data["mode"]), data.get("deployment_count")
         try:
             if kind is EventKind.POLICY_SWITCHED:
-                self._slots.switch(mode, str(data["slot"]), count)
+                if data["slot"] is not None:
+                    self._slots.switch(mode, str(data["slot"]), count)
                 logger.info("%s throws with policy %s", mode.value, data["policy_sha256"][:12])
             elif count is not None:
                 self._slots.note(mode, int(count))
@@ -145,14 +147,25 @@ class PolicyPuller:
         if self._target is None:
             return
         try:
-            for wanted in fetch_wanted(self._target):
+            found = fetch_wanted(self._target)
+            if found.trust is not None and self._slots.keep_trust(found.trust):
+                logger.info("policies must be approved by site %s", found.trust.site)
+                self._recheck = set(Mode)
+            self._check_again()
+            for wanted in found.policies:
                 self._follow(self._target, wanted)
             self._wait_s, self._said = POLL_PERIOD_S, ""
-        except TransferError as error:
+        except (TransferError, PolicyError) as error:
             self._wait_s = min(self._wait_s * 2.0, POLL_PERIOD_MAX_S)
             if str(error) != self._said:
                 self._said = str(error)
                 logger.info("%s", error)
+
+    def _check_again(self) -> None:
+        for mode in list(self._recheck):
+            offer = PolicyOffer(mode=mode, policy_sha256=None)
+            if self._send(Kind.POLICY, offer.model_dump(mode="json")):
+                self._recheck.discard(mode)
 
     def _follow(self, target: UploadTarget, wanted: WantedPolicy) -> None:
         if wanted.deployment_count <= self._slots.of(wanted.mode).deployment_count:

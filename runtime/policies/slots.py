@@ -16,13 +16,15 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from machine.conventions import Mode
-from machine.errors import UsageError
+from machine.errors import PolicyError, UsageError
+from machine.policy_approval import SiteTrust
 
 logger = logging.getLogger(__name__)
 
 INSTALLED: Final = ""
 """In place of a sha256: the version that was installed with the software (`--policies`)."""
 SLOTS_FILE: Final = "slots.json"
+TRUST_FILE: Final = "site.json"
 _SHA256: Final = r"^([0-9a-f]{64})?$"
 
 
@@ -134,6 +136,43 @@ class PolicySlots:
                 if path.name not in named:
                     shutil.rmtree(path, ignore_errors=True)
 
+    # What may be loaded ---------------------------------------------------------------------------
+
+    def trust(self) -> SiteTrust | None:
+        """The site's keys and approvals; None for a machine that is bound to no site yet.
+
+        Raises:
+            PolicyError: they cannot be read.
+        """
+        path = self._folder / TRUST_FILE
+        try:
+            return SiteTrust.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError) as error:
+            raise PolicyError(
+                f"{path} cannot be read, so no policy is known to be approved: {error}"
+            ) from error
+
+    def keep_trust(self, trust: SiteTrust) -> bool:
+        """Store what the site's server says; whether it is news. The first one binds the machine.
+
+        Raises:
+            PolicyError: the keys are not those that the machine is bound to; nothing changes.
+            OSError: the disk refuses.
+        """
+        with self._lock:
+            known = self.trust()
+            if known == trust:
+                return False
+            if known is not None and (known.site, known.keys) != (trust.site, trust.keys):
+                raise PolicyError(
+                    f"the server shows other keys than those of site {known.site}, which this machine "
+                    f"is bound to; if the site has new keys, remove {self._folder / TRUST_FILE}"
+                )
+            self._replace(TRUST_FILE, trust.model_dump_json(indent=2) + "\n")
+            return True
+
     def _read(self) -> Mapping[Mode, ModeSlots]:
         path = self._folder / SLOTS_FILE
         try:
@@ -147,13 +186,16 @@ class PolicySlots:
     def _write(self, mode: Mode, slots: ModeSlots) -> None:
         every = {**self._read(), mode: slots}
         body = {key.value: value.model_dump(mode="json") for key, value in every.items()}
+        self._replace(SLOTS_FILE, json.dumps(body, indent=2) + "\n")
+
+    def _replace(self, name: str, text: str) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
-        part = self._folder / f"{SLOTS_FILE}.part"
+        part = self._folder / f"{name}.part"
         with part.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(body, indent=2) + "\n")
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        part.replace(self._folder / SLOTS_FILE)
+        part.replace(self._folder / name)
         _sync(self._folder)
 
 

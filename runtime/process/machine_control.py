@@ -118,7 +118,7 @@ class MachineControl:
             latch_id=f"{setup.boot_id}.0",
             boot_id=setup.boot_id,
         )
-        self._params = {
+        self._params: dict[Mode, ControlParams] = {
             mode: ControlParams(setup.spec, setup.calibration, mode, setup.policies.get(mode))
             for mode in Mode
         }
@@ -178,25 +178,38 @@ class MachineControl:
 
     def use_policy(self, loaded: LoadedPolicy) -> None:
         """Switch to a version, or report why not; only while no plan is armed. The next tick reports it."""
-        offer = loaded.offer
+        offer, runner = loaded.offer, loaded.runner
+        aboard = self.setup.policies.get(offer.mode)
+        is_recheck = offer.policy_sha256 is None
+        if is_recheck and (None if aboard is None else aboard.card) == (
+            None if runner is None else runner.card
+        ):
+            return
         data: dict[str, Any] = {
             "mode": offer.mode.value,
             "policy_sha256": offer.policy_sha256,
             "slot": offer.policy_sha256,
             "deployment_count": offer.deployment_count,
         }
-        if loaded.runner is None:
-            event = ThrowEvent(EventKind.POLICY_REFUSED, data=data | {"detail": loaded.refusal})
-            self._policy_events.append(event)
+        policies = dict(self.setup.policies)
+        if runner is None:
+            data |= {"detail": loaded.refusal, "is_removed": is_recheck}
+            self._policy_events.append(ThrowEvent(EventKind.POLICY_REFUSED, data=data))
+            if is_recheck:
+                del policies[offer.mode]
+                self._set_policies(policies)
             return
-        policies = {**self.setup.policies, offer.mode: loaded.runner}
-        setup = self.setup = replace(self.setup, policies=policies)
-        self._params[offer.mode] = ControlParams(
-            setup.spec, setup.calibration, offer.mode, loaded.runner
-        )
-        self._checks = self._run_checks()
-        data["policy_sha256"] = loaded.runner.card.policy_sha256
+        self._set_policies({**policies, offer.mode: runner})
+        data["policy_sha256"] = runner.card.policy_sha256
         self._policy_events.append(ThrowEvent(EventKind.POLICY_SWITCHED, data=data))
+
+    def _set_policies(self, policies: dict[Mode, PolicyRunner]) -> None:
+        setup = self.setup = replace(self.setup, policies=policies)
+        self._params = {
+            mode: ControlParams(setup.spec, setup.calibration, mode, policies.get(mode))
+            for mode in Mode
+        }
+        self._checks = self._run_checks()
 
     # One period -----------------------------------------------------------------------------------
 

@@ -34,7 +34,7 @@ class LoadedPolicy:
 class PolicySwitch:
     """At most one offer a mode: a newer one replaces it."""
 
-    def __init__(self, load: Callable[[Mode, str], PolicyRunner]) -> None:
+    def __init__(self, load: Callable[[Mode, str | None], PolicyRunner]) -> None:
         self._load = load
         self._waiting: dict[Mode, PolicyOffer] = {}
         self._loading: PolicyOffer | None = None

@@ -19,6 +19,7 @@ from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
 from server.clock import utc_now
+from server.deployments.site_approvals import SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore, StoredPolicy
@@ -46,12 +47,14 @@ class Deployments:
         audit: AuditChain,
         registry: MachineRegistry,
         policies: PolicyStore,
+        approvals: SiteApprovals,
         spec: MachineSpec,
     ) -> None:
         self._database = database
         self._audit = audit
         self._registry = registry
         self._policies = policies
+        self._approvals = approvals
         self._spec = spec
         self._lock = threading.Lock()
         self._hashes: dict[tuple[Path, int, int], str] = {}
@@ -65,7 +68,7 @@ class Deployments:
 
         Raises:
             NotFoundError: no such machine, or no files of such a version.
-            ConflictError: the version is for another mode or machine type.
+            ConflictError: the version is for another mode or machine type, or not approved.
         """
         self._registry.get(machine_id)
         policy = self._require_usable(mode, body.policy_sha256)
@@ -124,7 +127,7 @@ class Deployments:
                     files=files,
                 )
             )
-        return WantedPoliciesView(policies=tuple(found))
+        return WantedPoliciesView(policies=tuple(found), trust=self._approvals.trust())
 
     def file(self, policy_sha256: str, name: str) -> Path:
         """Where a file of a version lies.
@@ -176,6 +179,12 @@ class Deployments:
                 "model_mismatch",
                 f"{policy.card.policy_id} is for machine model {policy.card.model_sha256[:12]}, "
                 f"the machines here are {self._spec.sha256[:12]}.",
+            )
+        if not self._approvals.is_approved(policy):
+            raise ConflictError(
+                "not_approved",
+                f"{policy.card.policy_id} is not approved, or its card was altered since: no machine "
+                "loads it. An engineer approves it.",
             )
         return policy
 

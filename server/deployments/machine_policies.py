@@ -36,6 +36,10 @@ class MachinePolicies:
             if mode in list(Mode) and isinstance(policy_sha256, str):
                 _add_change(database, event, Mode(mode), policy_sha256[:64])
             return
+        if event.kind is EventKind.POLICY_REFUSED and event.data.get("is_removed") is True:
+            if (mode := event.data.get("mode")) in list(Mode):
+                _add_change(database, event, Mode(mode), None)
+            return
         if event.kind is not EventKind.BOOTED:
             return
         aboard = event.data.get("policy_sha256")

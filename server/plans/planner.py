@@ -165,10 +165,16 @@ class Planner:
                 f"{self._spec.sha256[:12]}. Install the same version on both.",
             )
         aboard = state.policy_sha256.get(policy.card.mode.value)
+        if aboard is None:
+            return RefusedError(
+                RejectReason.POLICY_UNUSABLE,
+                f"Refused: {state.machine_id} has no usable policy for {policy.card.mode.value} on "
+                "board; its news and its log say why.",
+            )
         if aboard != policy.card.policy_sha256:
             return RefusedError(
                 RejectReason.POLICY_MISMATCH,
-                f"Refused: the machine has policy {(aboard or 'none')[:12]} for "
+                f"Refused: the machine has policy {aboard[:12]} for "
                 f"{policy.card.mode.value} on board, which this server does not have. "
                 "Add it to the server's policies folder, or install a version that is there.",
             )

@@ -143,6 +143,11 @@ class PolicyStore:
         )
         return found if found is not None and is_usable else self.active(mode)
 
+    def present(self) -> tuple[StoredPolicy, ...]:
+        """Versions whose files are there."""
+        self.refresh()
+        return tuple(self._present.values())
+
     def find(self, policy_sha256: str) -> StoredPolicy | None:
         """A version whose files are there; None without."""
         self.refresh()

@@ -7,7 +7,10 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
 from machine.conventions import Mode
+from machine.policy_approval import Approval
 from server.dependencies import (
+    ApprovalsDep,
+    Approver,
     Deployer,
     DeploymentsDep,
     MachineCaller,
@@ -37,6 +40,24 @@ def list_policies(session: Viewer, policies: PoliciesDep) -> list[PolicyView]:
 def read_policy(policy_sha256: str, session: Viewer, policies: PoliciesDep) -> PolicyView:
     """One policy version."""
     return policies.view(policy_sha256)
+
+
+@router.get("/policy-approvals")
+def list_policy_approvals(session: Viewer, approvals: ApprovalsDep) -> list[Approval]:
+    """What the site has approved: machines load nothing else."""
+    return list(approvals.trust().approvals)
+
+
+@router.post("/policies/{policy_sha256}/approve", status_code=201)
+def approve_policy(policy_sha256: str, session: Approver, approvals: ApprovalsDep) -> Approval:
+    """Approve the version by the site's key, as it lies in the policies folder."""
+    return approvals.approve(policy_sha256, session)
+
+
+@router.post("/policies/{policy_sha256}/withdraw", status_code=204)
+def withdraw_policy(policy_sha256: str, session: Approver, approvals: ApprovalsDep) -> None:
+    """Withdraw an approval: machines stop using the version while no plan is armed."""
+    approvals.withdraw(policy_sha256, session)
 
 
 @router.get("/machines/{machine_id}/policies")

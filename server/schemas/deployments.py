@@ -6,6 +6,7 @@ from enum import StrEnum
 from pydantic import Field
 
 from machine.conventions import Mode
+from machine.policy_approval import SiteTrust
 from server.schemas.console import Request, View
 
 
@@ -90,6 +91,7 @@ class WantedPolicyView(View):
 
 
 class WantedPoliciesView(View):
-    """What a machine is to have, one a mode at most."""
+    """What a machine is to have, one a mode at most, and what it may load."""
 
     policies: tuple[WantedPolicyView, ...]
+    trust: SiteTrust

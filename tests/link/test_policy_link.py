@@ -6,17 +6,28 @@ import pytest
 
 from cli.main import main
 from machine.conventions import Mode
+from machine.policy_approval import SiteTrust, approve, new_private_key, public_key
 from machine.policy_card import file_sha256, load_card
 from tests.link.yard import MACHINE, Machine, Yard
 from tests.runtime.policies.policy_server import policy_server
 from tests.runtime.quick_policy import write_policies, write_policy
 from tests.waiting import wait_for
 
+KEY = new_private_key()
+
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """(yard, policy server, folder): the machine asks the policy server."""
-    folder = tmp_path_factory.mktemp("policy-yard")
+    """(yard, policy server, folder): the machine asks the policy server, and is bound to no site."""
+    yield from make_place(tmp_path_factory.mktemp("policy-yard"))
+
+
+@pytest.fixture
+def other_place(tmp_path):
+    yield from make_place(tmp_path)
+
+
+def make_place(folder):
     installed = write_policies(folder / "installed")
     with policy_server() as server:
         yard = Yard(folder, installed)
@@ -106,3 +117,40 @@ def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
     wait_for(lambda: len(yard.server.states) > known and yard.server.state.policy_sha256.get("2d"))
     wait_for(lambda: aboard(yard) == wanted, 120.0)
     assert yard.server.state.policy_sha256.get("3d")
+
+
+def trust_of(*folders):
+    approvals = tuple(approve(f, KEY, approved_by="eve", approved_utc="now") for f in folders)
+    site = SiteTrust(site="yard", keys=(public_key(KEY),), approvals=approvals)
+    return site.model_dump(mode="json")
+
+
+def test_a_machine_that_is_bound_to_its_site_loads_what_the_site_approves(other_place):
+    yard, server, folder = other_place
+    installed = folder / "installed" / "quick-2d"
+    new = version(folder, "new-2d", 0.27)
+    server.trust = trust_of(installed)
+    yard.ready()
+    # Only one of its two installed versions is approved: the other is taken out, or was not loaded.
+    wait_for(lambda: list(yard.server.state.policy_sha256) == ["2d"], 90.0)
+
+    def refusals_of_2d():
+        return [data["detail"] for data in told(yard, "policy_refused") if data["mode"] == "2d"]
+
+    sha256 = server.want(new, 1)
+    (detail,) = wait_for(refusals_of_2d, 90.0)
+    assert "new-2d" in detail
+    assert "not approved by site yard" in detail
+    server.trust = trust_of(installed, new, folder / "installed" / "quick-3d")
+    server.want(new, 2)
+    wait_for(lambda: aboard(yard) == sha256 and "3d" in yard.server.state.policy_sha256, 90.0)
+
+    # Bound also over a power cut, with the server gone quiet; an altered card is refused at the start.
+    server.trust = None
+    yard.machine.kill()
+    card = folder / MACHINE / "policies" / "versions" / sha256 / "card.json"
+    card.write_text(card.read_text() + " ")
+    known = len(yard.server.states)
+    yard.machine.start()
+    before = load_card(installed).policy_sha256
+    wait_for(lambda: len(yard.server.states) > known and aboard(yard) == before, 90.0)

@@ -14,13 +14,15 @@ LEAST = {
         read_throw_stats export_throws read_throw read_throw_series read_throw_log read_throw_csv replay_throw
         set_view read_site list_policies read_policy read_machine_policies list_gap_runs read_gap_run
         read_gap_report read_kept_reference
-        read_twin_profile stream_events read_zones list_zone_versions list_deployments""",
+        read_twin_profile stream_events read_zones list_zone_versions list_deployments
+        list_policy_approvals""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
         undo_zones create_gap_run cancel_gap_run preview_gap_run""",
     Role.SUPERVISOR: "clear_stop take_lease list_audit verify_audit approve_zones",
-    Role.ENGINEER: "apply_gap_run undo_twin_profile deploy_policy roll_back_policy",
+    Role.ENGINEER: """
+        apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy""",
     Role.ADMIN: "enrol_machine",
 }
 """The least role that may do what; `OPEN` needs no session, `put_throw_log` is for machines."""

@@ -23,6 +23,7 @@ class PolicyServer(ThreadingHTTPServer):
         self.ranges: list[str] = []
         self.has_ranges = True
         self.spoils = False
+        self.trust: dict[str, Any] | None = None
         super().__init__(("127.0.0.1", 0), Handler)
 
     @property
@@ -56,7 +57,10 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if self.path.endswith("/policies/wanted"):
-            self._answer(200, json.dumps({"policies": self.server.wanted}).encode())
+            self._answer(
+                200,
+                json.dumps({"policies": self.server.wanted, "trust": self.server.trust}).encode(),
+            )
             return
         policy_sha256, name = self.path.rsplit("/", 2)[1:]
         content = (self.server.folders[policy_sha256] / name).read_bytes()

@@ -25,7 +25,7 @@ def version(tmp_path):
 
 def fetch(server, slots):
     target = UploadTarget(server.url, "m001", "token")
-    (wanted,) = fetch_wanted(target)
+    (wanted,) = fetch_wanted(target).policies
     return fetch_version(target, wanted, slots)
 
 

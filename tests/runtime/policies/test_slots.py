@@ -5,12 +5,14 @@ import pytest
 
 from machine.conventions import Mode
 from machine.errors import PolicyError, UsageError
+from machine.policy_approval import SiteTrust, approve, new_private_key, public_key
 from machine.spec import load_spec
 from runtime.policies import slots as module
 from runtime.policies.on_board import OnBoardPolicies
 from runtime.policies.slots import INSTALLED, PolicySlots
 from tests.runtime.quick_policy import write_policies, write_policy
 
+KEY = new_private_key()
 A, B = "a" * 64, "b" * 64
 
 
@@ -107,3 +109,44 @@ def test_versions_that_no_slot_names_are_removed(tmp_path):
     found = {path.name for path in (tmp_path / "slots" / "versions").iterdir()}
     assert found == {kept[0], kept[2], kept[3]}
     assert json.loads((tmp_path / "slots" / "slots.json").read_text())["2d"]["current"] == kept[3]
+
+
+def trust_of(*folders, key=KEY):
+    approvals = tuple(
+        approve(folder, key, approved_by="eve", approved_utc="2026-03-01T10:14:00+00:00")
+        for folder in folders
+    )
+    return SiteTrust(site="yard", keys=(public_key(key),), approvals=approvals)
+
+
+def test_a_bound_machine_loads_nothing_that_is_not_approved(tmp_path, board):
+    slots = PolicySlots(tmp_path / "slots")
+    first, first_sha256 = put(tmp_path, "first-2d", 0.2)
+    slots.switch(Mode.PLANAR, first_sha256)
+    assert slots.keep_trust(trust_of(first))
+    assert board.start(Mode.PLANAR).card.policy_id == "first-2d"
+    with pytest.raises(PolicyError, match=r"quick-3d .* is not approved by site yard"):
+        board.start(Mode.SPATIAL)
+    # Approvals that are taken back lead to a version that is approved.
+    assert slots.keep_trust(trust_of(tmp_path / "installed" / "quick-2d"))
+    assert not slots.keep_trust(trust_of(tmp_path / "installed" / "quick-2d"))
+    assert board.load(Mode.PLANAR, None).card.policy_id == "quick-2d"
+    with pytest.raises(PolicyError, match="first-2d"):
+        board.load(Mode.PLANAR, first_sha256)
+
+
+def test_other_keys_than_those_that_bound_the_machine_are_refused(tmp_path, board):
+    slots = PolicySlots(tmp_path / "slots")
+    installed = tmp_path / "installed" / "quick-2d"
+    slots.keep_trust(trust_of(installed))
+    with pytest.raises(PolicyError, match="other keys than those of site yard"):
+        slots.keep_trust(trust_of(installed, key=new_private_key()))
+    assert board.start(Mode.PLANAR).card.policy_id == "quick-2d"
+
+
+def test_approvals_that_cannot_be_read_approve_nothing(tmp_path, board):
+    slots = PolicySlots(tmp_path / "slots")
+    slots.keep_trust(trust_of(tmp_path / "installed" / "quick-2d"))
+    (tmp_path / "slots" / "site.json").write_text("{")
+    with pytest.raises(PolicyError, match="cannot be read"):
+        board.start(Mode.PLANAR)

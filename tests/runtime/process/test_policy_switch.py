@@ -109,3 +109,28 @@ def test_a_version_that_cannot_be_used_is_told_and_the_one_on_board_stays(bench)
     assert bench.control.machine_state().policy_sha256 == before
     bench.tick()
     assert bench.kinds == ["policy_refused"]
+
+
+def test_a_version_that_is_no_longer_approved_is_taken_out_and_comes_back(bench):
+    runner = bench.runners[Mode.PLANAR]
+    again = PolicyOffer(mode=Mode.PLANAR, policy_sha256=None)
+    bench.control.use_policy(LoadedPolicy(again, runner))
+    bench.tick()
+    assert bench.kinds == []
+    for _ in range(2):
+        bench.control.use_policy(LoadedPolicy(again, None, "it is not approved"))
+        bench.tick()
+    assert bench.kinds == ["policy_refused"]
+    assert bench.events[0].data["is_removed"]
+    assert list(bench.control.machine_state().policy_sha256) == ["3d"]
+    bench.tick(make(LeaseNotice, epoch_count=1))
+    bench.ask(make(LoadRequest, epoch_count=1, seen_t_mono_ns=bench.driver.now_ns()))
+    bench.ticks(20)
+    seen_ns = bench.driver.now_ns()
+    refused = bench.ask(make(ArmRequest, epoch_count=1, plan=bench.plan(), seen_t_mono_ns=seen_ns))
+    assert (refused.accepted, refused.reason) == (False, "policy_unusable")
+    bench.control.use_policy(LoadedPolicy(again, runner))
+    bench.tick()
+    assert bench.kinds[-1] == "policy_switched"
+    assert bench.events[-1].data["slot"] is None
+    assert "2d" in bench.control.machine_state().policy_sha256

@@ -1,0 +1,91 @@
+import json
+
+import pytest
+
+from server.deployments.site_approvals import ApprovalError, SiteApprovals
+from server.errors import ConflictError, NotFoundError
+from server.schemas.console import Role
+
+
+@pytest.fixture
+def approvals(assembled):
+    found = assembled.parts.approvals
+    found.start()
+    return found
+
+
+def fresh(assembled, data_dir):
+    parts = assembled.parts
+    return SiteApprovals(parts.database, parts.audit, parts.policies, "yard", data_dir)
+
+
+def test_the_first_start_makes_a_key_and_approves_what_is_there(assembled, approvals):
+    parts = assembled.parts
+    folder = parts.settings.data_dir / "policy-approvals"
+    assert (folder / "site.key").stat().st_mode & 0o777 == 0o600
+    present = parts.policies.present()
+    assert len(present) >= 2
+    assert all(approvals.is_approved(policy) for policy in present)
+    by = {approval.approved_by for approval in approvals.trust().approvals}
+    assert by == {"the site's key at first start"}
+    again = fresh(assembled, parts.settings.data_dir)
+    again.start()
+    assert again.trust() == approvals.trust()
+
+
+def test_an_approval_is_withdrawn_and_given_again_by_a_person(assembled, approvals):
+    policy = assembled.parts.policies.active("2d")
+    sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
+    with pytest.raises(ConflictError, match="approved already"):
+        approvals.approve(sha256, eve)
+    approvals.withdraw(sha256, eve)
+    assert not approvals.is_approved(policy)
+    with pytest.raises(NotFoundError):
+        approvals.withdraw(sha256, eve)
+    assert approvals.approve(sha256, eve).approved_by == "eve"
+    again = fresh(assembled, assembled.parts.settings.data_dir)
+    again.start()
+    assert again.is_approved(policy)
+    with pytest.raises(NotFoundError):
+        approvals.approve("0" * 64, eve)
+
+
+@pytest.mark.parametrize("damage", ["no key", "no list", "other key", "torn list"])
+def test_a_damaged_folder_stops_the_start(assembled, approvals, tmp_path, damage):
+    data_dir = assembled.parts.settings.data_dir
+    folder = data_dir / "policy-approvals"
+    if damage == "no key":
+        (folder / "site.key").unlink()
+    elif damage == "no list":
+        (folder / "site.json").unlink()
+    elif damage == "torn list":
+        (folder / "site.json").write_text("{")
+    else:
+        other = fresh(assembled, tmp_path / "other")
+        other.start()
+        text = (tmp_path / "other" / "policy-approvals" / "site.key").read_text()
+        (folder / "site.key").write_text(text)
+    with pytest.raises(ApprovalError, match="policy-approvals"):
+        fresh(assembled, data_dir).start()
+
+
+def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(running, ada):
+    sha256 = running.parts.policies.active("3d").card.policy_sha256
+    with running.client("eve") as eve:
+
+        def approved():
+            return sha256 in {a["policy_sha256"] for a in ada.get("/policy-approvals").json()}
+
+        body = {"policy_sha256": sha256, "reason": "a test"}
+        try:
+            assert eve.post(f"/policies/{sha256}/withdraw").status_code == 204
+            assert not approved()
+            refused = eve.post("/machines/m001/policies/3d/deploy", json=body)
+            assert refused.json()["error"]["code"] == "not_approved"
+        finally:
+            assert eve.post(f"/policies/{sha256}/approve").status_code == 201
+        assert approved()
+        token = running.parts.registry.secret_path("m001").read_text().strip()
+        headers = {"Authorization": f"Bearer {token}"}
+        wanted = eve.get("/machines/m001/policies/wanted", headers=headers)
+        assert sha256 in json.dumps(wanted.json()["trust"])
