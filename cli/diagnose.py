@@ -34,6 +34,7 @@ def throws(
     reference: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
     machines: Path = Path("data/machines"),
     profile: Path | None = None,
+    material_m: float | None = None,
     json: Path | None = None,
     html: Path | None = None,
     apply: Path | None = None,
@@ -56,12 +57,15 @@ def throws(
             machines of the type, which finds large effects only.
         machines: folder of machines with their kept reference throws.
         profile: twin profile of the machine; the one in the logs if left out, or nominal.
+        material_m: an effect that moves the impact by less is reported as seen and not claimed; effects of
+            pose and sensors always are claimed.
         json: file for the whole result.
         html: file for the report, one page that needs no network.
         apply: file for the next version of the twin profile with the effects found, if there are any.
     """
     if not logs:
         raise UsageError("give throw logs or folders of them: downrange diagnose throws LOG...")
+    _check_positive(material_m=material_m)
     loaded = load_throws(logs)
     previewed = next((t.twin_profile for t in loaded.throws if t.twin_profile is not None), None)
     twin = load_profile(profile) if profile is not None else previewed
@@ -76,6 +80,7 @@ def throws(
         twin,
         lambda share, text: show(f"{share:4.0%} {text}"),
         reference=chosen.throws,
+        material_m=material_m,
     )
     found = with_reference_stated(found, chosen.days)
     if apply is not None and (effects := found_effects(found)):

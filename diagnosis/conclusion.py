@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.fitted_causes import causes_of, effect_names
+from diagnosis.fitted_causes import causes_of, effect_names, fitted, fitted_jitter
 from diagnosis.hypotheses.gap_problem import GapProblem
-from diagnosis.hypotheses.ranking import Ranked
+from diagnosis.hypotheses.ranking import Hypothesis, Ranked
 from diagnosis.inference.evidence import screen, total, weigh
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.location import named, signature_of, where
@@ -17,7 +17,7 @@ from diagnosis.report.vocabulary import channel_words, size_words
 from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.tuning import LEAST_GAIN_RATIO, MOST_LOSS_RATIO, PLAIN_PROBABILITY, SOME_PROBABILITY
-from diagnosis.verdict import Ambiguity, Cause, Diagnosis, Gap, Shrink, VerdictKind
+from diagnosis.verdict import Ambiguity, Cause, Diagnosis, FittedEffect, Gap, Shrink, VerdictKind
 from reports.number_format import percent, probability
 from sim_twin.effects.effect import Effect
 
@@ -37,6 +37,8 @@ class Findings:
     terms: Terms
     shrink: tuple[Shrink, str] | None
     """Reduction of the gap, and its measure: ``impact`` or ``channels``."""
+    material_m: float | None = None
+    """Least displacement of the impact from which an effect is claimed."""
 
 
 def conclude(found: Findings) -> Diagnosis:
@@ -45,22 +47,24 @@ def conclude(found: Findings) -> Diagnosis:
     stages = stage_gaps(found.terms)
     gap = _gap(found)
     causes = causes_of(found.problem, ranked)
-    shrink_covariance = None if found.shrink is None else found.shrink[0]
-    demoted = _demoted(ranked, shrink_covariance)
-    verdict = verdict_of(ranked, shrink_covariance)
+    gain = None if found.shrink is None else found.shrink[0]
+    verdict = verdict_of(ranked, gain)
+    is_small = _is_small(verdict, gain, found.material_m)
+    if is_small:
+        verdict = VerdictKind.NONE
     ambiguity: Ambiguity | None = None
     if verdict is VerdictKind.AMBIGUOUS:
-        ambiguity = ambiguity_of(ranked, shrink_covariance)
+        both = _effects_of_both(found.problem, ranked, gain)
+        ambiguity = ambiguity_of(ranked, gain).model_copy(update={"effects": both})
+    sentence = sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity)
     return Diagnosis(
         verdict=verdict,
-        sentence=sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity),
+        sentence=_small_sentence(found, gap) if is_small else sentence,
         gap=gap,
         stages=stages,
         causes=causes,
         ambiguity=ambiguity,
-        shrink=shrink_covariance
-        if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS)
-        else None,
+        shrink=gain if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
         evidence={
             **found.loaded.evidence(),
             "reference": reference_evidence(found.reference),
@@ -82,7 +86,8 @@ def conclude(found: Findings) -> Diagnosis:
             "ruled_out": _ruled_out(found),
             "unknown": signature_of(ranked) if verdict is VerdictKind.UNKNOWN else None,
             "shrink_measure": None if found.shrink is None else found.shrink[1],
-            "demoted": demoted,
+            "demoted": _demoted(ranked, gain),
+            "material_m": found.material_m,
         },
     )
 
@@ -103,6 +108,27 @@ def verdict_of(ranked: Ranked, gain: Shrink | None) -> VerdictKind:
     if ranked.rival is None and _demoted(ranked, gain) is None:
         return VerdictKind.EXPLAINED
     return VerdictKind.AMBIGUOUS
+
+
+def _is_small(verdict: VerdictKind, gain: Shrink | None, material_m: float | None) -> bool:
+    """Whether an effect was found that moves the impact by less than what matters."""
+    if verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
+        return False
+    if gain is None or gain.moved_m is None or material_m is None:
+        return False
+    return gain.moved_m < material_m
+
+
+def _small_sentence(found: Findings, gap: Gap) -> str:
+    """No effect that matters, and what was seen."""
+    if found.shrink is None or found.material_m is None or found.shrink[0].moved_m is None:
+        raise ValueError("nothing was measured against what matters")
+    size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+    name = effect_names(found.ranked.best.effects)
+    return (
+        f"{size}No effect that matters. Small change seen: {name} moves the impact by "
+        f"{found.shrink[0].moved_m:.3f} m, less than the {found.material_m:g} m asked for."
+    )
 
 
 def _is_doubtful(ranked: Ranked, gain: Shrink | None) -> bool:
@@ -150,22 +176,37 @@ def _gap(found: Findings) -> Gap:
     )
 
 
+def rival_of(ranked: Ranked, gain: Shrink | None) -> Hypothesis | None:
+    """The other side of an open choice; None for no cause."""
+    return None if ranked.is_doubtful or _is_doubtful(ranked, gain) else ranked.rival
+
+
 def ambiguity_of(ranked: Ranked, gain: Shrink | None) -> Ambiguity:
-    """What the throws leave open: which of two causes, or whether there is a cause at all."""
+    """What the throws leave open, in words: which of two causes, or whether there is a cause at all."""
     # Jitter is part of either cause.
     more = (ranked.jitter.effect(),) if ranked.has_jitter else ()
     if ranked.is_doubtful:
         why = f"that there is nothing beside the jitter is {percent(ranked.none_probability)} probable"
         return _or_nothing(ranked, more, why)
-    if ranked.rival is None or _is_doubtful(ranked, gain):
-        return _or_nothing(ranked, more, _demoted(ranked, gain) or "")
-    return _ambiguity(ranked, more)
-
-
-def _ambiguity(ranked: Ranked, more: tuple[Effect, ...]) -> Ambiguity:
-    rival = ranked.rival
+    rival = rival_of(ranked, gain)
     if rival is None:
-        raise ValueError("no rival, no ambiguity")
+        return _or_nothing(ranked, more, _demoted(ranked, gain) or "")
+    return _ambiguity(ranked, rival, more)
+
+
+def _effects_of_both(
+    problem: GapProblem, ranked: Ranked, gain: Shrink | None
+) -> tuple[tuple[FittedEffect, ...], ...]:
+    """The effects of both sides of an open choice."""
+    more = (fitted_jitter(ranked),) if ranked.has_jitter else ()
+    rival = rival_of(ranked, gain)
+    return (
+        (*fitted(problem, ranked.best), *more),
+        (*(() if rival is None else fitted(problem, rival)), *more),
+    )
+
+
+def _ambiguity(ranked: Ranked, rival: Hypothesis, more: tuple[Effect, ...]) -> Ambiguity:
     own = [e for e in ranked.best.effects if e not in rival.effects]
     mine = [
         e

@@ -26,7 +26,8 @@ from diagnosis.linearisation.unmodelled_effects import unmodelled_names
 from diagnosis.tuning import CLEAR_RATIO, LEAST_GAP_RATIO
 from diagnosis.verdict import Shrink
 from machine.conventions import Array, IntArray
-from sim_twin.effects.effect import Effect
+from sim_twin.effects.effect import Effect, acting_effect
+from sim_twin.effects.table import EFFECTS
 from sim_twin.twin.profile import TwinProfile, load_profile, save_profile
 
 PART_COUNT = 3
@@ -219,6 +220,11 @@ def _closed(ends: Ends | None, least_seen: float) -> float:
     return float(np.clip((ends.before - max(ends.after, floor)) / removable, -1.0, 1.0))
 
 
+def _acts_on_pose(hypothesis: Hypothesis) -> bool:
+    """Whether an effect is one of pose or sensors."""
+    return any(EFFECTS[acting_effect(e)].stage == "aim" for e in hypothesis.effects)
+
+
 def shrink(
     likelihood: MarginalLikelihood, hypothesis: Hypothesis, floor_m: float
 ) -> tuple[Shrink, str] | None:
@@ -260,5 +266,6 @@ def shrink(
         ci90=(float(low), float(high)),
         held_out_throws=int(good.size),
         removable_ratio=1.0 - floor / gap_m,
+        moved_m=None if _acts_on_pose(hypothesis) else moved_m,
     )
     return found, "impact" if by_impact else "channels"

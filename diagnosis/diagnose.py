@@ -43,6 +43,7 @@ def diagnose_throws(
     health: Health | None = None,
     reference: LoadedSet | None = None,
     *,
+    material_m: float | None = None,
     is_alone: bool = True,
 ) -> Diagnosis:
     """Diagnose a set of throws.
@@ -55,6 +56,8 @@ def diagnose_throws(
         health: model of healthy machines; the calibrated model of the type if left out.
         reference: throws of the same machine while it was healthy. They separate effects from the machine's
             own deviations. Without them the machine is compared with healthy machines of its type.
+        material_m: least displacement of the impact from which an effect is claimed; one that acts on pose
+            or sensors always is.
         is_alone: whether a second core is free.
 
     Raises:
@@ -70,7 +73,7 @@ def diagnose_throws(
         if worker is not None:
             worker.preload(evaluate)
         known = load_health() if health is None else health
-        return _diagnose(loaded, reference, profile, known, progress, cancel, worker)
+        return _diagnose(loaded, reference, profile, known, material_m, progress, cancel, worker)
 
 
 def _diagnose(
@@ -78,6 +81,7 @@ def _diagnose(
     reference: LoadedSet | None,
     profile: TwinProfile,
     health: Health,
+    material_m: float | None,
     progress: Progress | None,
     cancel: Callable[[], bool] | None,
     worker: WorkerProcess | None,
@@ -126,7 +130,7 @@ def _diagnose(
         else None
     )
     report(0.97, "series")
-    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found))
+    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found, material_m))
     where = concluded.evidence["where"]
     place = None if where is None else (where["stage"], where["joint"])
     plots = overlay(problem, best.effects, place)

@@ -39,14 +39,14 @@ def causes_of(problem: GapProblem, ranked: Ranked) -> tuple[Cause, ...]:
     """Causes, most probable first, with and without jitter; "none" and "unknown" are always among them."""
     both: list[Cause] = []
     for hypothesis, of_hypothesis in zip(ranked.hypotheses, ranked.probability, strict=True):
-        effects = _fitted(problem, hypothesis)
+        effects = fitted(problem, hypothesis)
         name = effect_names(hypothesis.effects)
         for jitter, share in (
             (True, ranked.jitter_probability),
             (False, 1.0 - ranked.jitter_probability),
         ):
             part = float(of_hypothesis) * share
-            kept = (*effects, _jitter(ranked)) if jitter else effects
+            kept = (*effects, fitted_jitter(ranked)) if jitter else effects
             parts = [text for text in (name, words(JITTER, None) if jitter else "") if text]
             is_none = not kept
             if part > 1e-3 or is_none:
@@ -58,7 +58,8 @@ def causes_of(problem: GapProblem, ranked: Ranked) -> tuple[Cause, ...]:
     return (*both[:CAUSE_COUNT], *needed)
 
 
-def _jitter(ranked: Ranked) -> FittedEffect:
+def fitted_jitter(ranked: Ranked) -> FittedEffect:
+    """Additional release jitter with its interval."""
     return FittedEffect(
         effect=JITTER,
         parameters={
@@ -69,7 +70,7 @@ def _jitter(ranked: Ranked) -> FittedEffect:
     )
 
 
-def _fitted(problem: GapProblem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
+def fitted(problem: GapProblem, hypothesis: Hypothesis) -> tuple[FittedEffect, ...]:
     """Fitted parameters with 90 % intervals, clipped to their bounds.
 
     The posterior excludes the machine's own scatter; the model error of the effect (`SIZE_ERROR_RATIO`)

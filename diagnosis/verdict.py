@@ -122,6 +122,9 @@ class Ambiguity(_Part):
     """Causes that these data cannot separate."""
 
     members: tuple[str, ...]
+    """In words."""
+    effects: tuple[tuple[FittedEffect, ...], ...] = ()
+    """The effects of every member with their sizes, in the same order; empty for ``none``."""
     separating_motion: Mapping[str, Any]
     """What to record next: ``{kind, joint, ...}`` with units in the names, and ``words`` for people."""
     why: str
@@ -140,6 +143,9 @@ class Shrink(_Part):
     held_out_throws: int
     removable_ratio: float
     """Share of the gap that is neither noise nor jitter."""
+    moved_m: float | None = None
+    """How far the effects move the twin's impact, root mean square; None where it was not measured, or where
+    an effect acts on pose or sensors, which a replay is given."""
 
 
 class Diagnosis(_Part):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from diagnosis.healthy.filters import HealthyModel, nothing
 from diagnosis.healthy.health import Health
 from diagnosis.healthy.noise import NoiseModel
+from diagnosis.hypotheses.prior_conflict import PriorShift, prior_shift
 from diagnosis.inference.evidence import Information, screen, total
 from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.parameters import ParameterLayout, beside
@@ -57,6 +58,8 @@ class GapProblem:
     """Projection of the unmodelled effects on the named slopes (`beside_named`)."""
     none_levels: Mapping[str, float]
     """Log residual power of every block without effect (`levels`)."""
+    none_shift: Mapping[str, PriorShift]
+    """How far the healthy parameters of every part are moved without effect."""
 
     def preview_subset(self) -> "GapProblem":
         """Every other throw of each mode, for a preview of many sets of which few are evaluated again."""
@@ -97,8 +100,9 @@ def pose_problem(
         model = near.model_copy(update={"channels": model.channels})
         # The whitening does not depend on the machines' scatter.
         found = replace(found, model=model, layout=beside(layout_of(model), profile.effects))
-    mean = screen(total(found.information), found.layout.priors).mean
-    return replace(found, none_levels=levels(found.whitened, mean))
+    none = screen(total(found.information), found.layout.priors)
+    shift = prior_shift(found.layout.priors.scatter, none.covariance, none.mean)
+    return replace(found, none_levels=levels(found.whitened, none.mean), none_shift=shift)
 
 
 def _whitened(
@@ -128,5 +132,6 @@ def _whitened(
         whitened,
         information(whitened),
         beside,
+        {},
         {},
     )

@@ -8,8 +8,9 @@ way for every set of effects. The sets differ in their predictions alone.
 An effect of the library is never quite the machine's. Its form error shows in every throw alike, so that more
 throws do not average it out. The likelihood is coarsened accordingly (Miller and Dunson 2019, J. Am. Stat.
 Assoc. 114, 1113): the log likelihood of each part of the chain is divided by 1 + `FORM_ERROR_RATIO` x, with x
-what a perfect prediction could gain there. A part then contributes at most 1 / `FORM_ERROR_RATIO`, and what
-explains a small share of its misfit alone is no evidence.
+what a perfect prediction could gain there: of what is left over, and of what deviations absorb. A part then
+contributes at most 1 / `FORM_ERROR_RATIO`, and what explains a small share of its misfit alone is no
+evidence.
 """
 
 from collections.abc import Sequence
@@ -143,7 +144,9 @@ def stage_of(channel: str) -> str:
 
 def channel_weights(problem: GapProblem) -> dict[str, float]:
     """Weight of the log likelihood of every channel: the same for all that show one part of the chain."""
-    gain: dict[str, float] = {}
+    gain = {part: 0.5 * shift.excess for part, shift in problem.none_shift.items()}
+    # Deviations of pose and mounting show in the swing.
+    gain["swing"] += gain["aim"]
     for name, level in problem.none_levels.items():
         usual = np.exp(problem.model.unknown_level.get(name, (0.0, 0.0))[0])
         rows = sum(

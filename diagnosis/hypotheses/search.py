@@ -19,7 +19,7 @@ from diagnosis.hypotheses.candidate import (
     sizes_by_member,
 )
 from diagnosis.hypotheses.gap_problem import GapProblem
-from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood
+from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
 from diagnosis.hypotheses.unknown_check import check, levels_of
 from diagnosis.inference.evidence import Priors, Set
 from diagnosis.linearisation.parameters import library
@@ -124,22 +124,24 @@ def _ways(count: int) -> list[Array]:
 
 
 def _can_matter(problem: GapProblem, group: int) -> bool:
-    """Whether a channel that an effect moves deviates by more than healthy throws of another day.
+    """Whether a part of the chain that an effect moves deviates by more than on another day.
 
-    A driven joint's effect must show in its own channel.
+    A driven joint's effect must show in its own channel. What healthy deviations absorb counts as well.
     """
     effect, joint = problem.layout.groups[group]
     first = library()[int(problem.layout.priors.groups[group][0])]
+    moved = {str(view) for view in first.views} | {first.stage}
+    deviating = {part for part, shift in problem.none_shift.items() if shift.excess_sd > 1.0}
     for name, level in problem.none_levels.items():
         middle, sd = problem.model.unknown_level.get(name, (0.0, 0.3))
-        stage, _, channel = name.partition(".")
-        is_moved = stage in {str(view) for view in first.views} and (
-            stage != "actuation" or joint is None or channel == joint
-        )
-        is_moved = is_moved or (stage == "release" and first.stage == "release")
-        if is_moved and level > middle + sd:
-            return True
-    return effect == "release_delay"
+        if level > middle + sd:
+            deviating.add(stage_of(name))
+    stages = {
+        part
+        for part in deviating
+        if joint is None or part in (stage_of(part), f"actuation.{joint}")
+    }
+    return effect == "release_delay" or not moved.isdisjoint(p.partition(".")[0] for p in stages)
 
 
 def linear_gains(

@@ -5,7 +5,6 @@ unknown where it is significantly more, and more than the form error of an effec
 """
 
 from collections.abc import Mapping
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +12,10 @@ from scipy.special import expit
 
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
-from diagnosis.linearisation.parameters import SET_NUISANCES, library, set_names
+from diagnosis.hypotheses.prior_conflict import prior_shift
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
 from diagnosis.tuning import CONFLICT_SD, FORM_LEFT_RATIO, UNKNOWN_LEVEL_SD, UNKNOWN_WIDTH_RATIO
-from machine.conventions import ACTIVE_JOINTS, Array, IntArray
+from machine.conventions import Array
 
 
 class Left(NamedTuple):
@@ -71,35 +70,10 @@ def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
 
 
 def conflicts(likelihood: MarginalLikelihood, mean: Array) -> dict[str, float]:
-    """How much further a set moves the healthy parameters of each part than another day does.
-
-    The square of their posterior mean in the metric of their prior, against its expectation, over its
-    standard deviation times `CONFLICT_SD` (a check for prior-data conflict: Evans and Moshonov 2006, Bayesian
-    Analysis 1, 893).
-    """
+    """How much further a set moves the healthy parameters of each part than another day does."""
     scatter = likelihood.problem.layout.priors.scatter
-    learned = scatter - likelihood.covariance
-    found: dict[str, float] = {}
-    for part, index in _parameters_by_part().items():
-        inverse = np.linalg.inv(scatter[np.ix_(index, index)])
-        expected = float(np.trace(inverse @ learned[np.ix_(index, index)]))
-        square = float(mean[index] @ inverse @ mean[index])
-        found[part] = (square - expected) / (CONFLICT_SD * np.sqrt(2.0 * max(expected, 0.5)))
-    return found
-
-
-@cache
-def _parameters_by_part() -> dict[str, IntArray]:
-    """Indices of the healthy parameters of each part of the chain: a driven joint, or a stage."""
-    keys = [p.key for p in library()]
-    stage = {p.key: p.stage for p in library()}
-    parts: dict[str, list[int]] = {}
-    for place, name in enumerate((*keys, *keys, *set_names())):
-        joint = next((j for j in ACTIVE_JOINTS if f".{j}." in name), None)
-        part = stage.get(name, "release") if joint is None else f"actuation.{joint}"
-        if name not in SET_NUISANCES:
-            parts.setdefault(part, []).append(place)
-    return {part: np.array(places) for part, places in parts.items()}
+    shifts = prior_shift(scatter, likelihood.covariance, mean)
+    return {part: shift.excess_sd / CONFLICT_SD for part, shift in shifts.items()}
 
 
 def unknown_probability(left: Mapping[str, Left]) -> float:

@@ -279,6 +279,7 @@ class GapService:
                     healthy,
                     self._names(run.throws),
                     dict(run.throws.reference_days),
+                    run.throws.material_m,
                 ),
                 tell,
                 lambda: run.cancelled.is_set() or self._is_closed,

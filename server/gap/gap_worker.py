@@ -56,6 +56,8 @@ class GapJob:
     """What people call a log, by its file's name, which is a hash."""
     reference_days: Mapping[str, int] = field(default_factory=dict[str, int])
     """Kept reference throws by day."""
+    material_m: float | None = None
+    """An effect that moves the impact by less is not claimed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,9 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
             reference = _named(healthy, job.names)
     finally:
         reader.close()
-    found = diagnose_throws(loaded, job.profile, progress, reference=reference)
+    found = diagnose_throws(
+        loaded, job.profile, progress, reference=reference, material_m=job.material_m
+    )
     return with_reference_stated(found, job.reference_days)
 
 

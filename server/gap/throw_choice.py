@@ -29,6 +29,8 @@ class ChosenThrows(NamedTuple):
     """Logs of the reference throws that commissioning has kept, by id."""
     reference_days: Mapping[str, int] = {}
     """Those throws by day."""
+    material_m: float | None = None
+    """Least displacement of the impact from which an effect is claimed."""
 
 
 def choose_throws(
@@ -68,6 +70,7 @@ def choose_throws(
         (*known, *reference),
         {throw_id: paths[throw_id] for throw_id in known},
         Counter(days[throw_id] for throw_id in known),
+        request.material_m,
     )
 
 

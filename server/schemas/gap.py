@@ -16,6 +16,7 @@ from sim_twin.effects.effect import Effect
 MIN_THROWS_COUNT = 6
 MAX_THROWS_COUNT = 60
 MIN_REFERENCE_THROWS_COUNT = 3
+MAX_MATERIAL_M = 1.0
 
 
 class GapState(StrEnum):
@@ -49,6 +50,9 @@ class GapRunRequest(Request):
     against: Literal["kept", "type"] | None = None
     """Without `reference_throw_ids`: `type` compares with healthy machines of the type; else the kept
     reference throws of the machine are compared with, if there are enough."""
+
+    material_m: float | None = Field(default=None, gt=0.0, le=MAX_MATERIAL_M)
+    """An effect that moves the impact by less is reported as seen, not claimed."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import cast
 
-from diagnosis.conclusion import ambiguity_of, sentence_of, verdict_of
+from diagnosis.conclusion import ambiguity_of, rival_of, sentence_of, verdict_of
 from diagnosis.hypotheses.ranking import Ranked
 from diagnosis.hypotheses.unknown_check import Left
 from diagnosis.linearisation.unmodelled_effects import UNMODELLED_EFFECTS
@@ -158,6 +158,7 @@ def test_jitter_is_part_of_both_rivals() -> None:
             jitter=_jitter_of(0.07),
         )
         assert ambiguity_of(cast("Ranked", ranked), None).members == members
+        assert rival_of(cast("Ranked", ranked), None) is either
 
 
 def test_an_unknown_effect_says_what_it_resembles_and_where_that_acts() -> None:

@@ -33,6 +33,17 @@ def test_one_effect_is_named_sized_and_removed() -> None:
     assert Diagnosis.model_validate_json(found.model_dump_json()) == found
 
 
+def test_an_effect_that_moves_the_impact_too_little_is_seen_and_not_claimed() -> None:
+    lag = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12})
+    found = diagnose_throws(throws((lag,), 5), profile(), health=health(), material_m=9.0)
+    assert found.verdict is VerdictKind.NONE
+    assert "No effect that matters. Small change seen: valve lag of the boom" in found.sentence
+    assert "less than the 9 m asked for" in found.sentence
+    assert found.shrink is None
+    # What was seen stays in the file.
+    assert {e.effect for e in found.causes[0].effects} >= {"valve_lag"}
+
+
 def test_too_few_throws_are_refused() -> None:
     loaded = throws((), 5)
     found = diagnose_throws(replace(loaded, throws=loaded.throws[:2]), profile(), health=health())

@@ -253,10 +253,11 @@ def test_a_real_run_on_recorded_logs(running, ada, tmp_path, monkeypatch):
     twin = load_throws([logs]).throws[0].twin_profile
     monkeypatch.setattr(running.parts.gap._twins, "profile", lambda machine_id: twin)
     throw_ids = add_throws(running.parts, 6, logs=sorted(logs.glob("*.mcap")))
-    view = ended(ada, start(ada, throw_ids=throw_ids), 240.0)
+    view = ended(ada, start(ada, throw_ids=throw_ids, material_m=0.05), 240.0)
     assert view["row"]["state"] == "done", view["row"]["detail"]
     result = view["result"]
     assert result["verdict"] == "none"
+    assert result["evidence"]["material_m"] == 0.05
     assert len(result["evidence"]["throws_used"]) == 6
     assert {s["stage"] for s in result["stages"]} >= {"actuation", "swing", "release"}
     assert sum(c["probability"] for c in result["causes"]) <= 1.01

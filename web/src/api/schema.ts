@@ -1243,6 +1243,11 @@ export interface components {
          * @description Causes that these data cannot separate.
          */
         Ambiguity: {
+            /**
+             * Effects
+             * @default []
+             */
+            effects: components["schemas"]["FittedEffect"][][];
             /** Members */
             members: string[];
             /** Separating Motion */
@@ -1679,6 +1684,8 @@ export interface components {
         GapRunRequest: {
             /** Against */
             against?: ("kept" | "type") | null;
+            /** Material M */
+            material_m?: number | null;
             mode?: components["schemas"]["Mode"] | null;
             /** Newest Count */
             newest_count?: number | null;
@@ -2691,6 +2698,8 @@ export interface components {
             ];
             /** Held Out Throws */
             held_out_throws: number;
+            /** Moved M */
+            moved_m?: number | null;
             /** Predicted Ratio */
             predicted_ratio: number | null;
             /** Ratio */

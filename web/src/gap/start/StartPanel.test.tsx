@@ -71,6 +71,17 @@ describe("a new diagnosis", () => {
     await waitFor(() => expect(posted).toEqual([{ newest_count: 12, mode: null }]));
   });
 
+  it("asks for the least move of the impact that matters", async () => {
+    await open(12);
+    const field = screen.getByLabelText("Least move of the impact");
+    fireEvent.change(field, { target: { value: "5" } });
+    expect(screen.getByText(/less than 5 cm is seen, not named/)).toBeTruthy();
+    fireEvent.click(start());
+    await waitFor(() =>
+      expect(posted).toEqual([{ newest_count: 12, mode: null, material_m: 0.05 }]),
+    );
+  });
+
   it("says when too few are kept, and what that means", async () => {
     await open(12, FEW);
     expect(screen.getByText(/6 are too few. It is compared with its type/)).toBeTruthy();

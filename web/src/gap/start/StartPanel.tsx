@@ -11,7 +11,7 @@ import classes from "./StartPanel.module.css";
 import { ThrowPicker } from "./ThrowPicker";
 import { diagnosedOf, fittingOf, MIN_THROWS, type Wish, wishOf } from "./wish";
 
-const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "kept" };
+const FIRST: Wish = { by: "newest", count: 12, mode: "any", against: "kept", materialCm: null };
 
 type Props = { machineId: string; onStarted: (runId: string) => void };
 
@@ -90,6 +90,26 @@ export function StartPanel({ machineId, onStarted }: Props) {
         chosen={healthy}
         onChange={setHealthy}
       />
+      <fieldset className={classes.group}>
+        <legend>What matters</legend>
+        <NumberInput
+          aria-label="Least move of the impact"
+          placeholder="Every effect counts"
+          suffix=" cm of impact"
+          min={1}
+          max={100}
+          allowDecimal={false}
+          value={wish.materialCm ?? ""}
+          onChange={(value) =>
+            setWish({ ...wish, materialCm: typeof value === "number" ? value : null })
+          }
+        />
+        <p className={classes.note}>
+          {wish.materialCm === null
+            ? "Every effect that shows is named."
+            : `An effect that moves the impact by less than ${wish.materialCm} cm is seen, not named. Sensors and pose always count.`}
+        </p>
+      </fieldset>
       {throws.isSuccess && problem !== null && (
         <p className={classes.note} data-problem>
           {problem}

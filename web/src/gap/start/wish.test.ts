@@ -7,7 +7,7 @@ const throws = Array.from({ length: 10 }, (_, index) => ({
   mode: index < 7 ? "3d" : "2d",
 })) as Throw[];
 const none: ReadonlySet<string> = new Set();
-const newest: Wish = { by: "newest", count: 12, mode: "any", against: "kept" };
+const newest: Wish = { by: "newest", count: 12, mode: "any", against: "kept", materialCm: null };
 
 describe("a wish for a diagnosis", () => {
   it("asks for the newest", () => {
@@ -28,6 +28,11 @@ describe("a wish for a diagnosis", () => {
     expect(wishOf(hand, throws, none, none).problem).toBe("0 chosen, at least 6.");
     expect(wishOf(hand, throws, chosen, none).body?.throw_ids).toHaveLength(10);
     expect(wishOf({ ...hand, mode: "3d" }, throws, chosen, none).body?.throw_ids).toHaveLength(7);
+  });
+
+  it("asks in metres for what matters in centimetres", () => {
+    const asked = wishOf({ ...newest, materialCm: 5 }, throws, none, none).body;
+    expect(asked).toEqual({ newest_count: 12, mode: null, material_m: 0.05 });
   });
 
   it("takes healthy throws that are not diagnosed", () => {

@@ -11,6 +11,8 @@ export type Wish = {
   /** What they are compared with: reference throws that are kept, throws of this machine that are ticked, or
    * healthy machines of the type. */
   against: "kept" | "machine" | "type";
+  /** An effect that moves the impact by less is reported as seen, not claimed; null claims every one. */
+  materialCm: number | null;
 };
 
 type Asked = { body: Schema["GapRunRequest"] | null; problem: string | null };
@@ -54,6 +56,7 @@ export function wishOf(wish: Wish, throws: readonly Throw[], chosen: Ids, health
     wish.by === "hand"
       ? { throw_ids: ids }
       : { newest_count: wish.count, mode: wish.mode === "any" ? null : wish.mode };
+  if (wish.materialCm !== null) body.material_m = wish.materialCm / 100;
   if (wish.against === "kept") return { body, problem: null };
   if (wish.against === "type") return { body: { ...body, against: "type" }, problem: null };
   const reference = [...healthy].filter((id) => !diagnosed.has(id));
