@@ -76,6 +76,10 @@ GRID_RATIO = (0.8, 1.8)
 """Sizes at which single effects are simulated, as multiples of the prior's width."""
 EXTENSION_COUNT = 8
 """Further effects that are tried beside a set, by their slopes."""
+FINAL_COUNT = 6
+"""Sets that are compared with their healthy deviations simulated; the parts of the best two beside them."""
+HEALTHY_ROUNDS = 2
+"""Rounds in which healthy deviations are simulated at their posterior mean."""
 REFINE_ROUNDS = 3
 """Rounds of Gauss and Newton's method."""
 BEAM = ((4, 8), (3, 6))

@@ -6,7 +6,7 @@ comparable whatever their effects do.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +14,15 @@ from scipy.special import log_ndtr, logsumexp
 
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, Products
 from diagnosis.inference.evidence import Priors, Set, members_index
-from diagnosis.linearisation.parameters import ParameterLayout, effects_of, library
+from diagnosis.linearisation.parameters import (
+    Parameter,
+    ParameterLayout,
+    ReplayKind,
+    effects_of,
+    library,
+)
 from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
+from diagnosis.population.machine_baseline import SMOOTH_EFFECTS
 from diagnosis.tuning import FURTHER_LOG_PRIOR, SLAB_SCALES_RATIO
 from diagnosis.worker_process import WorkerProcess
 from machine.conventions import Array
@@ -119,6 +126,51 @@ def _evaluate(
         _candidate(likelihood, members, sizes, found)
         for (members, sizes), found in zip(points, simulated, strict=True)
     ]
+
+
+def about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> list[CandidateSet]:
+    """Candidates whose healthy deviations are simulated as well, at their posterior mean.
+
+    Effects are simulated and deviations follow slopes. Where the slopes are wrong, as those of a friction
+    that stops a joint, an effect would gain by what a deviation of the same size explains as well.
+    """
+    if throws.worker is None or len(candidates) < 2:
+        return _about_healthy_mean(throws, candidates)
+    return throws.worker.split(_about_healthy_mean, throws, candidates)
+
+
+def _about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> list[CandidateSet]:
+    likelihood = throws.likelihood
+    problem = likelihood.problem
+    layout = problem.layout
+    places = [i for i, p in enumerate(library()) if p.effect in SMOOTH_EFFECTS]
+    deviations: list[Array] = []
+    requests: list[tuple[tuple[Effect, ...], list[Parameter]]] = []
+    for one in candidates:
+        mean = likelihood.healthy_mean(one.products)
+        deviation = np.array([library()[i].clip(float(mean[i])) for i in places])
+        moved = [library()[i].at(float(d)) for i, d in zip(places, deviation, strict=True)]
+        wanted = [library()[i] for i in _constants(layout, one.members)]
+        requests.append(((*fitted_effects(layout, one.members, one.sizes), *moved), wanted))
+        deviations.append(deviation)
+    simulated = relinearise(
+        problem.prepared,
+        problem.profile,
+        problem.calibration,
+        problem.healthy,
+        problem.linear,
+        requests,
+        tuple(ReplayKind),
+        followed=(),
+    )
+    found: list[CandidateSet] = []
+    for one, deviation, at in zip(candidates, deviations, simulated, strict=True):
+        along = [
+            replace(new, change=new.change - linear.jacobian[:, places] @ deviation)
+            for new, linear in zip(at, problem.linear, strict=True)
+        ]
+        found.append(_candidate(likelihood, one.members, one.sizes, along))
+    return found
 
 
 def _constants(layout: ParameterLayout, members: Set) -> list[int]:

@@ -6,6 +6,7 @@ smaller sets.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from diagnosis.hypotheses.candidate import (
     CandidateSet,
     StartingPoint,
     Throws,
+    about_healthy_mean,
     evaluate,
     no_effect,
     refined,
@@ -27,7 +29,9 @@ from diagnosis.tuning import (
     BEAM,
     CLEAR_LOG_EVIDENCE,
     EXTENSION_COUNT,
+    FINAL_COUNT,
     GRID_RATIO,
+    HEALTHY_ROUNDS,
     REFINE_ROUNDS,
     SINGLE_COUNT,
 )
@@ -57,7 +61,17 @@ def search(throws: Throws, tick: Callable[[float], None]) -> list[CandidateSet]:
         tick(0.4 + 0.25 * (size - 1))
     missing = evaluate(throws, _missing_subsets(problem.layout.priors, found, _best(found)[:2]))
     found += refined(throws, missing, REFINE_ROUNDS)
-    return _best(_best_of_each([c for c in found if _has_all(problem.layout.priors, c)]))
+    found = _best(_best_of_each([c for c in found if _has_all(problem.layout.priors, c)]))
+    simpler = {one for c in found[:2] for one in _subsets(c.members)}
+    final = found[:FINAL_COUNT] + [c for c in found[FINAL_COUNT:] if c.members in simpler]
+    for _ in range(HEALTHY_ROUNDS):
+        final = about_healthy_mean(throws, final)
+    return _best(final)
+
+
+def _subsets(members: Set) -> list[Set]:
+    """All sets of fewer of these effects."""
+    return [part for n in range(len(members)) for part in combinations(members, n)]
 
 
 def _has_all(priors: Priors, candidate: CandidateSet) -> bool:
