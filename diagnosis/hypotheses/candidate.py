@@ -136,7 +136,7 @@ def about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> li
     """
     if throws.worker is None or len(candidates) < 2:
         return _about_healthy_mean(throws, candidates)
-    return throws.worker.split(_about_healthy_mean, throws, candidates)
+    return throws.worker.split(_about_healthy_mean, throws, list(candidates))
 
 
 def _about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> list[CandidateSet]:

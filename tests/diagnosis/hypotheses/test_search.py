@@ -6,19 +6,23 @@ import pytest
 from diagnosis.hypotheses.candidate import (
     CandidateSet,
     Throws,
+    about_healthy_mean,
     evaluate,
     fitted_effects,
     log_prior,
+    no_effect,
     refined,
     sizes_by_member,
 )
-from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
+from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, marginal_likelihood
 from diagnosis.hypotheses.search import search
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, throws
 
 STICKING = Effect(effect="stiction", joint="dipper", parameters={"breakaway_rad_m_per_s": 0.06})
 SHORT = Effect(effect="gripper_length", parameters={"extra_length_m": -0.18})
+SOFT = Effect(effect="chassis_compliance", parameters={"pitch_rad": 0.02})
+"""Healthy deviations of friction and pose absorb most of it."""
 LATE = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
 
 
@@ -30,7 +34,7 @@ def found(*effects: Effect) -> tuple[Throws, list[CandidateSet]]:
     return asked, search(asked, lambda share: None)
 
 
-@pytest.mark.parametrize("effects", [(STICKING,), (SHORT,), (LATE, SHORT), ()])
+@pytest.mark.parametrize("effects", [(STICKING,), (SHORT,), (SOFT,), (LATE, SHORT), ()])
 def test_a_set_is_found_at_its_sizes(effects: tuple[Effect, ...]) -> None:
     asked, candidates = found(*effects)
     best = candidates[0]
@@ -69,3 +73,24 @@ def test_a_further_effect_and_an_unlikely_size_cost_evidence() -> None:
     sizes = np.full(2, 0.05)
     assert log_prior(priors, two, sizes) < log_prior(priors, one, sizes[:1])
     assert list(sizes_by_member(priors, two, sizes)) == list(two)
+
+
+def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = posed(throws((), 3))
+    asked = Throws(likelihood := marginal_likelihood(problem), likelihood)
+    group = problem.layout.groups.index(("passive_coulomb_friction", None))
+    (place,) = problem.layout.priors.groups[group].tolist()
+    size = 0.2
+    mean = np.zeros(likelihood.covariance.shape[0])
+    mean[place] = size
+    monkeypatch.setattr(MarginalLikelihood, "healthy_mean", lambda *_: mean)
+    (none,) = about_healthy_mean(asked, [no_effect(likelihood)])
+    assert none.members == ()
+    (effect,) = evaluate(asked, [((group,), np.array([size]))])
+    for linear, one, other in zip(problem.linear, none.change, effect.change, strict=True):
+        along_slope = size * linear.jacobian[:, place]
+        np.testing.assert_allclose(one + along_slope, other, atol=1e-9)
+        # Friction that stops a joint has no single slope.
+        assert np.abs(one).max() > 0.0
