@@ -297,6 +297,7 @@ def build_control(settings: MachineSettings) -> MachineControl:
     """
     spec = load_spec()
     policies: dict[Mode, PolicyRunner] = {}
+    refusals: dict[Mode, str] = {}
     versions = on_board(settings, spec)
     for mode in Mode:
         try:
@@ -304,6 +305,7 @@ def build_control(settings: MachineSettings) -> MachineControl:
         except PolicyError as error:
             # The machine runs without it and says so in its arming checks.
             logger.warning("no %s policy on board: %s", mode.value, error)
+            refusals[mode] = str(error)
     tables = (
         calibration.nominal_calibration(spec)
         if settings.calibration_file is None
@@ -311,7 +313,7 @@ def build_control(settings: MachineSettings) -> MachineControl:
     )
     driver = load_driver(settings.driver, settings.driver_options, settings.unit_seed_count)
     fixed = MachineSetup(
-        settings.machine_id, uuid.uuid4().hex, spec, tables, policies, software_version()
+        settings.machine_id, uuid.uuid4().hex, spec, tables, policies, software_version(), refusals
     )
     return MachineControl(driver, fixed)
 

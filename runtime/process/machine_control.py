@@ -76,6 +76,8 @@ class MachineSetup:
     calibration: ValveCalibration
     policies: dict[Mode, PolicyRunner]
     software: str
+    policy_refusals: dict[Mode, str] = field(default_factory=dict[Mode, str])
+    """Why a mode has no policy."""
 
 
 @dataclass(slots=True)
@@ -197,14 +199,18 @@ class MachineControl:
             self._policy_events.append(ThrowEvent(EventKind.POLICY_REFUSED, data=data))
             if is_recheck:
                 del policies[offer.mode]
-                self._set_policies(policies)
+                self._set_policies(policies, {offer.mode: loaded.refusal})
             return
         self._set_policies({**policies, offer.mode: runner})
         data["policy_sha256"] = runner.card.policy_sha256
         self._policy_events.append(ThrowEvent(EventKind.POLICY_SWITCHED, data=data))
 
-    def _set_policies(self, policies: dict[Mode, PolicyRunner]) -> None:
-        setup = self.setup = replace(self.setup, policies=policies)
+    def _set_policies(
+        self, policies: dict[Mode, PolicyRunner], refused: dict[Mode, str] | None = None
+    ) -> None:
+        refusals = {**self.setup.policy_refusals, **(refused or {})}
+        kept = {mode: text for mode, text in refusals.items() if mode not in policies}
+        setup = self.setup = replace(self.setup, policies=policies, policy_refusals=kept)
         self._params = {
             mode: ControlParams(setup.spec, setup.calibration, mode, policies.get(mode))
             for mode in Mode
@@ -380,6 +386,7 @@ class MachineControl:
                 late_tick_ratio=self.host.late_tick_ratio,
                 outbox_count=self.host.outbox_count,
                 recorder_dropped_count=self.host.recorder_dropped_count,
+                policy_refusals=setup.policy_refusals,
             )
         )
 

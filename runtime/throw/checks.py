@@ -6,7 +6,7 @@ nothing. Values that a machine does not measure (NaN) are said to be unmeasured,
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -60,6 +60,8 @@ class CheckInputs:
     late_tick_ratio: float
     outbox_count: int
     recorder_dropped_count: int
+    policy_refusals: dict[Mode, str] = field(default_factory=dict[Mode, str])
+    """Why a mode has no policy."""
 
 
 def check_enable(given: CheckInputs) -> CheckResult:
@@ -174,6 +176,8 @@ def check_pressure(given: CheckInputs) -> CheckResult:
 def check_policies(given: CheckInputs) -> CheckResult:
     """At least one policy is on board."""
     names = ", ".join(f"{mode.value}: {card.policy_id}" for mode, card in given.cards.items())
+    for mode, refusal in given.policy_refusals.items():
+        names += f"{', ' * bool(names)}{mode.value}: none ({refusal})"
     return _result(
         "policies",
         bool(given.cards),

@@ -133,6 +133,8 @@ def test_a_machine_that_is_bound_to_its_site_loads_what_the_site_approves(other_
     yard.ready()
     # Only one of its two installed versions is approved: the other is taken out, or was not loaded.
     wait_for(lambda: list(yard.server.state.policy_sha256) == ["2d"], 90.0)
+    texts = [check.text for check in yard.server.state.checks]
+    assert any("3d: none" in text and "not approved by site yard" in text for text in texts)
 
     def refusals_of_2d():
         return [data["detail"] for data in told(yard, "policy_refused") if data["mode"] == "2d"]

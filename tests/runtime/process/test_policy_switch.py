@@ -29,6 +29,11 @@ def given(switch, state=ThrowState.DISARMED):
     return wait_for(lambda: switch.next(state))
 
 
+def policies_check(bench):
+    checks = bench.control.machine_state().checks
+    return next(check.text for check in checks if check.check_id == "policies")
+
+
 def refuse(mode, policy_sha256):
     raise PolicyError(f"no {policy_sha256[:3]}")
 
@@ -122,6 +127,7 @@ def test_a_version_that_is_no_longer_approved_is_taken_out_and_comes_back(bench)
         bench.tick()
     assert bench.kinds == ["policy_refused"]
     assert bench.events[0].data["is_removed"]
+    assert "2d: none (it is not approved)" in policies_check(bench)
     assert list(bench.control.machine_state().policy_sha256) == ["3d"]
     bench.tick(make(LeaseNotice, epoch_count=1))
     bench.ask(make(LoadRequest, epoch_count=1, seen_t_mono_ns=bench.driver.now_ns()))
@@ -134,3 +140,4 @@ def test_a_version_that_is_no_longer_approved_is_taken_out_and_comes_back(bench)
     assert bench.kinds[-1] == "policy_switched"
     assert bench.events[-1].data["slot"] is None
     assert "2d" in bench.control.machine_state().policy_sha256
+    assert "none" not in policies_check(bench)
