@@ -26,6 +26,8 @@ MIN_WRAPPED_DISTINCT: Final = 5
 """Fewest values at either end of an integer's range; a switch has one."""
 REPEATED_RATIO: Final = 0.4
 """Share of rows that repeat the row before from which frames are repeated."""
+MIN_PLACES: Final = 5
+"""Fewest places of a body that moves."""
 LOST_JUMP_RATIO: Final = 5.0
 """Distance of lost detections from the rows beside them, in median steps of the track."""
 LOST_PLACES: Final = (0.0, -1.0)
@@ -94,5 +96,6 @@ def find_repeated_frames(columns: Sequence[Array]) -> BoolArray:
     repeats = np.concatenate([[False], np.all(track[1:] == track[:-1], axis=1)])
     starts = np.flatnonzero(~repeats)
     lengths = np.diff(np.append(starts, len(repeats)))
-    is_film = np.mean(repeats) > REPEATED_RATIO and np.median(lengths) >= 2.0
+    is_moving = len(lengths) > MIN_PLACES
+    is_film = is_moving and np.mean(repeats) > REPEATED_RATIO and np.median(lengths) >= 2.0
     return repeats if is_film else np.zeros(len(repeats), dtype=np.bool_)

@@ -94,8 +94,8 @@ def _refuse_change_of_unit(name: str, steps: Array) -> None:
     if power > 0 and abs(ratio / 1000.0**power - 1.0) < UNIT_CHANGE_TOLERANCE_RATIO:
         raise RefusedTableError(
             f"the times in column {name!r} go on in steps of {min(periods):.3g} in one part of the file and "
-            f"of {max(periods):.3g} in another: their unit changes (s and ms?). Write one unit in all rows, "
-            "or one file a recording"
+            f"of {max(periods):.3g} in another: units of time are mixed (s and ms?). Write one unit in all "
+            "rows, or one file a recording"
         )
 
 

@@ -264,5 +264,5 @@ def test_days_and_midnight(tmp_path: Path) -> None:
 def test_a_change_of_the_unit_of_time_is_refused(tmp_path: Path) -> None:
     times = [0.01 * k for k in range(50)] + [500.0 + 10.0 * k for k in range(70)]
     path = write(tmp_path / "a.csv", "t,v", times, range(120))
-    with pytest.raises(RefusedTableError, match="unit changes"):
+    with pytest.raises(RefusedTableError, match="units of time are mixed"):
         time_in_seconds(read_table(path), "t")
