@@ -3,12 +3,15 @@ import type { Schema } from "../session/client";
 import { count, fixed, metres, shortHash } from "../words/format";
 import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
+import { PolicyActions } from "./PolicyActions";
 import classes from "./PolicyCard.module.css";
 
 type Policy = Schema["PolicyView"];
 
+type Props = { policy: Policy; isOnBoard: boolean; machineId: string | null };
+
 /** One version: what it is for, where it comes from, how well it throws. */
-export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: boolean }) {
+export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
   const { card } = policy;
   const { training } = card;
   return (
@@ -26,6 +29,7 @@ export function PolicyCard({ policy, isOnBoard }: { policy: Policy; isOnBoard: b
           {policy.problem}
         </p>
       )}
+      {machineId !== null && <PolicyActions policy={policy} machineId={machineId} />}
       <dl className={classes.facts}>
         <dt>Targets</dt>
         <dd>{targetWords(card)}</dd>

@@ -1,14 +1,16 @@
 import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
+import { OnBoard } from "../policies/OnBoard";
 import { PolicyCard } from "../policies/PolicyCard";
 import { usePolicies } from "../throws/useThrows";
 import { errorWords } from "../words/errors";
 import classes from "./policies.module.css";
 
-/** Policies: the versions this server knows, what is active and what is on board. */
+/** Policies: the versions this server knows, what the chosen machine has on board, and what it is to have. */
 export function PoliciesPage() {
   const policies = usePolicies();
-  const onBoard = useMachine()?.state?.policy_sha256 ?? {};
+  const machine = useMachine();
+  const onBoard = machine?.state?.policy_sha256 ?? {};
   if (policies.isError) return <GateSentence sentence={errorWords(policies.error)} />;
   const all = policies.data ?? [];
   const rank = (isActive: boolean) => (isActive ? 0 : 1);
@@ -24,11 +26,13 @@ export function PoliciesPage() {
       {policies.data && all.length === 0 && (
         <GateSentence sentence="No policy version is known. Put one into the server's policies folder." />
       )}
+      {machine && <OnBoard machineId={machine.machine_id} />}
       <div className={classes.cards}>
         {sorted.map((policy) => (
           <PolicyCard
             key={policy.policy_sha256}
             policy={policy}
+            machineId={machine?.machine_id ?? null}
             isOnBoard={onBoard[policy.mode] === policy.policy_sha256}
           />
         ))}

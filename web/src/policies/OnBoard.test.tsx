@@ -1,0 +1,79 @@
+import { MantineProvider } from "@mantine/core";
+import { QueryClient, QueryClientProvider } from "@tanstack/react-query";
+import { cleanup, fireEvent, render, screen, waitFor } from "@testing-library/react";
+import { afterEach, beforeAll, describe, expect, it, vi } from "vitest";
+import { api } from "../session/client";
+import { stubResizeObserver } from "../testing";
+import { OnBoard } from "./OnBoard";
+
+const SINCE = "2026-11-27T09:00:00Z";
+const NEW = { mode: "2d", policy_sha256: "a".repeat(64), policy_id: "v8", since_utc: SINCE };
+const OLD = { ...NEW, policy_sha256: "b".repeat(64), policy_id: "v7" };
+let posted: unknown[] = [];
+
+type Asked = { params: { query?: { at?: string } } };
+
+/** A machine with v8 on board since nine; before that `earlier`. */
+function serve(earlier: unknown[], permissions = ["policy.deploy"]) {
+  const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
+  vi.spyOn(api, "GET").mockImplementation(((path: string, options: Asked) => {
+    if (path === "/api/v1/auth/me") return answer({ permissions });
+    if (path.endsWith("/deployments")) return answer([]);
+    const at = options.params.query?.at;
+    const isBefore = at !== undefined && Date.parse(at) < Date.parse(SINCE);
+    return answer({ machine_id: "m001", at_utc: SINCE, policies: isBefore ? earlier : [NEW] });
+  }) as never);
+  vi.spyOn(api, "POST").mockImplementation(((path: string, options: unknown) => {
+    posted.push([path, options]);
+    return answer({});
+  }) as never);
+  render(
+    <QueryClientProvider client={new QueryClient()}>
+      <MantineProvider>
+        <OnBoard machineId="m001" />
+      </MantineProvider>
+    </QueryClientProvider>,
+  );
+}
+
+const rollBack = () =>
+  screen.findByRole("button", { name: "Roll back 2D of m001" }) as Promise<HTMLButtonElement>;
+
+beforeAll(stubResizeObserver);
+afterEach(() => {
+  cleanup();
+  vi.restoreAllMocks();
+  posted = [];
+});
+
+describe("what a machine has on board", () => {
+  it("rolls back with the consequence and a reason", async () => {
+    serve([OLD]);
+    await waitFor(async () => expect((await rollBack()).disabled).toBe(false));
+    fireEvent.click(await rollBack());
+    expect(await screen.findByText(/throws in 2D with v7 again instead of v8/)).toBeTruthy();
+    const go = screen.getByRole("button", { name: "Go back to v7" }) as HTMLButtonElement;
+    expect(go.disabled).toBe(true);
+    fireEvent.change(screen.getByLabelText(/Why/), { target: { value: "wider on m001" } });
+    fireEvent.click(go);
+    await waitFor(() => expect(posted).toHaveLength(1));
+    expect(posted[0]).toEqual([
+      "/api/v1/machines/{machine_id}/policies/{mode}/rollback",
+      { params: { path: { machine_id: "m001", mode: "2d" } }, body: { reason: "wider on m001" } },
+    ]);
+  });
+
+  it("offers no way back where there was no other version", async () => {
+    serve([]);
+    expect(await screen.findByText("No earlier version.")).toBeTruthy();
+    expect((await rollBack()).disabled).toBe(true);
+  });
+
+  it("tells what ran at a time", async () => {
+    serve([OLD]);
+    await screen.findByText("v8");
+    const field = screen.getByLabelText(/What ran on m001 at/);
+    fireEvent.change(field, { target: { value: "2026-11-20T10:14:00" } });
+    await waitFor(() => expect(screen.getByTestId("had-at").textContent).toBe("2D: v7"));
+  });
+});

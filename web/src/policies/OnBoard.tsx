@@ -1,0 +1,189 @@
+import { Button, TextInput } from "@mantine/core";
+import { useState } from "react";
+import { useMay } from "../session/useSession";
+import { errorWords } from "../words/errors";
+import { localStamp, zonedStamp, zoneName } from "../words/time";
+import { ConfirmDialog } from "./ConfirmDialog";
+import { nameOf, outcomeWords, pendingOf } from "./life";
+import classes from "./OnBoard.module.css";
+import {
+  type Deployment,
+  type OnBoard as Entry,
+  useDeployments,
+  useOnBoard,
+  usePolicyActions,
+} from "./usePolicyLife";
+
+/** A second before a version came on board, the one before it was. */
+const before = (since: string) => new Date(Date.parse(since) - 1000).toISOString();
+
+/** What the machine throws with, one press to go back, and what it had at any time. */
+export function OnBoard({ machineId }: { machineId: string }) {
+  const deployments = useDeployments(machineId);
+  const known = deployments.data ?? [];
+  const isWaiting = known.some((one) => one.outcome === "pending");
+  const now = useOnBoard(machineId, null, isWaiting);
+  return (
+    <section className={classes.panel} aria-label={`On board ${machineId}`}>
+      <h2>On board {machineId}</h2>
+      {now.isError && <p className={classes.refusal}>{errorWords(now.error)}</p>}
+      {now.data && now.data.policies.length === 0 && (
+        <p className={classes.note}>{machineId} has not started yet, so nothing is known.</p>
+      )}
+      <ul className={classes.modes}>
+        {now.data?.policies.map((entry) => (
+          <ModeRow
+            key={entry.mode}
+            machineId={machineId}
+            entry={entry}
+            pending={pendingOf(known, entry.mode)}
+          />
+        ))}
+      </ul>
+      <HadAt machineId={machineId} />
+      {deployments.isError && <p className={classes.refusal}>{errorWords(deployments.error)}</p>}
+      <History deployments={known} />
+    </section>
+  );
+}
+
+type RowProps = { machineId: string; entry: Entry; pending: Deployment | null };
+
+function ModeRow({ machineId, entry, pending }: RowProps) {
+  const [isOpen, setOpen] = useState(false);
+  const earlier = useOnBoard(machineId, before(entry.since_utc));
+  const mayDeploy = useMay("policy.deploy");
+  const { rollBack } = usePolicyActions(machineId);
+  const last = earlier.data?.policies.find((one) => one.mode === entry.mode);
+  const hasEarlier = Boolean(last?.policy_sha256) && last?.policy_sha256 !== entry.policy_sha256;
+  const why = rollBackRefusal(mayDeploy, hasEarlier, pending !== null);
+  const close = () => {
+    setOpen(false);
+    rollBack.reset();
+  };
+  return (
+    <li>
+      <span className={classes.mode}>{entry.mode.toUpperCase()}</span>
+      <span>
+        <strong title={entry.policy_sha256 ?? undefined}>{nameOf(entry)}</strong>
+        <span className={classes.note}> since {zonedStamp(entry.since_utc)}</span>
+        {pending && (
+          <span className={classes.pending} role="status">
+            {pending.is_rollback ? "Goes back to" : "Switches to"} {nameOf(pending)} while no plan
+            is armed. {pending.detail}
+          </span>
+        )}
+      </span>
+      <span className={classes.action}>
+        <Button
+          variant="default"
+          size="md"
+          disabled={why !== null}
+          aria-label={`Roll back ${entry.mode.toUpperCase()} of ${machineId}`}
+          onClick={() => setOpen(true)}
+        >
+          Roll back
+        </Button>
+        {why && <span className={classes.note}>{why}</span>}
+      </span>
+      {isOpen && last && (
+        <ConfirmDialog
+          title={`Roll back ${entry.mode.toUpperCase()} of ${machineId}`}
+          action={`Go back to ${nameOf(last)}`}
+          hasReason
+          isPending={rollBack.isPending}
+          error={rollBack.error}
+          onConfirm={(reason) =>
+            rollBack.mutate({ mode: entry.mode, reason }, { onSuccess: () => setOpen(false) })
+          }
+          onClose={close}
+        >
+          <p>
+            {machineId} throws in {entry.mode.toUpperCase()} with {nameOf(last)} again instead of{" "}
+            {nameOf(entry)}, as soon as no plan is armed. Plans that were previewed with{" "}
+            {nameOf(entry)} are refused.
+          </p>
+        </ConfirmDialog>
+      )}
+    </li>
+  );
+}
+
+function rollBackRefusal(mayDeploy: boolean, hasEarlier: boolean, isPending: boolean) {
+  if (!mayDeploy) return "Your role may look, not change.";
+  if (isPending) return "Waits for the machine.";
+  return hasEarlier ? null : "No earlier version.";
+}
+
+/** What ran on the machine at a moment that a person names. */
+function HadAt({ machineId }: { machineId: string }) {
+  const [local, setLocal] = useState("");
+  const date = local ? new Date(local) : null;
+  const at = date && !Number.isNaN(date.getTime()) ? date.toISOString() : null;
+  return (
+    <div className={classes.had}>
+      <TextInput
+        type="datetime-local"
+        step={1}
+        label={`What ran on ${machineId} at (${zoneName(date ?? new Date())})`}
+        value={local}
+        onChange={(event) => setLocal(event.currentTarget.value)}
+      />
+      {at !== null && <Had machineId={machineId} at={at} />}
+    </div>
+  );
+}
+
+function Had({ machineId, at }: { machineId: string; at: string }) {
+  const found = useOnBoard(machineId, at);
+  if (found.isError) return <p className={classes.refusal}>{errorWords(found.error)}</p>;
+  if (!found.data) return null;
+  const all = found.data.policies;
+  return (
+    <p role="status" data-testid="had-at">
+      {all.length === 0
+        ? `${machineId} had not started yet.`
+        : all.map((one) => `${one.mode.toUpperCase()}: ${nameOf(one)}`).join(", ")}
+    </p>
+  );
+}
+
+function History({ deployments }: { deployments: readonly Deployment[] }) {
+  if (deployments.length === 0)
+    return <p className={classes.note}>Nothing was deployed to it from here yet.</p>;
+  return (
+    <div className={classes.scroll}>
+      <table className={classes.table}>
+        <caption>Deployments, newest first ({zoneName(new Date())})</caption>
+        <thead>
+          <tr>
+            <th scope="col">When</th>
+            <th scope="col">Mode</th>
+            <th scope="col">Version</th>
+            <th scope="col">Who</th>
+            <th scope="col">Why</th>
+            <th scope="col">What became of it</th>
+          </tr>
+        </thead>
+        <tbody>
+          {deployments.map((one) => (
+            <tr key={`${one.mode}-${one.deployment_count}`}>
+              <td>{localStamp(one.created_utc)}</td>
+              <td>{one.mode.toUpperCase()}</td>
+              <td title={one.policy_sha256}>
+                {nameOf(one)}
+                {one.is_rollback && " (rolled back)"}
+              </td>
+              <td>{one.created_by}</td>
+              <td>{one.reason}</td>
+              <td>
+                {outcomeWords(one)}
+                {one.ended_utc && one.outcome === "switched" && ` ${localStamp(one.ended_utc)}`}
+              </td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}

@@ -1,0 +1,123 @@
+import { Button } from "@mantine/core";
+import { useState } from "react";
+import type { Schema } from "../session/client";
+import { useMay } from "../session/useSession";
+import { zonedStamp } from "../words/time";
+import { ConfirmDialog } from "./ConfirmDialog";
+import { approvalOf, deployRefusal } from "./life";
+import classes from "./PolicyCard.module.css";
+import { useApprovals, useDeployments, useOnBoard, usePolicyActions } from "./usePolicyLife";
+
+type Props = { policy: Schema["PolicyView"]; machineId: string };
+type Asking = "deploy" | "approve" | "withdraw" | null;
+
+/** Who has approved a version, and what may be done with it on the machine that is chosen. */
+export function PolicyActions({ policy, machineId }: Props) {
+  const [asking, setAsking] = useState<Asking>(null);
+  const approvals = useApprovals();
+  const onBoard = useOnBoard(machineId, null);
+  const deployments = useDeployments(machineId);
+  const mayApprove = useMay("policy.approve");
+  const mayDeploy = useMay("policy.deploy");
+  const { deploy, approve, withdraw } = usePolicyActions(machineId);
+  if (!approvals.data || !onBoard.data || !deployments.data) return null;
+  const { policy_sha256, policy_id, mode } = policy;
+  const approval = approvalOf(approvals.data, policy_sha256);
+  const why = deployRefusal(policy_sha256, mode, {
+    problem: policy.problem,
+    isApproved: approval !== null,
+    onBoard: onBoard.data.policies,
+    deployments: deployments.data,
+    mayDeploy,
+  });
+  const close = () => {
+    setAsking(null);
+    for (const one of [deploy, approve, withdraw]) one.reset();
+  };
+  const done = { onSuccess: () => setAsking(null) };
+  const shown = mode.toUpperCase();
+  return (
+    <div className={classes.actions}>
+      <p className={classes.approval}>
+        {approval
+          ? `Approved by ${approval.approved_by}, ${zonedStamp(approval.approved_utc)}`
+          : "Not approved"}
+      </p>
+      <div className={classes.buttons}>
+        <Button
+          size="md"
+          disabled={why !== null}
+          onClick={() => setAsking("deploy")}
+          aria-label={`Deploy ${policy_id} to ${machineId}`}
+        >
+          Deploy to {machineId}
+        </Button>
+        {mayApprove &&
+          (approval ? (
+            <Button variant="default" size="md" onClick={() => setAsking("withdraw")}>
+              Withdraw approval
+            </Button>
+          ) : (
+            <Button
+              variant="default"
+              size="md"
+              disabled={!policy.is_present}
+              onClick={() => setAsking("approve")}
+            >
+              Approve
+            </Button>
+          ))}
+        {why && <span className={classes.why}>{why}</span>}
+      </div>
+      {asking === "deploy" && (
+        <ConfirmDialog
+          title={`Deploy ${policy_id} to ${machineId}`}
+          action="Deploy"
+          hasReason
+          isPending={deploy.isPending}
+          error={deploy.error}
+          onConfirm={(reason) => deploy.mutate({ mode, policy_sha256, reason }, done)}
+          onClose={close}
+        >
+          <p>
+            {machineId} fetches it, checks the site's signature, and throws in {shown} with it as
+            soon as no plan is armed. The version before stays on board; rolling back takes one
+            press.
+          </p>
+        </ConfirmDialog>
+      )}
+      {asking === "approve" && (
+        <ConfirmDialog
+          title={`Approve ${policy_id}`}
+          action="Approve"
+          hasReason={false}
+          isPending={approve.isPending}
+          error={approve.error}
+          onConfirm={() => approve.mutate(policy_sha256, done)}
+          onClose={close}
+        >
+          <p>
+            The site signs network, card, mode and machine model. Machines of this site may then
+            load it; nothing moves to it by that. Look at its accuracy below first.
+          </p>
+        </ConfirmDialog>
+      )}
+      {asking === "withdraw" && (
+        <ConfirmDialog
+          title={`Withdraw the approval of ${policy_id}`}
+          action="Withdraw"
+          hasReason={false}
+          isPending={withdraw.isPending}
+          error={withdraw.error}
+          onConfirm={() => withdraw.mutate(policy_sha256, done)}
+          onClose={close}
+        >
+          <p>
+            Every machine of the site stops using it as soon as no plan is armed. A machine that has
+            no other approved version in {shown} cannot throw in {shown}.
+          </p>
+        </ConfirmDialog>
+      )}
+    </div>
+  );
+}

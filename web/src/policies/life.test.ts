@@ -1,0 +1,69 @@
+import { describe, expect, it } from "vitest";
+import { deployRefusal, nameOf, outcomeWords, pendingOf } from "./life";
+import type { Deployment, OnBoard } from "./usePolicyLife";
+
+const A = "a".repeat(64);
+const B = "b".repeat(64);
+
+const deployment = (more: Partial<Deployment>): Deployment => ({
+  machine_id: "m001",
+  mode: "2d",
+  deployment_count: 1,
+  policy_sha256: A,
+  policy_id: "m545-2d-v6",
+  is_rollback: false,
+  reason: "less spread",
+  created_by: "ada",
+  created_utc: "2026-11-27T10:00:00Z",
+  outcome: "pending",
+  detail: "",
+  ended_utc: null,
+  ...more,
+});
+
+const onBoard = (sha256: string): OnBoard[] => [
+  { mode: "2d", policy_sha256: sha256, policy_id: null, since_utc: "2026-11-27T09:00:00Z" },
+];
+
+const facts = {
+  problem: null,
+  isApproved: true,
+  onBoard: onBoard(B),
+  deployments: [],
+  mayDeploy: true,
+};
+
+describe("a version's life on a machine", () => {
+  it("says why a version cannot be deployed", () => {
+    expect(deployRefusal(A, "2d", facts)).toBeNull();
+    expect(deployRefusal(B, "2d", facts)).toBe("On board.");
+    expect(deployRefusal(A, "2d", { ...facts, problem: "hash" })).toContain("cannot be used");
+    expect(deployRefusal(A, "2d", { ...facts, isApproved: false })).toContain("Not approved");
+    expect(deployRefusal(A, "2d", { ...facts, mayDeploy: false })).toContain("Your role");
+    const pending = [deployment({})];
+    expect(deployRefusal(A, "2d", { ...facts, deployments: pending })).toContain("On its way");
+  });
+
+  it("lets a person go back to what is on board while another version is on its way", () => {
+    expect(deployRefusal(B, "2d", { ...facts, deployments: [deployment({})] })).toBeNull();
+  });
+
+  it("finds what a machine has yet to do in a mode", () => {
+    const all = [deployment({ mode: "3d" }), deployment({ outcome: "switched" })];
+    expect(pendingOf(all, "3d")?.mode).toBe("3d");
+    expect(pendingOf(all, "2d")).toBeNull();
+  });
+
+  it("says what became of a deployment", () => {
+    expect(outcomeWords(deployment({}))).toBe("Waits for the machine");
+    expect(outcomeWords(deployment({ outcome: "refused", detail: "not approved" }))).toBe(
+      "Refused: not approved",
+    );
+    expect(outcomeWords(deployment({ outcome: "replaced" }))).toContain("newer");
+  });
+
+  it("names a version whose files are gone by its hash", () => {
+    expect(nameOf({ policy_id: null, policy_sha256: A })).toBe("aaaaaaaaaaaa");
+    expect(nameOf({ policy_id: null, policy_sha256: null })).toBe("no usable version");
+  });
+});

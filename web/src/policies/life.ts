@@ -1,0 +1,53 @@
+/** Words about what a machine has on board and what it is to have. */
+
+import type { Approval, Deployment, Mode, OnBoard } from "./usePolicyLife";
+
+type Named = { policy_id: string | null; policy_sha256: string | null };
+
+/** "m545-2d-v7", the start of its hash where the server has no name, or that there is none. */
+export const nameOf = (one: Named) =>
+  one.policy_id ?? one.policy_sha256?.slice(0, 12) ?? "no usable version";
+
+/** The deployment that a machine has yet to carry out in a mode. */
+export const pendingOf = (deployments: readonly Deployment[], mode: Mode) =>
+  deployments.find((one) => one.mode === mode && one.outcome === "pending") ?? null;
+
+/** "Switched", "Refused: ..." */
+export function outcomeWords(one: Deployment): string {
+  switch (one.outcome) {
+    case "pending":
+      return one.detail || "Waits for the machine";
+    case "switched":
+      return "Switched";
+    case "refused":
+      return one.detail ? `Refused: ${one.detail}` : "Refused";
+    default:
+      return "A newer deployment came first";
+  }
+}
+
+export const approvalOf = (approvals: readonly Approval[], sha256: string) =>
+  approvals.find((one) => one.policy_sha256 === sha256) ?? null;
+
+/** Why a version cannot be deployed now; null where it can. */
+export function deployRefusal(
+  sha256: string,
+  mode: Mode,
+  facts: {
+    problem: string | null;
+    isApproved: boolean;
+    onBoard: readonly OnBoard[];
+    deployments: readonly Deployment[];
+    mayDeploy: boolean;
+  },
+): string | null {
+  const { problem, isApproved, onBoard, deployments, mayDeploy } = facts;
+  if (problem) return "Its files cannot be used.";
+  if (!isApproved) return "Not approved: machines would not load it.";
+  const pending = pendingOf(deployments, mode);
+  if (pending?.policy_sha256 === sha256) return "On its way already.";
+  const own = onBoard.find((one) => one.mode === mode);
+  if (pending === null && own?.policy_sha256 === sha256) return "On board.";
+  if (!mayDeploy) return "Your role may look, not deploy. Ask a fleet engineer.";
+  return null;
+}
