@@ -151,7 +151,9 @@ class ToolEstimate(NamedTuple):
         """(N, 2) swing from the vertical in the arm plane, and roll."""
         position = self.position_rad_m
         swing = position[:, 1] + position[:, 2] + position[:, 4]
-        return np.stack([swing, position[:, 5]], axis=1)
+        angles = np.empty((len(position), 2))
+        angles[:, 0], angles[:, 1] = swing, position[:, 5]
+        return angles
 
 
 class SafetyMemory(NamedTuple):

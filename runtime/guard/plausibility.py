@@ -115,7 +115,9 @@ def check(
         Memory, and bits (N,) of `Contradiction`.
     """
     position, velocity = sample.joint_position_rad_m, sample.joint_velocity_rad_m_per_s
-    valve = np.nan_to_num(np.minimum(np.maximum(valve, -1.0), 1.0))
+    valve = np.minimum(np.maximum(valve, -1.0), 1.0)
+    # What `nan_to_num` does with bounded numbers, at a tenth of its cost.
+    valve = np.where(np.isnan(valve), 0.0, valve)
     finite = np.abs(position) + np.abs(velocity) < VALUE_LIMIT
     if np.count_nonzero(finite) < finite.size:
         position = np.where(finite, position, memory.position)
