@@ -48,7 +48,7 @@ export function PolicyActions({ policy, machineId }: Props) {
           size="md"
           disabled={why !== null}
           onClick={() => setAsking("deploy")}
-          aria-label={`Deploy ${policy_id} to ${machineId}`}
+          aria-label={`Deploy to ${machineId}: ${policy_id}`}
         >
           Deploy to {machineId}
         </Button>

@@ -1,0 +1,47 @@
+"""A policy version is deployed to a machine, thrown with, and rolled back."""
+
+from collections.abc import Callable
+
+from playwright.sync_api import Page, expect
+
+from tests.e2e.operator_page import sign_in, without_view
+from tests.e2e.stack import Stack, client, until
+
+OLDER, NEWER = "m545-2d-v6", "m545-2d-v7"
+
+
+def _on_board(demo: Stack) -> str:
+    """The machine's own version in 2D, as its state says."""
+    with client(demo, "admin") as admin:
+        found = admin.get("/machines/m001/policies").json()["policies"]
+    return next(one["policy_id"] for one in found if one["mode"] == "2d")
+
+
+def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[..., Page]) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, "admin", path="/policies")
+    board = page.get_by_role("region", name="On board m001")
+    expect(board).to_contain_text(NEWER)
+    back = board.get_by_role("button", name="Roll back 2D of m001")
+    expect(back).to_be_disabled()
+    expect(page.get_by_role("article", name=OLDER)).to_contain_text("Approved by the site's key")
+    # What is on board is not offered again.
+    expect(page.get_by_role("button", name=f"Deploy to m001: {NEWER}")).to_be_disabled()
+
+    page.get_by_role("button", name=f"Deploy to m001: {OLDER}").click()
+    page.get_by_label("Why").fill("compare both in the yard")
+    page.get_by_role("button", name="Deploy", exact=True).click()
+    expect(board.locator("tbody tr").first).to_contain_text("Switched")
+    expect(board.locator("li").first).to_contain_text(OLDER)
+    until(lambda: _on_board(demo) == OLDER, f"m001 throws with {OLDER}")
+
+    expect(back).to_be_enabled()
+    back.click()
+    expect(page.get_by_role("dialog")).to_contain_text(f"throws in 2D with {NEWER} again")
+    page.get_by_label("Why").fill("end of the comparison")
+    page.get_by_role("button", name=f"Go back to {NEWER}").click()
+    expect(board.locator("tbody tr").first).to_contain_text("(rolled back)")
+    expect(board.locator("tbody tr").first).to_contain_text("Switched")
+    expect(board.locator("li").first).to_contain_text(NEWER)
+    until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
