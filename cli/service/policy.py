@@ -1,4 +1,7 @@
-"""`downrange policy`: which versions there are, and which each machine has; through a running server."""
+"""`downrange policy`: which versions there are, and which each machine has; through a running server.
+
+Only `compare` reads files instead.
+"""
 
 import os
 import time
@@ -176,6 +179,27 @@ def history(
     return 0
 
 
+def compare(*, a: Path, b: Path) -> int:
+    """Compare the accuracy of two versions, from results of `downrange evaluate --json`; needs no server.
+
+    Example: downrange policy compare --a active.json --b candidate.json
+
+    Args:
+        a: result of the first version, for example the one in use.
+        b: result of the second, from the same mode, plant and targets; better and worse are said of this one.
+    """
+    # Statistics and simulator take seconds to load; a rollback does not wait for them.
+    from sim_twin.throws.accuracy_comparison import (
+        compare_accuracy,
+        comparison_table,
+        read_accuracy,
+    )
+
+    first, second = read_accuracy(a), read_accuracy(b)
+    print(comparison_table(first, second, compare_accuracy(first, second)))
+    return 0
+
+
 ACTIONS: dict[str, Callable[..., int]] = {
     "list": listed,
     "approve": approve,
@@ -183,6 +207,7 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "deploy": deploy,
     "rollback": rollback,
     "history": history,
+    "compare": compare,
 }
 
 

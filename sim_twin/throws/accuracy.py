@@ -1,9 +1,9 @@
 """Accuracy of a campaign: one row per target, as JSON and as a text table."""
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 import numpy as np
+from typing_extensions import TypedDict
 
 from machine.conventions import Array
 from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
