@@ -22,6 +22,10 @@ KEY_ID_COUNT = 16
 """Hex digits of the sha256 of a public key that name it."""
 
 
+def _canonical(body: object) -> bytes:
+    return json.dumps(body, sort_keys=True, separators=(",", ":")).encode()
+
+
 class Approval(BaseModel):
     """What a site has signed about one version."""
 
@@ -39,8 +43,7 @@ class Approval(BaseModel):
 
     def signed_bytes(self) -> bytes:
         """What the signature is over."""
-        body = self.model_dump(mode="json", exclude={"signature"})
-        return json.dumps(body, sort_keys=True, separators=(",", ":")).encode()
+        return _canonical(self.model_dump(mode="json", exclude={"signature"}))
 
 
 class SiteKey(BaseModel):
@@ -52,6 +55,22 @@ class SiteKey(BaseModel):
     """Base64 of the 32 bytes."""
     is_revoked: bool = False
 
+    def verify(self, signature: str, message: bytes, what: str) -> None:
+        """Check a signature (base64) of this key.
+
+        Raises:
+            PolicyError: there is none, or it is not this key's.
+        """
+        if not signature:
+            raise PolicyError(f"{what} is not signed")
+        try:
+            public = Ed25519PublicKey.from_public_bytes(base64.b64decode(self.public_key))
+            public.verify(base64.b64decode(signature, validate=True), message)
+        except (InvalidSignature, ValueError, binascii.Error) as error:
+            raise PolicyError(
+                f"the signature of {what} is not that of key {self.key_id}"
+            ) from error
+
 
 class SiteTrust(BaseModel):
     """What a machine trusts: the site's keys, and the approvals that they have signed."""
@@ -60,6 +79,48 @@ class SiteTrust(BaseModel):
     site: str
     keys: tuple[SiteKey, ...]
     approvals: tuple[Approval, ...] = ()
+    serial_count: int = Field(default=0, ge=0)
+    """Counts the lists of a site: a machine takes no older one, so that a withdrawn approval stays so."""
+    signed_by: str = ""
+    """Id of the key that signed the list."""
+    signature: str = ""
+    """Base64, over the whole list without itself."""
+
+    def signed_bytes(self) -> bytes:
+        """What the signature is over."""
+        return _canonical(self.model_dump(mode="json", exclude={"signature"}))
+
+    def require_successor_of(self, known: "SiteTrust | None") -> None:
+        """Refuse a list that may not take the place of the one on board.
+
+        Args:
+            known: the list on board; None where the machine is bound to no site yet.
+
+        Raises:
+            PolicyError: it is of another site, older, or not signed by a key that `known` trusts.
+        """
+        issuer = self if known is None else known
+        name = f"the list {self.serial_count} of site {self.site}"
+        if issuer.site != self.site:
+            raise PolicyError(f"{name}: this machine is bound to site {issuer.site}")
+        issuer.key(self.signed_by, name).verify(self.signature, self.signed_bytes(), name)
+        if known is not None and self.serial_count <= known.serial_count:
+            raise PolicyError(f"{name} is not newer than list {known.serial_count} on board")
+
+    def key(self, key_id: str, what: str) -> SiteKey:
+        """A key that may sign.
+
+        Raises:
+            PolicyError: the site does not have it, or it was revoked.
+        """
+        found = next((key for key in self.keys if key.key_id == key_id), None)
+        if found is None:
+            raise PolicyError(
+                f"{what} is signed by key {key_id[:16]}, which site {self.site} does not have"
+            )
+        if found.is_revoked:
+            raise PolicyError(f"{what} is signed by key {found.key_id}, which was revoked")
+        return found
 
     def check(self, folder: Path, mode: Mode) -> Approval:
         """The approval of the version in a folder.
@@ -73,7 +134,8 @@ class SiteTrust(BaseModel):
         if not found:
             raise PolicyError(f"{name} is not approved by site {self.site}")
         for approval in found:
-            self._check_signature(approval, name)
+            key = self.key(approval.key_id, name)
+            key.verify(approval.signature, approval.signed_bytes(), f"the approval of {name}")
             if approval.mode is not mode:
                 raise PolicyError(
                     f"{name} is approved for mode {approval.mode.value}, not for {mode.value}"
@@ -86,26 +148,6 @@ class SiteTrust(BaseModel):
         if file_sha256(folder / CARD_FILE) not in {a.card_sha256 for a in found}:
             raise PolicyError(f"the card of {name} was altered after its approval")
         return found[-1]
-
-    def _check_signature(self, approval: Approval, name: str) -> None:
-        key = next((key for key in self.keys if key.key_id == approval.key_id), None)
-        if key is None:
-            raise PolicyError(
-                f"{name} is signed by key {approval.key_id[:16]}, which site {self.site} does not have"
-            )
-        if key.is_revoked:
-            raise PolicyError(f"{name} is signed by key {key.key_id}, which was revoked")
-        if not approval.signature:
-            raise PolicyError(f"the approval of {name} is not signed")
-        try:
-            public = Ed25519PublicKey.from_public_bytes(base64.b64decode(key.public_key))
-            public.verify(
-                base64.b64decode(approval.signature, validate=True), approval.signed_bytes()
-            )
-        except (InvalidSignature, ValueError, binascii.Error) as error:
-            raise PolicyError(
-                f"the signature of the approval of {name} is not that of key {key.key_id}"
-            ) from error
 
 
 def new_private_key() -> bytes:
@@ -136,6 +178,22 @@ def approve(folder: Path, private_key: bytes, *, approved_by: str, approved_utc:
         approved_by=approved_by,
         key_id=public_key(private_key).key_id,
     )
-    key = Ed25519PrivateKey.from_private_bytes(private_key)
-    signature = base64.b64encode(key.sign(approval.signed_bytes())).decode()
-    return approval.model_copy(update={"signature": signature})
+    return approval.model_copy(update={"signature": _sign(private_key, approval.signed_bytes())})
+
+
+def sign_list(trust: SiteTrust, private_key: bytes) -> SiteTrust:
+    """The list as the next one of its site, signed."""
+    numbered = trust.model_copy(
+        update={
+            "serial_count": trust.serial_count + 1,
+            "signed_by": public_key(private_key).key_id,
+            "signature": "",
+        }
+    )
+    return numbered.model_copy(update={"signature": _sign(private_key, numbered.signed_bytes())})
+
+
+def _sign(private_key: bytes, message: bytes) -> str:
+    return base64.b64encode(
+        Ed25519PrivateKey.from_private_bytes(private_key).sign(message)
+    ).decode()

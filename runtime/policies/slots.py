@@ -158,18 +158,19 @@ class PolicySlots:
         """Store what the site's server says; whether it is news. The first one binds the machine.
 
         Raises:
-            PolicyError: the keys are not those that the machine is bound to; nothing changes.
+            PolicyError: it is no newer list of the site that the machine is bound to; nothing changes.
             OSError: the disk refuses.
         """
         with self._lock:
             known = self.trust()
             if known == trust:
                 return False
-            if known is not None and (known.site, known.keys) != (trust.site, trust.keys):
+            try:
+                trust.require_successor_of(known)
+            except PolicyError as error:
                 raise PolicyError(
-                    f"the server shows other keys than those of site {known.site}, which this machine "
-                    f"is bound to; if the site has new keys, remove {self._folder / TRUST_FILE}"
-                )
+                    f"{error}; if that is meant, remove {self._folder / TRUST_FILE} at the machine"
+                ) from error
             self._replace(TRUST_FILE, trust.model_dump_json(indent=2) + "\n")
             return True
 

@@ -6,7 +6,13 @@ import pytest
 
 from cli.main import main
 from machine.conventions import Mode
-from machine.policy_approval import SiteTrust, approve, new_private_key, public_key
+from machine.policy_approval import (
+    SiteTrust,
+    approve,
+    new_private_key,
+    public_key,
+    sign_list,
+)
 from machine.policy_card import file_sha256, load_card
 from tests.link.yard import MACHINE, Machine, Yard
 from tests.runtime.policies.policy_server import policy_server
@@ -119,10 +125,11 @@ def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
     assert yard.server.state.policy_sha256.get("3d")
 
 
-def trust_of(*folders):
+def trust_of(*folders, serial_count=1):
     approvals = tuple(approve(f, KEY, approved_by="eve", approved_utc="now") for f in folders)
-    site = SiteTrust(site="yard", keys=(public_key(KEY),), approvals=approvals)
-    return site.model_dump(mode="json")
+    keys = (public_key(KEY),)
+    site = SiteTrust(site="yard", keys=keys, approvals=approvals, serial_count=serial_count - 1)
+    return sign_list(site, KEY).model_dump(mode="json")
 
 
 def test_a_machine_that_is_bound_to_its_site_loads_what_the_site_approves(other_place):
@@ -143,7 +150,7 @@ def test_a_machine_that_is_bound_to_its_site_loads_what_the_site_approves(other_
     (detail,) = wait_for(refusals_of_2d, 90.0)
     assert "new-2d" in detail
     assert "not approved by site yard" in detail
-    server.trust = trust_of(installed, new, folder / "installed" / "quick-3d")
+    server.trust = trust_of(installed, new, folder / "installed" / "quick-3d", serial_count=2)
     server.want(new, 2)
     wait_for(lambda: aboard(yard) == sha256 and "3d" in yard.server.state.policy_sha256, 90.0)
 

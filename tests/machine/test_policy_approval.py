@@ -4,7 +4,14 @@ import pytest
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
-from machine.policy_approval import Approval, SiteTrust, approve, new_private_key, public_key
+from machine.policy_approval import (
+    Approval,
+    SiteTrust,
+    approve,
+    new_private_key,
+    public_key,
+    sign_list,
+)
 from machine.policy_card import CARD_FILE, POLICY_FILE, file_sha256, load_card
 from tests.runtime.quick_policy import write_policy
 
@@ -96,3 +103,41 @@ def test_the_signature_is_over_canonical_json(folder):
     assert list(body) == sorted(body)
     shuffled = dict(reversed(json.loads(approval.model_dump_json()).items()))
     assert Approval.model_validate(shuffled).signed_bytes() == approval.signed_bytes()
+
+
+def test_a_new_key_comes_by_a_list_that_the_old_one_signed(folder):
+    known = sign_list(trust(signed(folder)), KEY)
+    old, new = public_key(KEY), public_key(OTHER_KEY)
+    keys = (old.model_copy(update={"is_revoked": True}), new)
+    approvals = (signed(folder, OTHER_KEY),)
+    rotated = sign_list(known.model_copy(update={"keys": keys, "approvals": approvals}), KEY)
+    rotated.require_successor_of(known)
+    rotated.check(folder, Mode.PLANAR)
+    # From then on the old key signs nothing, and the new one does.
+    with pytest.raises(PolicyError, match="which was revoked"):
+        sign_list(rotated, KEY).require_successor_of(rotated)
+    sign_list(rotated, OTHER_KEY).require_successor_of(rotated)
+    # A machine that missed the change learns it by the list that the old key signed, not by a later one.
+    with pytest.raises(PolicyError, match="does not have"):
+        sign_list(rotated, OTHER_KEY).require_successor_of(known)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"site": "other"}, "bound to site yard"),
+        ({"approvals": ()}, "is not that of key"),
+        ({"serial_count": 9}, "is not that of key"),
+        ({"signature": ""}, "is not signed"),
+        ({"signed_by": "0" * 16}, "does not have"),
+    ],
+)
+def test_no_word_of_a_list_can_be_changed(folder, change, words):
+    known = sign_list(trust(), KEY)
+    following = sign_list(trust(signed(folder)).model_copy(update={"serial_count": 1}), KEY)
+    following.require_successor_of(known)
+    following.require_successor_of(None)
+    with pytest.raises(PolicyError, match=words):
+        following.model_copy(update=change).require_successor_of(known)
+    with pytest.raises(PolicyError, match="is not newer"):
+        known.require_successor_of(following)

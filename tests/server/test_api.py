@@ -16,6 +16,12 @@ from tests.server.server_bench import METRICS_TOKEN, wait_for
 OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
 CLEAR = {"latch_id": "any", "is_sighted": True, "reason": "nobody is in reach"}
 UPLOAD = "/api/v1/machines/{machine_id}/throw-logs/{throw_id}"
+OF_MACHINES = (
+    UPLOAD,
+    "/api/v1/machines/{machine_id}/policies/wanted",
+    "/api/v1/machines/{machine_id}/policy-files/{policy_sha256}/{name}",
+)
+"""Asked by a machine with its own token; nobody signs in for it."""
 
 
 def operations():
@@ -51,7 +57,7 @@ def test_every_endpoint_needs_a_session(running, method, path):
         elif (method, path) == ("post", "/api/v1/auth/login"):
             assert assert_error(reply, 422) == "invalid"
         else:
-            expected = "wrong_token" if path == UPLOAD else "not_signed_in"
+            expected = "wrong_token" if path in OF_MACHINES else "not_signed_in"
             assert assert_error(reply, 401) == expected
 
 

@@ -5,7 +5,13 @@ import pytest
 
 from machine.conventions import Mode
 from machine.errors import PolicyError, UsageError
-from machine.policy_approval import SiteTrust, approve, new_private_key, public_key
+from machine.policy_approval import (
+    SiteTrust,
+    approve,
+    new_private_key,
+    public_key,
+    sign_list,
+)
 from machine.spec import load_spec
 from runtime.policies import slots as module
 from runtime.policies.on_board import OnBoardPolicies
@@ -111,12 +117,18 @@ def test_versions_that_no_slot_names_are_removed(tmp_path):
     assert json.loads((tmp_path / "slots" / "slots.json").read_text())["2d"]["current"] == kept[3]
 
 
-def trust_of(*folders, key=KEY):
+def trust_of(*folders, key=KEY, serial_count=1):
     approvals = tuple(
         approve(folder, key, approved_by="eve", approved_utc="2026-03-01T10:14:00+00:00")
         for folder in folders
     )
-    return SiteTrust(site="yard", keys=(public_key(key),), approvals=approvals)
+    unsigned = SiteTrust(
+        site="yard",
+        keys=(public_key(key),),
+        approvals=approvals,
+        serial_count=serial_count - 1,
+    )
+    return sign_list(unsigned, key)
 
 
 def test_a_bound_machine_loads_nothing_that_is_not_approved(tmp_path, board):
@@ -128,9 +140,15 @@ def test_a_bound_machine_loads_nothing_that_is_not_approved(tmp_path, board):
     with pytest.raises(PolicyError, match=r"quick-3d .* is not approved by site yard"):
         board.start(Mode.SPATIAL)
     # Approvals that are taken back lead to a version that is approved.
-    assert slots.keep_trust(trust_of(tmp_path / "installed" / "quick-2d"))
-    assert not slots.keep_trust(trust_of(tmp_path / "installed" / "quick-2d"))
+    later = trust_of(tmp_path / "installed" / "quick-2d", serial_count=2)
+    assert slots.keep_trust(later)
+    assert not slots.keep_trust(later)
     assert board.load(Mode.PLANAR, None).card.policy_id == "quick-2d"
+    with pytest.raises(PolicyError, match="first-2d"):
+        board.load(Mode.PLANAR, first_sha256)
+    # An older list does not bring a withdrawn version back.
+    with pytest.raises(PolicyError, match="list 1 of site yard is not newer than list 2"):
+        slots.keep_trust(trust_of(first))
     with pytest.raises(PolicyError, match="first-2d"):
         board.load(Mode.PLANAR, first_sha256)
 
@@ -139,8 +157,8 @@ def test_other_keys_than_those_that_bound_the_machine_are_refused(tmp_path, boar
     slots = PolicySlots(tmp_path / "slots")
     installed = tmp_path / "installed" / "quick-2d"
     slots.keep_trust(trust_of(installed))
-    with pytest.raises(PolicyError, match="other keys than those of site yard"):
-        slots.keep_trust(trust_of(installed, key=new_private_key()))
+    with pytest.raises(PolicyError, match=r"which site yard does not have; .* remove .*site\.json"):
+        slots.keep_trust(trust_of(installed, key=new_private_key(), serial_count=2))
     assert board.start(Mode.PLANAR).card.policy_id == "quick-2d"
 
 

@@ -2,6 +2,8 @@ import json
 
 import pytest
 
+from machine.errors import PolicyError
+from server.deployments import site_approvals
 from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.schemas.console import Role
@@ -67,6 +69,54 @@ def test_a_damaged_folder_stops_the_start(assembled, approvals, tmp_path, damage
         (folder / "site.key").write_text(text)
     with pytest.raises(ApprovalError, match="policy-approvals"):
         fresh(assembled, data_dir).start()
+
+
+def test_a_full_disk_changes_nothing(assembled, approvals, monkeypatch):
+    policy = assembled.parts.policies.active("2d")
+    sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
+    before = approvals.trust()
+
+    def refuse(file, trust):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(site_approvals, "_write", refuse)
+        with pytest.raises(ConflictError, match=r"nothing has changed: .*No space"):
+            approvals.withdraw(sha256, eve)
+    assert approvals.trust() == before
+    approvals.withdraw(sha256, eve)
+    assert approvals.trust().serial_count == before.serial_count + 1
+
+
+def test_a_first_start_that_is_killed_is_begun_again(assembled, tmp_path, monkeypatch):
+    killed = fresh(assembled, tmp_path)
+
+    def die(file, trust):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(site_approvals, "_write", die)
+        with pytest.raises(KeyboardInterrupt):
+            killed.start()
+    assert not (tmp_path / "policy-approvals").exists()
+    again = fresh(assembled, tmp_path)
+    again.start()
+    assert len(again.trust().approvals) >= 2
+    again.trust().require_successor_of(None)
+
+
+def test_what_machines_would_not_load_is_not_approved(assembled, approvals, monkeypatch):
+    policy = assembled.parts.policies.active("2d")
+    sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
+    approvals.withdraw(sha256, eve)
+
+    def refuse(content, name):
+        raise PolicyError(f"{name} uses operator 'Loop'")
+
+    monkeypatch.setattr(site_approvals, "check_policy_file", refuse)
+    with pytest.raises(ConflictError, match=r"cannot be approved: .*Loop"):
+        approvals.approve(sha256, eve)
+    assert not approvals.is_approved(policy)
 
 
 def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(running, ada):

@@ -2784,6 +2784,21 @@ export interface components {
             approvals: components["schemas"]["Approval"][];
             /** Keys */
             keys: components["schemas"]["SiteKey"][];
+            /**
+             * Serial Count
+             * @default 0
+             */
+            serial_count: number;
+            /**
+             * Signature
+             * @default
+             */
+            signature: string;
+            /**
+             * Signed By
+             * @default
+             */
+            signed_by: string;
             /** Site */
             site: string;
         };
