@@ -3,7 +3,6 @@
 Only `compare` reads files instead.
 """
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,26 +10,21 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from cli.service.throw_client import ThrowClient, login_from_file
+from cli.service.throw_client import USUAL_LOGIN, Login, ThrowClient
 from machine.errors import UsageError
-from server.accounts.accounts import FIRST_LOGIN_FILE
 
-SERVER = "http://127.0.0.1:8000"
+USUAL_USER = "admin"
 POLL_PERIOD_S = 0.2
 PENDING = "pending"
 
 
-def listed(
-    *, server: str = SERVER, user: str | None = None, password_file: Path | None = None
-) -> int:
+def listed(*, login: Login = USUAL_LOGIN) -> int:
     """Show the versions that the server has or ever had.
 
     Args:
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         approved = {a["policy_sha256"]: a for a in client.call("GET", "/policy-approvals")}
         for policy in client.call("GET", "/policies"):
             approval = approved.get(policy["policy_sha256"])
@@ -46,19 +40,15 @@ def listed(
 def approve(
     *,
     policy: str,
-    server: str = SERVER,
-    user: str | None = None,
-    password_file: Path | None = None,
+    login: Login = USUAL_LOGIN,
 ) -> int:
     """Approve a version by the site's key; machines load no other.
 
     Args:
         policy: id of the version, or the beginning of its sha256.
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         chosen = _choose(client.call("GET", "/policies"), policy)
         approval = client.call("POST", f"/policies/{chosen['policy_sha256']}/approve")
         print(
@@ -70,19 +60,15 @@ def approve(
 def withdraw(
     *,
     policy: str,
-    server: str = SERVER,
-    user: str | None = None,
-    password_file: Path | None = None,
+    login: Login = USUAL_LOGIN,
 ) -> int:
     """Withdraw an approval; machines go back to an approved version before, or have none.
 
     Args:
         policy: id of the version, or the beginning of its sha256.
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         chosen = _choose(client.call("GET", "/policies"), policy)
         client.call("POST", f"/policies/{chosen['policy_sha256']}/withdraw")
         print(f"{chosen['policy_id']}: no longer approved")
@@ -94,9 +80,7 @@ def deploy(
     policy: str,
     machine: str,
     reason: str,
-    server: str = SERVER,
-    user: str | None = None,
-    password_file: Path | None = None,
+    login: Login = USUAL_LOGIN,
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
 ) -> int:
     """Ask a machine to switch to a version; exit 3 when it has not, or refused.
@@ -105,12 +89,10 @@ def deploy(
         policy: id of the version, or the beginning of its sha256.
         machine: machine id.
         reason: why, for the history.
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
         timeout_s: how long to wait for the machine; it switches later, too.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         chosen = _choose(client.call("GET", "/policies"), policy)
         body = {"policy_sha256": chosen["policy_sha256"], "reason": reason}
         path = f"/machines/{machine}/policies/{chosen['mode']}/deploy"
@@ -122,9 +104,7 @@ def rollback(
     machine: str,
     mode: Literal["2d", "3d"],
     reason: str,
-    server: str = SERVER,
-    user: str | None = None,
-    password_file: Path | None = None,
+    login: Login = USUAL_LOGIN,
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
 ) -> int:
     """Ask a machine to go back to the version it had before; exit 3 when it has not, or refused.
@@ -133,12 +113,10 @@ def rollback(
         machine: machine id.
         mode: 2d or 3d.
         reason: why, for the history.
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
         timeout_s: how long to wait for the machine; it switches later, too.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         path = f"/machines/{machine}/policies/{mode}/rollback"
         return _follow(client, client.call("POST", path, {"reason": reason}), timeout_s)
 
@@ -147,20 +125,16 @@ def history(
     *,
     machine: str,
     at: str | None = None,
-    server: str = SERVER,
-    user: str | None = None,
-    password_file: Path | None = None,
+    login: Login = USUAL_LOGIN,
 ) -> int:
     """Show what a machine has on board, or had at a time, and who wanted which version when and why.
 
     Args:
         machine: machine id.
         at: time, ISO 8601, UTC where it names no zone; now without.
-        server: address of the server.
-        user: account name; DOWNRANGE_USER or `admin` if not given.
-        password_file: file with the password alone, or with lines `name password`.
+        login: which server, and by which account.
     """
-    with _client(server, user, password_file) as client:
+    with login.open(USUAL_USER) as client:
         query = f"?at={at.replace('+', '%2B')}" if at else ""
         aboard = client.call("GET", f"/machines/{machine}/policies{query}")
         for row in aboard["policies"]:
@@ -209,13 +183,6 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "history": history,
     "compare": compare,
 }
-
-
-def _client(server: str, user: str | None, password_file: Path | None) -> ThrowClient:
-    name = user or os.environ.get("DOWNRANGE_USER") or "admin"
-    first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
-    file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
-    return ThrowClient(server, name, login_from_file(file, name))
 
 
 def _choose(policies: list[dict[str, Any]], name: str) -> dict[str, Any]:

@@ -2,32 +2,27 @@
 
 import json
 import math
-import os
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from cli.service.throw_client import ThrowClient, ThrowReport, login_from_file
+from cli.service.throw_client import USUAL_LOGIN, Login, ThrowReport
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
 from machine.reach import check_pace
-from server.accounts.accounts import FIRST_LOGIN_FILE
 
 
 def run(
     *,
     target: str,
-    server: str = "http://127.0.0.1:8000",
     machine: str = "m001",
     mode: Literal["2d", "3d"] = "2d",
     height: float = 0.0,
     pace: float = DEFAULT_PACE_RATIO,
-    user: str | None = None,
-    password_file: Path | None = None,
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout")] = 60.0,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    login: Login = USUAL_LOGIN,
 ) -> int:
     """Preview, arm, hold and throw; exit 0 when the load landed, 3 when the throw ended otherwise.
 
@@ -36,25 +31,19 @@ def run(
 
     Args:
         target: range along the machine's x axis, or range and crossrange (left), as in 9.0 or 9.0,-0.5; m.
-        server: address of the server.
         machine: machine id.
         mode: 2d (arm plane) or 3d (with the cabin turning).
         height: of the target above ground, m; what lies there is described as the machine's site.
         pace: 0 careful .. 1 fast, for policies that were trained with a pace.
-        user: account name.
-        password_file: file with the password alone, or with lines `name password`.
         timeout_s: how long to wait for the throw to end.
         as_json: print one line of JSON instead of words.
+        login: which server, and by which account.
     """
     x_m, y_m = parse_target(target)
     check_pace(pace)
     if not -5.0 <= height <= 10.0:
         raise UsageError(f"--height {height:g}: targets lie between -5 and 10 m")
-    name = user or os.environ.get("DOWNRANGE_USER") or "operator"
-    first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
-    file = password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
-    password = login_from_file(file, name)
-    with ThrowClient(server, name, password) as client:
+    with login.open("operator") as client:
         report = client.throw(machine, mode, (x_m, y_m, height), timeout_s, pace)
     print(json.dumps(asdict(report)) if as_json else in_words(report))
     return 0 if report.state == "landed" else 3

@@ -4,13 +4,15 @@ It uses the same interface as the console and never talks to a machine directly.
 """
 
 import json
+import os
 import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import httpx
+import tyro
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
@@ -18,7 +20,7 @@ from websockets.sync.connection import Connection
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import DownrangeError, UsageError
 from server.accounts.access_control import WRITE_HEADER_VALUE
-from server.accounts.accounts import COOKIE
+from server.accounts.accounts import COOKIE, FIRST_LOGIN_FILE
 
 HOLD_PERIOD_S = 0.05
 RENEW_PERIOD_S = 5.0
@@ -45,6 +47,37 @@ class ThrowReport:
     impact: dict[str, float | None]
     seconds: float
     detail: str = field(default="")
+
+
+@dataclass(frozen=True)
+class ServerLogin:
+    """Which server, and by which account."""
+
+    server: str = "http://127.0.0.1:8000"
+    """Address of the server."""
+    user: str | None = None
+    """Account name; DOWNRANGE_USER if not given, else `operator` to throw and `admin` for policies."""
+    password_file: Path | None = None
+    """File with the password alone, or with lines `name password`."""
+
+    def open(self, usual_user: str) -> "ThrowClient":
+        """Sign in.
+
+        Args:
+            usual_user: account of the first login that this verb takes where none is named.
+
+        Raises:
+            UsageError: there is no password for the account.
+        """
+        name = self.user or os.environ.get("DOWNRANGE_USER") or usual_user
+        first_login = Path(os.environ.get("DOWNRANGE_DATA_DIR", "data")) / FIRST_LOGIN_FILE
+        file = self.password_file or Path(os.environ.get("DOWNRANGE_PASSWORD_FILE", first_login))
+        return ThrowClient(self.server, name, login_from_file(file, name))
+
+
+Login = Annotated[ServerLogin, tyro.conf.arg(name="")]
+"""Its options stand beside the verb's own."""
+USUAL_LOGIN = ServerLogin()
 
 
 def login_from_file(path: Path, username: str) -> str:
