@@ -19,6 +19,7 @@ from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
 from server.clock import utc_now
+from server.deployments.machine_policies import version_before
 from server.deployments.site_approvals import SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.machines.machine_registry import MachineRegistry
@@ -32,7 +33,7 @@ from server.schemas.deployments import (
     WantedPolicyView,
 )
 from server.store.database import Database
-from server.store.models import Deployment, MachinePolicy
+from server.store.models import Deployment
 
 LISTED_COUNT: Final = 100
 FILES: Final = (POLICY_FILE, CARD_FILE)
@@ -85,7 +86,7 @@ class Deployments:
         """
         self._registry.get(machine_id)
         with self._database.read() as database:
-            before = self._version_before(database, machine_id, mode)
+            before = version_before(database, machine_id, mode)
         if before is None:
             raise ConflictError(
                 "no_version_before", f"{machine_id} has had no other version in {mode.value}."
@@ -187,25 +188,6 @@ class Deployments:
                 "loads it. An engineer approves it.",
             )
         return policy
-
-    @staticmethod
-    def _version_before(database: DatabaseSession, machine_id: str, mode: Mode) -> str | None:
-        query = (
-            select(MachinePolicy.policy_sha256)
-            .where(
-                MachinePolicy.machine_id == machine_id,
-                MachinePolicy.mode == mode.value,
-                MachinePolicy.policy_sha256.is_not(None),
-            )
-            .order_by(MachinePolicy.machine_policy_count.desc())
-        )
-        current: str | None = None
-        for policy_sha256 in database.scalars(query):
-            if current is None:
-                current = policy_sha256
-            elif policy_sha256 != current:
-                return policy_sha256
-        return None
 
     def _add(
         self,

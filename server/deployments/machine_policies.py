@@ -79,6 +79,7 @@ class MachinePolicies:
         newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.mode)
         with self._database.read() as session:
             rows = session.execute(newest).all()
+            before = {row.mode: version_before(session, machine_id, Mode(row.mode)) for row in rows}
         return MachinePoliciesView(
             machine_id=machine_id,
             at_utc=at_utc,
@@ -86,14 +87,36 @@ class MachinePolicies:
                 MachinePolicyView(
                     mode=Mode(row.mode),
                     policy_sha256=row.policy_sha256,
-                    policy_id=None
-                    if row.policy_sha256 is None
-                    else self._policies.name_of(row.policy_sha256),
+                    policy_id=self._name_of(row.policy_sha256),
                     since_utc=row.since_utc,
+                    version_before=self._name_of(before[row.mode]),
                 )
                 for row in rows
             ),
         )
+
+    def _name_of(self, policy_sha256: str | None) -> str | None:
+        return None if policy_sha256 is None else self._policies.name_of(policy_sha256)
+
+
+def version_before(database: DatabaseSession, machine_id: str, mode: Mode) -> str | None:
+    """sha256 of the newest version that a machine has had beside the one it has; None if there was none."""
+    query = (
+        select(MachinePolicy.policy_sha256)
+        .where(
+            MachinePolicy.machine_id == machine_id,
+            MachinePolicy.mode == mode.value,
+            MachinePolicy.policy_sha256.is_not(None),
+        )
+        .order_by(MachinePolicy.machine_policy_count.desc())
+    )
+    current: str | None = None
+    for policy_sha256 in database.scalars(query):
+        if current is None:
+            current = policy_sha256
+        elif policy_sha256 != current:
+            return policy_sha256
+    return None
 
 
 def _add_change(

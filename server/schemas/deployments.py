@@ -19,6 +19,8 @@ class MachinePolicyView(View):
     policy_id: str | None
     since_utc: datetime
     """By the machine's clock."""
+    version_before: str | None
+    """Id of the version that a rollback asked for now goes to; None where there is none."""
 
 
 class MachinePoliciesView(View):

@@ -92,6 +92,9 @@ def test_back_to_the_version_before_and_what_is_replaced(running, machine, eve, 
 
     row = wait_for(ask).json()
     assert (row["policy_sha256"], row["is_rollback"]) == (sha256, True)
+    # What the console says beforehand is what the server then does.
+    aboard = eve.get("/machines/m001/policies").json()["policies"]
+    assert [p["version_before"] for p in aboard if p["mode"] == "2d"] == [row["policy_id"]]
     again = deploy(eve, sha256).json()
     rows = eve.get("/machines/m001/deployments").json()
     assert [r["outcome"] for r in rows[:2]] == ["pending", "replaced"]

@@ -2093,6 +2093,8 @@ export interface components {
              * Format: date-time
              */
             since_utc: string;
+            /** Version Before */
+            version_before: string | null;
         };
         /**
          * MachineState

@@ -14,14 +14,15 @@ let posted: unknown[] = [];
 type Asked = { params: { query?: { at?: string } } };
 
 /** A machine with v8 on board since nine; before that `earlier`. */
-function serve(earlier: unknown[], permissions = ["policy.deploy"]) {
+function serve(earlier: (typeof OLD)[], permissions = ["policy.deploy"]) {
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
   vi.spyOn(api, "GET").mockImplementation(((path: string, options: Asked) => {
     if (path === "/api/v1/auth/me") return answer({ permissions });
     if (path.endsWith("/deployments")) return answer([]);
     const at = options.params.query?.at;
     const isBefore = at !== undefined && Date.parse(at) < Date.parse(SINCE);
-    return answer({ machine_id: "m001", at_utc: SINCE, policies: isBefore ? earlier : [NEW] });
+    const now = [{ ...NEW, version_before: earlier[0]?.policy_id ?? null }];
+    return answer({ machine_id: "m001", at_utc: SINCE, policies: isBefore ? earlier : now });
   }) as never);
   vi.spyOn(api, "POST").mockImplementation(((path: string, options: unknown) => {
     posted.push([path, options]);

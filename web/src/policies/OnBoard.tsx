@@ -14,9 +14,6 @@ import {
   usePolicyActions,
 } from "./usePolicyLife";
 
-/** A second before a version came on board, the one before it was. */
-const before = (since: string) => new Date(Date.parse(since) - 1000).toISOString();
-
 /** What the machine throws with, one press to go back, and what it had at any time. */
 export function OnBoard({ machineId }: { machineId: string }) {
   const deployments = useDeployments(machineId);
@@ -51,12 +48,10 @@ type RowProps = { machineId: string; entry: Entry; pending: Deployment | null };
 
 function ModeRow({ machineId, entry, pending }: RowProps) {
   const [isOpen, setOpen] = useState(false);
-  const earlier = useOnBoard(machineId, before(entry.since_utc));
   const mayDeploy = useMay("policy.deploy");
   const { rollBack } = usePolicyActions(machineId);
-  const last = earlier.data?.policies.find((one) => one.mode === entry.mode);
-  const hasEarlier = Boolean(last?.policy_sha256) && last?.policy_sha256 !== entry.policy_sha256;
-  const why = rollBackRefusal(mayDeploy, hasEarlier, pending !== null);
+  const earlier = entry.version_before;
+  const why = rollBackRefusal(mayDeploy, earlier !== null, pending !== null);
   const close = () => {
     setOpen(false);
     rollBack.reset();
@@ -86,10 +81,10 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
         </Button>
         {why && <span className={classes.note}>{why}</span>}
       </span>
-      {isOpen && last && (
+      {isOpen && earlier !== null && (
         <ConfirmDialog
           title={`Roll back ${entry.mode.toUpperCase()} of ${machineId}`}
-          action={`Go back to ${nameOf(last)}`}
+          action={`Go back to ${earlier}`}
           hasReason
           isPending={rollBack.isPending}
           error={rollBack.error}
@@ -99,7 +94,7 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
           onClose={close}
         >
           <p>
-            {machineId} throws in {entry.mode.toUpperCase()} with {nameOf(last)} again instead of{" "}
+            {machineId} throws in {entry.mode.toUpperCase()} with {earlier} again instead of{" "}
             {nameOf(entry)}, as soon as no plan is armed. Plans that were previewed with{" "}
             {nameOf(entry)} are refused.
           </p>

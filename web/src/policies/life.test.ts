@@ -22,7 +22,13 @@ const deployment = (more: Partial<Deployment>): Deployment => ({
 });
 
 const onBoard = (sha256: string): OnBoard[] => [
-  { mode: "2d", policy_sha256: sha256, policy_id: null, since_utc: "2026-11-27T09:00:00Z" },
+  {
+    mode: "2d",
+    policy_sha256: sha256,
+    policy_id: null,
+    since_utc: "2026-11-27T09:00:00Z",
+    version_before: null,
+  },
 ];
 
 const facts = {
