@@ -49,8 +49,8 @@ def conclude(found: Findings) -> Diagnosis:
     causes = causes_of(found.problem, ranked)
     gain = None if found.shrink is None else found.shrink[0]
     verdict = verdict_of(ranked, gain)
-    is_small = _is_small(verdict, gain, found.material_m)
-    if is_small:
+    small = _small_change(found, verdict)
+    if small is not None:
         verdict = VerdictKind.NONE
     ambiguity: Ambiguity | None = None
     if verdict is VerdictKind.AMBIGUOUS:
@@ -59,7 +59,7 @@ def conclude(found: Findings) -> Diagnosis:
     sentence = sentence_of(verdict, causes, gap, found.shrink, ranked, ambiguity)
     return Diagnosis(
         verdict=verdict,
-        sentence=_small_sentence(found, gap) if is_small else sentence,
+        sentence=sentence if small is None else _miss_words(gap) + small,
         gap=gap,
         stages=stages,
         causes=causes,
@@ -110,24 +110,15 @@ def verdict_of(ranked: Ranked, gain: Shrink | None) -> VerdictKind:
     return VerdictKind.AMBIGUOUS
 
 
-def _is_small(verdict: VerdictKind, gain: Shrink | None, material_m: float | None) -> bool:
-    """Whether an effect was found that moves the impact by less than what matters."""
-    if verdict not in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS):
-        return False
-    if gain is None or gain.moved_m is None or material_m is None:
-        return False
-    return gain.moved_m < material_m
-
-
-def _small_sentence(found: Findings, gap: Gap) -> str:
-    """No effect that matters, and what was seen."""
-    if found.shrink is None or found.material_m is None or found.shrink[0].moved_m is None:
-        raise ValueError("nothing was measured against what matters")
-    size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
-    name = effect_names(found.ranked.best.effects)
+def _small_change(found: Findings, verdict: VerdictKind) -> str | None:
+    """What was seen, where the effect found moves the impact by less than what matters; else None."""
+    moved_m = None if found.shrink is None else found.shrink[0].moved_m
+    is_claimed = verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS)
+    if not is_claimed or moved_m is None or found.material_m is None or moved_m >= found.material_m:
+        return None
     return (
-        f"{size}No effect that matters. Small change seen: {name} moves the impact by "
-        f"{found.shrink[0].moved_m:.3f} m, less than the {found.material_m:g} m asked for."
+        f"No effect that matters. Small change seen: {effect_names(found.ranked.best.effects)} moves the "
+        f"impact by {moved_m:.3f} m, less than the {found.material_m:g} m asked for."
     )
 
 
@@ -258,6 +249,10 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
     return entries[:RULED_OUT_COUNT]
 
 
+def _miss_words(gap: Gap) -> str:
+    return "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+
+
 def sentence_of(
     verdict: VerdictKind,
     causes: Sequence[Cause],
@@ -276,7 +271,7 @@ def sentence_of(
         ranked: the hypotheses behind the causes.
         ambiguity: what these throws leave open.
     """
-    size = "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+    size = _miss_words(gap)
     top, sure = causes[0], probability(causes[0].probability)
     if verdict is VerdictKind.NONE:
         if ranked.best.members:
