@@ -47,7 +47,7 @@ READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 8.0
 RESTART_PAUSE_S = 1.0
 MOST_MACHINES = 9
-"""Each takes about a fifth of a core."""
+"""Each takes about a third of a core."""
 
 
 @dataclass
@@ -223,7 +223,9 @@ def run(
         UsageError: a count outside its range, a taken port, or a part that does not come up.
     """
     if not 1 <= machines <= MOST_MACHINES:
-        raise UsageError(f"--machines is {machines}; 1 to {MOST_MACHINES} fit on one computer.")
+        raise UsageError(
+            f"--machines is {machines}; it runs 1 to {MOST_MACHINES}, each on about a third of a core."
+        )
     port = port or _free_port()
     open_socket("127.0.0.1", port).close()
     setup = DemoSetup(data.resolve(), policies.resolve(), port, _free_port())

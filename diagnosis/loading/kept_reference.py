@@ -52,6 +52,8 @@ def words_of_days(days: Mapping[str, int]) -> str:
 def advice(days: Mapping[str, int]) -> str:
     """What more reference throws would give; empty where there are enough."""
     count = sum(days.values())
+    if not days:
+        return f"At least {LEAST_REFERENCE_COUNT} are needed: run `downrange commission`"
     if count < LEAST_REFERENCE_COUNT:
         return (
             f"{count} reference throws are too few, at least {LEAST_REFERENCE_COUNT} are needed: "

@@ -173,11 +173,12 @@ class GapService:
         self._registry.get(machine_id)
         days = self._twins.reference(machine_id).days()
         count = sum(days.values())
+        words = ". ".join(filter(None, [words_of_days(days), advice(days)]))
         return KeptReferenceView(
             day_throw_count=days,
             throw_count=count,
             is_used=count >= LEAST_REFERENCE_COUNT,
-            words=". ".join(filter(None, [words_of_days(days), advice(days)])) + ".",
+            words=f"{words[0].upper()}{words[1:]}.",
         )
 
     def cancel(self, machine_id: str, gap_run_id: str, session: Session) -> GapRunRow:

@@ -58,7 +58,7 @@ function GapOf({ machineId, wanted }: GapOfProps) {
         ) : (
           runs.isSuccess && (
             <GateSentence
-              sentence={`${machineId} was not diagnosed yet. Choose throws at the left and start: it takes about a minute and does not touch the machine.`}
+              sentence={`${machineId} was not diagnosed yet. Choose throws at the left and start: it takes one to three minutes and does not touch the machine.`}
             />
           )
         )}

@@ -29,6 +29,7 @@ export function ReferenceChoice({ against, onAgainst, ...more }: Props) {
       <legend>Compare with</legend>
       <SegmentedControl
         fullWidth
+        orientation="vertical"
         aria-label="Compare with"
         data={[
           { value: "kept", label: "Kept throws" },
