@@ -3,7 +3,7 @@ import json
 import pytest
 
 from cli.service.throw import parse_target, run
-from cli.service.throw_client import ServerError, ThrowClient, login_from_file
+from cli.service.throw_client import ServerError, ServerLogin, ThrowClient, login_from_file
 from machine.errors import UsageError
 from tests.cases import each
 from tests.server.server_bench import wait_for
@@ -19,7 +19,7 @@ def login(tmp_path):
 
 
 def throw(running, login, **arguments):
-    return run(server=running.url, user="bob", password_file=login, **arguments)
+    return run(login=ServerLogin(running.url, "bob", login), **arguments)
 
 
 def test_one_command_throws_and_reports(running, machine, login, capsys):
@@ -60,13 +60,13 @@ def test_refusals_are_passed_on(running, machine, login):
 
 def test_who_and_where_are_checked(running, login, tmp_path):
     with pytest.raises(ServerError, match="wrong"):
-        run(target="9", server=running.url, user="nobody", password_file=login)
+        run(target="9", login=ServerLogin(running.url, "nobody", login))
     with pytest.raises(ServerError, match="cannot be reached"):
-        run(target="9", server="http://127.0.0.1:1", user="bob", password_file=login)
+        run(target="9", login=ServerLogin("http://127.0.0.1:1", "bob", login))
     with pytest.raises(UsageError, match="no address"):
-        run(target="9", server="127.0.0.1", user="bob", password_file=login)
+        run(target="9", login=ServerLogin("127.0.0.1", "bob", login))
     with pytest.raises(UsageError, match="--password-file"):
-        run(target="9", server=running.url, password_file=tmp_path / "none")
+        run(target="9", login=ServerLogin(running.url, password_file=tmp_path / "none"))
 
 
 def test_password_files(tmp_path):
