@@ -245,6 +245,7 @@ def assemble(
     impacts = ImpactDisplay(database, scene)
     throws.on_change.append(impacts.refresh)
     targets = TargetProposals(scene, policies, sites, zones, hub, impacts, spec.ball.radius_m)
+    registry.on_state.append(targets.take_state)
     parts = Parts(
         settings=settings,
         database=database,

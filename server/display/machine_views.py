@@ -70,7 +70,7 @@ class MachineViews:
             ),
             lease=self._leases.view(known.machine_id),
             state=known.state,
-            reach=self._policies.reach(),
+            reach=self._policies.reach({} if known.state is None else known.state.policy_sha256),
             target=target,
             unknown_throw_id=self._throws.unknown_of(known.machine_id),
             is_stop_pending=self._stops.is_pending(known.machine_id),

@@ -1,16 +1,18 @@
 """Proposed targets: each session's target point, from a click in the 3D view or from the fields."""
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 from machine.conventions import Mode
 from machine.errors import RefusedError
-from machine.messages import Target
+from machine.messages import MachineState, Target
 from machine.reach import check_target
 from server.display.impact_display import ImpactDisplay
 from server.errors import ApiError
 from server.event_hub import EventHub
+from server.machines.machine_registry import KnownMachine
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
 from server.plans.zone_store import ZoneStore
@@ -60,6 +62,8 @@ class TargetProposals:
         self._hub = hub
         self._lock = threading.Lock()
         self._contexts: dict[str, ViewContext] = {}
+        self._aboard: dict[str, Mapping[str, str]] = {}
+        """Policy versions on board by machine: sha256 by mode."""
 
     def _context(self, session_id: str) -> ViewContext:
         with self._lock:
@@ -81,7 +85,9 @@ class TargetProposals:
             self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
         self._draw_reach(session_id)
         view = TargetView.of(target)
-        refusal = self._zone_refusal(machine_id, target) or self._refusal(target, context.mode)
+        refusal = self._zone_refusal(machine_id, target) or self._refusal(
+            machine_id, target, context.mode
+        )
         self._tell(session_id, machine_id, view, source, refusal)
         return view
 
@@ -143,6 +149,14 @@ class TargetProposals:
         if request.play_preview:
             self._scene.play_preview(session_id)
 
+    def take_state(self, known: KnownMachine, state: MachineState) -> None:
+        """Redraw the reach in all sessions that watch a machine whose policies changed."""
+        if self._aboard.get(known.machine_id) == state.policy_sha256:
+            return
+        self._aboard[known.machine_id] = state.policy_sha256
+        for session_id in self._watching(known.machine_id):
+            self._draw_reach(session_id)
+
     def _watching(self, machine_id: str) -> list[str]:
         """Sessions that watch a machine."""
         with self._lock:
@@ -175,19 +189,23 @@ class TargetProposals:
     def _draw_reach(self, session_id: str) -> None:
         """Draw the rings where mode, policies or the height of the session's target have changed."""
         context = self._context(session_id)
-        reach = self._reach(context.mode, context.targets.get(context.machine_id or ""))
+        machine_id = context.machine_id or ""
+        target = context.targets.get(machine_id)
+        reach = self._reach(self._aboard.get(machine_id, {}), context.mode, target)
         if reach != context.reach:
             context.reach = reach
             self._scene.set_reach(session_id, reach)
 
-    def _reach(self, mode: Mode | None, target: Target | None) -> Reach:
-        reach = self._policies.reach()
+    def _reach(self, aboard: Mapping[str, str], mode: Mode | None, target: Target | None) -> Reach:
+        reach = self._policies.reach(aboard)
         by_mode = {item.mode: item for item in reach.modes}
         chosen = [by_mode[mode]] if mode is not None and mode in by_mode else list(by_mode.values())
         planar, spatial = by_mode.get(Mode.PLANAR), by_mode.get(Mode.SPATIAL)
         height_m = 0.0 if target is None else target.z_m
         modes = [item.mode for item in chosen]
-        on_ground_m, raised_m = (self._policies.farthest_m(modes, h) for h in (0.0, height_m))
+        on_ground_m, raised_m = (
+            self._policies.farthest_m(aboard, modes, h) for h in (0.0, height_m)
+        )
         is_flat = on_ground_m - raised_m < SAME_REACH_M
         return Reach(
             static_m=reach.static_reach_m,
@@ -205,12 +223,14 @@ class TargetProposals:
         refusal = zones.target_refusal(target)
         return "" if refusal is None else refusal.detail
 
-    def _refusal(self, target: Target, mode: Mode | None) -> str:
+    def _refusal(self, machine_id: str, target: Target, mode: Mode | None) -> str:
         """Why no throw (of this mode) can reach the target; empty if one can."""
+        aboard = self._aboard.get(machine_id, {})
         texts: list[str] = []
         for candidate in Mode if mode is None else (mode,):
             try:
-                check_target(self._policies.active(candidate).card, target)
+                policy = self._policies.on_machine(candidate, aboard.get(candidate.value))
+                check_target(policy.card, target)
             except RefusedError as error:
                 texts.append(error.detail)
             except ApiError as error:

@@ -3,9 +3,10 @@
 A policy whose file does not match its card is shown with its problem and never used.
 """
 
+import contextlib
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -169,9 +170,20 @@ class PolicyStore:
             RejectReason.POLICY_UNUSABLE, f"No usable policy for mode {mode.value}: {cause}."
         )
 
-    def reach(self) -> ReachView:
-        """Where the active policies reach."""
-        self.refresh()
+    def usable(self, aboard: Mapping[str, str]) -> dict[Mode, StoredPolicy]:
+        """The version that a machine throws with in each mode, by `on_machine`.
+
+        Args:
+            aboard: what the machine says it has on board, sha256 by mode; empty before it said so.
+        """
+        found: dict[Mode, StoredPolicy] = {}
+        for mode in sorted(Mode):
+            with contextlib.suppress(ApiError):
+                found[mode] = self.on_machine(mode, aboard.get(mode.value))
+        return found
+
+    def reach(self, aboard: Mapping[str, str]) -> ReachView:
+        """Where the versions on board of a machine reach (see `usable`)."""
         return ReachView(
             static_reach_m=self._spec.static_reach_m,
             modes=tuple(
@@ -186,13 +198,15 @@ class PolicyStore:
                     height_max_m=policy.card.target_height_max_m,
                     has_pace=PACE_NAME in policy.card.observation_names,
                 )
-                for mode, policy in sorted(self._active.items())
+                for mode, policy in self.usable(aboard).items()
             ),
         )
 
-    def farthest_m(self, modes: Collection[Mode], height_m: float) -> float:
-        """As far as any active policy of these modes reaches at a height; 0 where there is none."""
-        cards = [policy.card for mode, policy in self._active.items() if mode in modes]
+    def farthest_m(
+        self, aboard: Mapping[str, str], modes: Collection[Mode], height_m: float
+    ) -> float:
+        """As far as any version on board reaches at a height in these modes; 0 where there is none."""
+        cards = [policy.card for mode, policy in self.usable(aboard).items() if mode in modes]
         return max((reach_m(card, height_m) for card in cards), default=0.0)
 
     def views(self) -> list[PolicyView]:

@@ -178,7 +178,7 @@ class LinkView(View):
 
 
 class ModeReach(View):
-    """What the active policy of a mode was trained and validated for."""
+    """What a machine's policy was trained for: the version on board; until it says which, the active one."""
 
     mode: Mode
     policy_id: str

@@ -10,6 +10,7 @@ import {
 } from "@tanstack/react-router";
 import { Frame } from "./frame/Frame";
 import { GateSentence } from "./operate/GateSentence";
+import { parseAim } from "./operate/target/aimAddress";
 import { LoginPage } from "./routes/login";
 import { OperatePage } from "./routes/operate";
 import { parseSearch } from "./throws/filters";
@@ -40,6 +41,7 @@ const home = createRoute({
 const operate = createRoute({
   getParentRoute: () => frame,
   path: "/operate",
+  validateSearch: parseAim,
   component: OperatePage,
 });
 

@@ -1,5 +1,6 @@
 """Rings follow the height of what is aimed at, and are drawn anew only where they change."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -19,20 +20,21 @@ CARD = SimpleNamespace(
 
 
 class Shelf:
-    """2D alone, which knows heights."""
+    """2D alone, which knows heights; version "short" reaches 8 m."""
 
-    def reach(self) -> ReachView:
+    def reach(self, aboard: Mapping[str, str]) -> ReachView:
+        far_m = 8.0 if aboard.get("2d") == "short" else 10.9
         known = ModeReach(
             mode=Mode.PLANAR, policy_id="p", policy_sha256="0" * 64, range_min_m=5.5,
-            range_max_m=10.9, raised_range_max_m=9.0, height_min_m=-1.0, height_max_m=2.0,
+            range_max_m=far_m, raised_range_max_m=9.0, height_min_m=-1.0, height_max_m=2.0,
             has_pace=False,
         )  # fmt: skip
         return ReachView(static_reach_m=7.5, modes=(known,))
 
-    def farthest_m(self, modes: list[Mode], height_m: float) -> float:
+    def farthest_m(self, aboard: Mapping[str, str], modes: list[Mode], height_m: float) -> float:
         return reach_m(CARD, height_m) if Mode.PLANAR in modes else 0.0
 
-    def active(self, mode: Mode) -> object:
+    def on_machine(self, mode: Mode, policy_sha256: str | None) -> object:
         card = SimpleNamespace(**vars(CARD), mode=mode, target_range_min_m=5.5)
         return SimpleNamespace(
             card=SimpleNamespace(**vars(card), target_height_min_m=-1.0, target_height_max_m=2.0)
@@ -107,3 +109,11 @@ def test_a_click_for_a_point_is_reported_and_proposes_nothing(
     desk.set_view("s", ViewRequest(pick_for="target"))
     desk.take_pick("s", (8.0, 1.0, 0.0))
     assert published[-1].kind == "target.proposed"
+
+
+def test_the_rings_follow_the_version_on_board(desk: TargetProposals, scene: Scene):
+    known = SimpleNamespace(machine_id="m001")
+    for sha256 in ("long", "short", "short"):
+        desk.take_state(known, SimpleNamespace(policy_sha256={"2d": sha256}))
+    desk.take_state(SimpleNamespace(machine_id="m002"), SimpleNamespace(policy_sha256={}))
+    assert [ring.planar_m for ring in scene.rings] == [10.9, 8.0]

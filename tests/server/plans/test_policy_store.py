@@ -32,12 +32,23 @@ def by_id(policies):
 
 def test_active_policies_and_their_reach(policies):
     assert policies.active(Mode.PLANAR).card.policy_id == "swing-2d"
-    reach = policies.reach()
+    reach = policies.reach({})
     assert [(item.mode, item.range_min_m, item.range_max_m) for item in reach.modes] == [
         (Mode.PLANAR, 5.5, 10.9),
         (Mode.SPATIAL, 5.5, 10.9),
     ]
     assert len(policies.active_folders()) == 2
+
+
+def test_the_reach_is_that_of_the_version_on_board(policies, folder):
+    """Also while another version is active here; of a version that is not known here nothing is."""
+    path = folder / "waits-2d" / CARD_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"target_range_max_m": 8.2}))
+    aboard = {"2d": load_card(folder / "waits-2d").policy_sha256}
+    look_again(policies)
+    assert [item.range_max_m for item in policies.reach(aboard).modes] == [8.2, 10.9]
+    assert policies.farthest_m(aboard, [Mode.PLANAR], 0.0) == 8.2
+    assert policies.reach({"2d": "0" * 64}) == policies.reach({})
 
 
 def test_versions_that_are_gone_stay_in_the_history(policies, folder):
@@ -58,7 +69,7 @@ def test_a_changed_file_is_never_used(policies, folder):
         policies.active(Mode.PLANAR)
     assert caught.value.code == "policy_unusable"
     assert "sha256" in by_id(policies)["swing-2d"].problem
-    assert [item.mode for item in policies.reach().modes] == [Mode.SPATIAL]
+    assert [item.mode for item in policies.reach({}).modes] == [Mode.SPATIAL]
 
 
 def test_a_policy_for_another_machine_is_not_used(policies, folder):

@@ -2246,7 +2246,7 @@ export interface components {
         Mode: "2d" | "3d";
         /**
          * ModeReach
-         * @description What the active policy of a mode was trained and validated for.
+         * @description What a machine's policy was trained for: the version on board; until it says which, the active one.
          */
         ModeReach: {
             /** Has Pace */

@@ -1,10 +1,11 @@
 import { Outlet, useNavigate, useRouterState } from "@tanstack/react-router";
-import { useEffect } from "react";
+import { Fragment, useEffect, useState } from "react";
 import { useLeaseKeeper } from "../machine/useLease";
 import { useMachine, useMachineId } from "../machine/useMachine";
 import { useLiveConnection } from "../session/useLiveConnection";
 import { useSession } from "../session/useSession";
 import { ViewerHost } from "../view/ViewerHost";
+import { useZone } from "../words/zone";
 import { Alerts } from "./Alerts";
 import classes from "./Frame.module.css";
 import { OfflineBanner } from "./OfflineBanner";
@@ -18,6 +19,7 @@ export function Frame() {
   const navigate = useNavigate();
   const href = useRouterState({ select: (state) => state.location.href });
   const [machineId] = useMachineId();
+  const pageKey = usePageKey(href.startsWith("/operate"));
   useLiveConnection(session?.session_id ?? null, machineId);
   useLeaseKeeper(useMachine());
 
@@ -43,9 +45,22 @@ export function Frame() {
         <Rail />
         <main className={classes.page} id="page" tabIndex={-1}>
           <ViewerHost />
-          <Outlet />
+          <Fragment key={pageKey}>
+            <Outlet />
+          </Fragment>
         </main>
       </div>
     </div>
   );
+}
+
+/**
+ * Changes when the time zone does: times stand all over the pages. Page Operate shows none, and must not let
+ * go of a running throw. The key must not follow the address: it changes before the page that is left goes.
+ */
+function usePageKey(isOperate: boolean): number {
+  const zone = useZone();
+  const [shown, setShown] = useState({ zone, key: 0 });
+  if (shown.zone !== zone) setShown({ zone, key: shown.key + (isOperate ? 0 : 1) });
+  return shown.key;
 }

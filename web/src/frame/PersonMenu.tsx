@@ -1,9 +1,17 @@
-import { Menu, SegmentedControl, Text, UnstyledButton, useMantineColorScheme } from "@mantine/core";
+import {
+  Menu,
+  NativeSelect,
+  SegmentedControl,
+  Text,
+  UnstyledButton,
+  useMantineColorScheme,
+} from "@mantine/core";
 import { IconChevronDown, IconLogout } from "@tabler/icons-react";
 import { useMutation, useQueryClient } from "@tanstack/react-query";
 import { api, take } from "../session/client";
 import { ME } from "../session/queries";
 import { useSession } from "../session/useSession";
+import { chooseZone, useZone, zoneNames } from "../words/zone";
 import classes from "./TopBar.module.css";
 
 const SCHEMES = [
@@ -12,7 +20,7 @@ const SCHEMES = [
   { value: "auto", label: "Auto" },
 ];
 
-/** Who is signed in; theme and sign-out. */
+/** Who is signed in; theme, time zone and sign-out. */
 export function PersonMenu() {
   const session = useSession();
   const client = useQueryClient();
@@ -47,6 +55,7 @@ export function PersonMenu() {
           mx={6}
           mb={6}
         />
+        <ZoneChoice />
         <Menu.Divider />
         <Menu.Item
           leftSection={<IconLogout size={16} aria-hidden />}
@@ -56,5 +65,21 @@ export function PersonMenu() {
         </Menu.Item>
       </Menu.Dropdown>
     </Menu>
+  );
+}
+
+/** Times in the zone of this computer, in UTC, or in that of the site. */
+function ZoneChoice() {
+  const zone = useZone();
+  return (
+    <NativeSelect
+      size="xs"
+      mx={6}
+      mb={6}
+      label="Times in"
+      value={zone}
+      onChange={(event) => chooseZone(event.currentTarget.value)}
+      data={[{ value: "", label: "this computer's time" }, ...zoneNames()]}
+    />
   );
 }

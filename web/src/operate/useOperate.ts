@@ -4,7 +4,7 @@ import { useLocalStorage } from "@mantine/hooks";
 import { useEffect, useState } from "react";
 import { isMoving } from "../machine/phase";
 import { useIsHolder } from "../machine/useLease";
-import { useMachine } from "../machine/useMachine";
+import { useMachine, useMachineId } from "../machine/useMachine";
 import { staleSeconds, useConnection } from "../session/connection";
 import { useLive } from "../session/liveStore";
 import { useNow } from "../session/useNow";
@@ -15,12 +15,15 @@ import { useHold } from "./hold/useHold";
 import { usePlan } from "./preview/usePlan";
 import { presentStep } from "./steps";
 import { DEFAULT_PACE_RATIO } from "./target/pace";
+import { useSavedTargets } from "./target/rememberedTargets";
 import { pointKey } from "./target/target";
+import { useAimAddress } from "./target/useAimAddress";
 import { useTarget } from "./target/useTarget";
 import { useThrow } from "./useThrow";
 
 export function useOperate() {
   const machine = useMachine();
+  const [, chooseMachine] = useMachineId();
   const machineId = machine?.machine_id ?? null;
   const [mode, setMode] = useLocalStorage<"2d" | "3d">({
     key: "downrange.mode",
@@ -46,7 +49,11 @@ export function useOperate() {
     pace_ratio,
     !isRunning && throwId === null,
   );
-  const control = useHold({ machine, plan }, thrown, setThrowId);
+  const { noteThrown } = useSavedTargets(machineId ?? "");
+  const control = useHold({ machine, plan }, thrown, (id) => {
+    setThrowId(id);
+    if (target) noteThrown(target);
+  });
   const { hold, release } = control;
 
   const isHolder = useIsHolder(machine);
@@ -60,6 +67,16 @@ export function useOperate() {
   useResetResult(`${machineId} ${mode} ${pace_ratio} ${throwTargetKey}`, isIdle && isOver, () =>
     setThrowId(null),
   );
+
+  useAimAddress({
+    machineId,
+    mode,
+    target,
+    isFree: !isRunning && hold.phase === "idle",
+    chooseMachine,
+    setMode,
+    setTarget: (next, inMode) => void aim.set(next, inMode),
+  });
 
   const session = useSession();
   const stale_s = staleSeconds(useConnection(), useNow());

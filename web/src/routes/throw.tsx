@@ -1,3 +1,4 @@
+import { Button } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { Link, useParams } from "@tanstack/react-router";
 import { GateSentence } from "../operate/GateSentence";
@@ -48,6 +49,14 @@ export function ThrowPage() {
         <span>
           {row.machine_id}, {zonedStamp(row.created_utc)}
         </span>
+        <Button
+          className={classes.print}
+          size="compact-sm"
+          variant="default"
+          onClick={() => window.print()}
+        >
+          Print
+        </Button>
       </header>
       <div className={classes.body}>
         <div className={classes.main}>

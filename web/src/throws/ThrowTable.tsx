@@ -11,12 +11,16 @@ type Props = {
   rows: readonly Throw[];
   selected: string | null;
   onSelect: (throwId: string) => void;
+  /** Throws that are compared. */
+  compared: readonly string[];
+  onCompare: (row: Throw, isCompared: boolean) => void;
 };
 
 const marks = { none: "", ascending: " ▲", descending: " ▼" };
 
 /** The history, as the server pages it or sorted within the page: up and down select a row, Enter opens it. */
-export function ThrowTable({ rows: page, selected, onSelect }: Props) {
+export function ThrowTable(props: Props) {
+  const { rows: page, selected, onSelect, compared, onCompare } = props;
   const [order, setOrder] = useState<Order>(null);
   const rows = useMemo(() => sorted(page, order), [page, order]);
   const navigate = useNavigate();
@@ -60,6 +64,9 @@ export function ThrowTable({ rows: page, selected, onSelect }: Props) {
       >
         <thead>
           <tr>
+            <th scope="col">
+              <span className="visually-hidden">Compare</span>
+            </th>
             {COLUMNS.map(({ key, label }) => (
               <th key={key} scope="col" aria-sort={sortOf(order, key)}>
                 <button
@@ -86,6 +93,8 @@ export function ThrowTable({ rows: page, selected, onSelect }: Props) {
               isSelected={row.throw_id === selected}
               onSelect={onSelect}
               onOpen={open}
+              isCompared={compared.includes(row.throw_id)}
+              onCompare={onCompare}
             />
           ))}
         </tbody>

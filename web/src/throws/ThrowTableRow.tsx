@@ -20,10 +20,12 @@ type Props = {
   isSelected: boolean;
   onSelect: (throwId: string) => void;
   onOpen: (throwId: string) => void;
+  isCompared: boolean;
+  onCompare: (row: Throw, isCompared: boolean) => void;
 };
 
 export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
-  const { row, limit_m, isSelected, onSelect, onOpen } = props;
+  const { row, limit_m, isSelected, onSelect, onOpen, isCompared, onCompare } = props;
   return (
     <tr
       id={`throw-${row.throw_id}`}
@@ -33,6 +35,14 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
       onClick={() => onSelect(row.throw_id)}
       onDoubleClick={() => onOpen(row.throw_id)}
     >
+      <td>
+        <input
+          type="checkbox"
+          aria-label={`Compare the throw of ${localStamp(row.created_utc)}`}
+          checked={isCompared}
+          onChange={(event) => onCompare(row, event.currentTarget.checked)}
+        />
+      </td>
       <td>
         <Link
           to="/throws/$throwId"

@@ -1,6 +1,7 @@
 /** Filters of the history, to and from the address of the page; anything unreadable is left out. */
 
 import type { paths } from "../api/schema";
+import { dayStart } from "../words/time";
 import { OUTCOMES, type Outcome } from "./outcome";
 
 export type GroupBy = "policy" | "mode" | "machine" | "operator";
@@ -14,7 +15,7 @@ export type Filters = {
   /** Target range, m. */
   min?: number;
   max?: number;
-  /** Local days, inclusive: "2026-11-21". */
+  /** Days of the chosen time zone, inclusive: "2026-11-21". */
   since?: string;
   until?: string;
 };
@@ -63,12 +64,6 @@ export function parseSearch(search: Record<string, unknown>): ThrowsSearch {
   return Object.fromEntries(
     Object.entries(parsed).filter(([, value]) => value !== undefined),
   ) as ThrowsSearch;
-}
-
-/** Begin of a local day; with `next`, of the day after. */
-function dayStart(value: string, next = false): string {
-  const [year = 0, month = 1, date = 1] = value.split("-").map(Number);
-  return new Date(year, month - 1, date + (next ? 1 : 0)).toISOString();
 }
 
 /** Filters to what the server asks for. */

@@ -1,22 +1,41 @@
-/** Local times with the zone shown. The server speaks aware UTC; only this file turns it local. */
+/** Times in the chosen zone, with the zone shown. The server speaks aware UTC; only this file turns it. */
 
-function two(value: number): string {
-  return String(value).padStart(2, "0");
+import { chosenZone } from "./zone";
+
+const DIGITS = {
+  year: "numeric",
+  month: "2-digit",
+  day: "2-digit",
+  hour: "2-digit",
+  minute: "2-digit",
+  second: "2-digit",
+  hourCycle: "h23",
+} as const;
+
+const formats = new Map<string, Intl.DateTimeFormat>();
+
+/** Formats are costly to make and few. */
+function formatOf(zone: string | undefined): Intl.DateTimeFormat {
+  const key = zone ?? "";
+  const known = formats.get(key);
+  if (known) return known;
+  // Swedish dates are those of ISO 8601: "2026-11-21 14:03:21".
+  const made = new Intl.DateTimeFormat("sv-SE", { ...DIGITS, timeZone: zone });
+  formats.set(key, made);
+  return made;
 }
 
-/** "14:03:21" in the zone of this computer. */
-export function clockTime(date: Date): string {
-  return `${two(date.getHours())}:${two(date.getMinutes())}:${two(date.getSeconds())}`;
-}
+const stampOf = (date: Date, zone = chosenZone()) => formatOf(zone).format(date);
 
-/** "2026-11-21" in the zone of this computer. */
-export function localDate(date: Date): string {
-  return `${date.getFullYear()}-${two(date.getMonth() + 1)}-${two(date.getDate())}`;
-}
+/** "14:03:21" */
+export const clockTime = (date: Date) => stampOf(date).slice(11);
 
-/** "CET", "UTC", "GMT+5:30": name of this computer's zone at that moment. */
+/** "CET", "UTC", "GMT+5:30": name of the zone at that moment. */
 export function zoneName(date: Date): string {
-  const parts = new Intl.DateTimeFormat("en-GB", { timeZoneName: "short" }).formatToParts(date);
+  const parts = new Intl.DateTimeFormat("en-GB", {
+    timeZoneName: "short",
+    timeZone: chosenZone(),
+  }).formatToParts(date);
   return parts.find((part) => part.type === "timeZoneName")?.value ?? "local";
 }
 
@@ -24,7 +43,7 @@ export function zoneName(date: Date): string {
 export function localStamp(iso: string | null | undefined): string {
   if (!iso) return "–";
   const date = new Date(iso);
-  return Number.isNaN(date.getTime()) ? "–" : `${localDate(date)} ${clockTime(date)}`;
+  return Number.isNaN(date.getTime()) ? "–" : stampOf(date);
 }
 
 /** "2026-11-21 14:03:21 CET": where nothing beside it shows the zone. */
@@ -36,6 +55,17 @@ export function zonedStamp(iso: string | null | undefined): string {
 /** "11-21 14:03:21": as `localStamp` without the year, for narrow tables. */
 export const shortStamp = (iso: string | null | undefined) =>
   localStamp(iso).replace(/^\d{4}-/, "");
+
+/** Begin of a day "2026-11-21" in the chosen zone, as ISO text in UTC; with `next`, of the day after. */
+export function dayStart(day: string, next = false): string {
+  const [year = 0, month = 1, date = 1] = day.split("-").map(Number);
+  const wall_ms = Date.UTC(year, month - 1, date + (next ? 1 : 0));
+  const offsetAt = (at_ms: number) =>
+    Date.parse(`${stampOf(new Date(at_ms)).replace(" ", "T")}Z`) - at_ms;
+  // The second pass is for the days on which the clock changes.
+  const guess_ms = wall_ms - offsetAt(wall_ms);
+  return new Date(wall_ms - offsetAt(guess_ms)).toISOString();
+}
 
 /** Seconds from an ISO time to now; null where there is none. */
 export function ageSeconds(iso: string | null | undefined, nowMs: number): number | null {

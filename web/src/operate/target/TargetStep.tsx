@@ -4,6 +4,7 @@ import type { Machine } from "../../session/live";
 import { metres, signed } from "../../words/format";
 import classes from "../Panel.module.css";
 import { PaceSlider } from "./PaceSlider";
+import { SavedTargets } from "./SavedTargets";
 import { fromPolar, NUDGE_M, type Target } from "./target";
 
 type Props = {
@@ -95,6 +96,7 @@ export function TargetStep(props: Props) {
         Click the ground or an object, or type. Arrow keys move the target by 5 cm.
         {reach && ` ${reachWords(reach)}`}
       </p>
+      <SavedTargets machineId={machine.machine_id} target={target} onTarget={onTarget} />
       <PaceSlider
         pace_ratio={props.pace_ratio}
         isHeeded={reach?.has_pace ?? false}
