@@ -244,8 +244,7 @@ def assemble(
     twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
     impacts = ImpactDisplay(database, scene)
     throws.on_change.append(impacts.refresh)
-    targets = TargetProposals(scene, policies, sites, zones, hub, impacts, spec.ball.radius_m)
-    registry.on_state.append(targets.take_state)
+    targets = TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec)
     parts = Parts(
         settings=settings,
         database=database,

@@ -9,10 +9,11 @@ from machine.conventions import Mode
 from machine.errors import RefusedError
 from machine.messages import MachineState, Target
 from machine.reach import check_target
+from machine.spec import MachineSpec
 from server.display.impact_display import ImpactDisplay
 from server.errors import ApiError
 from server.event_hub import EventHub
-from server.machines.machine_registry import KnownMachine
+from server.machines.machine_registry import KnownMachine, MachineRegistry
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
 from server.plans.zone_store import ZoneStore
@@ -51,9 +52,10 @@ class TargetProposals:
         zones: ZoneStore,
         hub: EventHub,
         impacts: ImpactDisplay,
-        ball_radius_m: float,
+        registry: MachineRegistry,
+        spec: MachineSpec,
     ) -> None:
-        self._ball_radius_m = ball_radius_m
+        self._ball_radius_m = spec.ball.radius_m
         self._scene = scene
         self._sites = sites
         self._zones = zones
@@ -64,6 +66,7 @@ class TargetProposals:
         self._contexts: dict[str, ViewContext] = {}
         self._aboard: dict[str, Mapping[str, str]] = {}
         """Policy versions on board by machine: sha256 by mode."""
+        registry.on_state.append(self._take_state)
 
     def _context(self, session_id: str) -> ViewContext:
         with self._lock:
@@ -149,7 +152,7 @@ class TargetProposals:
         if request.play_preview:
             self._scene.play_preview(session_id)
 
-    def take_state(self, known: KnownMachine, state: MachineState) -> None:
+    def _take_state(self, known: KnownMachine, state: MachineState) -> None:
         """Redraw the reach in all sessions that watch a machine whose policies changed."""
         if self._aboard.get(known.machine_id) == state.policy_sha256:
             return

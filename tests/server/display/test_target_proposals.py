@@ -10,6 +10,7 @@ from machine.conventions import Mode
 from machine.messages import Target
 from machine.reach import reach_m
 from machine.site.zones import ZoneSet
+from machine.spec import load_spec
 from server.display.target_proposals import TargetProposals
 from server.schemas.console import ModeReach, ReachView, ViewRequest
 from server.viewer.state import Reach
@@ -60,12 +61,17 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def desk(scene: Scene) -> TargetProposals:
+def registry() -> SimpleNamespace:
+    return SimpleNamespace(on_state=[])
+
+
+@pytest.fixture
+def desk(scene: Scene, registry: SimpleNamespace) -> TargetProposals:
     quiet = SimpleNamespace(
         objects=lambda _: (), watch=lambda *_: None, publish=lambda *_: None, end_session=print
     )
     zones = SimpleNamespace(active=lambda _: ZoneSet(version_count=0), draft=lambda _: ())
-    found = TargetProposals(scene, Shelf(), quiet, zones, quiet, quiet, 0.12)
+    found = TargetProposals(scene, Shelf(), quiet, zones, quiet, quiet, registry, load_spec())
     found.set_view("s", ViewRequest(machine_id="m001", mode=Mode.PLANAR))
     return found
 
@@ -111,9 +117,12 @@ def test_a_click_for_a_point_is_reported_and_proposes_nothing(
     assert published[-1].kind == "target.proposed"
 
 
-def test_the_rings_follow_the_version_on_board(desk: TargetProposals, scene: Scene):
+def test_the_rings_follow_the_version_on_board(
+    desk: TargetProposals, scene: Scene, registry: SimpleNamespace
+):
+    (take_state,) = registry.on_state
     known = SimpleNamespace(machine_id="m001")
     for sha256 in ("long", "short", "short"):
-        desk.take_state(known, SimpleNamespace(policy_sha256={"2d": sha256}))
-    desk.take_state(SimpleNamespace(machine_id="m002"), SimpleNamespace(policy_sha256={}))
+        take_state(known, SimpleNamespace(policy_sha256={"2d": sha256}))
+    take_state(SimpleNamespace(machine_id="m002"), SimpleNamespace(policy_sha256={}))
     assert [ring.planar_m for ring in scene.rings] == [10.9, 8.0]
