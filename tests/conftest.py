@@ -1,7 +1,12 @@
 """Fixtures that several packages' tests share."""
 
 import json
+import os
 from pathlib import Path
+
+# Before numpy is loaded, and for processes that tests start: BLAS threads of two test processes on two cores
+# spend half of their time waiting for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest

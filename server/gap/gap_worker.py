@@ -183,25 +183,30 @@ def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
     end_with_parent()
     # A cancelled diagnosis ends its own worker process.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    send_answer(job, diagnose, answers.send)
+
+
+def send_answer(job: GapJob, diagnose: Diagnose, send: Callable[[tuple[str, Any]], None]) -> None:
+    """Diagnose; sends ("progress", (share, text)), then ("done", GapAnswer) or ("failed", reason)."""
     sent_s = -1e9
 
     def tell(share: float, text: str) -> None:
         nonlocal sent_s
         if monotonic() - sent_s >= PROGRESS_PERIOD_S:
             sent_s = monotonic()
-            answers.send(("progress", (share, text)))
+            send(("progress", (share, text)))
 
     try:
         found = diagnose(job, tell)
-        answers.send(("done", answer_of(found, job.title)))
+        send(("done", answer_of(found, job.title)))
     except DownrangeError as error:
-        answers.send(("failed", str(error)))
+        send(("failed", str(error)))
     except (ValueError, MemoryError) as error:
         logger.exception("diagnosis failed")
-        answers.send(("failed", f"{type(error).__name__}: {error}"))
+        send(("failed", f"{type(error).__name__}: {error}"))
     except Exception as error:
         logger.exception("diagnosis failed")
-        answers.send(
+        send(
             ("failed", f"the diagnosis made a mistake ({type(error).__name__}: {error}); report it")
         )
 

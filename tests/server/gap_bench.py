@@ -2,7 +2,7 @@
 
 import hashlib
 import secrets
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,15 @@ from server.accounts.accounts import Session
 from server.clock import new_id, utc_now
 from server.composition import Parts
 from server.gap.gap_service import GapService
-from server.gap.gap_worker import Diagnose, GapProcess
+from server.gap.gap_worker import (
+    Diagnose,
+    GapAnswer,
+    GapFailedError,
+    GapJob,
+    GapProcess,
+    Progress,
+    send_answer,
+)
 from server.schemas.console import Role
 from server.store.models import Throw
 from tests.server.server_bench import wait_for
@@ -78,11 +86,32 @@ def keep_log(parts: Parts, machine_id: str, throw_id: str, content: bytes) -> No
     parts.logs.keep(scratch, machine_id, throw_id, digest, len(content))
 
 
+class GapThread(GapProcess):
+    """The same answers without a process, which takes seconds to start."""
+
+    def run(self, job: GapJob, progress: Progress, is_cancelled: Callable[[], bool]) -> GapAnswer:
+        found: list[tuple[str, Any]] = []
+
+        def take(message: tuple[str, Any]) -> None:
+            if message[0] == "progress":
+                progress(*message[1])
+            else:
+                found.append(message)
+
+        send_answer(job, self._diagnose, take)
+        ((kind, content),) = found
+        if kind == "failed":
+            raise GapFailedError(content)
+        return content
+
+
 @contextmanager
-def diagnosing(parts: Parts, diagnose: Diagnose) -> Generator[GapService]:
+def diagnosing(
+    parts: Parts, diagnose: Diagnose, runner: type[GapProcess] = GapThread
+) -> Generator[GapService]:
     """The server's runs use another diagnosis; what is open is cancelled at the end."""
     desk = parts.gap
-    before, desk._process = desk._process, GapProcess(diagnose)
+    before, desk._process = desk._process, runner(diagnose)
     try:
         yield desk
     finally:

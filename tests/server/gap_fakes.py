@@ -58,6 +58,7 @@ def quick(job: GapJob, progress: Progress) -> Diagnosis:
                 **explained().evidence,
                 "logs": len(job.log_paths),
                 "healthy": len(job.reference_paths),
+                "material_m": job.material_m,
             }
         }
     )

@@ -8,11 +8,10 @@ from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.errors import UsageError
 from machine.spec import load_spec
-from server.gap.gap_worker import GapProcess
 from server.machines.twin_files import TwinFiles, content_sha256
 from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
 from tests.server import gap_fakes
-from tests.server.gap_bench import add_throws
+from tests.server.gap_bench import GapThread, add_throws
 from tests.server.gap_fakes import EXTRA_S, explained
 from tests.server.plans.test_planner import NEAR, create, finished
 from tests.server.server_bench import wait_for
@@ -32,7 +31,7 @@ def eve(running):
 def found(running, ada):
     """Makes runs that explain the gap; m001 has no twin profile before and after."""
     desk = running.parts.gap
-    before, desk._process = desk._process, GapProcess(gap_fakes.quick)
+    before, desk._process = desk._process, GapThread(gap_fakes.quick)
     throw_ids = add_throws(running.parts, 6)
 
     def make():
@@ -174,7 +173,7 @@ def test_only_engineers_change_the_twin(running, ada, eve, found):
 
 
 def test_a_run_without_effects_cannot_be_applied(running, ada, eve, found):
-    running.parts.gap._process = GapProcess(gap_fakes.nothing_found)
+    running.parts.gap._process = GapThread(gap_fakes.nothing_found)
     path = found()
     for reply in (
         eve.post(f"{path}/apply"),

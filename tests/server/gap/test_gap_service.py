@@ -1,11 +1,12 @@
-"""Diagnoses in the server: queue, process, progress, cancel, restart, report, rights."""
+"""Diagnoses in the server: queue, process, progress, cancel, restart, report, rights.
+
+From recorded throws to a verdict, in the real process: tests/e2e/test_gap.py.
+"""
 
 import os
 
 import pytest
 
-from cli.main import main
-from diagnosis.loading.logs import load_throws
 from machine.conventions import Mode
 from machine.errors import LogError
 from machine.spec import load_spec
@@ -17,7 +18,15 @@ from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
 from tests.cases import each
 from tests.server import gap_fakes
-from tests.server.gap_bench import RUNS, add_throws, diagnosing, ended, forget_throws, start
+from tests.server.gap_bench import (
+    RUNS,
+    GapThread,
+    add_throws,
+    diagnosing,
+    ended,
+    forget_throws,
+    start,
+)
 from tests.server.server_bench import PASSWORD, make_settings, running_server
 from tests.server.test_events import Listener
 from tests.waiting import is_alive, wait_for
@@ -37,7 +46,7 @@ def throws(running):
 
 def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
     with diagnosing(running.parts, gap_fakes.quick), Listener(ada) as listener:
-        run = start(ada, newest_count=7)
+        run = start(ada, newest_count=7, material_m=0.05)
         assert (run["state"], run["throw_count"]) == ("queued", 7)
         view = ended(ada, run)
         wait_for(lambda: listener.of("gap.updated")[-1:])
@@ -52,6 +61,7 @@ def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
     assert row["progress_ratio"] == 1.0
     assert view["result"]["evidence"]["logs"] == 7
     assert view["result"]["evidence"]["missing"] is None
+    assert view["result"]["evidence"]["material_m"] == 0.05
     assert row["compared_with"] == "healthy machines of the type"
     (first, *_) = view["words"]["causes"]
     assert (first["title"], first["probability"]) == ("valve dead time, dipper", "95 %")
@@ -110,7 +120,7 @@ def test_other_machines_and_runs_are_not_found(running, ada, throws):
 
 
 def test_one_at_a_time_at_low_priority_and_cancel_kills(running, ada, throws):
-    with diagnosing(running.parts, gap_fakes.patient):
+    with diagnosing(running.parts, gap_fakes.patient, GapProcess):
         first, second = start(ada), start(ada)
         wait_for(
             lambda: ada.get(f"{RUNS}/{first['gap_run_id']}").json()["row"]["progress_ratio"] == 0.25
@@ -132,7 +142,7 @@ def test_one_at_a_time_at_low_priority_and_cancel_kills(running, ada, throws):
 
 
 def test_a_full_queue_is_refused(running, ada, throws):
-    with diagnosing(running.parts, gap_fakes.patient) as desk:
+    with diagnosing(running.parts, gap_fakes.patient, GapProcess) as desk:
         start(ada)
         wait_for(lambda: not desk._queue)
         for _ in range(QUEUE_COUNT):
@@ -142,15 +152,17 @@ def test_a_full_queue_is_refused(running, ada, throws):
 
 
 @each(
-    ("diagnose", "text"),
+    ("diagnose", "runner", "text"),
     [
-        (gap_fakes.dying, "exit code 7"),
-        (gap_fakes.mistaken, "KeyError"),
-        (gap_fakes.infinite, "share_ratio"),
+        (gap_fakes.dying, GapProcess, "exit code 7"),
+        (gap_fakes.mistaken, GapThread, "KeyError"),
+        (gap_fakes.infinite, GapThread, "share_ratio"),
     ],
 )
-def test_a_diagnosis_that_fails_says_so_and_the_next_one_runs(running, ada, throws, diagnose, text):
-    with diagnosing(running.parts, diagnose):
+def test_a_diagnosis_that_fails_says_so_and_the_next_one_runs(
+    running, ada, throws, diagnose, runner, text
+):
+    with diagnosing(running.parts, diagnose, runner):
         row = ended(ada, start(ada))["row"]
         assert row["state"] == "failed"
         assert text in row["detail"]
@@ -185,9 +197,9 @@ def test_rights(running, ada, throws):
 
 
 def test_pages_of_runs(running, ada, throws):
-    with diagnosing(running.parts, gap_fakes.patient):
+    with diagnosing(running.parts, gap_fakes.nothing_found):
         for run in [start(ada) for _ in range(4)]:
-            assert ada.delete(f"{RUNS}/{run['gap_run_id']}").status_code == 200
+            ended(ada, run)
     rows = ada.get(RUNS, params={"limit": 200}).json()["rows"]
     assert len(rows) >= 4
     first = ada.get(RUNS, params={"limit": 2}).json()
@@ -243,23 +255,3 @@ def test_logs_are_read_within_limits_of_memory_and_time(tmp_path, monkeypatch):
     found = gap_worker.diagnose_logs(job, lambda *_: None)
     assert "throw 0: it took more than 2 GiB" in found.sentence
     assert (asked, closed) == (["0.mcap", "1.mcap", "2.mcap"], [True])
-
-
-def test_a_real_run_on_recorded_logs(running, ada, tmp_path, monkeypatch):
-    """Throws of the virtual machine, recorded as its runtime records them, from the database to a verdict."""
-    logs = tmp_path / "logs"
-    asked = ["record", "--plant", "virtual", "--mode", "2d", "--throws", "6", "--out", str(logs)]
-    assert main(asked) == 0
-    twin = load_throws([logs]).throws[0].twin_profile
-    monkeypatch.setattr(running.parts.gap._twins, "profile", lambda machine_id: twin)
-    throw_ids = add_throws(running.parts, 6, logs=sorted(logs.glob("*.mcap")))
-    view = ended(ada, start(ada, throw_ids=throw_ids, material_m=0.05), 240.0)
-    assert view["row"]["state"] == "done", view["row"]["detail"]
-    result = view["result"]
-    assert result["verdict"] == "none"
-    assert result["evidence"]["material_m"] == 0.05
-    assert len(result["evidence"]["throws_used"]) == 6
-    assert {s["stage"] for s in result["stages"]} >= {"actuation", "swing", "release"}
-    assert sum(c["probability"] for c in result["causes"]) <= 1.01
-    page = ada.get(f"{RUNS}/{view['row']['gap_run_id']}/report.html").text
-    assert "Actuation" in page
