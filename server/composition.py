@@ -216,7 +216,14 @@ def assemble(
     accounts = Accounts(database, audit, settings.session_s)
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
     policies = PolicyStore(database, settings.policies_dir, spec)
-    approvals = SiteApprovals(database, audit, policies, settings.site, settings.data_dir)
+    approvals = SiteApprovals(
+        database,
+        audit,
+        policies,
+        settings.site,
+        settings.data_dir,
+        is_four_eyes=settings.policy_four_eyes,
+    )
     throws = ThrowStore(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)

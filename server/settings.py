@@ -50,6 +50,8 @@ class Settings(BaseSettings):
     machine_slot_count: int = Field(default=16, ge=1, le=1000)
     """Machine accounts m001.. made at first start; the link's access rules cannot grow while it runs."""
     policies_dir: Path = CHECKOUT / "policies"
+    policy_four_eyes: bool = False
+    """Whoever uploaded a policy version may not approve it."""
     web_dir: Path = CHECKOUT / "web" / "dist"
     preview_worker_count: int = Field(default=2, ge=1, le=16)
     session_s: float = Field(default=12 * 3600.0, gt=0.0)

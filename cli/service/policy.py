@@ -25,10 +25,8 @@ def listed(*, login: Login = USUAL_LOGIN) -> int:
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
-        approved = {a["policy_sha256"]: a for a in client.call("GET", "/policy-approvals")}
         for policy in client.call("GET", "/policies"):
-            approval = approved.get(policy["policy_sha256"])
-            notes = [f"approved by {approval['approved_by']}" if approval else "not approved"]
+            notes = [policy["state"]]
             notes += ["active"] * policy["is_active"] + ["files gone"] * (not policy["is_present"])
             print(
                 f"{policy['policy_id']:<24} {policy['mode']}  {policy['policy_sha256'][:12]}  "
@@ -40,17 +38,21 @@ def listed(*, login: Login = USUAL_LOGIN) -> int:
 def approve(
     *,
     policy: str,
+    reason: str,
     login: Login = USUAL_LOGIN,
 ) -> int:
     """Approve a version by the site's key; machines load no other.
 
     Args:
         policy: id of the version, or the beginning of its sha256.
+        reason: why, for the history.
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
         chosen = _choose(client.call("GET", "/policies"), policy)
-        approval = client.call("POST", f"/policies/{chosen['policy_sha256']}/approve")
+        approval = client.call(
+            "POST", f"/policies/{chosen['policy_sha256']}/approve", {"reason": reason}
+        )
         print(
             f"{chosen['policy_id']}: approved by {approval['approved_by']}, key {approval['key_id']}"
         )
@@ -60,18 +62,66 @@ def approve(
 def withdraw(
     *,
     policy: str,
+    reason: str,
     login: Login = USUAL_LOGIN,
 ) -> int:
     """Withdraw an approval; machines go back to an approved version before, or have none.
 
     Args:
         policy: id of the version, or the beginning of its sha256.
+        reason: why, for the history.
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
         chosen = _choose(client.call("GET", "/policies"), policy)
-        client.call("POST", f"/policies/{chosen['policy_sha256']}/withdraw")
+        client.call("POST", f"/policies/{chosen['policy_sha256']}/withdraw", {"reason": reason})
         print(f"{chosen['policy_id']}: no longer approved")
+    return 0
+
+
+def retire(
+    *,
+    policy: str,
+    reason: str,
+    login: Login = USUAL_LOGIN,
+) -> int:
+    """Take a version out of use for good; refused while a machine runs it or may go back to it.
+
+    Args:
+        policy: id of the version, or the beginning of its sha256.
+        reason: why, for the history.
+        login: which server, and by which account.
+    """
+    with login.open(USUAL_USER) as client:
+        chosen = _choose(client.call("GET", "/policies"), policy, has_gone=True)
+        client.call("POST", f"/policies/{chosen['policy_sha256']}/retire", {"reason": reason})
+        print(f"{chosen['policy_id']}: retired")
+    return 0
+
+
+def show(
+    *,
+    policy: str,
+    login: Login = USUAL_LOGIN,
+) -> int:
+    """Show a version and its life: who moved it on, when and why.
+
+    Args:
+        policy: id of the version, or the beginning of its sha256.
+        login: which server, and by which account.
+    """
+    with login.open(USUAL_USER) as client:
+        chosen = _choose(client.call("GET", "/policies"), policy, has_gone=True)
+        card = chosen["card"]
+        print(f"{chosen['policy_id']}  {chosen['mode']}  {chosen['state']}")
+        print(f"version        {chosen['policy_sha256']}")
+        print(f"machine model  {card['model_sha256']}")
+        print(f"targets        {card['target_range_min_m']} to {card['target_range_max_m']} m")
+        print(f"thrown         {chosen['throw_count']} times")
+        if chosen["problem"]:
+            print(f"problem        {chosen['problem']}")
+        for row in client.call("GET", f"/policies/{chosen['policy_sha256']}/history"):
+            print(f"{row['at_utc']}  {row['to_state']:<10}  {row['actor']}: {row['reason']}")
     return 0
 
 
@@ -176,8 +226,10 @@ def compare(*, a: Path, b: Path) -> int:
 
 ACTIONS: dict[str, Callable[..., int]] = {
     "list": listed,
+    "show": show,
     "approve": approve,
     "withdraw": withdraw,
+    "retire": retire,
     "deploy": deploy,
     "rollback": rollback,
     "history": history,
@@ -185,8 +237,9 @@ ACTIONS: dict[str, Callable[..., int]] = {
 }
 
 
-def _choose(policies: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    present = [policy for policy in policies if policy["is_present"]]
+def _choose(policies: list[dict[str, Any]], name: str, *, has_gone: bool = False) -> dict[str, Any]:
+    """The version of a name or the beginning of a hash; also one whose files are gone if `has_gone`."""
+    present = [policy for policy in policies if policy["is_present"] or has_gone]
     found = [p for p in present if p["policy_id"] == name] or [
         p for p in present if len(name) >= 6 and p["policy_sha256"].startswith(name)
     ]

@@ -14,9 +14,9 @@ from machine.messages import EventKind, MachineEvent
 from server.clock import utc_now
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore
-from server.schemas.deployments import MachinePoliciesView, MachinePolicyView
+from server.schemas.deployments import DeploymentOutcome, MachinePoliciesView, MachinePolicyView
 from server.store.database import Database
-from server.store.models import MachinePolicy
+from server.store.models import Deployment, MachinePolicy
 
 
 class MachinePolicies:
@@ -119,15 +119,37 @@ def version_before(database: DatabaseSession, machine_id: str, mode: Mode) -> st
     return None
 
 
-def _add_change(
-    database: DatabaseSession, event: MachineEvent, mode: Mode, policy_sha256: str | None
-) -> None:
-    last = database.scalars(
+def machines_that_need(database: DatabaseSession, policy_sha256: str) -> list[str]:
+    """What machines have to do with a version, a phrase each; empty where none has."""
+    found: list[str] = []
+    known = select(MachinePolicy.machine_id, MachinePolicy.mode).distinct()
+    for machine_id, mode in database.execute(known.order_by("machine_id", "mode")):
+        newest = _newest(database, machine_id, Mode(mode))
+        if newest is not None and newest.policy_sha256 == policy_sha256:
+            found.append(f"{machine_id} runs it")
+        elif version_before(database, machine_id, Mode(mode)) == policy_sha256:
+            found.append(f"{machine_id} may go back to it")
+    waiting = select(Deployment.machine_id).where(
+        Deployment.policy_sha256 == policy_sha256,
+        Deployment.outcome == DeploymentOutcome.PENDING.value,
+    )
+    found += [f"{name} is to switch to it" for name in database.scalars(waiting)]
+    return found
+
+
+def _newest(database: DatabaseSession, machine_id: str, mode: Mode) -> MachinePolicy | None:
+    return database.scalars(
         select(MachinePolicy)
-        .where(MachinePolicy.machine_id == event.machine_id, MachinePolicy.mode == mode.value)
+        .where(MachinePolicy.machine_id == machine_id, MachinePolicy.mode == mode.value)
         .order_by(MachinePolicy.machine_policy_count.desc())
         .limit(1)
     ).first()
+
+
+def _add_change(
+    database: DatabaseSession, event: MachineEvent, mode: Mode, policy_sha256: str | None
+) -> None:
+    last = _newest(database, event.machine_id, mode)
     if last is not None and last.policy_sha256 == policy_sha256:
         return
     since_utc = _time(event)

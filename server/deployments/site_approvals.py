@@ -8,6 +8,7 @@ import logging
 import os
 import shutil
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -28,8 +29,16 @@ from runtime.control.policy_file import check_policy_file
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.clock import utc_now
-from server.errors import ConflictError, NotFoundError
+from server.deployments.machine_policies import machines_that_need
+from server.errors import ApiError, ConflictError, NotFoundError
+from server.plans.policy_life import (
+    change_state,
+    state_before_approval,
+    states,
+    uploader_of,
+)
 from server.plans.policy_store import PolicyStore, StoredPolicy
+from server.schemas.policies import PolicyState
 from server.secret_files import write_secret
 from server.store.database import Database
 
@@ -38,6 +47,8 @@ logger = logging.getLogger(__name__)
 KEY_FILE: Final = "site.key"
 TRUST_FILE: Final = "site.json"
 FIRST_START: Final = "the site's key at first start"
+FIRST_START_REASON: Final = "came with the software, or lay there when the server was first started"
+LISTED_REASON: Final = "the site's signed list holds its approval"
 
 
 class ApprovalError(DownrangeError):
@@ -46,8 +57,19 @@ class ApprovalError(DownrangeError):
     code = "approvals"
 
 
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What is done to a version."""
+
+    action: str
+    """For the audit."""
+    policy_sha256: str
+    to_state: PolicyState
+    reason: str
+
+
 class SiteApprovals:
-    """Approves and withdraws; thread-safe."""
+    """Approves, withdraws and retires; thread-safe."""
 
     def __init__(
         self,
@@ -56,7 +78,11 @@ class SiteApprovals:
         policies: PolicyStore,
         site: str,
         data_dir: Path,
+        *,
+        is_four_eyes: bool = False,
     ) -> None:
+        """Args: is_four_eyes: the one who uploaded a version may not approve it."""
+        self._is_four_eyes = is_four_eyes
         self._database = database
         self._audit = audit
         self._policies = policies
@@ -83,8 +109,9 @@ class SiteApprovals:
                 self._require_own_key()
             except (OSError, ValueError) as error:
                 raise ApprovalError(f"{self._file} cannot be used: {error}") from error
-            return
-        self._begin()
+        else:
+            self._begin()
+        self._reconcile()
 
     def _begin(self) -> None:
         """Make the key and the first list; both come into being at once."""
@@ -118,12 +145,13 @@ class SiteApprovals:
             return False
         return True
 
-    def approve(self, policy_sha256: str, session: Session) -> Approval:
+    def approve(self, policy_sha256: str, reason: str, session: Session) -> Approval:
         """Approve a version.
 
         Raises:
             NotFoundError: no files of such a version.
-            ConflictError: it is approved already, cannot be used, or the disk refuses.
+            ConflictError: it is approved already or retired, cannot be used, the one who uploaded it asks
+                where two people are required, or the disk refuses.
         """
         policy = self._policies.find(policy_sha256)
         if policy is None:
@@ -133,6 +161,7 @@ class SiteApprovals:
         with self._lock:
             if self.is_approved(policy):
                 raise ConflictError("approved", f"{policy.card.policy_id} is approved already.")
+            self._require_other_person(policy, session)
             try:
                 approval = _signed(policy, self._private_key(), session.username)
             except PolicyError as error:
@@ -140,10 +169,11 @@ class SiteApprovals:
                     "policy_unusable", f"It cannot be approved: {error}."
                 ) from error
             others = tuple(a for a in self._trust.approvals if a.policy_sha256 != policy_sha256)
-            self._change("policy.approve", policy_sha256, session, (*others, approval))
+            step = _Step("policy.approve", policy_sha256, PolicyState.APPROVED, reason)
+            self._change(step, session.actor, (*others, approval))
         return approval
 
-    def withdraw(self, policy_sha256: str, session: Session) -> None:
+    def withdraw(self, policy_sha256: str, reason: str, session: Session) -> None:
         """Withdraw an approval: machines stop using the version while no plan is armed.
 
         Raises:
@@ -156,23 +186,98 @@ class SiteApprovals:
                 raise NotFoundError(
                     "not_approved", f"Policy {policy_sha256[:12]} has no approval to withdraw."
                 )
-            self._change("policy.withdraw", policy_sha256, session, kept)
+            with self._database.read() as database:
+                before = state_before_approval(database, policy_sha256)
+            step = _Step("policy.withdraw", policy_sha256, before, reason)
+            self._change(step, session.actor, kept)
 
-    def _change(
-        self, action: str, policy_sha256: str, session: Session, approvals: tuple[Approval, ...]
-    ) -> None:
-        """Take the next list into use once it is on the disk."""
-        self._note(action, policy_sha256, session.actor)
-        changed = self._trust.model_copy(update={"approvals": approvals})
+    def retire(self, policy_sha256: str, reason: str, session: Session) -> None:
+        """Take a version out of use for good; its approval ends with it.
+
+        Raises:
+            NotFoundError: the server never met it.
+            ConflictError: it is retired already or being validated, the server throws with it, a machine
+                runs it, is to switch to it or may go back to it, or the disk refuses.
+        """
+        with self._lock:
+            with self._database.read() as database:
+                users = machines_that_need(database, policy_sha256)
+            name = self._policies.name_of(policy_sha256)
+            if self._policies.is_active(policy_sha256):
+                users.insert(0, "active.json of the policies folder names it")
+            if users:
+                raise ConflictError(
+                    "policy_needed", f"{name} cannot be retired: {'; '.join(users)}."
+                )
+            kept = tuple(a for a in self._trust.approvals if a.policy_sha256 != policy_sha256)
+            step = _Step("policy.retire", policy_sha256, PolicyState.RETIRED, reason)
+            self._change(step, session.actor, kept)
+
+    def _require_other_person(self, policy: StoredPolicy, session: Session) -> None:
+        if not self._is_four_eyes:
+            return
+        with self._database.read() as database:
+            uploader = uploader_of(database, policy.card.policy_sha256)
+        if uploader == session.username:
+            raise ConflictError(
+                "four_eyes",
+                f"{uploader} has uploaded {policy.card.policy_id}; another engineer approves it.",
+            )
+
+    def _change(self, step: "_Step", actor: Actor, approvals: tuple[Approval, ...]) -> None:
+        """Take the next list into use once it is on the disk, and note the step with it."""
+        self._note(step.action, step.policy_sha256, actor)
+        signed = sign_list(
+            self._trust.model_copy(update={"approvals": approvals}), self._private_key()
+        )
+        evidence = {"key_id": signed.signed_by, "list_count": signed.serial_count}
         try:
-            signed = sign_list(changed, self._private_key())
-            _write(self._file, signed)
+            with self._database.write() as database:
+                change_state(
+                    database,
+                    step.policy_sha256,
+                    step.to_state,
+                    actor=actor.name,
+                    reason=step.reason,
+                    evidence=evidence,
+                )
+                # The last that can fail before the commit; a start mends what lies between the two.
+                _write(self._file, signed)
         except OSError as error:
-            self._note(f"{action}.failed", policy_sha256, session.actor)
+            self._note(f"{step.action}.failed", step.policy_sha256, actor)
             raise ConflictError(
                 "disk", f"The list of approvals cannot be written, nothing has changed: {error}"
             ) from error
+        except ApiError:
+            self._note(f"{step.action}.failed", step.policy_sha256, actor)
+            raise
         self._trust = signed
+
+    def _reconcile(self) -> None:
+        """Add the steps that the signed list shows and the history lacks: it is what machines go by."""
+        approvals = {approval.policy_sha256: approval for approval in self._trust.approvals}
+        self._policies.refresh()
+        with self._database.write() as database:
+            for policy_sha256, state in states(database).items():
+                approval = approvals.get(policy_sha256)
+                if (approval is not None) == (state is PolicyState.APPROVED):
+                    continue
+                if approval is None:
+                    to_state = state_before_approval(database, policy_sha256)
+                    actor, reason = SERVER.name, "the site's list does not hold its approval"
+                elif state in (PolicyState.UPLOADED, PolicyState.VALIDATED):
+                    to_state, actor = PolicyState.APPROVED, approval.approved_by
+                    reason = FIRST_START_REASON if actor == FIRST_START else LISTED_REASON
+                else:
+                    continue
+                change_state(
+                    database,
+                    policy_sha256,
+                    to_state,
+                    actor=actor,
+                    reason=reason,
+                    evidence={"list_count": self._trust.serial_count},
+                )
 
     @property
     def _file(self) -> Path:

@@ -20,14 +20,18 @@ from machine.reach import MIN_RANGE_M, reach_m
 from machine.spec import MachineSpec
 from runtime.control.observation import PACE_NAME
 from runtime.control.policy import ACTIVE_FILE, find_policy
+from server.accounts.audit_chain import SERVER
 from server.clock import utc_now
 from server.errors import ApiError, NotFoundError, from_reason
+from server.plans.policy_life import change_state, state_of, states
 from server.schemas.console import ModeReach, ReachView
 from server.schemas.history import PolicyView
+from server.schemas.policies import PolicyState
 from server.store.database import Database
 from server.store.models import Policy, Throw
 
 LOOK_PERIOD_S = 1.0
+FOUND_REASON = "found in the server's policies folder"
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +120,15 @@ class PolicyStore:
                             first_seen_utc=utc_now(),
                         )
                     )
+                    session.flush()
+                if state_of(session, sha256) is None:
+                    change_state(
+                        session,
+                        sha256,
+                        PolicyState.UPLOADED,
+                        actor=SERVER.name,
+                        reason=FOUND_REASON,
+                    )
 
     def active(self, mode: Mode) -> StoredPolicy:
         """The policy to throw with.
@@ -158,6 +171,11 @@ class PolicyStore:
         """Id of a version; the start of its hash if its files are gone."""
         found = self._present.get(policy_sha256)
         return policy_sha256[:12] if found is None else found.card.policy_id
+
+    def is_active(self, policy_sha256: str) -> bool:
+        """Whether the server plans with a version where a machine does not say what it has."""
+        self.refresh()
+        return any(p.card.policy_sha256 == policy_sha256 for p in self._active.values())
 
     def active_folders(self) -> tuple[Path, ...]:
         """Folders of the active policies."""
@@ -218,7 +236,11 @@ class PolicyStore:
                 select(Throw.policy_sha256, func.count()).group_by(Throw.policy_sha256)
             )
             counts = {row[0]: row[1] for row in counted}
-        views = [self._view(row, counts.get(row.policy_sha256, 0)) for row in rows]
+            found = states(session)
+        views = [
+            self._view(row, counts.get(row.policy_sha256, 0), found.get(row.policy_sha256))
+            for row in rows
+        ]
         return sorted(views, key=lambda v: (not v.is_active, not v.is_present, v.policy_id))
 
     def view(self, policy_sha256: str) -> PolicyView:
@@ -233,9 +255,10 @@ class PolicyStore:
             if row is None:
                 raise NotFoundError("no_policy", f"No policy has sha256 {policy_sha256[:16]}...")
             count = session.scalar(select(func.count()).where(Throw.policy_sha256 == policy_sha256))
-        return self._view(row, count or 0)
+            state = state_of(session, policy_sha256)
+        return self._view(row, count or 0, state)
 
-    def _view(self, row: Policy, throw_count: int) -> PolicyView:
+    def _view(self, row: Policy, throw_count: int, state: PolicyState | None) -> PolicyView:
         mode = Mode(row.mode)
         active = self._active.get(mode)
         is_present = row.policy_sha256 in self._present
@@ -243,6 +266,8 @@ class PolicyStore:
             policy_id=row.policy_id,
             policy_sha256=row.policy_sha256,
             mode=mode,
+            # Rows of before the life was kept have no step until their files are seen again.
+            state=state or PolicyState.UPLOADED,
             is_active=active is not None and active.card.policy_sha256 == row.policy_sha256,
             is_present=is_present,
             problem=None if is_present else self._problems.get(row.policy_id, "its files are gone"),

@@ -11,6 +11,7 @@ from machine.policy_approval import Approval
 from server.dependencies import (
     ApprovalsDep,
     Approver,
+    DatabaseDep,
     Deployer,
     DeploymentsDep,
     MachineCaller,
@@ -18,6 +19,7 @@ from server.dependencies import (
     PoliciesDep,
     Viewer,
 )
+from server.plans.policy_life import history
 from server.schemas.deployments import (
     DeploymentView,
     DeployRequest,
@@ -26,6 +28,7 @@ from server.schemas.deployments import (
     WantedPoliciesView,
 )
 from server.schemas.history import PolicyView
+from server.schemas.policies import PolicyTransitionView, TransitionRequest
 
 router = APIRouter(tags=["policies"])
 
@@ -48,16 +51,37 @@ def list_policy_approvals(session: Viewer, approvals: ApprovalsDep) -> list[Appr
     return list(approvals.trust().approvals)
 
 
+@router.get("/policies/{policy_sha256}/history")
+def read_policy_history(
+    policy_sha256: str, session: Viewer, database: DatabaseDep
+) -> list[PolicyTransitionView]:
+    """The steps of the version's life, oldest first: who, when, why, and on what evidence."""
+    with database.read() as reading:
+        return history(reading, policy_sha256)
+
+
 @router.post("/policies/{policy_sha256}/approve", status_code=201)
-def approve_policy(policy_sha256: str, session: Approver, approvals: ApprovalsDep) -> Approval:
-    """Approve the version by the site's key, as it lies in the policies folder."""
-    return approvals.approve(policy_sha256, session)
+def approve_policy(
+    policy_sha256: str, body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+) -> Approval:
+    """Approve the version by the site's key, as it lies there."""
+    return approvals.approve(policy_sha256, body.reason, session)
 
 
 @router.post("/policies/{policy_sha256}/withdraw", status_code=204)
-def withdraw_policy(policy_sha256: str, session: Approver, approvals: ApprovalsDep) -> None:
+def withdraw_policy(
+    policy_sha256: str, body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+) -> None:
     """Withdraw an approval: machines stop using the version while no plan is armed."""
-    approvals.withdraw(policy_sha256, session)
+    approvals.withdraw(policy_sha256, body.reason, session)
+
+
+@router.post("/policies/{policy_sha256}/retire", status_code=204)
+def retire_policy(
+    policy_sha256: str, body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+) -> None:
+    """Take the version out of use for good; refused while a machine runs it or may go back to it."""
+    approvals.retire(policy_sha256, body.reason, session)
 
 
 @router.get("/machines/{machine_id}/policies")

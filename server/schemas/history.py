@@ -16,6 +16,7 @@ from machine.messages import EventKind
 from machine.policy_card import PolicyCard
 from server.schemas.console import Request, TargetView, View
 from server.schemas.plans import PlanView
+from server.schemas.policies import PolicyState
 
 
 class ThrowPhase(StrEnum):
@@ -258,6 +259,7 @@ class PolicyView(View):
     policy_id: str
     policy_sha256: str
     mode: Mode
+    state: PolicyState
     is_active: bool
     is_present: bool
     """Its files are in the policies folder."""

@@ -135,6 +135,22 @@ class Policy(Base):
     first_seen_utc: Mapped[datetime]
 
 
+class PolicyTransition(Base):
+    """One step in the life of a policy version; rows are only added (server/plans/policy_life.py)."""
+
+    __tablename__ = "policy_transitions"
+    transition_count: Mapped[int] = mapped_column(BigCount, primary_key=True)
+    policy_sha256: Mapped[str] = mapped_column(ForeignKey("policies.policy_sha256"), index=True)
+    from_state: Mapped[str | None] = mapped_column(String(16))
+    """None: the server met the version."""
+    to_state: Mapped[str] = mapped_column(String(16))
+    """server.schemas.policies.PolicyState"""
+    actor: Mapped[str] = mapped_column(String(64))
+    reason: Mapped[str] = mapped_column(String(300))
+    evidence: Mapped[dict[str, Any]]
+    at_utc: Mapped[datetime]
+
+
 class MachinePolicy(Base):
     """Which policy a machine had loaded from a moment on, as its own events say; rows are only added."""
 

@@ -8,6 +8,8 @@ from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.schemas.console import Role
 
+WHY = "for a test"
+
 
 @pytest.fixture
 def approvals(assembled):
@@ -39,17 +41,17 @@ def test_an_approval_is_withdrawn_and_given_again_by_a_person(assembled, approva
     policy = assembled.parts.policies.active("2d")
     sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
     with pytest.raises(ConflictError, match="approved already"):
-        approvals.approve(sha256, eve)
-    approvals.withdraw(sha256, eve)
+        approvals.approve(sha256, WHY, eve)
+    approvals.withdraw(sha256, WHY, eve)
     assert not approvals.is_approved(policy)
     with pytest.raises(NotFoundError):
-        approvals.withdraw(sha256, eve)
-    assert approvals.approve(sha256, eve).approved_by == "eve"
+        approvals.withdraw(sha256, WHY, eve)
+    assert approvals.approve(sha256, WHY, eve).approved_by == "eve"
     again = fresh(assembled, assembled.parts.settings.data_dir)
     again.start()
     assert again.is_approved(policy)
     with pytest.raises(NotFoundError):
-        approvals.approve("0" * 64, eve)
+        approvals.approve("0" * 64, WHY, eve)
 
 
 @pytest.mark.parametrize("damage", ["no key", "no list", "other key", "torn list"])
@@ -82,9 +84,9 @@ def test_a_full_disk_changes_nothing(assembled, approvals, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(site_approvals, "_write", refuse)
         with pytest.raises(ConflictError, match=r"nothing has changed: .*No space"):
-            approvals.withdraw(sha256, eve)
+            approvals.withdraw(sha256, WHY, eve)
     assert approvals.trust() == before
-    approvals.withdraw(sha256, eve)
+    approvals.withdraw(sha256, WHY, eve)
     assert approvals.trust().serial_count == before.serial_count + 1
 
 
@@ -108,14 +110,14 @@ def test_a_first_start_that_is_killed_is_begun_again(assembled, tmp_path, monkey
 def test_what_machines_would_not_load_is_not_approved(assembled, approvals, monkeypatch):
     policy = assembled.parts.policies.active("2d")
     sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
-    approvals.withdraw(sha256, eve)
+    approvals.withdraw(sha256, WHY, eve)
 
     def refuse(content, name):
         raise PolicyError(f"{name} uses operator 'Loop'")
 
     monkeypatch.setattr(site_approvals, "check_policy_file", refuse)
     with pytest.raises(ConflictError, match=r"cannot be approved: .*Loop"):
-        approvals.approve(sha256, eve)
+        approvals.approve(sha256, WHY, eve)
     assert not approvals.is_approved(policy)
 
 
@@ -128,12 +130,12 @@ def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(runn
 
         body = {"policy_sha256": sha256, "reason": "a test"}
         try:
-            assert eve.post(f"/policies/{sha256}/withdraw").status_code == 204
+            assert eve.post(f"/policies/{sha256}/withdraw", json={"reason": WHY}).status_code == 204
             assert not approved()
             refused = eve.post("/machines/m001/policies/3d/deploy", json=body)
             assert refused.json()["error"]["code"] == "not_approved"
         finally:
-            assert eve.post(f"/policies/{sha256}/approve").status_code == 201
+            assert eve.post(f"/policies/{sha256}/approve", json={"reason": WHY}).status_code == 201
         assert approved()
         token = running.parts.registry.secret_path("m001").read_text().strip()
         headers = {"Authorization": f"Bearer {token}"}

@@ -10,8 +10,6 @@ type Props = {
   /** What follows from it, before it is done. */
   children: ReactNode;
   action: string;
-  /** Whether the history is to hold why. */
-  hasReason: boolean;
   isPending: boolean;
   error: unknown;
   onConfirm: (reason: string) => void;
@@ -20,9 +18,9 @@ type Props = {
 
 /** A change of what machines throw with: its consequence, who answers for it, and why. */
 export function ConfirmDialog(props: Props) {
-  const { title, children, action, hasReason, isPending, error, onConfirm, onClose } = props;
+  const { title, children, action, isPending, error, onConfirm, onClose } = props;
   const [reason, setReason] = useState("");
-  const isReady = !hasReason || reason.trim().length >= MIN_REASON;
+  const isReady = reason.trim().length >= MIN_REASON;
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
     if (isReady && !isPending) onConfirm(reason.trim());
@@ -31,18 +29,16 @@ export function ConfirmDialog(props: Props) {
     <Modal opened onClose={onClose} title={title} centered>
       <form onSubmit={submit} className={classes.dialog}>
         {children}
-        {hasReason && (
-          <TextInput
-            label="Why"
-            description="Kept in the history with your name"
-            value={reason}
-            minLength={MIN_REASON}
-            maxLength={300}
-            required
-            data-autofocus
-            onChange={(event) => setReason(event.currentTarget.value)}
-          />
-        )}
+        <TextInput
+          label="Why"
+          description="Kept in the history with your name"
+          value={reason}
+          minLength={MIN_REASON}
+          maxLength={300}
+          required
+          data-autofocus
+          onChange={(event) => setReason(event.currentTarget.value)}
+        />
         {error !== null && error !== undefined && (
           <p className={classes.refusal} role="alert">
             {errorWords(error)}

@@ -85,7 +85,6 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
         <ConfirmDialog
           title={`Roll back ${entry.mode.toUpperCase()} of ${machineId}`}
           action={`Go back to ${earlier}`}
-          hasReason
           isPending={rollBack.isPending}
           error={rollBack.error}
           onConfirm={(reason) =>

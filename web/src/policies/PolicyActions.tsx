@@ -9,7 +9,7 @@ import classes from "./PolicyCard.module.css";
 import { useApprovals, useDeployments, useOnBoard, usePolicyActions } from "./usePolicyLife";
 
 type Props = { policy: Schema["PolicyView"]; machineId: string };
-type Asking = "deploy" | "approve" | "withdraw" | null;
+type Asking = "deploy" | "approve" | "withdraw" | "retire" | null;
 
 /** Who has approved a version, and what may be done with it on the machine that is chosen. */
 export function PolicyActions({ policy, machineId }: Props) {
@@ -19,20 +19,21 @@ export function PolicyActions({ policy, machineId }: Props) {
   const deployments = useDeployments(machineId);
   const mayApprove = useMay("policy.approve");
   const mayDeploy = useMay("policy.deploy");
-  const { deploy, approve, withdraw } = usePolicyActions(machineId);
+  const { deploy, approve, withdraw, retire } = usePolicyActions(machineId);
   if (!approvals.data || !onBoard.data || !deployments.data) return null;
-  const { policy_sha256, policy_id, mode } = policy;
+  const { policy_sha256, policy_id, mode, state } = policy;
   const approval = approvalOf(approvals.data, policy_sha256);
   const why = deployRefusal(policy_sha256, mode, {
     problem: policy.problem,
     isApproved: approval !== null,
+    isRetired: state === "retired",
     onBoard: onBoard.data.policies,
     deployments: deployments.data,
     mayDeploy,
   });
   const close = () => {
     setAsking(null);
-    for (const one of [deploy, approve, withdraw]) one.reset();
+    for (const one of [deploy, approve, withdraw, retire]) one.reset();
   };
   const done = { onSuccess: () => setAsking(null) };
   const shown = mode.toUpperCase();
@@ -61,19 +62,28 @@ export function PolicyActions({ policy, machineId }: Props) {
             <Button
               variant="default"
               size="md"
-              disabled={!policy.is_present}
+              disabled={!policy.is_present || state === "retired" || state === "validating"}
               onClick={() => setAsking("approve")}
             >
               Approve
             </Button>
           ))}
+        {mayApprove && state !== "retired" && state !== "validating" && (
+          <Button
+            variant="default"
+            size="md"
+            aria-label={`Retire ${policy_id}`}
+            onClick={() => setAsking("retire")}
+          >
+            Retire
+          </Button>
+        )}
         {why && <span className={classes.why}>{why}</span>}
       </div>
       {asking === "deploy" && (
         <ConfirmDialog
           title={`Deploy ${policy_id} to ${machineId}`}
           action="Deploy"
-          hasReason
           isPending={deploy.isPending}
           error={deploy.error}
           onConfirm={(reason) => deploy.mutate({ mode, policy_sha256, reason }, done)}
@@ -90,10 +100,9 @@ export function PolicyActions({ policy, machineId }: Props) {
         <ConfirmDialog
           title={`Approve ${policy_id}`}
           action="Approve"
-          hasReason={false}
           isPending={approve.isPending}
           error={approve.error}
-          onConfirm={() => approve.mutate(policy_sha256, done)}
+          onConfirm={(reason) => approve.mutate({ sha256: policy_sha256, reason }, done)}
           onClose={close}
         >
           <p>
@@ -106,15 +115,29 @@ export function PolicyActions({ policy, machineId }: Props) {
         <ConfirmDialog
           title={`Withdraw the approval of ${policy_id}`}
           action="Withdraw"
-          hasReason={false}
           isPending={withdraw.isPending}
           error={withdraw.error}
-          onConfirm={() => withdraw.mutate(policy_sha256, done)}
+          onConfirm={(reason) => withdraw.mutate({ sha256: policy_sha256, reason }, done)}
           onClose={close}
         >
           <p>
             Every machine of the site stops using it as soon as no plan is armed. A machine that has
             no other approved version in {shown} cannot throw in {shown}.
+          </p>
+        </ConfirmDialog>
+      )}
+      {asking === "retire" && (
+        <ConfirmDialog
+          title={`Retire ${policy_id}`}
+          action={`Retire ${policy_id} for good`}
+          isPending={retire.isPending}
+          error={retire.error}
+          onConfirm={(reason) => retire.mutate({ sha256: policy_sha256, reason }, done)}
+          onClose={close}
+        >
+          <p>
+            No machine can be given it any more, and that cannot be undone. Refused while a machine
+            runs it or may go back to it. Its history and throws stay.
           </p>
         </ConfirmDialog>
       )}

@@ -3,6 +3,7 @@ import type { Schema } from "../session/client";
 import { count, fixed, metres, shortHash } from "../words/format";
 import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
+import { LifeStepper } from "./LifeStepper";
 import { PolicyActions } from "./PolicyActions";
 import classes from "./PolicyCard.module.css";
 
@@ -29,6 +30,11 @@ export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
           {policy.problem}
         </p>
       )}
+      <LifeStepper
+        policyId={policy.policy_id}
+        sha256={policy.policy_sha256}
+        state={policy.state}
+      />
       {machineId !== null && <PolicyActions policy={policy} machineId={machineId} />}
       <dl className={classes.facts}>
         <dt>Targets</dt>

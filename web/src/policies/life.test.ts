@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { deployRefusal, nameOf, outcomeWords, pendingOf } from "./life";
+import { deployRefusal, lifeSteps, nameOf, outcomeWords, pendingOf } from "./life";
 import type { Deployment, OnBoard } from "./usePolicyLife";
 
 const A = "a".repeat(64);
@@ -34,6 +34,7 @@ const onBoard = (sha256: string): OnBoard[] => [
 const facts = {
   problem: null,
   isApproved: true,
+  isRetired: false,
   onBoard: onBoard(B),
   deployments: [],
   mayDeploy: true,
@@ -71,5 +72,30 @@ describe("a version's life on a machine", () => {
   it("names a version whose files are gone by its hash", () => {
     expect(nameOf({ policy_id: null, policy_sha256: A })).toBe("aaaaaaaaaaaa");
     expect(nameOf({ policy_id: null, policy_sha256: null })).toBe("no usable version");
+  });
+});
+
+describe("the life of a version", () => {
+  const places = (...args: Parameters<typeof lifeSteps>) =>
+    lifeSteps(...args).map(({ state, place }) => `${state} ${place}`);
+
+  it("calls done only what the history holds", () => {
+    const skipped = [{ to_state: "uploaded" as const }, { to_state: "approved" as const }];
+    expect(places("approved", skipped)).toEqual([
+      "uploaded done",
+      "validated later",
+      "approved now",
+    ]);
+    const whole = [...skipped, { to_state: "validated" as const }];
+    expect(places("retired", whole).at(1)).toBe("validated done");
+    expect(places("retired", whole).at(-1)).toBe("retired now");
+  });
+
+  it("shows that a validation runs", () => {
+    expect(places("validating", [{ to_state: "uploaded" }])[1]).toBe("validating now");
+  });
+
+  it("deploys nothing that is retired", () => {
+    expect(deployRefusal(A, "2d", { ...facts, isRetired: true })).toMatch(/^Retired/);
   });
 });

@@ -1,6 +1,33 @@
 /** Words about what a machine has on board and what it is to have. */
 
-import type { Approval, Deployment, Mode, OnBoard } from "./usePolicyLife";
+import type { Approval, Deployment, Mode, OnBoard, PolicyState } from "./usePolicyLife";
+
+const STATE_WORDS: Record<PolicyState, string> = {
+  uploaded: "Uploaded",
+  validating: "Validating",
+  validated: "Validated",
+  approved: "Approved",
+  retired: "Retired",
+};
+
+export const stateWords = (state: PolicyState) => STATE_WORDS[state];
+
+export type Place = "done" | "now" | "later";
+
+/** The states of a life in their order; where the version is, and which it has been through. */
+export function lifeSteps(
+  state: PolicyState,
+  history: readonly { to_state: PolicyState }[],
+): { state: PolicyState; place: Place }[] {
+  const middle: PolicyState = state === "validating" ? "validating" : "validated";
+  const order: PolicyState[] = ["uploaded", middle, "approved"];
+  if (state === "retired") order.push("retired");
+  const seen = new Set(history.map((row) => row.to_state));
+  return order.map((one) => ({
+    state: one,
+    place: one === state ? "now" : seen.has(one) ? "done" : "later",
+  }));
+}
 
 type Named = { policy_id: string | null; policy_sha256: string | null };
 
@@ -36,12 +63,14 @@ export function deployRefusal(
   facts: {
     problem: string | null;
     isApproved: boolean;
+    isRetired: boolean;
     onBoard: readonly OnBoard[];
     deployments: readonly Deployment[];
     mayDeploy: boolean;
   },
 ): string | null {
-  const { problem, isApproved, onBoard, deployments, mayDeploy } = facts;
+  const { problem, isApproved, isRetired, onBoard, deployments, mayDeploy } = facts;
+  if (isRetired) return "Retired: nothing is done with it any more.";
   if (problem) return "Its files cannot be used.";
   if (!isApproved) return "Not approved: machines would not load it.";
   const pending = pendingOf(deployments, mode);

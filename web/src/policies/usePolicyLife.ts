@@ -7,10 +7,13 @@ export type Mode = Schema["Mode"];
 export type OnBoard = Schema["MachinePolicyView"];
 export type Deployment = Schema["DeploymentView"];
 export type Approval = Schema["Approval"];
+export type PolicyState = Schema["PolicyState"];
 
 const ON_BOARD = "machine-policies";
 const DEPLOYMENTS = "deployments";
 const APPROVALS = "policy-approvals";
+const HISTORY = "policy-history";
+const POLICIES = "policies";
 const WAITING_MS = 2_000;
 const QUIET_MS = 15_000;
 
@@ -49,11 +52,26 @@ export function useApprovals() {
   });
 }
 
+/** The steps of a version's life, oldest first. */
+export function usePolicyHistory(sha256: string) {
+  return useQuery({
+    queryKey: [HISTORY, sha256],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/policies/{policy_sha256}/history", {
+          params: { path: { policy_sha256: sha256 } },
+        }),
+      ),
+  });
+}
+
+type Step = { sha256: string; reason: string };
+
 /** Each change is asked for once; what became of it is read from the server. */
 export function usePolicyActions(machineId: string) {
   const client = useQueryClient();
   const onSettled = () => {
-    for (const key of [ON_BOARD, DEPLOYMENTS, APPROVALS])
+    for (const key of [ON_BOARD, DEPLOYMENTS, APPROVALS, HISTORY, POLICIES])
       void client.invalidateQueries({ queryKey: [key] });
   };
   const deploy = useMutation({
@@ -77,22 +95,34 @@ export function usePolicyActions(machineId: string) {
     onSettled,
   });
   const approve = useMutation({
-    mutationFn: (policy_sha256: string) =>
+    mutationFn: ({ sha256, reason }: Step) =>
       take(
         api.POST("/api/v1/policies/{policy_sha256}/approve", {
-          params: { path: { policy_sha256 } },
+          params: { path: { policy_sha256: sha256 } },
+          body: { reason },
         }),
       ),
     onSettled,
   });
   const withdraw = useMutation({
-    mutationFn: (policy_sha256: string) =>
+    mutationFn: ({ sha256, reason }: Step) =>
       take(
         api.POST("/api/v1/policies/{policy_sha256}/withdraw", {
-          params: { path: { policy_sha256 } },
+          params: { path: { policy_sha256: sha256 } },
+          body: { reason },
         }),
       ),
     onSettled,
   });
-  return { deploy, rollBack, approve, withdraw };
+  const retire = useMutation({
+    mutationFn: ({ sha256, reason }: Step) =>
+      take(
+        api.POST("/api/v1/policies/{policy_sha256}/retire", {
+          params: { path: { policy_sha256: sha256 } },
+          body: { reason },
+        }),
+      ),
+    onSettled,
+  });
+  return { deploy, rollBack, approve, withdraw, retire };
 }

@@ -1,0 +1,40 @@
+"""Bodies of the HTTP interface for the life of policy versions."""
+
+from datetime import datetime
+from enum import StrEnum
+
+from pydantic import Field, JsonValue
+
+from server.schemas.console import Request, View
+
+
+class PolicyState(StrEnum):
+    """Where a version is in its life."""
+
+    UPLOADED = "uploaded"
+    VALIDATING = "validating"
+    VALIDATED = "validated"
+    APPROVED = "approved"
+    """The site has signed it: machines may load it."""
+    RETIRED = "retired"
+    """For good: nothing is done with it any more."""
+
+
+class TransitionRequest(Request):
+    """Moves a version on."""
+
+    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    """Why, for the history."""
+
+
+class PolicyTransitionView(View):
+    """One step in the life of a version."""
+
+    from_state: PolicyState | None
+    """None: the server met the version."""
+    to_state: PolicyState
+    actor: str
+    at_utc: datetime
+    reason: str
+    evidence: dict[str, JsonValue]
+    """Facts that the step rests on, for example measured accuracy or the key that signed."""
