@@ -1,16 +1,18 @@
 """Card of a policy: inputs and outputs, targets, origin, accuracy."""
 
 import hashlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
 
 POLICY_FILE = "policy.onnx"
 CARD_FILE = "card.json"
+GOLDEN_FILE = "golden_vectors.json"
 
 
 class TrainingRecord(BaseModel):
@@ -82,8 +84,41 @@ def file_sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@dataclass(frozen=True, slots=True)
+class PolicyFiles:
+    """The files of one version as they were read, once: what is checked is what is loaded."""
+
+    folder: Path
+    card: PolicyCard
+    policy: bytes
+    """Content of policy.onnx."""
+    text: bytes
+    """Content of card.json."""
+    golden: bytes | None
+    """Content of golden_vectors.json; None where there is none."""
+
+    @property
+    def card_sha256(self) -> str:
+        """sha256 of card.json, hex."""
+        return hashlib.sha256(self.text).hexdigest()
+
+    @property
+    def golden_sha256(self) -> str | None:
+        """sha256 of golden_vectors.json, hex."""
+        return None if self.golden is None else hashlib.sha256(self.golden).hexdigest()
+
+
 def load_card(folder: Path) -> PolicyCard:
     """Read and check the card of a policy folder (card.json beside policy.onnx).
+
+    Raises:
+        PolicyError: as `read_policy`.
+    """
+    return read_policy(folder).card
+
+
+def read_policy(folder: Path) -> PolicyFiles:
+    """Read the files of a policy folder, and check that network and card agree.
 
     Raises:
         PolicyError: a file is missing, the card does not fit the schema, or its hash is not that of the
@@ -96,13 +131,52 @@ def load_card(folder: Path) -> PolicyCard:
                 f"{path} is missing; a policy folder holds {POLICY_FILE} and {CARD_FILE}"
             )
     try:
-        card = PolicyCard.model_validate_json(card_path.read_text(encoding="utf-8"))
+        policy, text = policy_path.read_bytes(), card_path.read_bytes()
+        golden = _read_if_there(folder / GOLDEN_FILE)
+    except OSError as error:
+        raise PolicyError(f"{folder} cannot be read: {error}") from error
+    return policy_of(folder, policy, text, golden)
+
+
+def policy_of(folder: Path, policy: bytes, text: bytes, golden: bytes | None) -> PolicyFiles:
+    """The version of these contents.
+
+    Args:
+        folder: where they lie; names them in errors.
+        policy: content of policy.onnx.
+        text: content of card.json.
+        golden: content of golden_vectors.json; None without.
+
+    Raises:
+        PolicyError: the card does not fit the schema, or its hash is not that of the ONNX file.
+    """
+    card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
+    try:
+        card = PolicyCard.model_validate_json(text)
     except ValueError as error:
-        raise PolicyError(f"{card_path} is not a policy card: {error}") from error
-    found = file_sha256(policy_path)
+        raise PolicyError(f"{card_path} is not a policy card: {_card_problems(error)}") from error
+    found = hashlib.sha256(policy).hexdigest()
     if found != card.policy_sha256:
         raise PolicyError(
             f"{policy_path} has sha256 {found[:12]}..., its card says {card.policy_sha256[:12]}...: "
             "the file was changed or cut off; copy the policy again"
         )
-    return card
+    return PolicyFiles(folder, card, policy, text, golden)
+
+
+def _card_problems(error: ValueError) -> str:
+    """What is wrong, a phrase a field; the library's own text spans lines and links to its manual."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    problems = [
+        f"{'.'.join(str(part) for part in one['loc']) or 'the file'}: {one['msg']}"
+        for one in error.errors()
+    ]
+    return "; ".join(problems[:5])
+
+
+def _read_if_there(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None

@@ -21,6 +21,7 @@ from machine.spec import load_spec
 from server.accounts.accounts import COOKIE, Session
 from server.composition import Parts, open_parts
 from server.dependencies import Viewer
+from server.deployments.policy_uploads import UPLOAD_LIMIT_BYTES
 from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
@@ -86,6 +87,7 @@ def _api_router() -> APIRouter:
     ):
         api.include_router(module.router)
     api.include_router(sites.zones_router)
+    api.include_router(policies.upload_router, max_body_size=UPLOAD_LIMIT_BYTES)
     api.include_router(logs.router, max_body_size=logs.MAX_BODY_BYTES)
     return api
 

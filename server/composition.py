@@ -9,7 +9,7 @@ from typing import TypeVar
 import zenoh
 
 from machine.errors import DownrangeError
-from machine.spec import load_spec
+from machine.spec import MachineSpec, load_spec
 from runtime.link.zenoh_config import RouterTls, router_config
 from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
@@ -17,6 +17,7 @@ from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
+from server.deployments.policy_uploads import PolicyUploads
 from server.deployments.site_approvals import SiteApprovals
 from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
@@ -82,6 +83,7 @@ class Parts:
     commands: MachineCommands
     leases: LeaseService
     policies: PolicyStore
+    uploads: PolicyUploads
     machine_policies: MachinePolicies
     approvals: SiteApprovals
     deployments: Deployments
@@ -176,6 +178,7 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         parts, notices = assemble(settings, database, scene)
         parts.accounts.create_first_users(settings.data_dir)
         parts.registry.provision(settings.machine_slot_count)
+        parts.uploads.start()
         parts.approvals.start()
         parts.plans.start()
         parts.sites.start()
@@ -215,15 +218,7 @@ def assemble(
     audit = AuditChain(database, settings.data_dir / "audit-anchors.jsonl")
     accounts = Accounts(database, audit, settings.session_s)
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
-    policies = PolicyStore(database, settings.policies_dir, spec)
-    approvals = SiteApprovals(
-        database,
-        audit,
-        policies,
-        settings.site,
-        settings.data_dir,
-        is_four_eyes=settings.policy_four_eyes,
-    )
+    policies, uploads, approvals = _policy_parts(settings, database, audit, spec)
     throws = ThrowStore(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
@@ -267,6 +262,7 @@ def assemble(
         commands=commands,
         leases=leases,
         policies=policies,
+        uploads=uploads,
         machine_policies=MachinePolicies(database, registry, policies),
         approvals=approvals,
         deployments=Deployments(database, audit, registry, policies, approvals, spec),
@@ -293,6 +289,22 @@ def assemble(
     )
     _connect(parts, ingest)
     return parts, notices
+
+
+def _policy_parts(
+    settings: Settings, database: Database, audit: AuditChain, spec: MachineSpec
+) -> tuple[PolicyStore, PolicyUploads, SiteApprovals]:
+    uploaded_dir = settings.data_dir / "uploaded-policies"
+    policies = PolicyStore(database, settings.policies_dir, spec, uploaded_dir)
+    approvals = SiteApprovals(
+        database,
+        audit,
+        policies,
+        settings.site,
+        settings.data_dir,
+        is_four_eyes=settings.policy_four_eyes,
+    )
+    return policies, PolicyUploads(policies, audit, uploaded_dir, spec), approvals
 
 
 def _connect(parts: Parts, ingest: EventIngest) -> None:

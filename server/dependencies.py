@@ -15,6 +15,7 @@ from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
+from server.deployments.policy_uploads import PolicyUploads
 from server.deployments.site_approvals import SiteApprovals
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
@@ -86,6 +87,7 @@ PlannerDep = Annotated[Planner, Depends(_get(Planner))]
 PlansDep = Annotated[PlanStore, Depends(_get(PlanStore))]
 PoliciesDep = Annotated[PolicyStore, Depends(_get(PolicyStore))]
 PreviewPoolDep = Annotated[PreviewPool, Depends(_get(PreviewPool))]
+UploadsDep = Annotated[PolicyUploads, Depends(_get(PolicyUploads))]
 RegistryDep = Annotated[MachineRegistry, Depends(_get(MachineRegistry))]
 ReplaysDep = Annotated[ReplayControl, Depends(_get(ReplayControl))]
 SettingsDep = Annotated[Settings, Depends(_get(Settings))]
@@ -139,6 +141,7 @@ GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
 TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
 ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
+Uploader = Annotated[Session, Depends(requires(Permission.POLICY_UPLOAD))]
 Approver = Annotated[Session, Depends(requires(Permission.POLICY_APPROVE))]
 Deployer = Annotated[Session, Depends(requires(Permission.POLICY_DEPLOY))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]

@@ -73,6 +73,8 @@ def write_swing_policy(folder: Path, mode: Mode, throws: bool = True) -> None:
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
+    from scripts.golden_vectors import add_golden_vectors
+
     weights, bias = _weights(mode, throws)
     graph = helper.make_graph(
         [
@@ -120,6 +122,7 @@ def write_swing_policy(folder: Path, mode: Mode, throws: bool = True) -> None:
         ),
     )
     (folder / CARD_FILE).write_text(card.model_dump_json(indent=2), encoding="utf-8")
+    add_golden_vectors(folder)
 
 
 @pytest.fixture(scope="session")

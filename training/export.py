@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from machine.conventions import Array, Mode
 from machine.errors import PolicyError
+from machine.golden_vectors import golden_observations, write_golden_vectors
 from machine.policy_card import (
     CARD_FILE,
     POLICY_FILE,
@@ -102,7 +103,7 @@ def export_policy(
     training: TrainingRecord,
     evaluation: Sequence[dict[str, Any]] = (),
 ) -> PolicyCard:
-    """Write `folder`/policy.onnx and card.json.
+    """Write `folder`/policy.onnx, golden_vectors.json and card.json.
 
     Raises:
         PolicyError: the file's actions differ from those of the trained network.
@@ -117,6 +118,11 @@ def export_policy(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / POLICY_FILE
     path.write_bytes(model.SerializeToString())
+    width = actor[0][0].shape[0]
+    deviation = np.sqrt(np.asarray(normaliser.variance[:width], np.float64) + 1e-6)
+    seen = golden_observations(np.asarray(normaliser.mean[:width], np.float64), deviation)
+    # The trained network's own actions, not the file's: the vectors also tell of a wrong export.
+    write_golden_vectors(folder, seen, np.asarray(act(actor, normaliser, seen)))
     nearest, farthest = task.episode.target_range_m
     card = PolicyCard(
         policy_id=policy_id,

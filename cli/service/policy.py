@@ -1,6 +1,6 @@
 """`downrange policy`: which versions there are, and which each machine has; through a running server.
 
-Only `compare` reads files instead.
+`check` and `compare` read files instead.
 """
 
 import time
@@ -12,6 +12,8 @@ import tyro
 
 from cli.service.throw_client import USUAL_LOGIN, Login, ThrowClient
 from machine.errors import UsageError
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, read_policy
+from machine.spec import load_spec
 
 USUAL_USER = "admin"
 POLL_PERIOD_S = 0.2
@@ -96,6 +98,42 @@ def retire(
         chosen = _choose(client.call("GET", "/policies"), policy, has_gone=True)
         client.call("POST", f"/policies/{chosen['policy_sha256']}/retire", {"reason": reason})
         print(f"{chosen['policy_id']}: retired")
+    return 0
+
+
+def add(
+    folder: Annotated[Path, tyro.conf.Positional], /, *, reason: str, login: Login = USUAL_LOGIN
+) -> int:
+    """Upload a version; the server checks it as `downrange policy check` does.
+
+    Example: downrange policy add runs/m545-2d-v8 --reason "retrained with pace" --server URL
+
+    Args:
+        folder: of the version, with policy.onnx, card.json and golden_vectors.json.
+        reason: why, for the history.
+        login: which server, and by which account.
+    """
+    files = read_policy(folder)
+    contents = {POLICY_FILE: files.policy, CARD_FILE: files.text}
+    if files.golden is not None:
+        contents[GOLDEN_FILE] = files.golden
+    with login.open(USUAL_USER) as client:
+        added = client.upload("/policies", contents, {"reason": reason})
+        print(f"{added['policy_id']}: {added['state']}, version {added['policy_sha256'][:12]}")
+    return 0
+
+
+def check(folder: Annotated[Path, tyro.conf.Positional], /) -> int:
+    """Check a version as server and machine do: files, card, network, golden vectors; needs no server.
+
+    Args:
+        folder: of the version, with policy.onnx, card.json and golden_vectors.json.
+    """
+    # The network's runtime takes half a second to load; the other actions do not wait for it.
+    from runtime.control.policy_check import check_version
+
+    card = check_version(read_policy(folder), load_spec()).card
+    print(f"{card.policy_id} can be used in {card.mode.value}: version {card.policy_sha256[:12]}")
     return 0
 
 
@@ -203,6 +241,42 @@ def history(
     return 0
 
 
+def keys(
+    action: Annotated[Literal["list", "rotate", "revoke"], tyro.conf.Positional],
+    /,
+    *,
+    key: str | None = None,
+    reason: str | None = None,
+    login: Login = USUAL_LOGIN,
+) -> int:
+    """List the site's keys, rotate the one that signs, or revoke one that signs no more.
+
+    Machines follow a rotation by themselves, also when they were away. After a revocation, what the key has
+    signed counts no more.
+
+    Args:
+        action: list, rotate or revoke.
+        key: id of the key to revoke.
+        reason: why, for the audit; rotate and revoke need it.
+        login: which server, and by which account.
+    """
+    if action != "list" and reason is None:
+        raise UsageError(f"`keys {action}` needs --reason, for the audit")
+    if action == "revoke" and key is None:
+        raise UsageError("`keys revoke` needs --key, as `keys list` names it")
+    with login.open(USUAL_USER) as client:
+        if action == "list":
+            rows = client.call("GET", "/policy-keys")
+        else:
+            path = "/policy-keys/rotate" if action == "rotate" else f"/policy-keys/{key}/revoke"
+            rows = client.call("POST", path, {"reason": reason})
+    for row in rows:
+        state = "revoked" if row["is_revoked"] else "signs" if row["is_signing"] else "trusted"
+        since = row["since_utc"] or "first start"
+        print(f"{row['key_id']}  {state:<7}  {row['approval_count']:>4} approvals  since {since}")
+    return 0
+
+
 def compare(*, a: Path, b: Path) -> int:
     """Compare the accuracy of two versions, from results of `downrange evaluate --json`; needs no server.
 
@@ -226,6 +300,8 @@ def compare(*, a: Path, b: Path) -> int:
 
 ACTIONS: dict[str, Callable[..., int]] = {
     "list": listed,
+    "add": add,
+    "check": check,
     "show": show,
     "approve": approve,
     "withdraw": withdraw,
@@ -233,6 +309,7 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "deploy": deploy,
     "rollback": rollback,
     "history": history,
+    "keys": keys,
     "compare": compare,
 }
 

@@ -137,8 +137,25 @@ class ThrowClient:
         Raises:
             ServerError: it refuses, or cannot be reached.
         """
+        return self._send(method, path, json=body)
+
+    def upload(self, path: str, files: dict[str, bytes], fields: dict[str, str]) -> Any:
+        """Send files as a form; the answer's JSON.
+
+        Args:
+            path: of the interface.
+            files: contents by file name.
+            fields: further fields of the form.
+
+        Raises:
+            ServerError: it refuses, or cannot be reached.
+        """
+        parts = [("files", (name, content)) for name, content in files.items()]
+        return self._send("POST", path, files=parts, data=fields)
+
+    def _send(self, method: str, path: str, **content: Any) -> Any:
         try:
-            reply = self._http.request(method, path, json=body)
+            reply = self._http.request(method, path, **content)
         except httpx.HTTPError as error:
             raise ServerError(
                 f"{self._server} cannot be reached ({error}); start it with `make demo` or "

@@ -3,7 +3,6 @@
 It never trains, downloads or repairs a policy; a file that is not exactly what its card says is an error.
 """
 
-import hashlib
 import json
 import re
 import time
@@ -12,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
-from machine.conventions import Array, Mode
+from machine.conventions import CONTROL_PERIOD_S, POLICY_PERIOD_S, Array, Mode
 from machine.errors import PolicyError
-from machine.policy_card import POLICY_FILE, PolicyCard, load_card
+from machine.golden_vectors import read_golden_vectors
+from machine.policy_card import POLICY_FILE, PolicyCard, PolicyFiles, read_policy
 from machine.spec import MachineSpec
 from runtime.control.observation import ACTION_NAMES, PACE_NAME, observation_names
 from runtime.control.policy_file import check_policy_file
@@ -61,20 +61,24 @@ def find_policy(policies_dir: Path, mode: Mode) -> Path:
 class PolicyRunner:
     """One loaded policy. Thread-compatible, not shared between threads."""
 
-    def __init__(self, folder: Path, spec: MachineSpec, *, has_deadline: bool = False) -> None:
-        """Load, check against card and machine, and warm up.
+    def __init__(
+        self, version: Path | PolicyFiles, spec: MachineSpec, *, has_deadline: bool = False
+    ) -> None:
+        """Load, check against card, machine and golden vectors, and warm up.
 
         Args:
-            folder: of the policy.
+            version: folder of the policy, or its files that were read and checked already.
             spec: machine type.
             has_deadline: whether runs may be late; a machine's may, a simulation's take what they take.
 
         Raises:
             PolicyError: with what differs, and what to do.
         """
-        self.card: PolicyCard = load_card(folder)
+        files = version if isinstance(version, PolicyFiles) else read_policy(version)
+        folder = files.folder
+        self.card: PolicyCard = files.card
         _check_card(self.card, folder, spec)
-        self._session = _open_session(folder / POLICY_FILE, self.card.policy_sha256)
+        self._session = _open_session(files.policy, folder / POLICY_FILE)
         self._observation_count = len(self.card.observation_names)
         self._action_count = len(self.card.action_names)
         self.is_paced = is_paced(self.card)
@@ -92,6 +96,9 @@ class PolicyRunner:
             began_s = time.perf_counter()
             self.act(np.zeros((count, self._observation_count)))
             seconds.append(time.perf_counter() - began_s)
+        if files.golden is not None:
+            golden = read_golden_vectors(files.golden, str(folder))
+            golden.check(self.infer, self.card.action_names, f"policy {self.card.policy_id}")
         if min(seconds) > MAX_RUN_S:
             raise PolicyError(
                 f"policy {self.card.policy_id} takes {min(seconds) * 1e3:.0f} ms a run, at most "
@@ -132,10 +139,7 @@ class PolicyRunner:
         return action
 
 
-def _open_session(path: Path, policy_sha256: str) -> ort.InferenceSession:
-    content = path.read_bytes()
-    if hashlib.sha256(content).hexdigest() != policy_sha256:
-        raise PolicyError(f"{path} was changed while it was read; load it again")
+def _open_session(content: bytes, path: Path) -> ort.InferenceSession:
     check_policy_file(content, str(path))
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
@@ -177,6 +181,13 @@ def _check_card(card: PolicyCard, folder: Path, spec: MachineSpec) -> None:
                 f"in {card.mode.value} (first difference: {_first_difference(given, expected)}); "
                 "export the policy again"
             )
+    rates_hz = (card.policy_rate_hz, card.control_rate_hz)
+    if rates_hz != (1.0 / POLICY_PERIOD_S, 1.0 / CONTROL_PERIOD_S):
+        raise PolicyError(
+            f"{folder} is for a policy rate of {rates_hz[0]:g} Hz and a control rate of "
+            f"{rates_hz[1]:g} Hz, this runtime gives {1.0 / POLICY_PERIOD_S:g} and "
+            f"{1.0 / CONTROL_PERIOD_S:g}; use a policy trained for them"
+        )
     scale = np.asarray(card.action_scale_rad_m_per_s)
     expected_count = len(card.action_names) - 1
     if scale.shape != (expected_count,) or not np.all(np.isfinite(scale) & (scale > 0.0)):

@@ -15,6 +15,8 @@ from machine.errors import PolicyError
 
 MAX_FILE_BYTES: Final = 8 * 1024 * 1024
 """A shipped policy has 0.2 MB."""
+OPERATOR_SETS: Final = range(13, 23)
+"""Versions of ONNX's operator set; exports use 17, and the allowed operators are the same in all of these."""
 MAX_NODE_COUNT: Final = 64
 MAX_AXIS_COUNT: Final = 2
 MAX_LENGTH_COUNT: Final = 1024
@@ -78,7 +80,12 @@ _MESSAGES: Final[dict[str, tuple[tuple[str, int, int, str], ...]]] = {
         ("initializer", 5, _MESSAGE, "Tensor"),
         ("sparse_initializer", 15, _MESSAGE, "Entry"),
     ),
-    "Model": (("graph", 7, _MESSAGE, "Graph"), ("functions", 25, _MESSAGE, "Entry")),
+    "OperatorSet": (("domain", 1, _STRING, ""), ("version", 2, _INT64, "")),
+    "Model": (
+        ("graph", 7, _MESSAGE, "Graph"),
+        ("opset_import", 8, _MESSAGE, "OperatorSet"),
+        ("functions", 25, _MESSAGE, "Entry"),
+    ),
 }
 """Message -> its fields: name, number in onnx.proto3, type, message. All are repeated: protobuf lets a
 single field be read so, and a file that gives one twice hides nothing."""
@@ -124,6 +131,7 @@ def check_policy_file(content: bytes, name: str) -> None:
         raise PolicyError(f"{name} is not a usable ONNX file ({error}); copy it again") from error
     if model.functions:
         raise PolicyError(f"{name} defines operators of its own; export it without")
+    _check_operator_sets(model, name)
     nodes = [node for graph in model.graph for node in graph.node]
     if len(nodes) > MAX_NODE_COUNT:
         raise PolicyError(f"{name} has {len(nodes)} nodes, at most {MAX_NODE_COUNT} are taken")
@@ -134,6 +142,22 @@ def check_policy_file(content: bytes, name: str) -> None:
             raise PolicyError(f"{name} holds sparse tensors; export it with dense ones")
         for tensor in graph.initializer:
             _check_tensor(tensor, name)
+
+
+def _check_operator_sets(model: Any, name: str) -> None:
+    low, high = OPERATOR_SETS[0], OPERATOR_SETS[-1]
+    for used in model.opset_import:
+        domain = (used.domain or [""])[-1]
+        if domain not in ("", "ai.onnx"):
+            raise PolicyError(
+                f"{name} uses operator set {domain[:40]!r}; only ONNX's own one is taken"
+            )
+        if any(version not in OPERATOR_SETS for version in used.version):
+            raise PolicyError(
+                f"{name} uses operator set {used.version[-1]}, taken are {low} to {high}"
+            )
+    if not any(used.version for used in model.opset_import):
+        raise PolicyError(f"{name} names no operator set, taken are {low} to {high}")
 
 
 def _check_node(node: Any, name: str) -> None:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.conventions import Mode
 from machine.policy_approval import SiteTrust
-from machine.policy_card import CARD_FILE, POLICY_FILE
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE
 from runtime.policies.slots import PolicySlots
 from runtime.records.log_upload import UploadTarget
 
@@ -32,7 +32,7 @@ class VersionFile(BaseModel):
     """One file of a version."""
 
     model_config = ConfigDict(frozen=True)
-    name: str = Field(pattern=rf"^({POLICY_FILE}|{CARD_FILE})$".replace(".", r"\."))
+    name: str = Field(pattern=rf"^({POLICY_FILE}|{CARD_FILE}|{GOLDEN_FILE})$".replace(".", r"\."))
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
     size_bytes: int = Field(ge=1, le=FILE_LIMIT_BYTES)
 

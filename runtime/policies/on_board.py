@@ -5,6 +5,7 @@ from pathlib import Path
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
+from machine.policy_card import read_policy
 from machine.spec import MachineSpec
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.policies.slots import INSTALLED, PolicySlots
@@ -38,12 +39,13 @@ class OnBoardPolicies:
             if is_installed
             else self._slots.version_folder(policy_sha256)
         )
+        files = read_policy(folder)
         trust = self._slots.trust()
         if trust is None:
             logger.warning("bound to no site yet: %s is loaded without its approval", folder.name)
         else:
-            trust.check(folder, mode)
-        runner = PolicyRunner(folder, self._spec, has_deadline=True)
+            trust.check(files, mode)
+        runner = PolicyRunner(files, self._spec, has_deadline=True)
         if is_installed:
             return runner
         card = runner.card

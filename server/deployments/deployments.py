@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.conventions import Mode
 from machine.messages import EventKind, MachineEvent
-from machine.policy_card import CARD_FILE, POLICY_FILE
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
@@ -36,7 +36,7 @@ from server.store.database import Database
 from server.store.models import Deployment
 
 LISTED_COUNT: Final = 100
-FILES: Final = (POLICY_FILE, CARD_FILE)
+FILES: Final = (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
 
 
 class Deployments:
@@ -119,7 +119,7 @@ class Deployments:
             rows = [row for mode in Mode if (row := _newest(database, machine_id, mode))]
         for row in rows:
             policy = self._policies.find(row.policy_sha256)
-            files = () if policy is None else tuple(self._file(policy, name) for name in FILES)
+            files = () if policy is None else self._files(policy)
             found.append(
                 WantedPolicyView(
                     mode=Mode(row.mode),
@@ -137,7 +137,7 @@ class Deployments:
             NotFoundError: no files of such a version.
         """
         policy = self._policies.find(policy_sha256)
-        if policy is None or name not in FILES:
+        if policy is None or name not in FILES or not (policy.folder / name).is_file():
             raise NotFoundError(
                 "no_policy", f"There are no files of policy {policy_sha256[:12]} here."
             )
@@ -243,6 +243,10 @@ class Deployments:
             detail=row.detail,
             ended_utc=row.ended_utc,
         )
+
+    def _files(self, policy: StoredPolicy) -> tuple[VersionFileView, ...]:
+        there = (name for name in FILES if (policy.folder / name).is_file())
+        return tuple(self._file(policy, name) for name in there)
 
     def _file(self, policy: StoredPolicy, name: str) -> VersionFileView:
         path = policy.folder / name

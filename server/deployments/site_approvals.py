@@ -9,6 +9,7 @@ import os
 import shutil
 import threading
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -21,11 +22,13 @@ from machine.policy_approval import (
     approve,
     new_private_key,
     public_key,
+    revoke_key,
+    rotate_key,
     sign_list,
 )
-from machine.policy_card import POLICY_FILE
+from machine.policy_card import read_policy
 from machine.spec import load_spec
-from runtime.control.policy_file import check_policy_file
+from runtime.control.policy_check import check_version
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.clock import utc_now
@@ -38,7 +41,7 @@ from server.plans.policy_life import (
     uploader_of,
 )
 from server.plans.policy_store import PolicyStore, StoredPolicy
-from server.schemas.policies import PolicyState
+from server.schemas.policies import PolicyState, SiteKeyView
 from server.secret_files import write_secret
 from server.store.database import Database
 
@@ -106,6 +109,7 @@ class SiteApprovals:
         if has_trust:
             try:
                 self._trust = SiteTrust.model_validate_json(self._file.read_bytes())
+                self._take_next_key()
                 self._require_own_key()
             except (OSError, ValueError) as error:
                 raise ApprovalError(f"{self._file} cannot be used: {error}") from error
@@ -140,7 +144,7 @@ class SiteApprovals:
     def is_approved(self, policy: StoredPolicy) -> bool:
         """Whether the version, as it lies there, is approved."""
         try:
-            self._trust.check(policy.folder, policy.card.mode)
+            self._trust.check(read_policy(policy.folder), policy.card.mode)
         except PolicyError:
             return False
         return True
@@ -213,6 +217,93 @@ class SiteApprovals:
             step = _Step("policy.retire", policy_sha256, PolicyState.RETIRED, reason)
             self._change(step, session.actor, kept)
 
+    # Keys -----------------------------------------------------------------------------------------
+
+    def keys(self) -> list[SiteKeyView]:
+        """The site's keys, the newest first."""
+        trust = self._trust
+        made = {
+            r.new_key.key_id: datetime.fromisoformat(r.rotated_utc) for r in trust.rotations or ()
+        }
+        return [
+            SiteKeyView(
+                key_id=key.key_id,
+                is_signing=key.key_id == trust.signed_by,
+                is_revoked=key.is_revoked,
+                since_utc=made.get(key.key_id),
+                approval_count=sum(a.key_id == key.key_id for a in trust.approvals),
+            )
+            for key in reversed(trust.keys)
+        ]
+
+    def rotate(self, reason: str, session: Session) -> list[SiteKeyView]:
+        """Make a new key and sign everything by it; machines follow by what the old key says.
+
+        Raises:
+            ConflictError: the disk refuses.
+        """
+        with self._lock:
+            key = new_private_key()
+            detail: dict[str, JsonValue] = {
+                "old_key_id": self._trust.signed_by,
+                "key_id": public_key(key).key_id,
+                "reason": reason,
+            }
+            self._note_key("policy.rotate_key", detail, session.actor)
+            signed = rotate_key(self._trust, self._private_key(), key, rotated_utc=_utc_text())
+            try:
+                # A start takes the next key into use where the list knows it, and else removes it.
+                write_secret(self._next_key_file, base64.b64encode(key).decode() + "\n")
+                _write(self._file, signed)
+                self._trust = signed
+                self._next_key_file.replace(self._folder / KEY_FILE)
+            except OSError as error:
+                raise self._disk_error("policy.rotate_key", detail, session.actor, error) from error
+        return self.keys()
+
+    def revoke(self, key_id: str, reason: str, session: Session) -> list[SiteKeyView]:
+        """Revoke a key that signs no more: what it has signed counts no more.
+
+        Raises:
+            ConflictError: the site does not have it, it is revoked or still signs, or the disk refuses.
+        """
+        with self._lock:
+            try:
+                signed = revoke_key(self._trust, key_id, self._private_key())
+            except PolicyError as error:
+                raise ConflictError("key", f"{error}.") from error
+            detail: dict[str, JsonValue] = {"key_id": key_id, "reason": reason}
+            self._note_key("policy.revoke_key", detail, session.actor)
+            try:
+                _write(self._file, signed)
+            except OSError as error:
+                raise self._disk_error("policy.revoke_key", detail, session.actor, error) from error
+            self._trust = signed
+        return self.keys()
+
+    def _disk_error(
+        self, action: str, detail: dict[str, JsonValue], actor: Actor, error: OSError
+    ) -> ConflictError:
+        self._note_key(f"{action}.failed", detail, actor)
+        return ConflictError("disk", f"The site's list or key cannot be written: {error}")
+
+    def _note_key(self, action: str, detail: dict[str, JsonValue], actor: Actor) -> None:
+        with self._database.write() as database:
+            self._audit.append(database, Entry(actor, action, "fact", detail=detail))
+
+    def _take_next_key(self) -> None:
+        """End or undo a change of the key that was cut off."""
+        if not self._next_key_file.exists():
+            return
+        text = self._next_key_file.read_text(encoding="ascii").strip()
+        key_id = public_key(base64.b64decode(text, validate=True)).key_id
+        if key_id == self._trust.signed_by:
+            self._next_key_file.replace(self._folder / KEY_FILE)
+        else:
+            self._next_key_file.unlink()
+
+    # Parts ----------------------------------------------------------------------------------------
+
     def _require_other_person(self, policy: StoredPolicy, session: Session) -> None:
         if not self._is_four_eyes:
             return
@@ -283,14 +374,18 @@ class SiteApprovals:
     def _file(self) -> Path:
         return self._folder / TRUST_FILE
 
+    @property
+    def _next_key_file(self) -> Path:
+        return self._folder / f"{KEY_FILE}.next"
+
     def _private_key(self) -> bytes:
         text = (self._folder / KEY_FILE).read_text(encoding="ascii")
         return base64.b64decode(text.strip(), validate=True)
 
     def _require_own_key(self) -> None:
         own = public_key(self._private_key())
-        if own not in self._trust.keys:
-            raise ValueError(f"its keys do not include {own.key_id}, the one in {KEY_FILE}")
+        if own not in self._trust.keys or own.key_id != self._trust.signed_by:
+            raise ValueError(f"it is not signed by {own.key_id}, the key in {KEY_FILE}")
 
     def _note(self, action: str, policy_sha256: str, actor: Actor) -> None:
         detail: dict[str, JsonValue] = {
@@ -308,19 +403,19 @@ def _signed(policy: StoredPolicy, key: bytes, approved_by: str) -> Approval:
     Raises:
         PolicyError: its network or machine model is not one that machines take.
     """
-    card, spec = policy.card, load_spec()
-    check_policy_file((policy.folder / POLICY_FILE).read_bytes(), card.policy_id)
-    if card.model_sha256 != spec.sha256:
-        raise PolicyError(
-            f"{card.policy_id} is for machine model {card.model_sha256[:12]}, this server's is "
-            f"{spec.sha256[:12]}"
-        )
+    files = read_policy(policy.folder)
+    # As a machine does: network, card, machine model, golden vectors.
+    check_version(files, load_spec())
     return approve(
-        policy.folder,
+        files,
         key,
         approved_by=approved_by,
-        approved_utc=utc_now().isoformat(timespec="milliseconds"),
+        approved_utc=_utc_text(),
     )
+
+
+def _utc_text() -> str:
+    return utc_now().isoformat(timespec="milliseconds")
 
 
 def _write(file: Path, trust: SiteTrust) -> None:

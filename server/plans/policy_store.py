@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
 
 from machine.conventions import Mode
@@ -31,6 +32,7 @@ from server.store.database import Database
 from server.store.models import Policy, Throw
 
 LOOK_PERIOD_S = 1.0
+UPLOAD_FILE = "upload.json"
 FOUND_REASON = "found in the server's policies folder"
 
 
@@ -42,12 +44,31 @@ class StoredPolicy:
     card: PolicyCard
 
 
-class PolicyStore:
-    """The policies folder, read again when it changed."""
+class UploadRecord(BaseModel):
+    """Who brought a version, in its folder: the rename that makes it a version carries this along."""
 
-    def __init__(self, database: Database, folder: Path, spec: MachineSpec) -> None:
+    model_config = ConfigDict(frozen=True)
+    uploaded_by: str
+    reason: str
+
+
+class PolicyStore:
+    """The folders of policies, read again when they changed."""
+
+    def __init__(
+        self, database: Database, folder: Path, spec: MachineSpec, uploaded_dir: Path | None = None
+    ) -> None:
+        """Begin.
+
+        Args:
+            database: remembers all versions.
+            folder: of versions, with `active.json`.
+            spec: machine type.
+            uploaded_dir: folder of versions that people have uploaded.
+        """
         self._database = database
         self._folder = folder
+        self._uploaded_dir = uploaded_dir
         self._spec = spec
         self._lock = threading.Lock()
         self._looked_s = -1e9
@@ -55,6 +76,12 @@ class PolicyStore:
         self._present: dict[str, StoredPolicy] = {}
         self._active: dict[Mode, StoredPolicy] = {}
         self._problems: dict[str, str] = {}
+
+    def look_again(self) -> None:
+        """Read the folders at once: a version was taken in."""
+        with self._lock:
+            self._looked_s = -1e9
+        self.refresh()
 
     def refresh(self) -> None:
         """Read the folder if a file of it changed; looks at most once in `LOOK_PERIOD_S`."""
@@ -98,9 +125,13 @@ class PolicyStore:
             self._active[mode] = found[0]
 
     def _folders(self) -> list[Path]:
-        if not self._folder.is_dir():
-            return []
-        return sorted(path for path in self._folder.iterdir() if (path / CARD_FILE).is_file())
+        roots = [root for root in (self._folder, self._uploaded_dir) if root and root.is_dir()]
+        return [
+            path
+            for root in roots
+            for path in sorted(root.iterdir())
+            if not path.name.startswith(".") and (path / CARD_FILE).is_file()
+        ]
 
     def _read_stamp(self) -> tuple[tuple[str, int], ...]:
         files = [self._folder / ACTIVE_FILE]
@@ -122,12 +153,13 @@ class PolicyStore:
                     )
                     session.flush()
                 if state_of(session, sha256) is None:
+                    record = _upload_record(policy.folder)
                     change_state(
                         session,
                         sha256,
                         PolicyState.UPLOADED,
-                        actor=SERVER.name,
-                        reason=FOUND_REASON,
+                        actor=record.uploaded_by,
+                        reason=record.reason,
                     )
 
     def active(self, mode: Mode) -> StoredPolicy:
@@ -275,3 +307,11 @@ class PolicyStore:
             throw_count=throw_count,
             card=PolicyCard.model_validate(row.card),
         )
+
+
+def _upload_record(folder: Path) -> UploadRecord:
+    """Who brought the version in a folder."""
+    try:
+        return UploadRecord.model_validate_json((folder / UPLOAD_FILE).read_bytes())
+    except (OSError, ValueError):
+        return UploadRecord(uploaded_by=SERVER.name, reason=FOUND_REASON)

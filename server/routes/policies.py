@@ -1,10 +1,14 @@
 """Policy versions."""
 
+import asyncio
 from datetime import datetime
 from typing import Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from fastapi.responses import FileResponse
+from pydantic import ValidationError
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from machine.conventions import Mode
 from machine.policy_approval import Approval
@@ -17,8 +21,12 @@ from server.dependencies import (
     MachineCaller,
     MachinePoliciesDep,
     PoliciesDep,
+    Uploader,
+    UploadsDep,
     Viewer,
 )
+from server.deployments.policy_uploads import LIMITS_BYTES
+from server.errors import ApiError
 from server.plans.policy_life import history
 from server.schemas.deployments import (
     DeploymentView,
@@ -28,9 +36,57 @@ from server.schemas.deployments import (
     WantedPoliciesView,
 )
 from server.schemas.history import PolicyView
-from server.schemas.policies import PolicyTransitionView, TransitionRequest
+from server.schemas.policies import PolicyTransitionView, SiteKeyView, TransitionRequest
 
 router = APIRouter(tags=["policies"])
+upload_router = APIRouter(tags=["policies"])
+"""Apart: its bodies may be larger than others (server/app.py)."""
+
+_FILE_SCHEMA = {"type": "string", "format": "binary"}
+_UPLOAD_BODY = {
+    "required": True,
+    "content": {
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["reason", "files"],
+                "properties": {
+                    "reason": {"type": "string", "minLength": 3, "maxLength": 300},
+                    "files": {"type": "array", "items": _FILE_SCHEMA, "minItems": 3, "maxItems": 3},
+                },
+            }
+        }
+    },
+}
+
+
+@upload_router.post(
+    "/policies",
+    status_code=201,
+    response_model=PolicyView,
+    openapi_extra={"requestBody": _UPLOAD_BODY},
+)
+async def upload_policy(request: Request, session: Uploader, uploads: UploadsDep) -> PolicyView:
+    """Take in a version: policy.onnx, card.json and golden_vectors.json, each by its file name."""
+    # Not declared as a body: that would be parsed before the caller's rights are looked at.
+    contents: dict[str, bytes] = {}
+    try:
+        async with request.form(max_files=len(LIMITS_BYTES), max_fields=1) as form:
+            reason = form.get("reason")
+            for part in form.getlist("files"):
+                if isinstance(part, UploadFile):
+                    contents[part.filename or ""] = await part.read()
+    except StarletteHTTPException as error:
+        raise ApiError(
+            "bad_upload", f"The upload cannot be read: {error.detail} Send it again."
+        ) from error
+    try:
+        checked = TransitionRequest(reason=reason if isinstance(reason, str) else "")
+    except ValidationError as error:
+        raise ApiError(
+            "bad_upload", "A reason of 3 to 300 characters is needed, for the history."
+        ) from error
+    return await asyncio.to_thread(uploads.add, contents, checked.reason, session)
 
 
 @router.get("/policies")
@@ -82,6 +138,28 @@ def retire_policy(
 ) -> None:
     """Take the version out of use for good; refused while a machine runs it or may go back to it."""
     approvals.retire(policy_sha256, body.reason, session)
+
+
+@router.get("/policy-keys")
+def list_policy_keys(session: Viewer, approvals: ApprovalsDep) -> list[SiteKeyView]:
+    """The keys by which the site approves versions, the newest first."""
+    return approvals.keys()
+
+
+@router.post("/policy-keys/rotate", status_code=201)
+def rotate_policy_key(
+    body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+) -> list[SiteKeyView]:
+    """Make a new key and sign everything by it; machines follow by what the old key says."""
+    return approvals.rotate(body.reason, session)
+
+
+@router.post("/policy-keys/{key_id}/revoke")
+def revoke_policy_key(
+    key_id: str, body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+) -> list[SiteKeyView]:
+    """Revoke a key that signs no more: what it has signed counts no more."""
+    return approvals.revoke(key_id, body.reason, session)
 
 
 @router.get("/machines/{machine_id}/policies")
@@ -137,7 +215,7 @@ def read_wanted_policies(
 def read_policy_file(
     machine_id: MachineCaller,
     policy_sha256: str,
-    name: Literal["policy.onnx", "card.json"],
+    name: Literal["policy.onnx", "card.json", "golden_vectors.json"],
     deployments: DeploymentsDep,
 ) -> FileResponse:
     """For the machine itself: a file of a version, whole or a range of bytes."""

@@ -27,6 +27,19 @@ class TransitionRequest(Request):
     """Why, for the history."""
 
 
+class SiteKeyView(View):
+    """A key by which the site approves versions."""
+
+    key_id: str
+    is_signing: bool
+    """It signs approvals and the list of them."""
+    is_revoked: bool
+    since_utc: datetime | None
+    """None: made at the server's first start."""
+    approval_count: int
+    """Approvals in the list that it has signed."""
+
+
 class PolicyTransitionView(View):
     """One step in the life of a version."""
 

@@ -13,7 +13,7 @@ from machine.policy_approval import (
     public_key,
     sign_list,
 )
-from machine.policy_card import file_sha256, load_card
+from machine.policy_card import file_sha256, load_card, read_policy
 from tests.link.yard import MACHINE, Machine, Yard
 from tests.runtime.policies.policy_server import policy_server
 from tests.runtime.quick_policy import write_policies, write_policy
@@ -126,7 +126,9 @@ def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
 
 
 def trust_of(*folders, serial_count=1):
-    approvals = tuple(approve(f, KEY, approved_by="eve", approved_utc="now") for f in folders)
+    approvals = tuple(
+        approve(read_policy(f), KEY, approved_by="eve", approved_utc="now") for f in folders
+    )
     keys = (public_key(KEY),)
     site = SiteTrust(site="yard", keys=keys, approvals=approvals, serial_count=serial_count - 1)
     return sign_list(site, KEY).model_dump(mode="json")

@@ -12,6 +12,7 @@ from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, TrainingReco
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.observation import ACTION_NAMES, OBSERVATION_NAMES
+from scripts.golden_vectors import add_golden_vectors
 
 MOVE_RAD = 0.15
 DIPPER_ACTION = 0.3
@@ -77,4 +78,5 @@ def write_policy(folder: Path, mode: Mode, move_rad: float = MOVE_RAD) -> str:
         ),
     )
     (folder / CARD_FILE).write_text(card.model_dump_json(), encoding="utf-8")
+    add_golden_vectors(folder)
     return card.policy_sha256

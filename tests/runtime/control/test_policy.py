@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
-from machine.policy_card import CARD_FILE, POLICY_FILE, PolicyCard, file_sha256
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, PolicyCard, file_sha256
 from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner, find_policy
 from tests.cases import each
@@ -112,6 +112,7 @@ def test_a_policy_may_end_with_the_pace(folder):
     assert not PolicyRunner(folder, SPEC).is_paced
     card = PolicyCard.model_validate_json((folder / CARD_FILE).read_text())
     put_model(folder, linear(width=57))
+    (folder / GOLDEN_FILE).unlink()
     change_card(
         folder,
         observation_names=(*card.observation_names, "pace"),

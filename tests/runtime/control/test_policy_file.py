@@ -23,7 +23,7 @@ def model(*nodes: onnx.NodeProto, tensors: list[onnx.TensorProto] | None = None)
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", 2])],
         [weights] if tensors is None else tensors,
     )
-    return helper.make_model(graph)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
 
 
 def external() -> onnx.ModelProto:
@@ -53,6 +53,13 @@ def with_function() -> onnx.ModelProto:
     return made
 
 
+def with_operator_sets(*sets: tuple[str, int]) -> onnx.ModelProto:
+    made = model()
+    del made.opset_import[:]
+    made.opset_import.extend(helper.make_opsetid(*one) for one in sets)
+    return made
+
+
 def test_shipped_policies_and_plain_networks_are_taken() -> None:
     for path in sorted((ROOT / "policies").glob("*/policy.onnx")):
         check_policy_file(path.read_bytes(), path.parent.name)
@@ -72,6 +79,9 @@ def test_shipped_policies_and_plain_networks_are_taken() -> None:
         (lambda: model(*[helper.make_node("Add", ["a", "a"], ["b"])] * 65), "65 nodes"),
         (with_constant, "brings a tensor"),
         (with_function, "operators of its own"),
+        (lambda: with_operator_sets(("", 9)), "operator set 9, taken are 13 to 22"),
+        (lambda: with_operator_sets(("", 17), ("own", 1)), "operator set 'own'"),
+        (lambda: with_operator_sets(), "names no operator set"),
     ],
 )
 def test_what_is_more_than_a_small_network_is_refused(made, cause: str) -> None:

@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from machine.policy_card import CARD_FILE, POLICY_FILE, load_card
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, load_card
 
 
 class PolicyServer(ThreadingHTTPServer):
@@ -40,7 +40,8 @@ class PolicyServer(ThreadingHTTPServer):
                 "sha256": sha256((folder / name).read_bytes()).hexdigest(),
                 "size_bytes": (folder / name).stat().st_size,
             }
-            for name in (POLICY_FILE, CARD_FILE)
+            for name in (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
+            if (folder / name).is_file()
         ]
         row = {
             "mode": card.mode.value,

@@ -1,7 +1,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
+import onnx
 import pytest
+from onnx import numpy_helper
 
 from machine.conventions import Mode
 from machine.errors import PolicyError, UsageError
@@ -10,8 +13,11 @@ from machine.policy_approval import (
     approve,
     new_private_key,
     public_key,
+    revoke_key,
+    rotate_key,
     sign_list,
 )
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256, read_policy
 from machine.spec import load_spec
 from runtime.policies import slots as module
 from runtime.policies.on_board import OnBoardPolicies
@@ -119,7 +125,9 @@ def test_versions_that_no_slot_names_are_removed(tmp_path):
 
 def trust_of(*folders, key=KEY, serial_count=1):
     approvals = tuple(
-        approve(folder, key, approved_by="eve", approved_utc="2026-03-01T10:14:00+00:00")
+        approve(
+            read_policy(folder), key, approved_by="eve", approved_utc="2026-03-01T10:14:00+00:00"
+        )
         for folder in folders
     )
     unsigned = SiteTrust(
@@ -168,3 +176,110 @@ def test_approvals_that_cannot_be_read_approve_nothing(tmp_path, board):
     (tmp_path / "slots" / "site.json").write_text("{")
     with pytest.raises(PolicyError, match="cannot be read"):
         board.start(Mode.PLANAR)
+
+
+def change_network(folder, change):
+    """Another network under a card that names its hash, as a careless exporter writes it."""
+    model = onnx.load(str(folder / POLICY_FILE))
+    change(model, {one.name: one for one in model.graph.initializer})
+    (folder / POLICY_FILE).write_bytes(model.SerializeToString())
+    change_card(folder, policy_sha256=file_sha256(folder / POLICY_FILE))
+
+
+def change_card(folder, **changes):
+    card = json.loads((folder / CARD_FILE).read_text())
+    (folder / CARD_FILE).write_text(json.dumps(card | changes))
+
+
+def permuted_inputs(model, tensors):
+    weights = numpy_helper.to_array(tensors["W"])
+    tensors["W"].CopyFrom(numpy_helper.from_array(np.roll(weights, 1, axis=0).copy(), "W"))
+
+
+def rescaled_outputs(model, tensors):
+    bias = numpy_helper.to_array(tensors["b"])
+    tensors["b"].CopyFrom(numpy_helper.from_array((0.9 * bias).astype(np.float32), "b"))
+
+
+def external_data(model, tensors):
+    tensors["W"].external_data.add(key="location", value="weights.bin")
+
+
+def custom_operator(model, tensors):
+    model.graph.node[-1].domain = "com.example"
+
+
+BEFORE_APPROVAL = {
+    "permuted inputs": (lambda f: change_network(f, permuted_inputs), "golden observation"),
+    "rescaled outputs": (lambda f: change_network(f, rescaled_outputs), "golden observation"),
+    "external data": (lambda f: change_network(f, external_data), "lies outside of the file"),
+    "custom operator": (lambda f: change_network(f, custom_operator), "uses operator"),
+    "other machine": (lambda f: change_card(f, model_sha256="0" * 64), "was trained for model"),
+    "other rate": (lambda f: change_card(f, control_rate_hz=50.0), "50 Hz"),
+}
+AFTER_APPROVAL = {
+    "truncated": (
+        lambda f: (f / POLICY_FILE).write_bytes((f / POLICY_FILE).read_bytes()[:-20]),
+        "was changed or cut off",
+    ),
+    "wrong hash": (lambda f: change_card(f, policy_sha256="0" * 64), "its card says 000000"),
+    "altered card": (lambda f: change_card(f, target_range_max_m=12.0), "was altered after its"),
+    "altered vectors": (
+        lambda f: (f / GOLDEN_FILE).write_text((f / GOLDEN_FILE).read_text() + " "),
+        "golden vectors of policy .* were altered",
+    ),
+    "no vectors": (lambda f: (f / GOLDEN_FILE).unlink(), "golden vectors of policy .* are missing"),
+    "other mode": (None, "is approved for mode 2d, not for 3d"),
+    "revoked key": (None, "which was revoked"),
+}
+
+
+def refuses(board, sha256, words, mode=Mode.PLANAR):
+    with pytest.raises(PolicyError, match=words):
+        board.load(mode, sha256)
+
+
+@pytest.mark.parametrize("case", BEFORE_APPROVAL)
+def test_the_machine_refuses_what_even_its_site_has_signed(tmp_path, board, case):
+    """The site's server may be wrong or taken over: the machine checks the network itself."""
+    change, words = BEFORE_APPROVAL[case]
+    slots = PolicySlots(tmp_path / "slots")
+    folder, _ = put(tmp_path, "first-2d", 0.2)
+    change(folder)
+    sha256 = read_policy(folder).card.policy_sha256
+    folder = folder.rename(folder.with_name(sha256))
+    slots.keep_trust(trust_of(folder))
+    refuses(board, sha256, words)
+
+
+@pytest.mark.parametrize("case", AFTER_APPROVAL)
+def test_the_machine_refuses_what_was_changed_after_it_was_signed(tmp_path, board, case):
+    change, words = AFTER_APPROVAL[case]
+    slots = PolicySlots(tmp_path / "slots")
+    folder, sha256 = put(tmp_path, "first-2d", 0.2)
+    first = trust_of(folder)
+    slots.keep_trust(first)
+    board.load(Mode.PLANAR, sha256)
+    if change is not None:
+        change(folder)
+    elif case == "revoked key":
+        new = new_private_key()
+        rotated = rotate_key(first, KEY, new, rotated_utc="2026-03-02T00:00:00+00:00")
+        last = revoke_key(rotated, public_key(KEY).key_id, new)
+        slots.keep_trust(last)
+        # The approval was signed anew and holds; the old one, brought back by the new key, does not.
+        board.load(Mode.PLANAR, sha256)
+        slots.keep_trust(sign_list(last.model_copy(update={"approvals": first.approvals}), new))
+    refuses(board, sha256, words, Mode.SPATIAL if case == "other mode" else Mode.PLANAR)
+
+
+def test_a_machine_that_was_away_follows_two_changes_of_the_key(tmp_path, board):
+    slots = PolicySlots(tmp_path / "slots")
+    folder, sha256 = put(tmp_path, "first-2d", 0.2)
+    trust, key = trust_of(folder), KEY
+    slots.keep_trust(trust)
+    for day in ("02", "03"):
+        old, key = key, new_private_key()
+        trust = rotate_key(trust, old, key, rotated_utc=f"2026-03-{day}T00:00:00+00:00")
+    assert slots.keep_trust(trust)
+    assert board.load(Mode.PLANAR, sha256).card.policy_id == "first-2d"

@@ -2,11 +2,13 @@ import json
 
 import pytest
 
+from cli.main import main
 from machine.errors import PolicyError
 from server.deployments import site_approvals
 from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.schemas.console import Role
+from tests.server.server_bench import PASSWORD
 
 WHY = "for a test"
 
@@ -112,10 +114,10 @@ def test_what_machines_would_not_load_is_not_approved(assembled, approvals, monk
     sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
     approvals.withdraw(sha256, WHY, eve)
 
-    def refuse(content, name):
-        raise PolicyError(f"{name} uses operator 'Loop'")
+    def refuse(files, spec):
+        raise PolicyError(f"{files.folder} uses operator 'Loop'")
 
-    monkeypatch.setattr(site_approvals, "check_policy_file", refuse)
+    monkeypatch.setattr(site_approvals, "check_version", refuse)
     with pytest.raises(ConflictError, match=r"cannot be approved: .*Loop"):
         approvals.approve(sha256, WHY, eve)
     assert not approvals.is_approved(policy)
@@ -141,3 +143,75 @@ def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(runn
         headers = {"Authorization": f"Bearer {token}"}
         wanted = eve.get("/machines/m001/policies/wanted", headers=headers)
         assert sha256 in json.dumps(wanted.json()["trust"])
+
+
+def test_the_key_is_changed_machines_follow_and_the_old_one_is_revoked(assembled, approvals):
+    parts, eve = assembled.parts, assembled.session("eve", Role.ENGINEER)
+    before = approvals.trust()
+    (first,) = approvals.keys()
+    newest, old = approvals.rotate(WHY, eve)
+    assert (old.key_id, old.is_signing, old.approval_count) == (first.key_id, False, 0)
+    assert (newest.is_signing, newest.approval_count) == (True, first.approval_count)
+    for policy in parts.policies.present():
+        assert approvals.is_approved(policy)
+    with pytest.raises(ConflictError, match="is the one that signs"):
+        approvals.revoke(newest.key_id, WHY, eve)
+    _, revoked = approvals.revoke(old.key_id, WHY, eve)
+    assert revoked.is_revoked
+    approvals.trust().require_successor_of(before)
+    again = fresh(assembled, parts.settings.data_dir)
+    again.start()
+    assert again.keys() == approvals.keys()
+    sha256 = parts.policies.active("2d").card.policy_sha256
+    again.withdraw(sha256, WHY, eve)
+    again.trust().require_successor_of(before)
+
+
+@pytest.mark.parametrize("is_listed", [True, False])
+def test_a_change_of_the_key_that_is_killed_is_ended_or_undone(
+    assembled, approvals, monkeypatch, is_listed
+):
+    data_dir = assembled.parts.settings.data_dir
+    eve, before = assembled.session("eve", Role.ENGINEER), approvals.trust()
+    real = site_approvals._write
+
+    def die(file, trust):
+        if is_listed:
+            real(file, trust)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(site_approvals, "_write", die)
+        with pytest.raises(KeyboardInterrupt):
+            approvals.rotate(WHY, eve)
+    again = fresh(assembled, data_dir)
+    again.start()
+    assert (again.trust() != before) == is_listed
+    assert not (data_dir / "policy-approvals" / "site.key.next").exists()
+    again.withdraw(assembled.parts.policies.active("2d").card.policy_sha256, WHY, eve)
+    again.trust().require_successor_of(before)
+
+
+def test_the_command_line_lists_rotates_and_revokes(running, tmp_path, capsys):
+    file = tmp_path / "eve.txt"
+    file.write_text(PASSWORD, encoding="utf-8")
+    login = ("--server", running.url, "--user", "eve", "--password-file", str(file))
+
+    def keys(*arguments):
+        code = main(["policy", "keys", *arguments, *login])
+        return code, capsys.readouterr()
+
+    code, told = keys("list")
+    old = told.out.split()[0]
+    assert (code, "signs" in told.out) == (0, True)
+    code, told = keys("rotate", "--reason", WHY)
+    assert (code, [line.split()[1] for line in told.out.splitlines()]) == (0, ["signs", "trusted"])
+    code, told = keys("revoke", "--key", old, "--reason", WHY)
+    assert (code, told.out.splitlines()[1].split()[:2]) == (0, [old, "revoked"])
+    assert keys("revoke", "--key", old, "--reason", WHY)[0] == 1
+    assert keys("rotate")[0] == 1
+    with running.client("root") as root:
+        actions = {row["action"] for row in root.get("/audit").json()["rows"]}
+    assert {"policy.rotate_key", "policy.revoke_key"} <= actions
+    with running.client("sue") as sue:
+        assert sue.post("/policy-keys/rotate", json={"reason": WHY}).status_code == 403

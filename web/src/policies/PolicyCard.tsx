@@ -30,11 +30,7 @@ export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
           {policy.problem}
         </p>
       )}
-      <LifeStepper
-        policyId={policy.policy_id}
-        sha256={policy.policy_sha256}
-        state={policy.state}
-      />
+      <LifeStepper policyId={policy.policy_id} sha256={policy.policy_sha256} state={policy.state} />
       {machineId !== null && <PolicyActions policy={policy} machineId={machineId} />}
       <dl className={classes.facts}>
         <dt>Targets</dt>

@@ -2,6 +2,7 @@ import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
 import { OnBoard } from "../policies/OnBoard";
 import { PolicyCard } from "../policies/PolicyCard";
+import { UploadPanel } from "../policies/UploadPanel";
 import { usePolicies } from "../throws/useThrows";
 import { errorWords } from "../words/errors";
 import classes from "./policies.module.css";
@@ -23,8 +24,9 @@ export function PoliciesPage() {
   return (
     <div className={classes.page}>
       <h1>Policies</h1>
+      <UploadPanel />
       {policies.data && all.length === 0 && (
-        <GateSentence sentence="No policy version is known. Put one into the server's policies folder." />
+        <GateSentence sentence="No policy version is known yet." />
       )}
       {machine && <OnBoard machineId={machine.machine_id} />}
       <div className={classes.cards}>
