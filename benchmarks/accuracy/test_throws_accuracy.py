@@ -21,6 +21,7 @@ from machine.conventions import Array
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect
 from sim_twin.twin.profile import nominal_profile
+from tests.diagnosis.hypotheses.test_search import assert_found
 from tests.diagnosis.twin_throws import health, posed, profile, throws
 
 SOFT = Effect(effect="chassis_compliance", joint=None, parameters={"pitch_rad": 0.02})
@@ -33,6 +34,14 @@ def named(loaded: LoadedSet) -> dict[tuple[str, str | None], Effect]:
     best = search(Throws(likelihood, likelihood), lambda share: None)[0]
     effects = fitted_effects(problem.layout, best.members, best.sizes)
     return {(e.effect, e.joint): e for e in effects}
+
+
+def test_friction_at_rest_and_two_effects_at_once_are_found_at_their_sizes() -> None:
+    sticking = {"breakaway_rad_m_per_s": 0.06}
+    assert_found(Effect(effect="stiction", joint="dipper", parameters=sticking))
+    late = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
+    short = Effect(effect="gripper_length", parameters={"extra_length_m": -0.18})
+    assert_found(late, short)
 
 
 def test_a_second_effect_without_slopes_is_found() -> None:

@@ -48,7 +48,8 @@ def test_logs_without_a_swing_write_no_profile(
     openings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     profile = tmp_path / "next.json"
-    assert main(["identify", "swing", str(openings), "--apply", str(profile)]) == 0
+    few = [str(log) for log in sorted(openings.glob("*.mcap"))[:3]]
+    assert main(["identify", "swing", *few, "--apply", str(profile)]) == 0
     printed = capsys.readouterr().out
     assert printed.count("cannot be known from these logs") == 6
     assert "nothing was identified" in printed
@@ -59,10 +60,11 @@ def test_another_machines_profile_is_said_and_not_refused(
     openings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     nominal = nominal_profile(load_spec())
+    few = [str(log) for log in sorted(openings.glob("*.mcap"))[:3]]
     for machine_id in ("m042", "virtual-0"):
         profile = tmp_path / f"{machine_id}.json"
         save_profile(nominal.model_copy(update={"machine_id": machine_id}), profile)
-        assert main(["identify", "swing", str(openings), "--profile", str(profile)]) == 0
+        assert main(["identify", "swing", *few, "--profile", str(profile)]) == 0
         lines = capsys.readouterr().out.splitlines()
         warnings = [line for line in lines if line.startswith("warning: ")]
         if machine_id == "virtual-0":

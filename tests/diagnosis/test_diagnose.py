@@ -4,18 +4,33 @@ from dataclasses import replace
 
 import pytest
 
+from diagnosis import diagnose
+from diagnosis.conclusion import Findings, conclude
 from diagnosis.diagnose import CancelledError, diagnose_throws
 from diagnosis.verdict import Diagnosis, VerdictKind
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
 
-
-def diagnosed(*effects: Effect) -> Diagnosis:
-    return diagnose_throws(throws(effects, 5), profile(), health=health())
+LAG = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12})
 
 
-def test_one_effect_is_named_sized_and_removed() -> None:
-    found = diagnosed(Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12}))
+@pytest.fixture(scope="module")
+def diagnosed() -> tuple[Diagnosis, Findings]:
+    """A diagnosis of throws with a lag, and what its verdict depends on."""
+    seen: list[Findings] = []
+
+    def noted(findings: Findings) -> Diagnosis:
+        seen.append(findings)
+        return conclude(findings)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(diagnose, "conclude", noted)
+        found = diagnose_throws(throws((LAG,), 5), profile(), health=health())
+    return found, seen[0]
+
+
+def test_one_effect_is_named_sized_and_removed(diagnosed: tuple[Diagnosis, Findings]) -> None:
+    found, _ = diagnosed
     assert found.verdict is VerdictKind.EXPLAINED
     named = {(e.effect, e.joint): e.parameters for e in found.causes[0].effects}
     # Small companions at the same joint may be named beside it; another joint may not.
@@ -33,9 +48,10 @@ def test_one_effect_is_named_sized_and_removed() -> None:
     assert Diagnosis.model_validate_json(found.model_dump_json()) == found
 
 
-def test_an_effect_that_moves_the_impact_too_little_is_seen_and_not_claimed() -> None:
-    lag = Effect(effect="valve_lag", joint="boom", parameters={"extra_lag_s": 0.12})
-    found = diagnose_throws(throws((lag,), 5), profile(), health=health(), material_m=9.0)
+def test_an_effect_that_moves_the_impact_too_little_is_seen_and_not_claimed(
+    diagnosed: tuple[Diagnosis, Findings],
+) -> None:
+    found = conclude(replace(diagnosed[1], material_m=9.0))
     assert found.verdict is VerdictKind.NONE
     assert "No effect that matters. Small change seen: valve lag of the boom" in found.sentence
     assert "less than the 9 m asked for" in found.sentence

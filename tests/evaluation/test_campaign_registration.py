@@ -117,8 +117,14 @@ def test_a_policy_that_misses_too_far_to_be_registered_is_thrown_as_it_is(
 
 
 def test_table_json_and_page_say_whether_it_is_registered(
-    swing_policies: Path, tmp_path: Path, seeds: list[int], capsys: pytest.CaptureFixture[str]
+    swing_policies: Path,
+    tmp_path: Path,
+    seeds: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ):
+    for name, result in (("pace_rows", []), ("height_rows", []), ("measure_spread_parts", None)):
+        monkeypatch.setattr(f"evaluation.mode_campaign.{name}", lambda *_, found=result: found)
     thrown = ["evaluate", "--mode", "2d", "--plant", PLANT, "--policies", str(swing_policies)]
     thrown += ["--throws", "2", "--targets", "6"]
     bare = ["--calibration", str(calibration_file(tmp_path))]

@@ -21,7 +21,7 @@ from training.ppo import Learner
 from training.progress import CSV_FILE, CURVE_FILE, SUMMARY_FILE, read_rows
 
 ROOT = Path(__file__).parents[2]
-ITERATIONS, ENVIRONMENTS = 60, 4
+ITERATIONS, ENVIRONMENTS = 40, 4
 
 
 IDENTIFIED = {

@@ -12,7 +12,7 @@ from diagnosis.identification.profile_update import (
 )
 from sim_twin.commissioning.motions import motion_program
 from sim_twin.twin.profile import nominal_profile
-from tests.diagnosis.identification.recorded_tests import SPEC, load, recorded, some
+from tests.diagnosis.identification.recorded_tests import SPEC, load, some
 
 NOMINAL_PITCH_M, NOMINAL_ROLL_M = 0.9185, 0.8041
 """Inertia over mass moment of the compiled model with its load (mj_fullM, qfrc_bias)."""
@@ -20,7 +20,8 @@ NOMINAL_PITCH_M, NOMINAL_ROLL_M = 0.9185, 0.8041
 
 @pytest.fixture(scope="module")
 def axes():
-    return identify_swing(recorded("swing", 0, 3), SPEC)
+    """Three swings of each axis."""
+    return identify_swing(load("swing", some(motion_program("swing", 3), np.arange(6)), 0, 3), SPEC)
 
 
 def test_the_nominal_machine_swings_with_the_papers_friction(axes):

@@ -1,11 +1,13 @@
 """The model of a machine of another type."""
 
 import numpy as np
+import pytest
 
 from diagnosis.healthy.noise import NoiseModel, load_noise
 from diagnosis.healthy.sensor_noise import NOISE_LIKE_SD
 from diagnosis.inference.evidence import Information, screen, weigh
 from diagnosis.linearisation.parameters import index_of, layout, library
+from diagnosis.population import other_machine_type
 from diagnosis.population.other_machine_type import fitted_other_type_model, other_type_model
 from diagnosis.tuning import DRIVE_RATIOS
 from machine.conventions import ACTIVE_JOINTS, Array
@@ -13,6 +15,12 @@ from machine.conventions import ACTIVE_JOINTS, Array
 LATE_SLEW = "joint_sensor_latency.slew.extra_latency_s"
 FAR, NEAR = DRIVE_RATIOS[0], DRIVE_RATIOS[-1]
 GAIN = tuple(f"valve_gain.dipper.{way}_ratio" for way in ("positive", "negative"))
+
+
+@pytest.fixture
+def two_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As far as the type, or near; nothing between."""
+    monkeypatch.setattr(other_machine_type, "DRIVE_RATIOS", (FAR, NEAR))
 
 
 def of_drives(ratio: float) -> NoiseModel:
@@ -80,19 +88,19 @@ def test_the_ratio_narrows_the_drives_alone() -> None:
     assert near.sd_of(name) == far.sd_of(name), "another valve is metered in another way"
 
 
-def test_the_ratio_is_fitted_to_the_throws() -> None:
+def test_the_ratio_is_fitted_to_the_throws(two_ratios: None) -> None:
     found = fitted_other_type_model(load_noise(), machine(FAR))
     assert found.machine_scatter == of_drives(FAR).machine_scatter
 
 
-def test_an_effect_does_not_widen_the_model() -> None:
+def test_an_effect_does_not_widen_the_model(two_ratios: None) -> None:
     data = machine(NEAR, **dict.fromkeys(GAIN, -0.2))
     found = fitted_other_type_model(load_noise(), data)
     assert found.machine_scatter == of_drives(NEAR).machine_scatter
     assert gain_log_odds(found, data) > gain_log_odds(of_drives(FAR), data) + 20.0
 
 
-def test_one_deviating_joint_does_not_widen_the_model() -> None:
+def test_one_deviating_joint_does_not_widen_the_model(two_ratios: None) -> None:
     model = of_drives(FAR)
     scatter = layout(model).priors.scatter
     far = np.random.default_rng(6).multivariate_normal(np.zeros(scatter.shape[0]), scatter)

@@ -32,7 +32,6 @@ def diagnose(tmp_path: Path, stage: str, path: Path, *more: str) -> tuple[int, D
 
 
 def test_unusable_tables_are_refused_with_exit_code_four(tmp_path: Path) -> None:
-    noise = np.random.default_rng(3).normal(size=TIME_S.size)
     for time_s, command, position, words in (
         (TIME_S, STEPS * 0.0, MOVED, "constant channel"),
         (TIME_S, STEPS, MOVED * 0.0 + 0.3, "constant channel"),
@@ -40,7 +39,6 @@ def test_unusable_tables_are_refused_with_exit_code_four(tmp_path: Path) -> None
         (np.where(TIME_S > 6.0, TIME_S - 3.0, TIME_S), STEPS, MOVED, "go back"),
         (TIME_S, STEPS, np.where(TIME_S % 1.0 < 0.5, np.nan, MOVED), "NaN"),
         (TIME_S, STEPS, 0.5 * TIME_S, "does not follow"),
-        (TIME_S, STEPS, noise, "does not follow"),
         (TIME_S[40:130], STEPS[40:130], MOVED[40:130], "at least 2 s"),
         (TIME_S[:10], STEPS[:10], MOVED[:10], "empty or cut off"),
     ):
@@ -108,17 +106,6 @@ def test_files_without_a_table_are_refused(tmp_path: Path) -> None:
             code, found = diagnose(tmp_path, stage, path)
             assert code == 4, (content, stage, found.sentence)
     assert diagnose(tmp_path, "flight", tmp_path / "missing.csv")[0] == 4
-
-
-def test_long_records_are_decimated(tmp_path: Path) -> None:
-    """100 000 rows at 10 kHz."""
-    t = 1e-4 * np.arange(100_000)
-    angle = 0.5 * np.exp(-0.05 * t) * np.cos(3.0 * t)
-    angle += np.random.default_rng(7).normal(0.0, 0.002, len(t))
-    code, found = diagnose(tmp_path, "swing", table(tmp_path / "a.csv", "t,angle_rad", t, angle))
-    assert code == 0
-    assert effects(found) == {"passive_viscous_friction"}
-    assert found.evidence["samples"] <= 2000
 
 
 UNREADABLE = (

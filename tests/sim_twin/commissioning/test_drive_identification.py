@@ -46,25 +46,22 @@ def recorded(drive: OilSpringDrive, runs: int = 8, noise: float = 0.003) -> Driv
     return still._replace(velocity_rad_m_per_s=velocity, position_rad_m=position)
 
 
-def test_a_drive_is_found_again_from_its_motion() -> None:
-    found = fit_drive(recorded(OIL)).drive
+def test_an_oil_spring_is_found_again_and_replaces_the_linear_response() -> None:
+    record = recorded(OIL)
+    response = fit_response(record.actuator_speed_rad_m_per_s, record.velocity_rad_m_per_s)
+    explained = explain_joint("slew", record, linear_drive(response))
+    found = explained.drive
     assert found.natural_frequency_rad_per_s == pytest.approx(8.0, rel=0.06)
     assert found.oil_damping_ratio == pytest.approx(0.25, abs=0.06)
     assert found.acceleration_limit_rad_m_per_s2 == pytest.approx(1.8, rel=0.06)
     assert found.dead_time_s + found.valve_lag_s == pytest.approx(0.16, abs=0.02)
     assert found.reach_inertia_ratio == pytest.approx(0.6, abs=0.2)
-
-
-def test_an_oil_spring_replaces_the_linear_response_where_it_explains_more() -> None:
-    record = recorded(OIL)
-    response = fit_response(record.actuator_speed_rad_m_per_s, record.velocity_rad_m_per_s)
-    found = explain_joint("slew", record, linear_drive(response))
-    assert found.is_oil_spring
-    assert found.explained_ratio > 0.995 > found.linear_explained_ratio
-    assert sum(found.unexplained_by_phase_ratio.values()) == pytest.approx(1.0)
+    assert explained.is_oil_spring
+    assert explained.explained_ratio > 0.995 > explained.linear_explained_ratio
+    assert sum(explained.unexplained_by_phase_ratio.values()) == pytest.approx(1.0)
     profile = nominal_profile(load_spec())
-    changed = with_drives(profile, (found,) * 4)
-    assert changed.drives == (found.drive,) * 4
+    changed = with_drives(profile, (explained,) * 4)
+    assert changed.drives == (found,) * 4
     assert "oil springs of slew" in changed.note
 
 

@@ -1,5 +1,7 @@
 """The identified profile predicts motion of the machine that was not used to find it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from machine.spec import load_spec
 from sim_twin.commissioning.excitation import identify_profile, record_valve_response
 from sim_twin.commissioning.response_fit import simulate_response
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
-from sim_twin.twin.profile import nominal_profile
+from sim_twin.twin.profile import TwinProfile, nominal_profile
 from sim_twin.virtual_machine import VirtualMachine
 from tests.cases import each
 
@@ -16,7 +18,7 @@ UNIT_SEED = 3
 
 
 @pytest.fixture(scope="module")
-def identified():
+def identified() -> tuple[Any, ...]:
     plant = VirtualMachine(count=CALIBRATION_STEP_COUNT, unit_seed=UNIT_SEED)
     calibration = calibrate(plant, SPEC, "m003")
     plant.close()
@@ -28,11 +30,13 @@ def identified():
 
 
 @each("joint", range(4))
-def test_prediction_of_fresh_motion_beats_the_nominal_twin(identified, joint):
+def test_prediction_of_fresh_motion_beats_the_nominal_twin(
+    identified: tuple[Any, ...], joint: int
+) -> None:
     profile, (joints, steady, measured) = identified
     own = joints == joint
 
-    def error(p):
+    def error(p: TwinProfile) -> float:
         model = simulate_response(
             steady[own],
             p.dead_time_s[joint],
@@ -45,7 +49,7 @@ def test_prediction_of_fresh_motion_beats_the_nominal_twin(identified, joint):
     assert error(profile) < error(nominal_profile(SPEC))
 
 
-def test_profile_is_the_machines_own_first_version(identified):
+def test_profile_is_the_machines_own_first_version(identified: tuple[Any, ...]) -> None:
     profile, _ = identified
     assert profile.machine_id == "m003"
     assert profile.version_count == 1

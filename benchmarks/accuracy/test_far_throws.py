@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from machine.calibration import ValveCalibration
 from machine.conventions import Mode
 from machine.spec import load_spec
 from machine.starts import sample_starts
@@ -22,7 +23,7 @@ THROW_COUNT = 20
 
 
 @pytest.fixture(scope="module")
-def calibration():
+def calibration() -> ValveCalibration:
     plant = VirtualMachine(count=CALIBRATION_STEP_COUNT, unit_seed=UNIT_SEED)
     try:
         return calibrate(plant, SPEC, "m004")
@@ -31,7 +32,7 @@ def calibration():
 
 
 @each("mode", list(Mode))
-def test_ten_metres_on_a_machine_of_its_own(calibration, mode):
+def test_ten_metres_on_a_machine_of_its_own(calibration: ValveCalibration, mode: Mode) -> None:
     policy = PolicyRunner(find_policy(POLICIES, mode), SPEC)
     params = ControlParams(SPEC, calibration, mode, policy)
     targets = np.tile([10.0, 0.0, 0.0], (THROW_COUNT, 1))
