@@ -14,6 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.leftovers import end_with_run, has_ended
 from tests.ports import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +46,7 @@ class Command:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
+        end_with_run(self._process)
 
     def wait_for(self, pattern: str, timeout_s: float) -> re.Match[str]:
         """Wait for a line of its output."""
@@ -65,6 +67,7 @@ class Command:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait(30.0)
+        has_ended(self._process)
 
     def stop(self) -> None:
         """Ask it to end."""

@@ -38,6 +38,7 @@ from machine.policy_card import load_card
 from machine.spec import load_spec
 from runtime.control.policy import find_policy
 from runtime.link.zenoh_config import router_config
+from tests.leftovers import end_with_run, has_ended
 from tests.link.relay import Relay
 from tests.ports import free_port
 from tests.waiting import wait_for
@@ -287,6 +288,7 @@ class Machine:
             cwd=ROOT,
             start_new_session=True,
         )  # fmt: skip
+        end_with_run(self.process)
 
     def child(self, module: str) -> int:
         """Process id of `runtime.process.control_process` or `runtime.process.link_process`."""
@@ -308,6 +310,7 @@ class Machine:
         """Power off: supervisor and children at once."""
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
+        has_ended(self.process)
 
     def stop(self, timeout_s: float = 30.0) -> int:
         """SIGTERM; returns the exit code."""
@@ -321,6 +324,7 @@ class Machine:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
+            has_ended(self.process)
 
 
 class Yard:
