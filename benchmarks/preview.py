@@ -1,13 +1,15 @@
 """Latency of previews, and its floor: MuJoCo alone.
 
-    python benchmarks/preview.py --policies policies [--mode 3d] [--count 20] [--json FILE]
+    python -m benchmarks.preview --policies policies [--mode 3d] [--count 20] [--json FILE]
 
 Measured: time until the nominal throw is shown (what an operator waits for), until its landing, until the
-first ellipse, and until the ellipse of 200 throws. Floor: MuJoCo steps of the same model up to the release,
-without control and output.
+first ellipse, and until the whole ellipse; in one process, and in the processes of the server, where the
+nominal throw and the scattered throws run side by side. Floor: MuJoCo steps of the same model up to the
+release, without control and output.
 """
 
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Literal
@@ -26,11 +28,16 @@ from machine.messages import Target
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
+from runtime.control.policy import find_policy
+from server.plans.preview_pool import PreviewPool
+from server.plans.preview_worker import PreviewJob
 from sim_twin.rigid_body.model import twin_model
 from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
 from sim_twin.twin.profile import nominal_profile
 
-TARGET_MS = {"shown": 150.0, "ellipse": 2000.0}
+TARGET_MS = {"shown": 50.0, "ellipse of 500": 1500.0}
+POOL_COUNTS = (200, 500)
+"""Scattered throws of the previews that are measured in several processes."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +81,48 @@ def measure(request: PreviewRequest) -> Timing:
     )
 
 
+def measure_pool(
+    folder: Path, requests: list[PreviewRequest], processes: int
+) -> dict[str, list[float]]:
+    """Milliseconds of previews in the processes of a server, by part; the first one is not counted."""
+    pool = PreviewPool(processes, (folder,))
+    pool.start()
+    times: dict[str, list[float]] = {}
+    try:
+        for index, (request, count) in enumerate(product(requests, POOL_COUNTS)):
+            job = PreviewJob(
+                job_id=str(index),
+                slot=0,
+                policy_dir=folder,
+                target=request.target,
+                joint_position_rad_m=request.joint_position_rad_m,
+                rollout_count=count,
+                calibration_path=None,
+                profile_path=None,
+                seed=request.seed,
+            )
+            seconds = _measure_job(pool, job)
+            if index < len(POOL_COUNTS):
+                continue
+            for part, value in zip(
+                ("shown", "first ellipse", f"ellipse of {count}"), seconds, strict=True
+            ):
+                times.setdefault(f"{part}, {processes} processes", []).append(1e3 * value)
+    finally:
+        pool.close()
+    return times
+
+
+def _measure_job(pool: PreviewPool, job: PreviewJob) -> tuple[float, float, float]:
+    """Seconds until the throw, the first ellipse and everything is there."""
+    started = perf_counter()
+    marks: list[tuple[float, ThrowPreview]] = []
+    pool.submit(job, lambda shown: marks.append((perf_counter() - started, shown))).result()
+    ended_s = perf_counter() - started
+    ellipses = [seconds for seconds, shown in marks if shown.ellipse is not None]
+    return marks[0][0], min([*ellipses, ended_s]), ended_s
+
+
 def floor_ms(ticks: int, count: int) -> float:
     """Milliseconds of `ticks` physics steps of `count` machines, without control and output."""
     model, _ = twin_model()
@@ -97,6 +146,7 @@ def main(
     count: int = 20,
     nearest: float = 7.0,
     farthest: float = 9.5,
+    processes: int = 2,
     json: Path = RESULTS / "preview.json",
 ) -> None:
     """Time previews of `count` targets between `nearest` and `farthest`."""
@@ -106,7 +156,8 @@ def main(
         spec=spec, calibration=nominal_calibration(spec), mode=Mode(mode), policy=runner
     )
     timings: list[Timing] = []
-    floors: list[tuple[float, float]] = []
+    requests: list[PreviewRequest] = []
+    floors: list[tuple[float, ...]] = []
     for index, range_m in enumerate(np.linspace(nearest, farthest, count + 1)):
         target = Target(x_m=float(range_m), y_m=0.0)
         # Aligned already: aligning the cabin would count as simulated time of a 2D throw.
@@ -119,15 +170,17 @@ def main(
             joint_position_rad_m=(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]),
             seed=index,
         )
+        requests.append(request)
         timing = measure(request)
         if index == 0:
             continue  # The first preview compiles the model and loads the policy.
         timings.append(timing)
-        floors.append((floor_ms(timing.tick_count, 1), floor_ms(timing.tick_count, 200)))
+        floors.append(tuple(floor_ms(timing.tick_count, many) for many in (1, 200, 500)))
     parts = ("shown", "shown_cpu", "landed", "first_ellipse", "ellipse", "ellipse_cpu")
     times = {part: [getattr(timing, f"{part}_ms") for timing in timings] for part in parts}
-    times["floor of one throw"] = [one for one, _ in floors]
-    times["floor of 200 throws"] = [many for _, many in floors]
+    times |= measure_pool(find_policy(policies, Mode(mode)), requests, processes)
+    for column, name in enumerate(("one throw", "200 throws", "500 throws")):
+        times[f"floor of {name}"] = [floor[column] for floor in floors]
     rows = [
         row(
             len(values),
@@ -140,7 +193,7 @@ def main(
     print(f"{count} previews in {mode}, 200 throws each; {ticks:.0f} ticks until the release")
     for line in rows:
         shown = ", ".join(f"{key} {value.value or 0.0:.1f}" for key, value in line.values.items())
-        print(f"{line.labels['part']:>20}: {shown}")
+        print(f"{line.labels['part']:>28}: {shown}")
     notes = "Targets, p95: " + ", ".join(f"{k} {v:.0f} ms" for k, v in TARGET_MS.items()) + "."
     print(notes)
     title = f"Latency of previews, {mode}"

@@ -1,4 +1,4 @@
-"""Computes previews in a worker process, one job at a time, with the twin loaded once."""
+"""Computes parts of previews in a worker process, one at a time, with the twin loaded once."""
 
 import logging
 import os
@@ -20,7 +20,15 @@ from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
 from runtime.control.policy import PolicyRunner
 from sim_twin.child_processes import end_with_parent
-from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
+from sim_twin.throws.preview import (
+    PreviewRequest,
+    ScatteredThrows,
+    ScatterPart,
+    ThrowPreview,
+    nominal_throw,
+    preview,
+    scattered_throws,
+)
 from sim_twin.twin.profile import TwinProfile, load_profile, nominal_profile
 
 logger = logging.getLogger(__name__)
@@ -65,20 +73,35 @@ class Worker:
         default_factory=dict[tuple[Path, int], PolicyRunner]
     )
 
-    def run(self, job: PreviewJob) -> ThrowPreview:
-        """Compute one preview, sending what is known on the way.
+    def nominal(self, job: PreviewJob) -> ThrowPreview:
+        """Simulate the throw that is shown, sending what is known on the way.
 
         Raises:
             CancelledPreviewError: the job's flag was raised.
             DownrangeError: policy, calibration or profile cannot be used.
         """
+        self._check(job)
+        request = self.request(job)
+        return nominal_throw(request, partial(self._progress, job), partial(self._check, job))
+
+    def scattered(self, job: PreviewJob, part: ScatterPart) -> ScatteredThrows:
+        """Simulate one part of the scattered throws.
+
+        Raises:
+            CancelledPreviewError, DownrangeError: as `nominal`.
+        """
+        self._check(job)
+        return scattered_throws(self.request(job), part, partial(self._check, job))
+
+    def request(self, job: PreviewJob) -> PreviewRequest:
+        """What is asked for, with the files loaded."""
         runner = self._runner(job.policy_dir)
         calibration = (
             nominal_calibration(self.spec)
             if job.calibration_path is None
             else load_calibration(job.calibration_path).for_twin()
         )
-        request = PreviewRequest(
+        return PreviewRequest(
             params=ControlParams(self.spec, calibration, runner.card.mode, runner),
             profile=self._profile(job.profile_path),
             target=job.target,
@@ -89,8 +112,6 @@ class Worker:
             site=job.site,
             zones=job.zones,
         )
-        self._check(job)
-        return preview(request, partial(self._progress, job))
 
     def _progress(self, job: PreviewJob, so_far: ThrowPreview) -> None:
         self._check(job)
@@ -123,16 +144,22 @@ def start_worker(
     _worker = Worker(updates, cancelled)
     for folder in warm_up:
         try:
-            _worker.run(_warm_up_job(folder, _worker.spec))
-        except (CancelledPreviewError, DownrangeError) as error:
+            preview(_worker.request(_warm_up_job(folder, _worker.spec)))
+        except DownrangeError as error:
             # A policy that cannot be used is refused where it is asked for, with its cause.
             logger.warning("preview process not warmed up with %s: %r", folder, error)
 
 
-def run_job(job: PreviewJob) -> ThrowPreview:
-    """Entry point of a job in the worker process."""
+def run_nominal(job: PreviewJob) -> ThrowPreview:
+    """Entry point of a job's nominal throw in the worker process."""
     assert _worker is not None
-    return _worker.run(job)
+    return _worker.nominal(job)
+
+
+def run_scattered(job: PreviewJob, part: ScatterPart) -> ScatteredThrows:
+    """Entry point of a part of a job's scattered throws in the worker process."""
+    assert _worker is not None
+    return _worker.scattered(job, part)
 
 
 def _warm_up_job(folder: Path, spec: MachineSpec) -> PreviewJob:

@@ -4,9 +4,11 @@ The nominal throw is reported first, the landing ellipse in parts afterwards. A 
 machine, and a plan made from it must still pass the machine's checks.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +19,8 @@ from machine.messages import LandingEllipse, RejectReason, Target
 from machine.reach import check_target
 from machine.site.objects import SiteObject
 from machine.site.zones import Zone
-from runtime.control.control_loop import ControlParams
+from runtime.control.control_loop import ControlOutputs, ControlParams
+from runtime.driver import SensorSample, SimulatedDriver
 from sim_twin.throws.campaign import (
     ThrowBatch,
     ThrowOutcome,
@@ -86,6 +89,25 @@ class ThrowPreview:
 
 
 Progress = Callable[[ThrowPreview], None]
+Check = Callable[[], None]
+
+
+class ScatterPart(NamedTuple):
+    """Some of the scattered throws of a preview: rows `first` to `end` (exclusive) of one of its draws."""
+
+    draw: int
+    first: int
+    end: int
+    thread_count: int
+    """Threads of the physics."""
+
+
+class ScatteredThrows(NamedTuple):
+    """Results of one part."""
+
+    results: list[ThrowResult]
+    astray: list[str]
+    """Descriptions of throws that landed on another surface, one per throw."""
 
 
 def preview(request: PreviewRequest, on_progress: Progress | None = None) -> ThrowPreview:
@@ -101,6 +123,33 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
         UsageError: no policy, a pose that is not finite, a negative number of throws.
     """
     started = perf_counter()
+    shown = nominal_throw(request, on_progress)
+    if shown.is_final:
+        return shown
+    parts = scatter_parts(request.rollout_count)
+    done: list[ScatteredThrows] = []
+    for part in parts:
+        done.append(scattered_throws(request, part))
+        if on_progress is not None and len(done) < len(parts):
+            on_progress(replace(with_scatter(shown, done), wall_s=perf_counter() - started))
+    zones = _zone_check(request)
+    return completed(shown, done, request.target, zones, perf_counter() - started)
+
+
+def nominal_throw(
+    request: PreviewRequest, on_progress: Progress | None = None, check: Check | None = None
+) -> ThrowPreview:
+    """The throw that is shown, without its ellipse; final where there will be none.
+
+    Args:
+        request: as for `preview`.
+        on_progress: called at the release and at the landing.
+        check: called in every control tick; an exception that it raises ends the throw.
+
+    Raises:
+        UsageError: as `preview`.
+    """
+    started = perf_counter()
     policy = request.params.policy
     if policy is None:
         raise UsageError("a preview needs a policy: name one with --policy DIR or --policies DIR")
@@ -113,26 +162,127 @@ def preview(request: PreviewRequest, on_progress: Progress | None = None) -> Thr
         check_target(policy.card, request.target)
     except RefusedError as error:
         return _nothing(PreviewRefusal(error.reason, error.detail), perf_counter() - started)
-    zones = ZoneCheck(request.zones, request.params.spec.ball.radius_m)
+    zones = _zone_check(request)
     unlikely = zones.target_refusal(request.target) or SiteLanding.of(
         request.site, request.target
     ).target_refusal(request.target)
     if unlikely is not None:
         return _nothing(unlikely, perf_counter() - started)
-    nominal = _NominalThrow(request, zones, started)
-    shown = nominal.run(on_progress)
-    if request.rollout_count == 0 or shown.impact_m is None:
-        return replace(shown, is_final=True, wall_s=perf_counter() - started)
-    complete = _with_ellipse(request, nominal.start, shown, started, on_progress)
-    return _held_against(zones, request.target, complete)
+    shown = _NominalThrow(request, zones, started, check).run(on_progress)
+    has_ellipse = request.rollout_count > 0 and shown.impact_m is not None
+    return replace(shown, is_final=not has_ellipse, wall_s=perf_counter() - started)
 
 
-def _held_against(zones: ZoneCheck, target: Target, shown: ThrowPreview) -> ThrowPreview:
-    """The preview with the refusals of its landing region, where its nominal flight is in no zone."""
-    if any(refusal.reason is RejectReason.TARGET_IN_ZONE for refusal in shown.refused):
-        return shown
-    found = zones.flight_refusals(shown.ball_path_m, target, shown.impact_m, shown.ellipse)
-    return replace(shown, refused=(*found, *shown.refused))
+def scatter_parts(rollout_count: int, process_count: int = 1) -> tuple[ScatterPart, ...]:
+    """The scattered throws in the parts in which they run: few for a first ellipse, then the others.
+
+    Args:
+        rollout_count: all throws.
+        process_count: processes among which the others are divided. The results do not depend on it.
+    """
+    first = min(FIRST_CHUNK_COUNT, rollout_count)
+    others = rollout_count - first
+    # Beside other processes a second thread would take the time of the throw that is shown.
+    threads = 2 if process_count == 1 else 1
+    count = min(process_count, max(1, others // FIRST_CHUNK_COUNT))
+    edges = [others * index // count for index in range(count + 1)] if others else []
+    return (
+        ScatterPart(0, 0, first, threads),
+        *(ScatterPart(1, one, other, threads) for one, other in pairwise(edges)),
+    )
+
+
+def scattered_throws(
+    request: PreviewRequest, part: ScatterPart, check: Check | None = None
+) -> ScatteredThrows:
+    """Simulate one part of the scattered throws up to their releases.
+
+    Args:
+        request: as for `preview`.
+        part: of `scatter_parts`.
+        check: called in every control tick; an exception that it raises ends the throws.
+    """
+    draw, first, end, thread_count = part
+    size, params = end - first, request.params
+    landing = SiteLanding.of(request.site, request.target)
+    start, _ = _start(request)
+    twin = Twin(
+        count=size,
+        profile=request.profile,
+        calibration=params.calibration,
+        thread_count=thread_count,
+        first_row=first,
+    )
+    twin.set_solids(landing.solids)
+    rng = np.random.default_rng((request.seed, 2, draw))
+    starts = scattered_starts(params.spec, request.profile.spread, start, end, rng)[first:]
+    results = run_throws(
+        twin,
+        params,
+        np.repeat(_point(request.target), size, axis=0),
+        starts,
+        int(np.random.SeedSequence((request.seed, 1, draw)).generate_state(1)[0]),
+        ends_at_release=True,
+        pace_ratio=request.pace_ratio,
+        record=None if check is None else _EveryTick(check),
+    )
+    touched = twin.payload.predicted
+    return ScatteredThrows(
+        results, landing.wrong_contacts(None if touched is None else touched.contact)
+    )
+
+
+def with_scatter(shown: ThrowPreview, done: Sequence[ScatteredThrows]) -> ThrowPreview:
+    """A nominal throw with the ellipse of the parts that are done."""
+    return replace(shown, ellipse=landing_ellipse([r for part in done for r in part.results]))
+
+
+def completed(
+    shown: ThrowPreview,
+    done: Sequence[ScatteredThrows],
+    target: Target,
+    zones: ZoneCheck,
+    wall_s: float,
+) -> ThrowPreview:
+    """The whole preview: a nominal throw with all its scattered throws and the refusals of the spread.
+
+    Args:
+        shown: the nominal throw.
+        done: all parts, in their order.
+        target: of the request.
+        zones: of the request.
+        wall_s: computing time.
+    """
+    results = [result for part in done for result in part.results]
+    astray = [text for part in done for text in part.astray]
+    shown = with_scatter(shown, done)
+    refused = (*shown.refused, *spread_refusals(results, astray))
+    if not any(refusal.reason is RejectReason.TARGET_IN_ZONE for refusal in shown.refused):
+        # The landing region counts where the nominal flight is in no zone.
+        found = zones.flight_refusals(shown.ball_path_m, target, shown.impact_m, shown.ellipse)
+        refused = (*found, *refused)
+    return replace(shown, refused=refused, wall_s=wall_s, is_final=True)
+
+
+def _zone_check(request: PreviewRequest) -> ZoneCheck:
+    return ZoneCheck(request.zones, request.params.spec.ball.radius_m)
+
+
+class _EveryTick:
+    """Calls a check in every tick of a campaign."""
+
+    def __init__(self, check: Check) -> None:
+        self._check = check
+
+    def begin(self, plant: SimulatedDriver, first_throw_count: int, throw_count: int) -> None:
+        """Nothing is recorded."""
+
+    def tick(self, now_ns: int, sample: SensorSample, outputs: ControlOutputs) -> None:
+        """Call the check."""
+        self._check()
+
+    def end(self, results: Sequence[ThrowResult]) -> None:
+        """Nothing is recorded."""
 
 
 def _nothing(refusal: PreviewRefusal, wall_s: float) -> ThrowPreview:
@@ -159,19 +309,25 @@ def _point(target: Target) -> Array:
     return np.array([[target.x_m, target.y_m, target.z_m]])
 
 
+def _start(request: PreviewRequest) -> tuple[Array, Array]:
+    """Pose (6,) in which the throw begins and the frames (T, 6) of the turn to it."""
+    pose, params = np.asarray(request.joint_position_rad_m), request.params
+    return throw_start(params.spec, params.mode, pose, _point(request.target)[0], FRAME_PERIOD_S)
+
+
 class _NominalThrow:
     """The throw that is shown: the twin without random scatter."""
 
-    def __init__(self, request: PreviewRequest, zones: ZoneCheck, started: float) -> None:
+    def __init__(
+        self, request: PreviewRequest, zones: ZoneCheck, started: float, check: Check | None
+    ) -> None:
         params = request.params
+        self._check = check
         self._zones, self._request_target = zones, request.target
         self._spec, self._started = params.spec, started
         self._target = _point(request.target)
         self._landing = SiteLanding.of(request.site, request.target)
-        pose = np.asarray(request.joint_position_rad_m)
-        self.start, self._turn = throw_start(
-            params.spec, params.mode, pose, self._target[0], FRAME_PERIOD_S
-        )
+        start, self._turn = _start(request)
         self._twin = Twin(
             count=1, profile=exact_profile(request.profile), calibration=params.calibration
         )
@@ -180,12 +336,12 @@ class _NominalThrow:
             self._twin,
             params,
             self._target,
-            self.start[None],
+            start[None],
             request.seed,
             1,
             request.pace_ratio,
         )
-        self._film = [self.start]
+        self._film = [start]
         self._solids: list[Clearance] = []
         self._solids_count = 0
         """Number of frames that the distances in `_solids` cover."""
@@ -206,6 +362,8 @@ class _NominalThrow:
     def _roll(self, *, until_release: bool) -> None:
         batch, ticks = self._batch, 0
         while batch.running[0] and not (until_release and batch.load_gone[0]):
+            if self._check is not None:
+                self._check()
             batch.tick()
             ticks = round(batch.rollout.elapsed_s / CONTROL_PERIOD_S)
             if ticks % FRAME_TICKS == 0:
@@ -285,47 +443,3 @@ class _NominalThrow:
         if load.predicted is not None:
             points.append(load.predicted.centre_m[0])
         return np.stack(points)
-
-
-def _with_ellipse(
-    request: PreviewRequest,
-    start: Array,
-    shown: ThrowPreview,
-    started: float,
-    on_progress: Progress | None,
-) -> ThrowPreview:
-    """Run the scattered throws in parts; report the ellipse of all throws so far after each."""
-    total = request.rollout_count
-    first = min(FIRST_CHUNK_COUNT, total)
-    results: list[ThrowResult] = []
-    astray: list[str] = []
-    landing = SiteLanding.of(request.site, request.target)
-    for number, size in enumerate((first, total - first) if total > first else (first,)):
-        twin = Twin(count=size, profile=request.profile, calibration=request.params.calibration)
-        twin.set_solids(landing.solids)
-        rng = np.random.default_rng((request.seed, 2, number))
-        starts = scattered_starts(request.params.spec, request.profile.spread, start, size, rng)
-        target = np.repeat(_point(request.target), size, axis=0)
-        seed = int(np.random.SeedSequence((request.seed, 1, number)).generate_state(1)[0])
-        results.extend(
-            run_throws(
-                twin,
-                request.params,
-                target,
-                starts,
-                seed,
-                ends_at_release=True,
-                pace_ratio=request.pace_ratio,
-            )
-        )
-        end = twin.payload.predicted
-        astray += landing.wrong_contacts(None if end is None else end.contact)
-        shown = replace(shown, ellipse=landing_ellipse(results), wall_s=perf_counter() - started)
-        if on_progress is not None and len(results) < total:
-            on_progress(shown)
-    return replace(
-        shown,
-        refused=(*shown.refused, *spread_refusals(results, astray)),
-        wall_s=perf_counter() - started,
-        is_final=True,
-    )

@@ -56,6 +56,7 @@ class Twin:
         effects: Sequence[Sequence[Effect]] | None = None,
         progress_ratio: Array | float = 1.0,
         sees_contacts: bool = True,
+        first_row: int = 0,
     ) -> None:
         """Build the machines, loaded, in the model's zero pose; call `reset` to begin.
 
@@ -68,6 +69,7 @@ class Twin:
             effects: one set per machine, in addition to the profile's.
             progress_ratio: (N,) position in a set of throws, for drifting effects; 1 is the end of the set.
             sees_contacts: detect collisions; required for `collided`.
+            first_row: these are the machines from this one on of a larger twin, with its random numbers.
 
         Raises:
             UsageError: `count` is not positive, or the number of sets of effects differs from it.
@@ -76,7 +78,7 @@ class Twin:
             raise UsageError(f"a twin needs at least 1 machine, not {count}")
         if effects is not None and len(effects) != count:
             raise UsageError(f"{count} machines but {len(effects)} sets of effects")
-        self.count = count
+        self.count, self._first_row = count, first_row
         self.profile = profile
         self.spec: MachineSpec = load_spec()
         model, self._friction_moment = twin_model()
@@ -173,10 +175,11 @@ class Twin:
         self._reset_ns = self._now_ns
         rng = np.random.default_rng(seed)
         # Row by row, so that the numbers of machine i do not depend on N.
-        normal = rng.standard_normal((self.count, 3 * ACTIVE_COUNT + 5))
-        self._noise_offset = np.random.default_rng((seed, 1)).integers(
-            0, NOISE_TABLE_SIZE, self.count
-        )
+        first, end = self._first_row, self._first_row + self.count
+        normal = rng.standard_normal((end, 3 * ACTIVE_COUNT + 5))[first:]
+        self._noise_offset = np.random.default_rng((seed, 1)).integers(0, NOISE_TABLE_SIZE, end)[
+            first:
+        ]
         self._response.reset(normal[:, : 3 * ACTIVE_COUNT].reshape(self.count, 3, ACTIVE_COUNT))
         self._payload.reset(normal[:, 12:16])
         self._draw_friction(normal[:, 16:17])

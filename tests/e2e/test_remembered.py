@@ -30,7 +30,7 @@ def test_an_address_aims_and_a_named_target_comes_back(
 
     page.get_by_text("Named and recent targets").click()
     page.get_by_label("Name of this target").fill("pile")
-    page.get_by_role("button", name="Keep").click()
+    page.get_by_role("button", name="Keep", exact=True).click()
     range_m.fill("7")
     range_m.press("Tab")
     page.get_by_text("2D arm plane").click()

@@ -16,7 +16,14 @@ from runtime.control.policy import PolicyRunner
 from sim_twin.effects.effect import Effect
 from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 from sim_twin.throws.clearances import Clearance, limit_clearances, solid_clearances
-from sim_twin.throws.preview import PreviewRequest, ThrowPreview, preview
+from sim_twin.throws.preview import (
+    PreviewRequest,
+    ThrowPreview,
+    nominal_throw,
+    preview,
+    scatter_parts,
+    scattered_throws,
+)
 from sim_twin.throws.refusals import nominal_refusals, spread_refusals
 from sim_twin.throws.throw_start import scattered_starts, throw_start, turn_angles_rad
 from sim_twin.twin.profile import Spread, nominal_profile
@@ -127,6 +134,71 @@ def test_the_same_wish_gives_the_same_preview(swing_policies: Path) -> None:
     one, two = (preview(request(swing_policies, rollouts=8)) for _ in range(2))
     assert one.impact_m == two.impact_m
     assert one.ellipse == two.ellipse
+
+
+@each(
+    ("name", "impact_m", "ellipse", "refusal_count"),
+    [
+        ("swing-2d", (6.02817, 0.00132), (0.01753, 0.00024, 0.08645, 0.01044, 0.40113), 0),
+        ("swing-3d", (5.96648, 0.82857), (-0.04116, 0.83602, 0.08665, 0.08900, -0.67561), 1),
+    ],
+)
+def test_a_seed_gives_the_same_numbers_for_ever(
+    swing_policies: Path,
+    name: str,
+    impact_m: tuple[float, ...],
+    ellipse: tuple[float, ...],
+    refusal_count: int,
+) -> None:
+    """Speed is no reason for other numbers: mean and spread along and across, correlation."""
+    shown = preview(request(swing_policies, name, rollouts=120))
+    assert shown.impact_m is not None
+    assert shown.ellipse is not None
+    found = shown.ellipse
+    assert shown.impact_m[:2] == pytest.approx(impact_m, abs=1e-4)
+    assert (
+        found.mean_downrange_error_m,
+        found.mean_crossrange_error_m,
+        found.sd_downrange_m,
+        found.sd_crossrange_m,
+        found.correlation_ratio,
+    ) == pytest.approx(ellipse, abs=1e-3)
+    assert (found.landed_count, len(shown.refused)) == (120, refusal_count)
+
+
+def test_throws_do_not_depend_on_the_parts_in_which_they_run(swing_policies: Path) -> None:
+    wish = request(swing_policies, rollouts=150)
+    whole, split = scatter_parts(150), scatter_parts(150, process_count=2)
+    assert [(p.draw, p.first, p.end) for p in split] == [(0, 0, 50), (1, 0, 50), (1, 50, 100)]
+    one = [r for part in whole[1:] for r in scattered_throws(wish, part).results]
+    two = [r for part in split[1:] for r in scattered_throws(wish, part).results]
+    assert [r.outcome for r in one] == [r.outcome for r in two]
+    np.testing.assert_allclose([r.impact_m for r in one], [r.impact_m for r in two], atol=1e-6)
+    assert len({r.impact_m for r in two}) == 100
+
+
+class _EnoughError(Exception):
+    pass
+
+
+def test_a_preview_that_nobody_waits_for_ends_at_its_next_tick(swing_policies: Path) -> None:
+    wish = request(swing_policies, rollouts=50)
+    ticks = 0
+
+    def check() -> None:
+        nonlocal ticks
+        ticks += 1
+        if ticks == 5:
+            raise _EnoughError
+
+    for simulate in (
+        lambda: nominal_throw(wish, check=check),
+        lambda: scattered_throws(wish, scatter_parts(50)[0], check),
+    ):
+        ticks = 0
+        with pytest.raises(_EnoughError):
+            simulate()
+        assert ticks == 5
 
 
 def test_what_a_diagnosis_found_acts_in_the_preview(swing_policies: Path) -> None:

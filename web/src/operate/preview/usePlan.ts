@@ -7,7 +7,8 @@ import { dispatchLive, useLive } from "../../session/liveStore";
 import { errorWords } from "../../words/errors";
 import { pointKey, type Target } from "../target/target";
 
-const SETTLE_MS = 250;
+/** A preview that is overtaken ends at its next control tick: a short wait costs little. */
+const SETTLE_MS = 100;
 const ROLLOUT_COUNT = 200;
 
 /** The plan that was asked for, and the facts it was asked for with; null once it was thrown. */
