@@ -8,6 +8,7 @@ from diagnosis.correction import corrected_profile, found_effects
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.errors import UsageError
 from machine.spec import load_spec
+from server.gap import gap_previews
 from server.machines.twin_files import TwinFiles, content_sha256
 from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
 from tests.server import gap_fakes
@@ -28,10 +29,11 @@ def eve(running):
 
 
 @pytest.fixture
-def found(running, ada):
+def found(running, ada, monkeypatch):
     """Makes runs that explain the gap; m001 has no twin profile before and after."""
     desk = running.parts.gap
     before, desk._process = desk._process, GapThread(gap_fakes.quick)
+    monkeypatch.setattr(gap_previews, "ROLLOUT_COUNT", 12)
     throw_ids = add_throws(running.parts, 6)
 
     def make():
