@@ -27,7 +27,7 @@ COMMAND_AGE_MAX_NS: Final[dict[type[object], int]] = {
     StopClearRequest: 500_000_000,
     ZonesRequest: 500_000_000,
 }
-"""The server gives a command up after 0.5 s: none is executed after it was reported as unknown."""
+"""The server waits longer for an answer: none is executed after it was reported as unknown."""
 HEARTBEAT_AGE_MAX_NS: Final = round(HEARTBEAT_SILENCE_S * 1e9)
 """An older heartbeat would have run out when it came."""
 

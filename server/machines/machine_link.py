@@ -39,7 +39,11 @@ from server.metrics import ServiceMetrics
 
 logger = logging.getLogger(__name__)
 
-COMMAND_TIMEOUT_S = 0.5
+COMMAND_TIMEOUT_S = 2.0
+"""A machine stores an event before it answers, and its disk may be slow. It executes no command that is older
+than `runtime.throw.freshness.COMMAND_AGE_MAX_NS`; a late answer only says what it has done already."""
+STOP_TIMEOUT_S = 0.5
+"""STOP is repeated instead."""
 EVENT_QUEUE_LENGTH = 256
 """Batches waiting for the database; a machine repeats what was not acknowledged."""
 MACHINE_BATCH_COUNT = 8
@@ -150,20 +154,21 @@ class MachineLink:
         if session is None or not self._registry.is_connected(command.machine_id):
             raise MachineLostError
         began_s = time.monotonic()
+        timeout_s = STOP_TIMEOUT_S if isinstance(command, StopRequest) else COMMAND_TIMEOUT_S
         replies = list(
             session.get(
                 machine_key(self._site, command.machine_id, "command"),
                 payload=command_json(command, self._protocol_version(command.machine_id)),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=COMMAND_TIMEOUT_S,
+                timeout=timeout_s,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )
         )
         seconds = time.monotonic() - began_s
-        reply = self._only_reply(command, replies)
+        reply = self._only_reply(command, replies, timeout_s)
         self._registry.note_round_trip(command.machine_id, seconds)
         self._metrics.command_round_trip_s.labels(kind=command.kind).observe(seconds)
         return reply
@@ -173,11 +178,13 @@ class MachineLink:
         state = self._registry.get(machine_id).state
         return 1 if state is None else state.protocol_version
 
-    def _only_reply(self, command: Command, replies: list[zenoh.Reply]) -> CommandReply:
+    def _only_reply(
+        self, command: Command, replies: list[zenoh.Reply], timeout_s: float
+    ) -> CommandReply:
         answers = [reply.ok for reply in replies if reply.ok is not None]
         if len(answers) != 1:
             raise NoAnswerError(
-                f"{len(answers)} answers within {COMMAND_TIMEOUT_S} s"
+                f"{len(answers)} answers within {timeout_s} s"
                 + ("; two machines use one name" if len(answers) > 1 else "")
             )
         try:
