@@ -13,7 +13,7 @@ export UV_PYTHON_DOWNLOADS = never
 export NPM_CONFIG_UPDATE_NOTIFIER = false
 export UV_PYTHON = $(PYTHON)
 
-.PHONY: accuracy coverage mutation help setup runtime web demo test quick live e2e check lint types types-check tables spec bench clean
+.PHONY: accuracy coverage mutation help setup runtime web demo test quick web-test python-test live e2e check lint types types-check tables spec bench clean
 help:  ## Show this list
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
@@ -80,17 +80,21 @@ types-check: $(STAMP)/web
 BESIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=target
 
 test: setup  ## All checks and tests, those of the whole demo in a real browser included
-	@$(BESIDE) check $(STAMP)/browser
+	@$(BESIDE) check web-test $(STAMP)/browser
 	@# Machines at 100 Hz keep time on few cores only alone.
-	@$(MAKE) --no-print-directory quick
+	@$(MAKE) --no-print-directory python-test
 	@$(MAKE) --no-print-directory live
 
-quick: $(STAMP)/web  ## Tests of single parts, console included
+quick: web-test python-test  ## Tests of single parts, console included
+
+web-test: $(STAMP)/web
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
-	@$(BIN)/pytest -n 2 --dist loadfile --ignore tests/e2e --ignore tests/link
+
+python-test: $(STAMP)/web
+	@$(BIN)/pytest -n 2 --dist loadfile --durations 12 --ignore tests/e2e --ignore tests/link
 
 live: $(STAMP)/web $(STAMP)/browser  ## Machines at 100 Hz on a real link that is cut and killed; then e2e
-	@$(BIN)/pytest tests/link tests/e2e || $(BIN)/pytest --last-failed tests/link tests/e2e
+	@$(BIN)/pytest --durations 12 tests/link tests/e2e
 
 e2e: $(STAMP)/web $(STAMP)/browser  ## The whole demo in a real browser: click, preview, hold, impact, STOP
 	@$(BIN)/pytest tests/e2e

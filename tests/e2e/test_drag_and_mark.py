@@ -38,16 +38,24 @@ def _polar(page: Page) -> tuple[str, str]:
 
 
 def _drag(page: Page, start: tuple[float, float]) -> None:
-    """Drag the target and keep it held; again where the picture hung and it was not taken hold of."""
-    before = page.get_by_label("Range, m").input_value()
+    """Drag the target and keep it held.
+
+    Where its mark was not drawn yet the camera turns instead, and the mark is elsewhere in the picture: then
+    a click puts the target under the pointer again.
+    """
+    range_m = page.get_by_label("Range, m")
     for _ in range(4):
+        before = range_m.input_value()
         page.mouse.move(*start)
         page.mouse.down()
         page.mouse.move(start[0] + DRAG_PX[0], start[1] + DRAG_PX[1], steps=12)
         with contextlib.suppress(AssertionError):
-            expect(page.get_by_label("Range, m")).not_to_have_value(before, timeout=15_000.0)
+            expect(range_m).not_to_have_value(before, timeout=15_000.0)
             return
         page.mouse.up()
+        page.mouse.click(*start)
+        with contextlib.suppress(AssertionError):
+            expect(range_m).not_to_have_value(before, timeout=15_000.0)
     raise AssertionError("four drags and the target stayed")
 
 
