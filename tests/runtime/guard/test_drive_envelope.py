@@ -5,11 +5,18 @@ import numpy as np
 from machine.kinematics import cylinder_arm_m
 from machine.spec import load_spec
 from runtime.guard import drive_envelope
-from runtime.guard.drive_envelope import DRIVE_BOUNDS
+from runtime.guard.drive_envelope import DriveBounds
 from tests.cases import each
 
 SPEC = load_spec()
 MIDDLE = np.array([[0.0, 0.5, 0.0, 0.5]])
+DRIVES = (
+    DriveBounds((0.08, 0.20), (0.05, 0.30), (0.5, 1.15), (0.5, 1.15), 0.022),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.5, 1.2), (0.5, 1.2), 0.036),
+    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.15, 1.2), (0.4, 1.5), 0.024),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.55, 1.15), (0.55, 1.15), 0.018),
+)
+"""Drives that machines have, and motion that may go uncommanded: what the envelope must bear and see."""
 JOINT_SIGNS = [(joint, sign) for joint in range(4) for sign in (1, -1)]
 
 
@@ -58,7 +65,7 @@ def drive(rng, bounds):
 def test_drives_within_the_bounds_accumulate_nothing(joint):
     rng = np.random.default_rng(joint)
     for _ in range(40):
-        envelope, answer = Envelope(), drive(rng, DRIVE_BOUNDS[joint])
+        envelope, answer = Envelope(), drive(rng, DRIVES[joint])
         valve = speed = 0.0
         for tick in range(250):
             if tick % 25 == 0:
@@ -91,7 +98,7 @@ def test_a_joint_that_goes_on_after_its_valve_was_closed(joint, sign):
     begin = envelope.way[joint]
     ticks = envelope.ticks_until_over(joint, speed=speed)
     # Dead time, lag and limit: what a closed valve explains, and no more.
-    bounds = DRIVE_BOUNDS[joint]
+    bounds = DRIVES[joint]
     assert bounds.dead_time_s[1] * 100 < ticks
     reach = abs(speed) * (bounds.dead_time_s[1] + 1.2 * bounds.lag_s[1]) + bounds.limit_rad_or_m
     assert abs(envelope.way[joint] - begin) < reach + 0.03
@@ -103,6 +110,26 @@ def test_a_joint_that_does_not_follow(joint, sign):
     for speed, slowest in ((0.0, 90), (-0.3 * sign, 20)):
         ticks = Envelope().ticks_until_over(joint, valve=0.8 * sign, speed=speed)
         assert ticks is not None and ticks < slowest
+
+
+@each("joint, sign", JOINT_SIGNS)
+def test_a_joint_that_is_faster_or_slower_than_any_drive(joint, sign):
+    bounds, valves = DRIVES[joint], np.zeros((1, 4))
+    valves[0, joint] = 0.8 * sign
+    steady = drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint]
+    slowest, fastest = bounds.gain_positive if sign > 0 else bounds.gain_negative
+    for gain, is_over in (
+        (fastest, False),
+        (fastest + 0.25, True),
+        (slowest, False),
+        (slowest - 0.3, True),
+    ):
+        envelope = Envelope()
+        # It follows in time, until it has the speed of a nominal machine.
+        for tick in range(60):
+            assert not envelope.tick(joint, 0.8 * sign, steady if tick > 12 else 0.0)
+        ticks = envelope.ticks_until_over(joint, valve=0.8 * sign, speed=gain * steady)
+        assert (ticks is not None) == is_over, gain
 
 
 @each("joint, sign", [(j, s) for j in range(1, 4) for s in (1, -1)])
@@ -129,7 +156,7 @@ def test_several_ticks_at_once_are_those_one_after_the_other():
 
 def test_uncommanded_motion_is_forgotten():
     envelope = Envelope()
-    limit = DRIVE_BOUNDS[1].limit_rad_or_m
+    limit = DRIVES[1].limit_rad_or_m
     while (ratio := drive_envelope.motion_ratio(SPEC, envelope.memory)[0, 1]) < 0.9:
         assert not envelope.tick(1, speed=0.1)
     assert np.isclose(envelope.memory.motion[0, 0, 1], ratio * limit)

@@ -95,6 +95,8 @@ def test_an_imu_that_repeats_itself():
     assert Gripper().ticks_until_wrong(boom=0.11, **still) == 9
     assert Gripper().ticks_until_wrong(**turning) == 9
     assert Gripper().ticks_until_wrong(boom=0.1, **still) is None
+    barely = {"imu_gyro_rad_per_s": np.array([[0.05, 0.0, 0.0]])}
+    assert Gripper().ticks_until_wrong(**barely) is None
     # Each half for itself; one number of it that changes is life.
     force = {"imu_accel_m_per_s2": np.array([[0.0, 0.0, 9.81]])}
     assert Gripper().ticks_until_wrong(boom=0.11, **force) == 9
@@ -134,13 +136,17 @@ def test_a_rate_that_no_gripper_reaches(axis):
         gyro = np.zeros((1, 3))
         gyro[0, axis] = rate
         assert Gripper().tick(imu_gyro_rad_per_s=gyro) == wrong
+    if axis == 0:
+        gyro[0, axis] = 8.7  # the end of the gyro's range is a rate
+        assert not Gripper().tick(imu_gyro_rad_per_s=gyro)
     gyro[0, axis] = 8.6
     assert Gripper().tick(imu_gyro_rad_per_s=gyro) == (axis == 2)  # the slew joint does not turn
 
 
 def test_a_specific_force_that_no_gripper_has():
     assert Gripper().ticks_until_wrong(force=0.0) is not None
-    assert Gripper().ticks_until_wrong(force=45.0) is not None
+    assert Gripper().ticks_until_wrong(limit=500, force=30.2) is not None
+    assert Gripper().ticks_until_wrong(limit=500, force=2.8) is not None
     assert Gripper().ticks_until_wrong(force=29.0) is None
     assert Gripper().ticks_until_wrong(force=3.1) is None
     gripper = Gripper()
@@ -158,3 +164,6 @@ def test_an_absent_imu_is_not_judged_here():
     for _ in range(100):
         assert not gripper.tick(slew=0.8, boom=0.3, **never)
     assert np.isfinite([gripper.memory.slew_error, gripper.memory.force]).all()
+    # Numbers without a time are none.
+    for _ in range(100):
+        assert not gripper.tick(force=0.0, imu_t_mono_ns=np.array([0]))
