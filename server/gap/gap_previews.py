@@ -75,7 +75,8 @@ class GapPreviews:
         """
         known = self._registry.get(machine_id)
         profiles = self._versions.compared(machine_id, gap_run_id)
-        policy = self._policies.active(mode)
+        aboard = {} if known.state is None else known.state.policy_sha256
+        policy = self._policies.on_machine(mode, aboard.get(mode.value))
         try:
             check_target(policy.card, target)
         except RefusedError as error:

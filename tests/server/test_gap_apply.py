@@ -123,6 +123,16 @@ def test_previews_use_the_new_profile_at_once(running, machine, ada, eve, found)
             assert again[side]["prediction"][key] == compared[side]["prediction"][key]
 
 
+def test_the_comparison_throws_with_the_version_on_board(running, machine, ada, found, monkeypatch):
+    def active(mode):
+        raise AssertionError(f"the machine has a version for {mode}")
+
+    monkeypatch.setattr(running.parts.policies, "active", active)
+    compared = ada.get(f"{found()}/preview", params={"mode": "2d", "range_m": 6.03}).json()
+    assert compared["is_machine_pose"]
+    assert compared["before"]["prediction"] is not None
+
+
 def test_few_comparisons_are_previewed_at_once(running, ada, found, monkeypatch):
     path = found()
     monkeypatch.setattr(running.parts.gap_previews, "_places", threading.BoundedSemaphore(1))
