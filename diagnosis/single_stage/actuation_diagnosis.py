@@ -7,6 +7,7 @@ dead time.
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -14,36 +15,36 @@ import numpy as np
 from diagnosis.loading.clock_audit import ClockAudit
 from diagnosis.single_stage.actuation_problem import (
     ActuationProblem,
+    find_sine_period,
     make_actuation_problem,
+)
+from diagnosis.single_stage.command_kind import (
+    FittedKind,
+    fit_likely_kind,
+    refuse_leading_motion,
 )
 from diagnosis.single_stage.stage_result import StageLabels, build_diagnosis
 from diagnosis.single_stage.structure_selection import Selection, select_structure
 from diagnosis.tables.cells import RefusedTableError
-from diagnosis.tables.joint_record import JointRecord, read_command_scale
-from diagnosis.verdict import Diagnosis, Stage
-from machine.conventions import Array
+from diagnosis.tables.joint_record import CommandScale, JointRecord, read_command_scale
+from diagnosis.verdict import (
+    Ambiguity,
+    Diagnosis,
+    FittedEffect,
+    FittedParameter,
+    Stage,
+    VerdictKind,
+)
 
+CommandKind = Literal["auto", "speed", "position"]
 MIN_SPAN_S: Final = 2.0
 """Shortest record, s."""
 RELEVANT_RATIO: Final = 0.015
 """Share of the motion that an effect must explain to be named; covers errors of simulation and sampling."""
 MIN_EXPLAINED_RATIO: Final = 0.1
 """Smallest explained share of the variance; noise alone can give about 0.02 in a short record."""
-MAX_POSITION_UNEXPLAINED_RATIO: Final = 0.25
-"""Largest unexplained share of the motion at which the command is taken for a position command."""
 MIN_UNEXPLAINED_RATIO: Final = 0.1
 """Unexplained share of the motion below which clocks are not checked."""
-MAX_LEAD_S: Final = 2.0
-"""Longest time by which the motion may lead the command in the check of the clocks, s."""
-SHIFTS_COUNT: Final = 80
-"""Shifts of the command tried in either direction."""
-MIN_LEAD_PERIODS: Final = 3.0
-"""Shortest lead that is refused, in sample periods."""
-LEAD_RATIO: Final = 0.8
-"""Largest unexplained variance with a lead, relative to that with the best delay.
-
-Periodic commands also fit with a lead.
-"""
 MAX_SPAN_S: Final = 150.0
 """Longest part of a record that is used, s; the tick is then 30 ms."""
 NOT_SEPARABLE: Final = [
@@ -56,7 +57,7 @@ def diagnose_actuation(
     record: JointRecord,
     audit: ClockAudit,
     joint: str | None = None,
-    kind: Literal["auto", "speed", "position"] = "auto",
+    kind: CommandKind = "auto",
     progress: Callable[[str], None] | None = None,
     command_words: tuple[str, ...] = (),
 ) -> Diagnosis:
@@ -88,21 +89,11 @@ def diagnose_actuation(
             f"of {span_s:.0f} s the {MAX_SPAN_S:g} s with the most commands are used, from "
             f"{first:.0f} s on"
         )
-    problem = make_actuation_problem(record, scale, "speed" if kind == "auto" else kind, period_s)
-    signal = float(np.sqrt(np.mean(problem.measured**2)))
-    selection = _select_structure(problem, signal, progress)
-    if kind == "auto" and not record.is_speed and selection.unexplained_ratio > 0.3:
-        servo_problem = make_actuation_problem(record, scale, "position", period_s)
-        signal = float(np.std(servo_problem.measured))
-        servo_selection = _select_structure(servo_problem, signal, progress)
-        if servo_selection.unexplained_ratio < min(
-            0.5 * selection.unexplained_ratio, MAX_POSITION_UNEXPLAINED_RATIO
-        ):
-            problem, selection = servo_problem, servo_selection
-            notes.append("the position follows the command: taken as a position command")
+    problem, selection = _fit_kind(record, scale, kind, period_s, progress)
+    if kind == "auto" and problem.kind == "position":
+        notes.append("the position follows the command: taken as a position command")
     notes.extend(problem.notes)
     unit = record.unit if problem.kind == "position" else f"{record.unit}/s"
-    _refuse_leading_motion(problem, selection, period_s)
     _refuse_unrelated_motion(problem, selection, unit)
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
     evidence: dict[str, Any] = {
@@ -119,7 +110,7 @@ def diagnose_actuation(
         "not_separable": NOT_SEPARABLE,
         "notes": notes,
     }
-    return build_diagnosis(
+    found = build_diagnosis(
         problem,
         selection,
         problem.noise,
@@ -127,53 +118,83 @@ def diagnose_actuation(
         evidence,
         _plots(problem, base, best, unit),
     )
+    is_sine = find_sine_period(problem.command, problem.step_s) is not None
+    return _without_separation(found, joint) if is_sine else found
+
+
+def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
+    """The result for one sine, whose phase is one number: dead time and lag cannot be separated."""
+    delays = [
+        p
+        for effect in found.causes[0].effects
+        for name, p in effect.parameters.items()
+        if name in ("extra_dead_time_s", "extra_lag_s")
+    ]
+    if found.verdict is not VerdictKind.EXPLAINED or not delays:
+        return found
+    total = FittedParameter(
+        value=sum(p.value for p in delays),
+        ci90=(sum(p.ci90[0] for p in delays), sum(p.ci90[1] for p in delays)),
+        unit="s",
+    )
+    why = (
+        f"the command is one sine, so that delay and lag cannot be separated; together they are about "
+        f"{total.value:.2g} s"
+    )
+    pair = ("valve_dead_time", "valve_lag")
+    ambiguity = Ambiguity(
+        members=pair,
+        effects=tuple(
+            (FittedEffect(effect=effect, joint=joint, parameters={parameter: total}),)
+            for effect, parameter in zip(pair, ("extra_dead_time_s", "extra_lag_s"), strict=True)
+        ),
+        separating_motion={
+            "kind": Stage.ACTUATION.value,
+            "joint": joint,
+            "words": SEPARATING_RECORDS[frozenset(pair)],
+        },
+        why=why,
+    )
+    sentence = f"{found.sentence} But {why}."
+    return found.model_copy(
+        update={"verdict": VerdictKind.AMBIGUOUS, "ambiguity": ambiguity, "sentence": sentence}
+    )
+
+
+def _fit_kind(
+    record: JointRecord,
+    scale: CommandScale,
+    kind: CommandKind,
+    period_s: float,
+    progress: Callable[[str], None] | None,
+) -> FittedKind:
+    """Fit the command as one of `kind`; auto takes the kind that explains more.
+
+    Raises:
+        RefusedTableError: the motion leads its command.
+    """
+    select = partial(_select_structure, progress=progress)
+    drive = make_actuation_problem(record, scale, "speed", period_s)
+    if kind == "auto" and not record.is_speed:
+        found = fit_likely_kind(
+            drive, make_actuation_problem(record, scale, "position", period_s), select
+        )
+    else:
+        problem = make_actuation_problem(
+            record, scale, "position" if kind == "position" else "speed", period_s
+        )
+        found = FittedKind(problem, select(problem))
+    if found.selection.unexplained_ratio > MIN_UNEXPLAINED_RATIO:
+        refuse_leading_motion(drive, period_s)
+    return found
 
 
 def _select_structure(
-    problem: ActuationProblem, signal: float, progress: Callable[[str], None] | None
+    problem: ActuationProblem, progress: Callable[[str], None] | None
 ) -> Selection:
+    is_servo = problem.kind == "position"
+    signal = float(np.std(problem.measured) if is_servo else np.sqrt(np.mean(problem.measured**2)))
     return select_structure(problem, signal, problem.noise, progress, relevant_ratio=RELEVANT_RATIO)
-
-
-def _refuse_leading_motion(
-    problem: ActuationProblem, selection: Selection, period_s: float
-) -> None:
-    """Refuse a motion that precedes its command.
-
-    Raises:
-        RefusedTableError: an earlier command explains the motion clearly better than any delay.
-    """
-    if selection.unexplained_ratio < MIN_UNEXPLAINED_RATIO:
-        return
-    command, tick_s = problem.command, problem.step_s
-    max_shift = min(round(MAX_LEAD_S / tick_s), len(command) // 4)
-    shifts = np.unique(
-        np.round(np.linspace(-max_shift, max_shift, 2 * SHIFTS_COUNT + 1)).astype(int)
-    )
-    unexplained = np.array(
-        [_unexplained_by_line(problem, np.roll(command, int(-k))) for k in shifts]
-    )
-    ahead, behind = shifts > 0, shifts <= 0
-    best = int(shifts[ahead][np.argmin(unexplained[ahead])])
-    min_lead_s = max(MIN_LEAD_PERIODS * period_s, 2.0 * problem.command_period_s)
-    if best * tick_s < min_lead_s or np.min(unexplained[ahead]) > LEAD_RATIO * np.min(
-        unexplained[behind]
-    ):
-        return
-    raise RefusedTableError(
-        f"the motion leads the command by {best * tick_s:.2g} s or more: with the command that much earlier "
-        f"a line leaves {np.min(unexplained[ahead]):.0%} of the motion's variance, without or with a delay "
-        f"at least {np.min(unexplained[behind]):.0%}. The clocks of the two columns differ, or the command "
-        "was logged late: shift one column and run this again"
-    )
-
-
-def _unexplained_by_line(problem: ActuationProblem, command: Array) -> float:
-    """Share of the variance of the measured motion that a line through the command leaves."""
-    matrix = np.stack([np.ones(problem.sample.size), command[problem.sample]], axis=1)
-    line, *_ = np.linalg.lstsq(matrix, problem.measured, rcond=None)
-    unexplained_variance = np.var(problem.measured - matrix @ line)
-    return float(unexplained_variance) / max(float(np.var(problem.measured)), 1e-300)
 
 
 def _refuse_unrelated_motion(problem: ActuationProblem, selection: Selection, unit: str) -> None:

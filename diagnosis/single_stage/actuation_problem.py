@@ -39,6 +39,14 @@ MIN_TICK_S: Final = 0.005
 """Shortest tick, s."""
 MAX_TICK_S: Final = 0.02
 """Longest tick unless the record needs more than `MAX_TICKS`, s."""
+SINE_BINS: Final = 3
+"""Half width of a windowed sine's line in the spectrum, bins."""
+SINE_POWER_RATIO: Final = 0.995
+"""Smallest share of a sine's power in its line; a triangle has 0.986."""
+NEARLY_BEST_RATIO: Final = 0.9
+"""Explained power, relative to the most, from which the shortest such delay gives the first gain."""
+RESTING_RATIO: Final = 0.1
+"""Share of the top speed, and of full command, below which the joint rests at the start of the record."""
 BLOCKS_COUNT: Final = 15
 """Most blocks of a record; a block lasts at least 1 s."""
 MIN_SAMPLES: Final = 30
@@ -83,6 +91,8 @@ class ActuationProblem:
     noise: float
     command_period_s: float
     """Sample period of the command, s; it changed at some time within one period before it was logged."""
+    starts_at_rest: bool
+    """Whether the command was at rest before the record; else its first value is held."""
     notes: tuple[str, ...]
     """What was excluded."""
 
@@ -134,9 +144,10 @@ class ActuationProblem:
         """(ticks,) output after the same differentiator as the measured one."""
         gap = values.get("backlash.gap_rad_m", 0.0)
         if self.kind == "position" or self.window.size == 0:
-            output = simulate_speed(self.command, self.step_s, values) + values["offset"]
+            output = simulate_speed(self.command, self.step_s, values, self.starts_at_rest)
+            output = output + values["offset"]
             return apply_play(output, 0.5 * gap) if gap > 0.0 else output
-        position = simulate_position(self.command, self.step_s, values)
+        position = simulate_position(self.command, self.step_s, values, self.starts_at_rest)
         if gap > 0.0:
             position = apply_play(position, 0.5 * gap)
         return np.convolve(np.pad(position, len(self.window) // 2, "edge"), self.window, "valid")
@@ -186,11 +197,12 @@ def make_actuation_problem(
             + "".join(f" ({note})" for note in notes)
         )
     top = float(np.quantile(np.abs(measured[sample]), 0.99))
-    blocks = max(span_s / BLOCKS_COUNT, 1.0)
+    # A joint that rests in spite of the first command was not commanded before the record.
+    starts_at_rest = kind == "speed" and (
+        abs(float(measured[edge])) < RESTING_RATIO * top < top * abs(float(command[0]))
+    )
     run = np.zeros(len(sample), dtype=np.int64)
-    centre = float(np.median(measured[sample])) if kind == "position" else 0.0
-    slack = float(np.ptp(record.output)) if kind == "position" else 0.1 * top
-    gain = _estimate_gain(command, measured - centre, sample, top)
+    sine_s = find_sine_period(command, step_s)
     return ActuationProblem(
         command=command,
         measured=measured[sample],
@@ -198,10 +210,7 @@ def make_actuation_problem(
         window=window,
         step_s=step_s,
         kind=kind,
-        nuisance=(
-            FreeParameter("speed_per_command", record.unit, -20.0 * top, 20.0 * top, (gain,)),
-            FreeParameter("offset", record.unit, centre - slack, centre + slack, (centre,)),
-        ),
+        nuisance=_list_nuisance(record, command, measured, sample, kind, sine_s is not None),
         options=list_actuation_options(
             period_s,
             span_s,
@@ -210,12 +219,47 @@ def make_actuation_problem(
             record.unit,
             not record.is_speed,
             is_speed=kind == "speed",
+            sine_s=sine_s,
         ),
-        block=number_blocks(grid_s[sample], blocks, run),
+        block=number_blocks(grid_s[sample], max(span_s / BLOCKS_COUNT, 1.0), run),
         noise=noise,
         command_period_s=scale.period_s,
+        starts_at_rest=starts_at_rest,
         notes=notes,
     )
+
+
+def _list_nuisance(
+    record: JointRecord,
+    command: Array,
+    measured: Array,
+    sample: IntArray,
+    kind: OutputKind,
+    is_sine: bool,
+) -> tuple[FreeParameter, ...]:
+    """Gain and offset of the joint."""
+    top = float(np.quantile(np.abs(measured[sample]), 0.99))
+    centre = float(np.median(measured[sample])) if kind == "position" else 0.0
+    slack = float(np.ptp(record.output)) if kind == "position" else 0.1 * top
+    gain = _estimate_gain(command, measured - centre, sample, top)
+    low, high = -20.0 * top, 20.0 * top
+    if is_sine:
+        # Half a period more with a gain of the other sign is the same motion.
+        low, high = (0.0, high) if gain > 0.0 else (low, 0.0)
+    return (
+        FreeParameter("speed_per_command", record.unit, low, high, (gain,)),
+        FreeParameter("offset", record.unit, centre - slack, centre + slack, (centre,)),
+    )
+
+
+def find_sine_period(command: Array, step_s: float) -> float | None:
+    """Period, s, of a command (ticks,) that is one sine: its power is one line of the spectrum; else None."""
+    power = np.abs(np.fft.rfft((command - np.mean(command)) * np.hanning(len(command)))) ** 2
+    peak = int(np.argmax(power))
+    near = power[max(peak - SINE_BINS, 0) : peak + SINE_BINS + 1]
+    if peak <= SINE_BINS or float(np.sum(near)) <= SINE_POWER_RATIO * float(np.sum(power)):
+        return None
+    return len(command) * step_s / peak
 
 
 class _GriddedMotion(NamedTuple):
@@ -262,14 +306,15 @@ def _mask_gaps(time_s: Array, grid_s: Array, max_gap_s: float, margin: int) -> B
 
 
 def _estimate_gain(command: Array, measured: Array, sample: IntArray, top: float) -> float:
-    """Least-squares gain with the best of a few delays, so that the fit starts with the right sign."""
-    best, best_gain = 0.0, top
-    for ticks in np.unique(np.geomspace(1, max(len(command) // 10, 2), 12).astype(int)):
+    """Least-squares gain with the shortest nearly best delay, so that the fit starts with the right sign."""
+    found: list[tuple[float, float]] = []
+    for ticks in np.unique(np.geomspace(1, max(len(command) // 10, 2), 60).astype(int)):
         u = np.concatenate([np.full(ticks, command[0]), command[:-ticks]])[sample]
         product, power = float(np.dot(u, measured[sample])), float(np.dot(u, u))
-        if power > 0.0 and product**2 / power > best:
-            best, best_gain = product**2 / power, product / power
-    return best_gain
+        if power > 0.0:
+            found.append((product**2 / power, product / power))
+    most = max((explained for explained, _ in found), default=0.0)
+    return next((gain for explained, gain in found if explained >= NEARLY_BEST_RATIO * most), top)
 
 
 def estimate_sample_noise(values: Array) -> float:

@@ -6,13 +6,13 @@ Data that cannot be used give the verdict ``bad_data`` with the reason. Every as
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from diagnosis.loading.clock_audit import audit_clock
-from diagnosis.single_stage.actuation_diagnosis import diagnose_actuation
+from diagnosis.single_stage.actuation_diagnosis import CommandKind, diagnose_actuation
 from diagnosis.single_stage.flight_diagnosis import diagnose_flight
 from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.single_stage.stage_result import bad_data_diagnosis, combine_diagnoses
@@ -43,7 +43,6 @@ from machine.conventions import Array, BoolArray, IntArray
 from machine.errors import UsageError
 
 Progress = Callable[[str], None]
-CommandKind = Literal["auto", "speed", "position"]
 MAX_BALLS_COUNT: Final = 40
 """Most labels of balls; a column with more holds another quantity."""
 

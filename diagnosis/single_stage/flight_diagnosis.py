@@ -41,7 +41,7 @@ from diagnosis.tables.tracks import (
     refuse_no_free_fall,
     select_flights,
 )
-from diagnosis.verdict import Diagnosis, Stage
+from diagnosis.verdict import Ambiguity, Diagnosis, Stage, VerdictKind
 
 DISAGREEMENT_P_VALUE: Final = 1e-3
 """Probability under equal parameters below which runs disagree."""
@@ -53,8 +53,10 @@ MAX_ROLL_RAD: Final = 0.15
 """Largest roll of an unlevelled camera, rad."""
 WIND_LOG_LIKELIHOOD_GAIN: Final = 5.0
 """Gain of log-likelihood from which wind is preferred to a rolled camera."""
-UNKNOWN_RATIO: Final = 0.35
-"""Unexplained share of the tracks' curvature at which "unknown" has probability 0.5."""
+MAX_SPHERE_DRAG_COEFFICIENT: Final = 0.7
+"""Drag coefficient above which a body is no sphere; 0.47 with 50 % for lengths and roughness."""
+MAX_LIKELY_DRAG_PER_M: Final = 0.25
+"""Drag above which a film of an unknown body is doubted; a shuttlecock that falls at 6.7 m/s has 0.22."""
 DEFAULT_SCALE: Final = TrackScale()
 DRAG_EXPLAINED_RATIO: Final = 0.1
 """Residual, as a share of the tracks' curvature, below which gravity and drag explain the fall."""
@@ -172,7 +174,7 @@ def diagnose_flight(
     if run_disagreement is not None:
         notes.append(_describe_disagreement(run_disagreement, len(usable), is_mixed_refused))
     signal = measure_curvature(usable)
-    selection = select_structure(problem, signal, noise, progress, UNKNOWN_RATIO)
+    selection = select_structure(problem, signal, noise, progress)
     best = selection.best.fit.as_mapping()
     is_ball_known = not math.isnan(ball.drag_per_m)
     evidence = _evidence(problem, selection, scale, is_ball_known, notes)
@@ -189,7 +191,41 @@ def diagnose_flight(
             f"In place of wind a camera that is rolled by {roll:.2g} degrees explains them as well."
         )
         found = found.model_copy(update={"sentence": f"{found.sentence} {words}"})
+    if problem.flights[0].position_m.shape[1] == 2 and found.verdict is VerdictKind.EXPLAINED:
+        found = _qualify_film(found, name, is_ball_known)
     return _compare_with_sphere_drag(found, is_ball_known)
+
+
+def _qualify_film(found: Diagnosis, name: str | None, is_ball_known: bool) -> Diagnosis:
+    """Say that a film of one plane lacks depth; a drag that few bodies have may then be the camera's view."""
+    words = (
+        "The film shows one plane: motion toward or away from the camera is not seen, and a plane that is "
+        "not square to the camera changes lengths and drag."
+    )
+    found = found.model_copy(update={"sentence": f"{found.sentence} {words}"})
+    limit = MAX_SPHERE_DRAG_COEFFICIENT if is_ball_known else MAX_LIKELY_DRAG_PER_M
+    drag = next((effect for effect in found.causes[0].effects if effect.effect == "air_drag"), None)
+    if drag is None or min(p.value for p in drag.parameters.values()) <= limit:
+        return found
+    why = (
+        f"drag is above a sphere's, at most {MAX_SPHERE_DRAG_COEFFICIENT:g}"
+        if is_ball_known
+        else f"drag is above a shuttlecock's, {MAX_LIKELY_DRAG_PER_M:g} 1/m, and mass and diameter are not "
+        "given (--mass-kg, --diameter-m)"
+    )
+    ambiguity = Ambiguity(
+        members=(found.causes[0].name, "camera not square to the flight"),
+        separating_motion={
+            "kind": Stage.FLIGHT.value,
+            "joint": name,
+            "words": "the same throw filmed square to its plane from further away, or by two cameras",
+        },
+        why=why,
+    )
+    sentence = f"{found.sentence} It may as well be the camera's view: {why}."
+    return found.model_copy(
+        update={"verdict": VerdictKind.AMBIGUOUS, "ambiguity": ambiguity, "sentence": sentence}
+    )
 
 
 def _describe_disagreement(

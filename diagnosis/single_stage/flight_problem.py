@@ -21,6 +21,8 @@ from diagnosis.tables.tracks import (
 )
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 
+MAX_DRAG_COEFFICIENT: Final = 1.6
+"""Largest drag coefficient; an open hemisphere has 1.42 (Hoerner, Fluid-Dynamic Drag, 1965)."""
 AIR_DENSITY_KG_PER_M3: Final = 1.204
 """At 20 C and sea level."""
 MAX_TILT_RAD: Final = 0.02
@@ -208,7 +210,9 @@ def _list_options(
 ) -> tuple[EffectOption, ...]:
     """Effect options that tracks with this number of axes can show."""
     drag = (
-        FreeParameter("extra_drag_coefficient_ratio", "1", 0.02, 3.0, (0.1, 0.5, 1.2))
+        FreeParameter(
+            "extra_drag_coefficient_ratio", "1", 0.02, MAX_DRAG_COEFFICIENT, (0.1, 0.5, 1.2)
+        )
         if ball_known
         else FreeParameter("drag_per_m", "1/m", 2e-4, 20.0, (0.002, 0.02, 0.1, 1.0))
     )

@@ -28,6 +28,7 @@ def list_actuation_options(
     unit: str,
     has_position: bool,
     is_speed: bool = True,
+    sine_s: float | None = None,
 ) -> tuple[EffectOption, ...]:
     """Effect options between a command and a joint's speed, or the position of a servo.
 
@@ -41,8 +42,11 @@ def list_actuation_options(
         unit: of the position, ``rad``, ``deg``, ``m``...
         has_position: whether a position was measured.
         is_speed: whether a command means a speed; else a position, and `top_speed` is the largest one.
+        sine_s: period of a command that is one sine; a dead time is then known up to half of it.
     """
     max_dead_time_s = min(max(0.1 * span_s, 0.3), 2.0)
+    if sine_s is not None:
+        max_dead_time_s = max(min(max_dead_time_s, 0.5 * sine_s), 2.0 * period_s)
     step = max(period_s, 0.01)
     min_time_s = MIN_TIME_PERIODS * period_s
     dead_time = FreeParameter(
@@ -170,13 +174,16 @@ def _servo_speed_option(largest: float, unit: str) -> EffectOption:
     return EffectOption("servo_speed_limit", "speed_limit", (limit,))
 
 
-def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
+def simulate_speed(
+    command: Array, step_s: float, values: Mapping[str, float], starts_at_rest: bool = False
+) -> Array:
     """Speed of the joint, (ticks,) unit/s.
 
     Args:
         command: (ticks,) scaled to -1..1, rest at 0.
         step_s: tick.
         values: parameters by ``option.parameter``; ``speed_per_command`` is the gain.
+        starts_at_rest: whether the command was at rest before the first tick; else its first value is held.
     """
     u = command
     if (width := values.get("valve_hysteresis.half_width_ratio", 0.0)) > 0.0:
@@ -190,7 +197,9 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
         steady = np.clip(steady, -limit, limit)
     # The delay commutes with the memoryless effects. Applied after them, its interpolation does not blur the
     # edges at dead band and stiction.
-    steady = _apply_delay(steady, values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s)
+    before = 0.0 if starts_at_rest else float(steady[0])
+    delay = values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s
+    steady = np.concatenate([[before], _apply_delay(steady, delay, before)])
     speed_limit = values.get("servo_speed_limit.limit_rad_m_per_s", 0.0)
     if speed_limit > 0.0 and "valve_lag.extra_lag_s" in values:
         # The loop of a servo commands a speed in proportion to its error; this speed is limited.
@@ -202,12 +211,14 @@ def simulate_speed(command: Array, step_s: float, values: Mapping[str, float]) -
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
         speed = _limit_rate(speed, limit * step_s)
     # Lag and limits give the speed at the end of a tick, which is the start of the next.
-    return speed if speed is steady else np.concatenate([speed[:1], speed[:-1]])
+    return steady[1:] if speed is steady else speed[:-1]
 
 
-def simulate_position(command: Array, step_s: float, values: Mapping[str, float]) -> Array:
+def simulate_position(
+    command: Array, step_s: float, values: Mapping[str, float], starts_at_rest: bool = False
+) -> Array:
     """Position of the joint from 0, (ticks,), before backlash; ``offset`` in `values` is a constant speed."""
-    speed = simulate_speed(command, step_s, values) + values["offset"]
+    speed = simulate_speed(command, step_s, values, starts_at_rest) + values["offset"]
     has_inertia = any(key.startswith(("valve_lag", "acceleration_limit")) for key in values)
     # Without inertia the speed is constant over a tick; with it the speed is continuous.
     moved = 0.5 * (speed[1:] + speed[:-1]) if has_inertia else speed[:-1]
@@ -224,12 +235,12 @@ def apply_play(signal: Array, half_width: float) -> Array:
     )
 
 
-def _apply_delay(signal: Array, ticks: float) -> Array:
-    """Shift by a fractional number of ticks; the first value is held before it."""
+def _apply_delay(signal: Array, ticks: float, before: float) -> Array:
+    """Shift by a fractional number of ticks; `before` is the value before the first tick."""
     if ticks <= 0.0:
         return signal
     index = np.arange(len(signal)) - ticks
-    return np.interp(index, np.arange(len(signal)), signal)
+    return np.interp(index, np.arange(len(signal)), signal, left=before)
 
 
 def _apply_static_curve(u: Array, values: Mapping[str, float]) -> Array:

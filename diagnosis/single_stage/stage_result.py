@@ -5,6 +5,7 @@ Results of several joints or balls are combined into one.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -41,8 +42,10 @@ MIN_SHOWN_RATIO: Final = 0.01
 """Lower end of the explained share below which held-out data do not show the effects."""
 RIVAL_RATIO: Final = 0.05
 """Probability from which a rival structure widens the intervals of the best."""
-PARTIAL_RATIO: Final = 0.15
-"""Unexplained share of the response from which the sentence says "in part"."""
+AT_BOUND_RATIO: Final = 0.01
+"""Distance from the end of its range, as a share of it, below which a parameter is at its bound."""
+AT_BOUND_PROBABILITY: Final = 0.95
+"""Probability of "unknown" if a parameter of the best set is at its bound."""
 MAX_LIMITS_COUNT: Final = 8
 """Most upper limits that are reported."""
 NOISE_LIKE_RATIO: Final = 1.5
@@ -104,6 +107,22 @@ def _size_within_residual(problem: FitProblem, found: StructureFit, name: str) -
     return residual_rms / max(pattern, 1e-12)
 
 
+def find_parameters_at_bound(found: StructureFit) -> tuple[str, ...]:
+    """Parameters of effects that end at a bound, as ``effect.parameter``: the fit wanted more.
+
+    A magnitude at its lower bound is no matter: the effect is then small, or acts in one direction only.
+    """
+    values = found.as_mapping()
+    at_bound: list[str] = []
+    for option in found.options:
+        for p in option.parameters:
+            value, margin = values[f"{option.key}.{p.name}"], AT_BOUND_RATIO * (p.high - p.low)
+            is_high = value > p.high - margin and not p.is_absent_at_high
+            if is_high or (p.low < 0.0 and value < p.low + margin):
+                at_bound.append(f"{option.effect}.{p.name}")
+    return tuple(at_bound)
+
+
 class StageLabels(NamedTuple):
     """Labels of a stage, and records that separate its effects."""
 
@@ -134,14 +153,17 @@ def build_diagnosis(
         plots: series for the report.
     """
     shrink = measure_held_out_shrink(problem, selection.base.fit, selection.best.fit, noise)
-    ambiguity = _find_ambiguity(selection, labels) or _find_ambiguity_with_none(
-        selection, shrink, labels
+    if at_bound := find_parameters_at_bound(selection.best.fit):
+        probability = max(selection.unknown_probability, AT_BOUND_PROBABILITY)
+        selection = replace(selection, unknown_probability=probability)
+    ambiguity = _find_ambiguity(problem, selection, labels) or _find_ambiguity_with_none(
+        problem, selection, shrink, labels
     )
     verdict = _choose_verdict(selection, ambiguity)
     causes = _list_causes(problem, selection, labels)
     limits = find_upper_limits(problem, selection) if verdict is VerdictKind.NONE else ()
     ratio = shrink.before_m / max(noise, 1e-12)
-    sentence = _write_sentence(verdict, causes, shrink, selection, labels, limits)
+    sentence = _write_sentence(verdict, causes, shrink, selection, labels, limits, at_bound)
     if verdict is VerdictKind.AMBIGUOUS and ambiguity is not None:
         sentence += f" It may as well be {ambiguity.members[1]}: {ambiguity.why}."
     return Diagnosis(
@@ -164,6 +186,7 @@ def build_diagnosis(
             **evidence,
             "selection": describe_selection(selection),
             "limits": [limit._asdict() for limit in limits],
+            "at_bound": list(at_bound),
             "residual_unit": labels.unit,
             "shrink_unit": f"rms of the residual in {labels.unit}; held_out_throws counts held-out pieces",
         },
@@ -237,7 +260,9 @@ def _list_causes(
     return tuple(sorted(causes, key=lambda cause: -cause.probability))
 
 
-def _find_ambiguity(selection: Selection, labels: StageLabels) -> Ambiguity | None:
+def _find_ambiguity(
+    problem: FitProblem, selection: Selection, labels: StageLabels
+) -> Ambiguity | None:
     """The best structure and a nearly as probable one, if neither contains the other; else None."""
     best = selection.best
     best_effects = set(best.effects) - REFINEMENT_EFFECTS
@@ -254,6 +279,10 @@ def _find_ambiguity(selection: Selection, labels: StageLabels) -> Ambiguity | No
         )
         return Ambiguity(
             members=(" + ".join(best.effects), " + ".join(rival.effects)),
+            effects=tuple(
+                describe_fitted_effects(problem, selection, one, labels.joint)
+                for one in (best, rival)
+            ),
             separating_motion={"kind": labels.stage.value, "joint": labels.joint, "words": motion},
             why=(
                 f"held-out residuals of both are alike (probabilities {best.probability:.2f} and "
@@ -264,7 +293,7 @@ def _find_ambiguity(selection: Selection, labels: StageLabels) -> Ambiguity | No
 
 
 def _find_ambiguity_with_none(
-    selection: Selection, shrink: Shrink, labels: StageLabels
+    problem: FitProblem, selection: Selection, shrink: Shrink, labels: StageLabels
 ) -> Ambiguity | None:
     """Ambiguity between effects and none: "none" is probable, or held-out data do not show the effects."""
     best = selection.best
@@ -282,6 +311,7 @@ def _find_ambiguity_with_none(
         return None
     return Ambiguity(
         members=(" + ".join(best.effects), "none"),
+        effects=(describe_fitted_effects(problem, selection, best, labels.joint), ()),
         separating_motion={
             "kind": labels.stage.value,
             "joint": labels.joint,
@@ -314,6 +344,7 @@ def _write_sentence(
     selection: Selection,
     labels: StageLabels,
     limits: tuple[UpperLimit, ...],
+    at_bound: Sequence[str],
 ) -> str:
     where = f"{labels.stage.value} of {labels.joint}" if labels.joint else labels.stage.value
     unexplained = (
@@ -324,27 +355,21 @@ def _write_sentence(
     match verdict:
         case VerdictKind.NONE:
             could = f" These data would not show {', '.join(n.describe() for n in limits)}."
-            if selection.unexplained_ratio > PARTIAL_RATIO:
-                return (
-                    f"No effect shows surely in the {where}, yet {unexplained}: the record is too short, too "
-                    f"noisy or too much alike to tell what.{could} Record more: "
-                    f"{_recommend_motion(labels.stage)}."
-                )
             return (
                 f"The ideal {where} explains the data; no effect is needed ({unexplained}).{could}"
             )
         case VerdictKind.UNKNOWN:
-            best = f" The best known explanation is {words}." if words else ""
+            best = f" by the best known explanation, {words}" if words else ""
+            bound = "".join(f" {one} is at the end of its range." for one in at_bound)
             return (
-                f"Something acts on the {where} that no effect of the library explains: {unexplained}."
-                f"{best}"
+                f"Something acts on the {where} that no effect of the library explains: {unexplained}{best}."
+                f"{bound}"
             )
         case _:
             low, high = shrink.ci90
             shows = "shows" if verdict is VerdictKind.EXPLAINED else "may show"
-            share = "in part " if selection.unexplained_ratio > PARTIAL_RATIO else ""
             return (
-                f"The {where} {shows} {share}{words}; on held-out data this removes "
+                f"The {where} {shows} {words}; on held-out data this removes "
                 f"{shrink.ratio:.0%} of the gap ({low:.0%} to {high:.0%}), predicted "
                 f"{shrink.predicted_ratio or 0.0:.0%}; {unexplained}."
             )

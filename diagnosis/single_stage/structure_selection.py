@@ -49,9 +49,9 @@ ELIMINATION_RATIO: Final = 1.5
 """Backward elimination stops when the best structure exceeds this multiple of the least mean square."""
 MIN_GAIN_RATIO: Final = 0.01
 """Smallest relative reduction of the mean square that continues the beam search."""
-UNKNOWN_RATIO: Final = 0.35
-"""Unexplained share of the response at which "unknown" has probability 0.5."""
-UNKNOWN_WIDTH_RATIO: Final = 0.03
+UNKNOWN_RATIO: Final = 0.1
+"""Unexplained share of the response above which no set of effects counts as an explanation."""
+UNKNOWN_WIDTH_RATIO: Final = 0.02
 """Width of the logistic function about it."""
 
 Progress = Callable[[str], None]
@@ -114,7 +114,6 @@ def select_structure(
     signal: float,
     noise: float,
     progress: Progress | None = None,
-    unknown_ratio: float = UNKNOWN_RATIO,
     relevant_ratio: float = RELEVANT_RATIO,
 ) -> Selection:
     """Search the structures of one stage.
@@ -124,7 +123,6 @@ def select_structure(
         signal: root mean square of the measured response, in the unit of the residual.
         noise: standard deviation of the measurement noise, in the same unit.
         progress: called with a line of text at each level.
-        unknown_ratio: unexplained share of the response at which "unknown" has probability 0.5.
         relevant_ratio: share of the response that an effect must explain beyond the others to be named.
     """
     base = fit_structure(problem, (), {})
@@ -163,7 +161,7 @@ def select_structure(
     )
     # On held-out data: what is fitted but not reproduced there is not explained.
     unexplained = math.sqrt(max(ranked[0].held_out - noise**2, 0.0)) / max(signal, 1e-12)
-    unknown = 1.0 / (1.0 + math.exp(-(unexplained - unknown_ratio) / UNKNOWN_WIDTH_RATIO))
+    unknown = 1.0 / (1.0 + math.exp(-(unexplained - UNKNOWN_RATIO) / UNKNOWN_WIDTH_RATIO))
     return Selection(tuple(ranked), base_scored, correlation, signal, noise, unknown)
 
 

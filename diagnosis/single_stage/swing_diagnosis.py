@@ -46,8 +46,6 @@ MIN_HALF_PERIODS: Final = 8
 DRIFT_HALF_WIDTHS: Final = 3.0
 """Significance of a drift, in half widths of the 90 % intervals of both frequencies."""
 FREQUENCY_PARAMETER: Final = "frequency_rad_per_s"
-UNKNOWN_RATIO: Final = 0.3
-"""Unexplained share of the swing at which "unknown" has probability 0.5."""
 UNMODELLED_PROBABILITY: Final = 0.95
 """Probability of "unknown" for a swing that grows or whose frequency drifts."""
 SPRING_RATIO: Final = 0.5
@@ -142,7 +140,7 @@ def diagnose_swing(
     signal = math.sqrt(float(np.mean(np.concatenate([s.angle_rad for s in usable]) ** 2)))
     # If frictions leave only noise, even small effects are named: no model error can mimic them.
     relevant_ratio = 0.0 if is_noise_like else RELEVANT_RATIO
-    selection = select_structure(problem, signal, noise, progress, UNKNOWN_RATIO, relevant_ratio)
+    selection = select_structure(problem, signal, noise, progress, relevant_ratio)
     words = _describe_energy_input(usable) or (
         "" if is_noise_like else _describe_frequency_drift(problem)
     )
