@@ -1,9 +1,10 @@
-"""A policy version is deployed to a machine, thrown with, and rolled back."""
+"""Policy versions are deployed to a machine and rolled back; what it runs is not retired."""
 
 from collections.abc import Callable
 
 from playwright.sync_api import Page, expect
 
+from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.stack import Stack, client, until
 
@@ -30,7 +31,7 @@ def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[
     expect(page.get_by_role("button", name=f"Deploy to m001: {NEWER}")).to_be_disabled()
 
     page.get_by_role("button", name=f"Deploy to m001: {OLDER}").click()
-    page.get_by_label("Why").fill("compare both in the yard")
+    page.get_by_role("dialog").get_by_label("Why").fill("compare both in the yard")
     page.get_by_role("button", name="Deploy", exact=True).click()
     expect(board.locator("tbody tr").first).to_contain_text("Switched")
     expect(board.locator("li").first).to_contain_text(OLDER)
@@ -39,9 +40,22 @@ def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[
     expect(back).to_be_enabled()
     back.click()
     expect(page.get_by_role("dialog")).to_contain_text(f"throws in 2D with {NEWER} again")
-    page.get_by_label("Why").fill("end of the comparison")
+    page.get_by_role("dialog").get_by_label("Why").fill("end of the comparison")
     page.get_by_role("button", name=f"Go back to {NEWER}").click()
     expect(board.locator("tbody tr").first).to_contain_text("(rolled back)")
     expect(board.locator("tbody tr").first).to_contain_text("Switched")
     expect(board.locator("li").first).to_contain_text(NEWER)
     until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
+
+
+def test_what_the_machine_runs_is_not_retired(
+    demo: Stack, open_page: Callable[..., Page], console: Console
+) -> None:
+    console.allowed.append("409 (Conflict)")  # the refusal
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, "admin", path="/policies")
+    page.get_by_role("button", name=f"Retire {NEWER}").click()
+    page.get_by_role("dialog").get_by_label("Why").fill("a mistake")
+    page.get_by_role("button", name=f"Retire {NEWER} for good").click()
+    expect(page.get_by_role("dialog").get_by_role("alert")).to_contain_text("m001")

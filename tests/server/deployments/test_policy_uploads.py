@@ -83,6 +83,35 @@ def test_an_upload_is_a_version_with_its_uploader_and_may_be_deployed(running, e
     assert "policy.upload" in actions
 
 
+def truncate(folder):
+    (folder / POLICY_FILE).write_bytes((folder / POLICY_FILE).read_bytes()[:-20])
+
+
+ALTERED = {
+    "truncated": (truncate, "no_policy"),
+    "altered card": (lambda f: with_card(f, target_range_max_m=12.0), "not_approved"),
+    "altered vectors": (
+        lambda f: (f / GOLDEN_FILE).write_text((f / GOLDEN_FILE).read_text() + " "),
+        "not_approved",
+    ),
+    "no vectors": (lambda f: (f / GOLDEN_FILE).unlink(), "not_approved"),
+}
+
+
+@pytest.mark.parametrize("case", ALTERED)
+def test_what_was_changed_on_the_servers_disk_after_its_approval_is_not_deployed(
+    running, eve, version, case
+):
+    change, code = ALTERED[case]
+    sha256 = send(eve, contents(version)).json()["policy_sha256"]
+    assert eve.post(f"/policies/{sha256}/approve", json=WHY).status_code == 201
+    change(running.settings.data_dir / "uploaded-policies" / version.name)
+    running.parts.policies.look_again()
+    body = WHY | {"policy_sha256": sha256}
+    reply = eve.post("/machines/m001/policies/2d/deploy", json=body)
+    assert reply.json()["error"]["code"] == code
+
+
 def test_a_name_is_given_once(running, eve, version, tmp_path):
     assert send(eve, contents(version)).status_code == 201
     other = tmp_path / "other" / version.name
