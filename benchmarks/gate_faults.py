@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.result_file import Row, Value, describe, write_result
-from evaluation.worker_pool import run_tasks
+from evaluation.execution.executor import LocalProcesses, run_tasks
 from machine.calibration import nominal_calibration
 from machine.conventions import CONTROL_PERIOD_NS, Array, BoolArray, IntArray, Mode, Motion
 from machine.spec import load_spec
@@ -378,7 +378,7 @@ def main() -> None:
         *(partial(run_faulty, task) for task in faulty),
         *(partial(run_healthy, task) for task in (*healthy, *with_effect)),
     ]
-    outcomes = run_tasks(tasks, given.jobs, "gate")
+    outcomes = run_tasks(tasks, LocalProcesses(given.jobs), "gate")
     of_faults, rest = outcomes[: len(faulty)], outcomes[len(faulty) :]
     of_healthy, of_effects = rest[: len(healthy)], rest[len(healthy) :]
     if of_faults:

@@ -14,6 +14,8 @@ from evaluation.accuracy_campaign import (
 from evaluation.accuracy_report.report_campaign import ReportOptions, write_report
 from evaluation.campaign_registration import open_registered
 from evaluation.campaigns import CampaignOptions
+from evaluation.execution.executor import Executor
+from evaluation.execution.executor_choice import open_executor
 from evaluation.unit_accuracy import FIRST_UNIT
 from machine.conventions import DEFAULT_PACE_RATIO
 from machine.errors import UsageError
@@ -43,6 +45,7 @@ def run(
     first_unit: int = FIRST_UNIT,
     trainings: tuple[Path, ...] = (),
     jobs: int = 2,
+    scheduler: str | None = None,
 ) -> int:
     """Throw many times at targets on the x axis and print how accurately the loads land.
 
@@ -71,8 +74,7 @@ def run(
         plot: write the plot to this file (.png, .svg or .pdf).
         policies: folder of policy versions; its active.json names the one of each mode.
         policy: folder of one policy version (policy.onnx and card.json), instead of the active one.
-        calibration: valve calibration and registrations of the machine, from downrange calibrate; measured on
-            the plant if left out.
+        calibration: valve calibration and registrations, from downrange calibrate; measured if left out.
         profile: twin profile, for --plant twin; nominal if left out.
         report: write report.html and report.json with the paper's plots, intervals, the logs of failed throws
             and sensitivities into this folder.
@@ -80,26 +82,26 @@ def run(
         first_unit: number of the first of them.
         trainings: for a report, folders of further policy versions: all of a mode in one table.
         jobs: processes at work side by side; the result is the same.
+        scheduler: Dask scheduler, as tcp://HOST:8786, whose workers are used; they see the same files.
         card: also write the result onto the policy's card, in place of the last one on this plant.
     """
-    if jobs < 1:
-        raise UsageError(f"--jobs {jobs}: at least 1")
     is_drawn = report is not None and seed is None
     options = CampaignOptions(
         plant, targets, throws, secrets.randbelow(100_000) if is_drawn else seed or 0, unit_seed,
         policies, policy, calibration, profile, pace, heights,
     )  # fmt: skip
     outputs = Outputs(json, plot, card)
-    if report is None:
-        if units or trainings:
-            raise UsageError("--units and --trainings go with --report")
-        return _evaluate(options, mode, jobs, outputs)
-    if outputs != Outputs():
+    if report is None and (units or trainings):
+        raise UsageError("--units and --trainings go with --report")
+    if report is not None and outputs != Outputs():
         raise UsageError("--report writes its own JSON and plots: leave --json, --plot, --card out")
-    modes = ["2d", "3d"] if mode == "both" else [mode]
-    more = ReportOptions(units, first_unit, trainings, jobs, is_drawn)
-    for line in write_report(report, modes, options, more):
-        print(line)
+    with open_executor(jobs, scheduler) as executor:
+        if report is None:
+            return _evaluate(options, mode, executor, outputs)
+        modes = ["2d", "3d"] if mode == "both" else [mode]
+        more = ReportOptions(units, first_unit, trainings, executor, is_drawn)
+        for line in write_report(report, modes, options, more):
+            print(line)
     return 0
 
 
@@ -111,12 +113,12 @@ class Outputs(NamedTuple):
     card: bool = False
 
 
-def _evaluate(options: CampaignOptions, mode: str, jobs: int, outputs: Outputs) -> int:
+def _evaluate(options: CampaignOptions, mode: str, executor: Executor, outputs: Outputs) -> int:
     """Throw one campaign, print its accuracy and write the outputs."""
     _check_outputs(mode, options.heights, outputs)
     opened = open_registered(options, mode, DEFAULT_TARGETS)
     print(f"machine: {opened.registration_note}", flush=True)
-    found = throw_accuracy(options, mode, opened, jobs)
+    found = throw_accuracy(options, mode, opened, executor)
     print(accuracy_table(found.accuracy))
     bad = bad_throws_text([result for part in found.results for result in part])
     if bad:

@@ -1,4 +1,4 @@
-"""The campaign of `downrange evaluate`: accuracy by target, in one or several processes."""
+"""The campaign of `downrange evaluate`: accuracy by target, by any executor."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -15,7 +15,7 @@ from evaluation.campaigns import (
     open_with,
     throw_batches,
 )
-from evaluation.worker_pool import run_tasks
+from evaluation.execution.executor import Executor, run_tasks
 from machine.policy_card import add_evaluation
 from sim_twin.throws.accuracy import AccuracyReport, landing_errors, target_accuracy
 from sim_twin.throws.campaign import ThrowResult
@@ -34,17 +34,17 @@ class AccuracyCampaign(NamedTuple):
 
 
 def throw_accuracy(
-    options: CampaignOptions, mode: str, opened: RegisteredCampaign, jobs: int
+    options: CampaignOptions, mode: str, opened: RegisteredCampaign, executor: Executor
 ) -> AccuracyCampaign:
-    """Throw at every target; the result does not depend on the number of jobs."""
+    """Throw at every target; the result does not depend on the executor."""
     campaign = opened.campaign
     started = perf_counter()
     known = options._replace(tables=campaign.params.calibration)
     batches = range(batch_count(campaign, options.throws))
     tasks = [partial(_throw_batches, known, mode, batches[k : k + 1]) for k in batches]
-    if jobs == 1:
+    if executor.worker_count == 1:
         tasks = [partial(_throw_batches, known, mode, batches)]
-    thrown = run_tasks(tasks, jobs, "evaluate")
+    thrown = run_tasks(tasks, executor, "evaluate")
     results = by_target([result for part in thrown for result in part], options.throws)
     accuracy = _accuracy(campaign, options, results, perf_counter() - started)
     return AccuracyCampaign(campaign, results, accuracy)

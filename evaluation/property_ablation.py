@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict
 
 from evaluation.campaign_registration import register_campaign
 from evaluation.campaigns import CampaignOptions, open_with, throw_campaign
+from evaluation.execution.executor import Executor, run_tasks
 from evaluation.sensitivity import CONFIDENCE_RATIO, paired_errors
-from evaluation.worker_pool import run_tasks
 from machine.conventions import Array
 from machine.spec import load_spec
 from sim_twin.commissioning.valve_calibration import CALIBRATION_STEP_COUNT, calibrate
@@ -82,7 +82,7 @@ class PropertyAblation(BaseModel):
 
 
 def ablate_properties(
-    mode: str, options: CampaignOptions, chosen: WidestUnit, jobs: int = 1
+    mode: str, options: CampaignOptions, chosen: WidestUnit, executor: Executor
 ) -> PropertyAblation | None:
     """Throw with the machine as built, with all properties nominal, and with each property nominal.
 
@@ -94,7 +94,7 @@ def ablate_properties(
     )
     runs = ((), tuple(PROPERTIES), *((name,) for name in PROPERTIES))
     tasks = [partial(_throw, mode, here, run) for run in runs]
-    built, drawn, *single = run_tasks(tasks, jobs, f"widest machine, {mode}")
+    built, drawn, *single = run_tasks(tasks, executor, f"widest machine, {mode}")
     return property_ablation(chosen, built, drawn, dict(zip(PROPERTIES, single, strict=True)))
 
 

@@ -5,13 +5,14 @@ from sqlalchemy import Connection
 
 from server.settings import load_settings
 from server.store.database import Database
-from server.store.models import Base
+from server.store.validation_tables import PolicyValidation
 
 
 def _run(connection: Connection) -> None:
     context.configure(
         connection=connection,
-        target_metadata=Base.metadata,
+        # The tables of all modules share one description; this one is imported last.
+        target_metadata=PolicyValidation.metadata,
         # SQLite cannot alter columns in place: Alembic copies the table instead.
         render_as_batch=connection.dialect.name == "sqlite",
         compare_type=True,

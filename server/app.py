@@ -35,12 +35,12 @@ from server.routes import (
     history,
     hold,
     leases,
-    logs,
     machines,
     plans,
     policies,
     sites,
     stops,
+    validations,
     view,
 )
 from server.schemas.console import ErrorBody
@@ -79,6 +79,8 @@ def _api_router() -> APIRouter:
         history,
         view,
         sites,
+        # Before policies: its paths name what else would be read as a version.
+        validations,
         policies,
         gap,
         audit,
@@ -88,7 +90,7 @@ def _api_router() -> APIRouter:
         api.include_router(module.router)
     api.include_router(sites.zones_router)
     api.include_router(policies.upload_router, max_body_size=UPLOAD_LIMIT_BYTES)
-    api.include_router(logs.router, max_body_size=logs.MAX_BODY_BYTES)
+    api.include_router(history.logs_router, max_body_size=history.MAX_LOG_BODY_BYTES)
     return api
 
 

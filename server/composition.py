@@ -52,6 +52,8 @@ from server.throws.throw_logs import LogStore
 from server.throws.throw_service import ThrowService
 from server.throws.throw_statistics import ThrowStatistics
 from server.throws.throw_store import ThrowStore
+from server.validation.validation_service import ValidationService
+from server.validation.validation_worker import CampaignProcesses, ValidationProcess
 from server.viewer.scene import ViewerScene
 
 logger = logging.getLogger(__name__)
@@ -86,6 +88,7 @@ class Parts:
     uploads: PolicyUploads
     machine_policies: MachinePolicies
     approvals: SiteApprovals
+    validations: ValidationService
     deployments: Deployments
     throws: ThrowStore
     stops: StopService
@@ -193,6 +196,8 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         stack.callback(parts.logs.close)
         parts.gap.start()
         stack.callback(parts.gap.close)
+        parts.validations.start()
+        stack.callback(parts.validations.close)
         stack.callback(parts.hub.close)
         stack.callback(notices.close)
         stack.callback(parts.zone_notices.close)
@@ -213,8 +218,7 @@ def assemble(
     settings: Settings, database: Database, scene: ViewerScene
 ) -> tuple[Parts, LeaseNotices]:
     """Build all parts; nothing is opened or started yet."""
-    spec = load_spec()
-    metrics, hub = ServiceMetrics(), EventHub()
+    spec, metrics, hub = load_spec(), ServiceMetrics(), EventHub()
     audit = AuditChain(database, settings.data_dir / "audit-anchors.jsonl")
     accounts = Accounts(database, audit, settings.session_s)
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
@@ -265,6 +269,7 @@ def assemble(
         uploads=uploads,
         machine_policies=MachinePolicies(database, registry, policies),
         approvals=approvals,
+        validations=_validations(settings, database, audit, policies),
         deployments=Deployments(database, audit, registry, policies, approvals, spec),
         throws=throws,
         stops=stops,
@@ -305,6 +310,15 @@ def _policy_parts(
         is_four_eyes=settings.policy_four_eyes,
     )
     return policies, PolicyUploads(policies, audit, uploaded_dir, spec), approvals
+
+
+def _validations(
+    settings: Settings, database: Database, audit: AuditChain, policies: PolicyStore
+) -> ValidationService:
+    processes = CampaignProcesses(settings.campaign_process_count, settings.campaign_scheduler)
+    return ValidationService(
+        database, audit, policies, settings.data_dir, ValidationProcess(processes)
+    )
 
 
 def _connect(parts: Parts, ingest: EventIngest) -> None:

@@ -47,6 +47,7 @@ from server.throws.throw_logs import LogStore
 from server.throws.throw_service import ThrowService
 from server.throws.throw_statistics import ThrowStatistics
 from server.throws.throw_store import ThrowStore
+from server.validation.validation_service import ValidationService
 
 PartT = TypeVar("PartT")
 
@@ -99,6 +100,7 @@ TargetsDep = Annotated[TargetProposals, Depends(_get(TargetProposals))]
 ThrowServiceDep = Annotated[ThrowService, Depends(_get(ThrowService))]
 ThrowsDep = Annotated[ThrowStore, Depends(_get(ThrowStore))]
 TwinVersionsDep = Annotated[TwinVersions, Depends(_get(TwinVersions))]
+ValidationsDep = Annotated[ValidationService, Depends(_get(ValidationService))]
 ZonesDep = Annotated[ZoneStore, Depends(_get(ZoneStore))]
 ViewsDep = Annotated[MachineViews, Depends(_get(MachineViews))]
 
@@ -142,6 +144,7 @@ TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
 ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
 Uploader = Annotated[Session, Depends(requires(Permission.POLICY_UPLOAD))]
+Validator = Annotated[Session, Depends(requires(Permission.POLICY_VALIDATE))]
 Approver = Annotated[Session, Depends(requires(Permission.POLICY_APPROVE))]
 Deployer = Annotated[Session, Depends(requires(Permission.POLICY_DEPLOY))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]

@@ -54,6 +54,10 @@ class Settings(BaseSettings):
     """Whoever uploaded a policy version may not approve it."""
     web_dir: Path = CHECKOUT / "web" / "dist"
     preview_worker_count: int = Field(default=2, ge=1, le=16)
+    campaign_process_count: int = Field(default=1, ge=1, le=256)
+    """Processes that throw in validations, at low priority; one leaves a small computer to the console."""
+    campaign_scheduler: str | None = None
+    """Dask scheduler, `tcp://HOST:8786`, whose workers throw in validations instead."""
     session_s: float = Field(default=12 * 3600.0, gt=0.0)
     lease_ttl_s: float = Field(default=15.0, gt=0.0)
     lease_idle_s: float = Field(default=600.0, gt=0.0)

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from cli.service.policy_choice import choose_policy
+from cli.service.policy_validation import validate
 from cli.service.throw_client import USUAL_LOGIN, Login, ThrowClient
 from machine.errors import UsageError
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, read_policy
@@ -51,7 +53,7 @@ def approve(
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
-        chosen = _choose(client.call("GET", "/policies"), policy)
+        chosen = choose_policy(client.call("GET", "/policies"), policy)
         approval = client.call(
             "POST", f"/policies/{chosen['policy_sha256']}/approve", {"reason": reason}
         )
@@ -75,7 +77,7 @@ def withdraw(
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
-        chosen = _choose(client.call("GET", "/policies"), policy)
+        chosen = choose_policy(client.call("GET", "/policies"), policy)
         client.call("POST", f"/policies/{chosen['policy_sha256']}/withdraw", {"reason": reason})
         print(f"{chosen['policy_id']}: no longer approved")
     return 0
@@ -95,7 +97,7 @@ def retire(
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
-        chosen = _choose(client.call("GET", "/policies"), policy, has_gone=True)
+        chosen = choose_policy(client.call("GET", "/policies"), policy, has_gone=True)
         client.call("POST", f"/policies/{chosen['policy_sha256']}/retire", {"reason": reason})
         print(f"{chosen['policy_id']}: retired")
     return 0
@@ -149,7 +151,7 @@ def show(
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
-        chosen = _choose(client.call("GET", "/policies"), policy, has_gone=True)
+        chosen = choose_policy(client.call("GET", "/policies"), policy, has_gone=True)
         card = chosen["card"]
         print(f"{chosen['policy_id']}  {chosen['mode']}  {chosen['state']}")
         print(f"version        {chosen['policy_sha256']}")
@@ -181,7 +183,7 @@ def deploy(
         timeout_s: how long to wait for the machine; it switches later, too.
     """
     with login.open(USUAL_USER) as client:
-        chosen = _choose(client.call("GET", "/policies"), policy)
+        chosen = choose_policy(client.call("GET", "/policies"), policy)
         body = {"policy_sha256": chosen["policy_sha256"], "reason": reason}
         path = f"/machines/{machine}/policies/{chosen['mode']}/deploy"
         return _follow(client, client.call("POST", path, body), timeout_s)
@@ -306,24 +308,13 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "approve": approve,
     "withdraw": withdraw,
     "retire": retire,
+    "validate": validate,
     "deploy": deploy,
     "rollback": rollback,
     "history": history,
     "keys": keys,
     "compare": compare,
 }
-
-
-def _choose(policies: list[dict[str, Any]], name: str, *, has_gone: bool = False) -> dict[str, Any]:
-    """The version of a name or the beginning of a hash; also one whose files are gone if `has_gone`."""
-    present = [policy for policy in policies if policy["is_present"] or has_gone]
-    found = [p for p in present if p["policy_id"] == name] or [
-        p for p in present if len(name) >= 6 and p["policy_sha256"].startswith(name)
-    ]
-    if len(found) != 1:
-        known = ", ".join(policy["policy_id"] for policy in present)
-        raise UsageError(f"--policy {name!r} names {len(found)} of the server's versions: {known}")
-    return found[0]
 
 
 def _follow(client: ThrowClient, row: dict[str, Any], timeout_s: float) -> int:

@@ -10,13 +10,13 @@ from evaluation.accuracy_report.accuracy_page import accuracy_html
 from evaluation.campaign_registration import open_registered
 from evaluation.campaigns import CampaignOptions
 from evaluation.conditions import condition_table
+from evaluation.execution.executor import Executor, LocalProcesses, run_tasks
 from evaluation.measures import ModeEvaluation
 from evaluation.mode_campaign import throw_heights, throw_mode, throw_paces, throw_policy
 from evaluation.paper import TARGETS
 from evaluation.property_ablation import ablate_properties
 from evaluation.requirements import find_widest
 from evaluation.unit_accuracy import FIRST_UNIT, NOMINAL_UNIT, unit_row
-from evaluation.worker_pool import run_tasks
 from machine.calibration import ValveCalibration
 from machine.conventions import Mode
 from machine.errors import UsageError
@@ -27,13 +27,13 @@ from sim_twin.throws.plants import TWIN, VIRTUAL
 
 
 class ReportOptions(NamedTuple):
-    """What a report throws besides its campaign, and with how many processes."""
+    """What a report throws besides its campaign, and what runs it."""
 
     unit_count: int = 0
     first_unit: int = FIRST_UNIT
     trainings: tuple[Path, ...] = ()
     """Folders of policy versions."""
-    jobs: int = 1
+    executor: Executor = LocalProcesses()
     seed_is_drawn: bool = False
     """The seed was drawn at the start of the report; else it was given."""
 
@@ -92,7 +92,7 @@ def _throw_modes(
 ) -> list[ModeEvaluation]:
     """Register the machine of every mode, run all campaigns as tasks, then ablate the widest machine."""
     registered = run_tasks(
-        [partial(_register, mode, options) for mode in modes], more.jobs, "registration"
+        [partial(_register, mode, options) for mode in modes], more.executor, "registration"
     )
     tasks: list[dict[str, list[Callable[[], Any]]]] = [
         _tasks(mode, options._replace(tables=tables), note, folder, more)
@@ -100,7 +100,7 @@ def _throw_modes(
     ]
     # The main campaigns take longest and are started first.
     every = [task for kind in tasks[0] for of_mode in tasks for task in of_mode[kind]]
-    thrown = iter(run_tasks(every, more.jobs, "report"))
+    thrown = iter(run_tasks(every, more.executor, "report"))
     found: list[dict[str, list[Any]]] = [{} for _ in tasks]
     for kind in tasks[0]:
         for known, of_mode in zip(found, tasks, strict=True):
@@ -112,7 +112,7 @@ def _throw_modes(
         lists = {name: tuple(chain.from_iterable(rows)) for name, rows in known.items()}
         update = {"units": units, "seed_is_drawn": more.seed_is_drawn, **lists}
         parts.append(part.model_copy(update=update))
-    return [_with_ablation(part, options, more.jobs) for part in parts]
+    return [_with_ablation(part, options, more.executor) for part in parts]
 
 
 def _register(mode: str, options: CampaignOptions) -> tuple[ValveCalibration, str]:
@@ -143,13 +143,15 @@ def _tasks(
     }
 
 
-def _with_ablation(part: ModeEvaluation, options: CampaignOptions, jobs: int) -> ModeEvaluation:
+def _with_ablation(
+    part: ModeEvaluation, options: CampaignOptions, executor: Executor
+) -> ModeEvaluation:
     """Add the ablation of the widest machine; only virtual machines can be changed."""
     chosen = find_widest(part)
     if chosen is None or options.plant != VIRTUAL:
         return part
     return part.model_copy(
-        update={"wide_unit": ablate_properties(part.mode, options, chosen, jobs)}
+        update={"wide_unit": ablate_properties(part.mode, options, chosen, executor)}
     )
 
 

@@ -47,6 +47,7 @@ _SUPERVISOR = _OPERATOR | {
 _ENGINEER = _SUPERVISOR | {
     Permission.TWIN_APPLY,
     Permission.POLICY_UPLOAD,
+    Permission.POLICY_VALIDATE,
     Permission.POLICY_APPROVE,
     Permission.POLICY_DEPLOY,
 }

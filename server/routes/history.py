@@ -1,9 +1,14 @@
-"""Throws: pages, statistics, export, details, series, logs, marks, replays."""
+"""Throws: pages, statistics, export, details, series, logs, marks, replays.
 
+Machines upload their logs with their own token in place of a person's session.
+"""
+
+import asyncio
+import re
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
 
 from diagnosis.loading.throw_csv import throw_csv
@@ -15,12 +20,14 @@ from server.dependencies import (
     HistoryDep,
     ImpactMarker,
     LogsDep,
+    MachineCaller,
     PlansDep,
     ReplaysDep,
     StatisticsDep,
     ThrowsDep,
     Viewer,
 )
+from server.errors import ApiError
 from server.plans.landing_errors import point_of
 from server.schemas.history import (
     GroupBy,
@@ -40,6 +47,12 @@ from server.throws.throw_history import ThrowFilter
 from server.throws.throw_series import series_of
 
 router = APIRouter(tags=["history"])
+logs_router = APIRouter(tags=["logs"])
+
+MAX_LOG_BODY_BYTES = 512 * 1024 * 1024
+"""Outer bound; the limit that counts is a setting (DOWNRANGE_LOG_MAX_BYTES)."""
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_THROW_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 Name = Annotated[str | None, Query(max_length=64)]
 Range = Annotated[float | None, Query(ge=0.0, le=100.0, allow_inf_nan=False)]
@@ -205,3 +218,34 @@ def replay_throw(
     with store.read() as database:
         plan_id = throws.get(database, throw_id).plan_id
     return replays.control(throw_id, plan_id, body, session)
+
+
+@logs_router.put(
+    "/machines/{machine_id}/throw-logs/{throw_id}",
+    status_code=204,
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"application/octet-stream": {"schema": {"type": "string"}}},
+        }
+    },
+)
+async def put_throw_log(
+    machine_id: MachineCaller,
+    throw_id: str,
+    request: Request,
+    logs: LogsDep,
+    throws: ThrowsDep,
+    x_content_sha256: Annotated[str, Header()] = "",
+) -> Response:
+    """Store a throw's log; the same upload again changes nothing."""
+    if not _SHA256.fullmatch(x_content_sha256) or not _THROW_ID.fullmatch(throw_id):
+        raise ApiError("bad_upload", "A throw id and X-Content-SHA256 (64 hex digits) are needed.")
+    await asyncio.to_thread(logs.require_throw, machine_id, throw_id)
+    scratch, size_bytes = await logs.receive(request.stream(), x_content_sha256)
+    is_new = await asyncio.to_thread(
+        logs.keep, scratch, machine_id, throw_id, x_content_sha256, size_bytes
+    )
+    if is_new:
+        await asyncio.to_thread(throws.publish, throw_id)
+    return Response(status_code=204)

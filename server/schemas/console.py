@@ -66,6 +66,7 @@ class Permission(StrEnum):
     GAP_RUN = "gap.run"
     TWIN_APPLY = "twin.apply"
     POLICY_UPLOAD = "policy.upload"
+    POLICY_VALIDATE = "policy.validate"
     POLICY_APPROVE = "policy.approve"
     POLICY_DEPLOY = "policy.deploy"
     SITE_EDIT = "site.edit"

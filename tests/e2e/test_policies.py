@@ -1,14 +1,17 @@
-"""Policy versions are deployed to a machine and rolled back; what it runs is not retired."""
+"""Policy versions: deployed, rolled back, validated, compared; what a machine runs is not retired."""
 
 from collections.abc import Callable
 
 from playwright.sync_api import Page, expect
 
+from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.stack import Stack, client, until
 
 OLDER, NEWER = "m545-2d-v6", "m545-2d-v7"
+VALIDATION_MS = 300_000
+"""Two registrations and a few throws, at low priority on a busy computer."""
 
 
 def _on_board(demo: Stack) -> str:
@@ -59,3 +62,39 @@ def test_what_the_machine_runs_is_not_retired(
     page.get_by_role("dialog").get_by_label("Why").fill("a mistake")
     page.get_by_role("button", name=f"Retire {NEWER} for good").click()
     expect(page.get_by_role("dialog").get_by_role("alert")).to_contain_text("m001")
+
+
+def test_a_version_is_validated_and_compared(demo: Stack, open_page: Callable[..., Page]) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, "admin", path="/policies")
+    gates = page.get_by_role("region", name="Gates of validations")
+    expect(gates).to_contain_text("defaults")
+    panel = page.get_by_role("region", name=f"Validation of {OLDER}")
+    expect(panel).to_contain_text("Not validated yet.")
+
+    # By keyboard: few throws, the nominal machine alone.
+    panel.get_by_role("button", name=f"Validate {OLDER}").focus()
+    page.keyboard.press("Enter")
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Throws at each target").fill("2")
+    dialog.get_by_label("Machines that served no training").fill("0")
+    dialog.get_by_role("button", name="Validate", exact=True).press("Enter")
+    expect(panel.get_by_role("progressbar")).to_be_visible()
+    table = panel.get_by_role("region", name=f"Gates of {OLDER}")
+    expect(table).to_be_visible(timeout=VALIDATION_MS)
+    expect(table).to_contain_text(f"Spread along beside {NEWER}")
+    expect(table.get_by_role("row", name="Same seed, same throws")).to_contain_text("passed")
+    panel.get_by_text(f"Throws with {OLDER}").click()
+    expect(panel.get_by_role("region", name="virtual machine 0").first).to_contain_text("of 2")
+
+    compare = page.get_by_role("region", name="Compare two versions")
+    for label, version in (("First version", NEWER), ("Second version", OLDER)):
+        compare.get_by_label(label, exact=True).and_(page.locator("input")).click()
+        page.get_by_role("option", name=version).click()
+        expect(page.get_by_role("option")).to_have_count(0)
+    by_validation = compare.get_by_role("region", name="By validations", exact=True)
+    expect(by_validation).to_contain_text("6 and 6 throws with 1 virtual machine")
+    expect(by_validation).to_contain_text("cannot tell from")
+    expect(by_validation.get_by_role("img", name="Impacts in throw coordinates")).to_be_visible()
+    assert findings_of_both_schemes(page) == []

@@ -8,6 +8,7 @@ import pytest
 from evaluation.accuracy_report.accuracy_page import accuracy_html
 from evaluation.campaigns import CampaignOptions, open_with
 from evaluation.conditions import condition_row
+from evaluation.execution.executor import LocalProcesses
 from evaluation.measures import Estimate, ModeEvaluation, UnitRow
 from evaluation.property_ablation import WidestUnit, ablate_properties, property_ablation
 from evaluation.requirements import find_widest
@@ -174,7 +175,9 @@ def test_each_run_is_of_its_own_machine(swing_policies, monkeypatch):
         "evaluation.property_ablation.register_campaign", lambda campaign, seed: campaign
     )
     monkeypatch.setattr("evaluation.property_ablation.throw_campaign", throw)
-    wide = ablate_properties("2d", options, CHOSEN._replace(unit_seed=5, range_m=6.0))
+    wide = ablate_properties(
+        "2d", options, CHOSEN._replace(unit_seed=5, range_m=6.0), LocalProcesses()
+    )
     # Each machine twice: its valves are measured, and it throws.
     assert seen == [name for name in expected for _ in range(2)]
     assert wide.unit_seed == 5

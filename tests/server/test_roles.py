@@ -15,7 +15,8 @@ LEAST = {
         set_view read_site list_policies read_policy read_machine_policies list_gap_runs read_gap_run
         read_gap_report read_kept_reference
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
-        list_policy_approvals read_policy_history list_policy_keys""",
+        list_policy_approvals read_policy_history list_policy_keys
+        compare_policies read_validation read_validation_log list_gates""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
@@ -23,7 +24,8 @@ LEAST = {
     Role.SUPERVISOR: "clear_stop take_lease list_audit verify_audit approve_zones",
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
-        upload_policy retire_policy rotate_policy_key revoke_policy_key""",
+        upload_policy retire_policy rotate_policy_key revoke_policy_key
+        validate_policy cancel_validation set_gates""",
     Role.ADMIN: "enrol_machine",
 }
 """The least role that may do what; `OPEN` needs no session, `put_throw_log` is for machines."""
@@ -58,6 +60,7 @@ def answer(client, operation):
         "plan_id",
         "throw_id",
         "gap_run_id",
+        "validation_id",
         "policy_sha256",
         "key_id",
         "mode",

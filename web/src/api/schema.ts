@@ -916,6 +916,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policies/compare": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Compare Policies
+         * @description Version b beside a: better, worse, or cannot tell, by validations and by real throws.
+         */
+        get: operations["compare_policies"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/policies/{policy_sha256}": {
         parameters: {
             query?: never;
@@ -996,6 +1016,34 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policies/{policy_sha256}/validation": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Validation
+         * @description The newest validation of the version; null before the first.
+         */
+        get: operations["read_validation"];
+        put?: never;
+        /**
+         * Validate Policy
+         * @description Throw with the version and with the active one in virtual machines, and check the gates.
+         */
+        post: operations["validate_policy"];
+        /**
+         * Cancel Validation
+         * @description Stop the validation that waits or runs; its row stays.
+         */
+        delete: operations["cancel_validation"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/policies/{policy_sha256}/withdraw": {
         parameters: {
             query?: never;
@@ -1030,6 +1078,46 @@ export interface paths {
         get: operations["list_policy_approvals"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-gates": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Gates
+         * @description Gates of both modes.
+         */
+        get: operations["list_gates"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-gates/{mode}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Set Gates
+         * @description Set the gates of a mode for validations from now on.
+         */
+        post: operations["set_gates"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1090,6 +1178,26 @@ export interface paths {
          * @description Revoke a key that signs no more: what it has signed counts no more.
          */
         post: operations["revoke_policy_key"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-validations/{validation_id}/logs/{name}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Validation Log
+         * @description The log of a throw of the validation that failed (MCAP).
+         */
+        get: operations["read_validation_log"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1551,6 +1659,24 @@ export interface components {
             state: components["schemas"]["ThrowState"];
         };
         /**
+         * ComparisonSource
+         * @description Throws that a comparison rests on.
+         * @enum {string}
+         */
+        ComparisonSource: "validation" | "history";
+        /**
+         * ComparisonView
+         * @description Two versions by one source of throws.
+         */
+        ComparisonView: {
+            /** Basis */
+            basis: string;
+            /** Differences */
+            differences: components["schemas"]["DifferenceView"][];
+            source: components["schemas"]["ComparisonSource"];
+            stats: components["schemas"]["ThrowStats"] | null;
+        };
+        /**
          * DeployRequest
          * @description Asks a machine to switch to a version.
          */
@@ -1652,6 +1778,32 @@ export interface components {
             undecided: string;
         };
         /**
+         * DifferenceView
+         * @description One quantity at one target range, of two versions.
+         */
+        DifferenceView: {
+            /** A */
+            a: number | null;
+            /** A Throw Count */
+            a_throw_count: number;
+            /** B */
+            b: number | null;
+            /** B Throw Count */
+            b_throw_count: number;
+            /** Difference */
+            difference: [
+                number,
+                number
+            ] | null;
+            /** Height M */
+            height_m: number;
+            /** Quantity */
+            quantity: string;
+            /** Range M */
+            range_m: number;
+            verdict: components["schemas"]["Verdict"];
+        };
+        /**
          * Effect
          * @description An effect of the table at a size; parameters left out are 0.
          */
@@ -1694,11 +1846,40 @@ export interface components {
             message: string;
         };
         /**
+         * Estimate
+         * @description A number with its 95 % interval; None where too few throws landed.
+         */
+        Estimate: {
+            /** Ci95 */
+            ci95: [
+                number,
+                number
+            ] | null;
+            /** Value */
+            value: number | null;
+        };
+        /**
          * EventKind
          * @description Durable events: each reaches the server's database exactly once.
          * @enum {string}
          */
         EventKind: "booted" | "armed" | "disarmed" | "throw_accepted" | "throw_started" | "release_commanded" | "aborted" | "impact" | "throw_ended" | "stop_latched" | "stop_cleared" | "fault" | "command_refused" | "log_stored" | "policy_switched" | "policy_refused";
+        /**
+         * Failure
+         * @description A throw that did not land.
+         */
+        Failure: {
+            /** After Release */
+            after_release: boolean;
+            /** Log */
+            log: string | null;
+            /** Number */
+            number: number;
+            /** Outcome */
+            outcome: string;
+            /** Range M */
+            range_m: number;
+        };
         /**
          * FireView
          * @description The throw has a name from now on, whatever the machine answered.
@@ -1884,6 +2065,84 @@ export interface components {
              */
             kind: "gap.updated";
             run: components["schemas"]["GapRunRow"];
+        };
+        /**
+         * GateCheck
+         * @description One gate with the number that was measured.
+         */
+        GateCheck: {
+            /** Ci95 */
+            ci95: [
+                number,
+                number
+            ] | null;
+            /** Gate */
+            gate: string;
+            /**
+             * Is Minimum
+             * @default false
+             */
+            is_minimum: boolean;
+            /** Is Passed */
+            is_passed: boolean;
+            /** Limit */
+            limit: number;
+            /** Name */
+            name: string;
+            /**
+             * Unit
+             * @enum {string}
+             */
+            unit: "m" | "ratio" | "s" | "times";
+            /** Value */
+            value: number | null;
+            /**
+             * Where
+             * @default
+             */
+            where: string;
+        };
+        /**
+         * Gates
+         * @description Limits of one mode.
+         */
+        Gates: {
+            /** Landed Ratio */
+            landed_ratio: number;
+            /** Latency S */
+            latency_s: number;
+            /** Mean M */
+            mean_m: number;
+            /** Sd M */
+            sd_m: number;
+            /** Worse Ratio */
+            worse_ratio: number;
+        };
+        /**
+         * GatesRequest
+         * @description Sets the gates of a mode.
+         */
+        GatesRequest: {
+            gates: components["schemas"]["Gates"];
+            /** Reason */
+            reason: string;
+        };
+        /**
+         * GatesView
+         * @description Gates of a mode that the next validation is checked against.
+         */
+        GatesView: {
+            defaults: components["schemas"]["Gates"];
+            gates: components["schemas"]["Gates"];
+            mode: components["schemas"]["Mode"];
+            /** Reason */
+            reason: string;
+            /** Set By */
+            set_by: string | null;
+            /** Set Utc */
+            set_utc: string | null;
+            /** Version Count */
+            version_count: number;
         };
         /**
          * GroupBy
@@ -2089,6 +2348,18 @@ export interface components {
             sd_crossrange_m: number;
             /** Sd Downrange M */
             sd_downrange_m: number;
+        };
+        /**
+         * Latency
+         * @description Time of one run of the network for one machine, on the computer of the server.
+         */
+        Latency: {
+            /** P50 S */
+            p50_s: number;
+            /** P99 S */
+            p99_s: number;
+            /** Run Count */
+            run_count: number;
         };
         /**
          * LeaseChangedEvent
@@ -2402,7 +2673,7 @@ export interface components {
          * @description One right; roles are sets of these (server/accounts/accounts.py).
          * @enum {string}
          */
-        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.approve" | "policy.deploy" | "site.edit" | "zones.approve" | "machine.enrol" | "admin";
+        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.validate" | "policy.approve" | "policy.deploy" | "site.edit" | "zones.approve" | "machine.enrol" | "admin";
         /**
          * PhaseBand
          * @description A phase of a throw on the time axis.
@@ -2604,6 +2875,23 @@ export interface components {
             /** Target Range Min M */
             target_range_min_m: number;
             training: components["schemas"]["TrainingRecord"];
+        };
+        /**
+         * PolicyComparisonView
+         * @description Two versions side by side.
+         */
+        PolicyComparisonView: {
+            /** A Policy Id */
+            a_policy_id: string;
+            /** A Sha256 */
+            a_sha256: string;
+            /** B Policy Id */
+            b_policy_id: string;
+            /** B Sha256 */
+            b_sha256: string;
+            /** Comparisons */
+            comparisons: components["schemas"]["ComparisonView"][];
+            mode: components["schemas"]["Mode"];
         };
         /**
          * PolicyState
@@ -3120,6 +3408,27 @@ export interface components {
             z_m: number;
         };
         /**
+         * TargetRow
+         * @description Landings at one target, m, frame `throw`.
+         */
+        TargetRow: {
+            /** Crossrange Error M */
+            crossrange_error_m: number[];
+            /** Downrange Error M */
+            downrange_error_m: number[];
+            /** Landed */
+            landed: number;
+            mean_crossrange_error_m: components["schemas"]["Estimate"];
+            mean_downrange_error_m: components["schemas"]["Estimate"];
+            /** Range M */
+            range_m: number;
+            sd_crossrange_m: components["schemas"]["Estimate"];
+            sd_downrange_m: components["schemas"]["Estimate"];
+            success_ratio: components["schemas"]["Estimate"];
+            /** Throws */
+            throws: number;
+        };
+        /**
          * TargetView
          * @description A target in both forms.
          */
@@ -3399,6 +3708,130 @@ export interface components {
             version_count: number;
         };
         /**
+         * UnitLandings
+         * @description Throws of one version with one machine.
+         */
+        UnitLandings: {
+            /** Failures */
+            failures: components["schemas"]["Failure"][];
+            /** Is Registered */
+            is_registered: boolean;
+            /** Is Repeatable */
+            is_repeatable: boolean | null;
+            /** Registration Note */
+            registration_note: string;
+            /** Targets */
+            targets: components["schemas"]["TargetRow"][];
+            /** Unit Seed */
+            unit_seed: number;
+        };
+        /**
+         * ValidationPlan
+         * @description Throws of a validation; with the versions it determines every landing.
+         */
+        ValidationPlan: {
+            mode: components["schemas"]["Mode"];
+            /**
+             * Plant
+             * @default virtual
+             */
+            plant: string;
+            /**
+             * Protocol
+             * @enum {string}
+             */
+            protocol: "short" | "full";
+            /** Ranges M */
+            ranges_m: number[];
+            /** Seed */
+            seed: number;
+            /** Throws Per Target */
+            throws_per_target: number;
+            /** Unit Seeds */
+            unit_seeds: number[];
+            /** Unseen Throws Per Target */
+            unseen_throws_per_target: number;
+        };
+        /**
+         * ValidationRequest
+         * @description Validate a version.
+         */
+        ValidationRequest: {
+            /**
+             * Protocol
+             * @default short
+             * @enum {string}
+             */
+            protocol: "short" | "full";
+            /** Throws Per Target */
+            throws_per_target?: number | null;
+            /** Unseen Unit Count */
+            unseen_unit_count?: number | null;
+        };
+        /**
+         * ValidationResult
+         * @description What a validation found; `plan` and the versions' files give every landing again.
+         */
+        ValidationResult: {
+            active: components["schemas"]["VersionResult"] | null;
+            candidate: components["schemas"]["VersionResult"];
+            /** Checks */
+            checks: components["schemas"]["GateCheck"][];
+            gates: components["schemas"]["Gates"];
+            /** Is Passed */
+            is_passed: boolean;
+            plan: components["schemas"]["ValidationPlan"];
+        };
+        /**
+         * ValidationState
+         * @description Life of a validation; a restart of the server goes on with what is open.
+         * @enum {string}
+         */
+        ValidationState: "queued" | "running" | "done" | "failed" | "cancelled";
+        /**
+         * ValidationView
+         * @description A validation of a version.
+         */
+        ValidationView: {
+            /** Active Sha256 */
+            active_sha256: string | null;
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Detail */
+            detail: string;
+            /** Ended Utc */
+            ended_utc: string | null;
+            gates: components["schemas"]["Gates"];
+            /** Is Passed */
+            is_passed: boolean | null;
+            plan: components["schemas"]["ValidationPlan"];
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Progress Ratio */
+            progress_ratio: number;
+            result: components["schemas"]["ValidationResult"] | null;
+            /** Started Utc */
+            started_utc: string | null;
+            state: components["schemas"]["ValidationState"];
+            /** Step */
+            step: string;
+            /** Validation Id */
+            validation_id: string;
+        };
+        /**
+         * Verdict
+         * @description What the throws say about the second policy beside the first.
+         * @enum {string}
+         */
+        Verdict: "better" | "worse" | "cannot tell";
+        /**
          * VerdictKind
          * @description The answer in one word.
          * @enum {string}
@@ -3415,6 +3848,19 @@ export interface components {
             sha256: string;
             /** Size Bytes */
             size_bytes: number;
+        };
+        /**
+         * VersionResult
+         * @description Throws of one version with all machines.
+         */
+        VersionResult: {
+            latency: components["schemas"]["Latency"] | null;
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Units */
+            units: components["schemas"]["UnitLandings"][];
         };
         /**
          * ViewRequest
@@ -9493,6 +9939,119 @@ export interface operations {
             };
         };
     };
+    compare_policies: {
+        parameters: {
+            query: {
+                a: string;
+                b: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PolicyComparisonView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
     read_policy: {
         parameters: {
             query?: never;
@@ -9947,6 +10506,346 @@ export interface operations {
             };
         };
     };
+    read_validation: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ValidationView"] | null;
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    validate_policy: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ValidationRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ValidationView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    cancel_validation: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ValidationView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
     withdraw_policy: {
         parameters: {
             query?: never;
@@ -10077,6 +10976,232 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Approval"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    list_gates: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GatesView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    set_gates: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mode: components["schemas"]["Mode"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["GatesRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GatesView"];
                 };
             };
             /** @description Bad Request */
@@ -10418,6 +11543,117 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["SiteKeyView"][];
                 };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_validation_log: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                validation_id: string;
+                name: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description Bad Request */
             400: {

@@ -1,5 +1,6 @@
 import { Link } from "@tanstack/react-router";
 import type { Schema } from "../session/client";
+import { ValidationPanel } from "../validation/ValidationPanel";
 import { count, fixed, metres, shortHash } from "../words/format";
 import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
@@ -32,6 +33,7 @@ export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
       )}
       <LifeStepper policyId={policy.policy_id} sha256={policy.policy_sha256} state={policy.state} />
       {machineId !== null && <PolicyActions policy={policy} machineId={machineId} />}
+      <ValidationPanel policy={policy} />
       <dl className={classes.facts}>
         <dt>Targets</dt>
         <dd>{targetWords(card)}</dd>

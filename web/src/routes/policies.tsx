@@ -1,9 +1,11 @@
+import { ComparePanel } from "../compare/ComparePanel";
 import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
 import { OnBoard } from "../policies/OnBoard";
 import { PolicyCard } from "../policies/PolicyCard";
 import { UploadPanel } from "../policies/UploadPanel";
 import { usePolicies } from "../throws/useThrows";
+import { GatesPanel } from "../validation/GatesPanel";
 import { errorWords } from "../words/errors";
 import classes from "./policies.module.css";
 
@@ -29,6 +31,7 @@ export function PoliciesPage() {
         <GateSentence sentence="No policy version is known yet." />
       )}
       {machine && <OnBoard machineId={machine.machine_id} />}
+      <ComparePanel policies={sorted} />
       <div className={classes.cards}>
         {sorted.map((policy) => (
           <PolicyCard
@@ -38,6 +41,9 @@ export function PoliciesPage() {
             isOnBoard={onBoard[policy.mode] === policy.policy_sha256}
           />
         ))}
+      </div>
+      <div className={classes.gates}>
+        <GatesPanel />
       </div>
     </div>
   );

@@ -1,0 +1,1 @@
+"""Validation of a policy version: throws with several machines, and gates for what they must show."""

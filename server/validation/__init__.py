@@ -1,0 +1,1 @@
+"""Validations of policy versions, their gates, and comparisons of versions."""
