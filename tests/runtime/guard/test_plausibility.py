@@ -84,6 +84,18 @@ def test_a_jump_of_an_encoder_is_seen_in_its_first_tick(joint):
     assert guard.tick() == 0
 
 
+def test_a_slip_is_forgotten_within_a_second():
+    # With a time constant of 0.8 s: 0.02 rad count 0.0074 after 0.8 s, 0.012 after 0.4 s.
+    for ticks, is_jump in ((80, False), (40, True)):
+        guard = Guard()
+        rest(guard)
+        guard.position[0, 1] += 0.02
+        assert guard.tick() == 0
+        rest(guard, ticks)
+        guard.position[0, 1] += 0.016
+        assert bool(guard.tick() & Contradiction.JUMP) == is_jump
+
+
 @each("joint", range(4))
 def test_positions_that_stand_while_the_velocity_goes_on(joint):
     for speed in (0.2, -0.2):
