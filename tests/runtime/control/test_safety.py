@@ -74,6 +74,18 @@ def test_a_request_or_memory_that_is_no_number_closes_everything(joint, bad):
     assert memory.valve_ratio.tolist() == [[0.0] * 4]
 
 
+@each("field", ["joint_position_rad_m", "joint_velocity_rad_m_per_s"])
+def test_no_joint_that_is_a_number_closes_everything(field):
+    valve, _, bits, _ = gate((0.3, 0.0, 0.0, 0.0), **{field: np.full(4, np.nan)})
+    assert bits & Intervention.NOT_FINITE
+    assert valve.tolist() == [0.0] * 4
+
+
+def test_each_reason_is_a_bit_of_its_own():
+    """Logs keep the bits for years."""
+    assert [reason.value for reason in Intervention] == [2**n for n in range(len(Intervention))]
+
+
 def test_opposite_infinities_do_not_cancel():
     valve, _, bits, _ = gate(
         (np.inf, 0, 0, 0), last=[0.0] * 4, joint_velocity_rad_m_per_s=[-np.inf, 0, 0, 0]
