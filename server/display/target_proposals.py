@@ -85,7 +85,7 @@ class TargetProposals:
         context.targets[machine_id] = target
         context.mode = mode or context.mode
         if source == "fields" and context.machine_id == machine_id:
-            self._scene.set_target(session_id, (target.x_m, target.y_m, target.z_m))
+            self._show_target(session_id, target)
         self._draw_reach(session_id)
         view = TargetView.of(target)
         refusal = self._zone_refusal(machine_id, target) or self._refusal(
@@ -128,8 +128,13 @@ class TargetProposals:
         """Change what a session's 3D view shows."""
         context = self._context(session_id)
         if request.machine_id is not None:
+            is_other = context.machine_id != request.machine_id
             context.machine_id = request.machine_id
             self._scene.show_machine(session_id, request.machine_id)
+            if is_other:
+                # The scene forgets the marks around the machine before, rings and target among them.
+                context.reach = None
+                self._show_target(session_id, context.targets.get(request.machine_id))
             self._impacts.watch(session_id, request.machine_id)
             self._scene.set_site(session_id, self._sites.objects(request.machine_id))
             self._show_zones(session_id, request.machine_id)
@@ -159,6 +164,10 @@ class TargetProposals:
         self._aboard[known.machine_id] = state.policy_sha256
         for session_id in self._watching(known.machine_id):
             self._draw_reach(session_id)
+
+    def _show_target(self, session_id: str, target: Target | None) -> None:
+        point = None if target is None else (target.x_m, target.y_m, target.z_m)
+        self._scene.set_target(session_id, point)
 
     def _watching(self, machine_id: str) -> list[str]:
         """Sessions that watch a machine."""

@@ -70,9 +70,14 @@ def test_click_preview_hold_impact_history_replay(
     row = page.locator("tbody tr[data-throw]").first
     expect(row).to_contain_text("Landed")
     expect(row).to_contain_text("9.05")
+    find = page.get_by_label("Find on this page")
+    find.fill("9.05 m001 nobody")
+    expect(page.get_by_text("No throw of this page has these words.")).to_be_visible()
+    find.fill("9.05 m001")
     row.get_by_role("link").click()
 
     _replay(page)
+    _print(page)
     _correct_impact(page)
 
 
@@ -90,6 +95,16 @@ def _replay(page: Page) -> None:
     answer = page.request.get(log.get_attribute("href") or "")
     assert answer.ok
     assert answer.body().startswith(b"\x89MCAP")
+
+
+def _print(page: Page) -> None:
+    """On paper stands the throw alone."""
+    page.emulate_media(media="print")
+    expect(page.get_by_role("heading", name="Predicted and measured")).to_be_visible()
+    expect(page.get_by_test_id("stop")).to_be_hidden()
+    expect(page.get_by_test_id("play")).to_be_hidden()
+    page.emulate_media(media="screen")
+    expect(page.get_by_test_id("stop")).to_be_visible()
 
 
 def _correct_impact(page: Page) -> None:

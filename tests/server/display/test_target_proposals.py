@@ -47,9 +47,20 @@ class Scene:
     """Notes the rings, takes everything else."""
 
     rings: list[Reach] = field(default_factory=list)
+    machine_id: str | None = None
+    target_m: tuple[float, float, float] | None = None
 
     def set_reach(self, session_id: str, reach: Reach) -> None:
         self.rings.append(reach)
+
+    def show_machine(self, session_id: str, machine_id: str) -> None:
+        """Marks around another machine go, as in the 3D view."""
+        if machine_id != self.machine_id:
+            self.machine_id, self.target_m = machine_id, None
+            self.rings.clear()
+
+    def set_target(self, session_id: str, target_m: tuple[float, float, float] | None) -> None:
+        self.target_m = target_m
 
     def __getattr__(self, name: str):
         return lambda *_: None
@@ -126,3 +137,13 @@ def test_the_rings_follow_the_version_on_board(
         take_state(known, SimpleNamespace(policy_sha256={"2d": sha256}))
     take_state(SimpleNamespace(machine_id="m002"), SimpleNamespace(policy_sha256={}))
     assert [ring.planar_m for ring in scene.rings] == [10.9, 8.0]
+
+
+def test_rings_and_target_come_back_with_their_machine(desk: TargetProposals, scene: Scene):
+    """Also where the target was set before the view asked for the machine, as an address does."""
+    desk.propose("s", "m002", Target(x_m=8.0, y_m=1.0), Mode.PLANAR, "fields")
+    assert scene.target_m is None
+    desk.set_view("s", ViewRequest(machine_id="m002"))
+    assert (scene.target_m, len(scene.rings)) == ((8.0, 1.0, 0.0), 1)
+    desk.set_view("s", ViewRequest(machine_id="m001"))
+    assert (scene.target_m, len(scene.rings)) == (None, 1)

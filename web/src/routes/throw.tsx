@@ -1,4 +1,4 @@
-import { Button } from "@mantine/core";
+import { Button, useMantineColorScheme } from "@mantine/core";
 import { useQuery } from "@tanstack/react-query";
 import { Link, useParams } from "@tanstack/react-router";
 import { GateSentence } from "../operate/GateSentence";
@@ -49,14 +49,7 @@ export function ThrowPage() {
         <span>
           {row.machine_id}, {zonedStamp(row.created_utc)}
         </span>
-        <Button
-          className={classes.print}
-          size="compact-sm"
-          variant="default"
-          onClick={() => window.print()}
-        >
-          Print
-        </Button>
+        <PrintButton />
       </header>
       <div className={classes.body}>
         <div className={classes.main}>
@@ -86,5 +79,20 @@ export function ThrowPage() {
         <SidePanel detail={detail.data} mayMark={mayMark} />
       </div>
     </div>
+  );
+}
+
+/** Charts are drawn in the colours of the screen: for paper they are drawn anew in light ones. */
+function PrintButton() {
+  const { colorScheme, setColorScheme } = useMantineColorScheme();
+  const print = () => {
+    setColorScheme("light");
+    window.addEventListener("afterprint", () => setColorScheme(colorScheme), { once: true });
+    requestAnimationFrame(() => requestAnimationFrame(() => window.print()));
+  };
+  return (
+    <Button className={classes.print} size="compact-sm" variant="default" onClick={print}>
+      Print
+    </Button>
   );
 }
