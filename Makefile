@@ -90,8 +90,9 @@ quick: web-test python-test  ## Tests of single parts, console included
 web-test: $(STAMP)/web
 	@$(BIN)/python scripts/node.py npm --prefix web run --silent test
 
+# Three processes on two cores: those of the server's tests mostly wait.
 python-test: $(STAMP)/web
-	@$(BIN)/pytest -n 2 --dist loadfile --durations 12 --ignore tests/e2e --ignore tests/link
+	@$(BIN)/pytest -n 3 --dist loadfile --durations 12 --ignore tests/e2e --ignore tests/link
 
 live: $(STAMP)/web $(STAMP)/browser  ## Machines at 100 Hz on a real link that is cut and killed; then e2e
 	@$(BIN)/pytest --durations 12 tests/link tests/e2e

@@ -42,6 +42,12 @@ def posed(loaded: LoadedSet) -> GapProblem:
     )
 
 
+@cache
+def posed_healthy(count: int) -> GapProblem:
+    """So many throws without an effect; to be read, never changed."""
+    return posed(throws((), count))
+
+
 def _commands(number: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Start pose (4,) and valve commands (T, 4): boom down, dipper out, sizes and times vary."""
     t = np.arange(TICKS) * 0.01

@@ -1,5 +1,6 @@
 """A real Chromium in front of the real product; every test fails on an error in the browser's console."""
 
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.chromium import CHROMIUM, FLAGS
 from tests.e2e.browser_console import Console
-from tests.e2e.stack import ServerAlone, Stack, running_demo
+from tests.e2e.stack import CONSOLE, Demo, ServerAlone, Stack
 
 TIMEOUT_MS = 60_000
 """Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""
@@ -19,6 +20,31 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.e2e)
             item.add_marker(pytest.mark.timeout(600))
+
+
+STARTED = pytest.StashKey[tuple[Demo, tempfile.TemporaryDirectory[str]]]()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """The demo measures its machine for a minute, on one core, while tests before those of the demo run."""
+    needs = any("demo" in getattr(item, "fixturenames", ()) for item in session.items)
+    is_one_of_several = hasattr(session.config, "workerinput")
+    if needs and CONSOLE.is_file() and not (is_one_of_several or session.config.option.collectonly):
+        start_demo(session.config)
+
+
+def start_demo(config: pytest.Config) -> Demo:
+    folder = tempfile.TemporaryDirectory()
+    demo = Demo(Path(folder.name))
+    config.stash[STARTED] = demo, folder
+    return demo
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if STARTED in session.config.stash:
+        demo, folder = session.config.stash[STARTED]
+        demo.stop()
+        folder.cleanup()
 
 
 @pytest.fixture(scope="session")
@@ -33,10 +59,10 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+def demo(pytestconfig: pytest.Config) -> Stack:
     """One demo for all tests of a run; tests leave it disarmed and without a lease."""
-    with running_demo(tmp_path_factory.mktemp("demo")) as stack:
-        yield stack
+    started = pytestconfig.stash.get(STARTED, None)
+    return (start_demo(pytestconfig) if started is None else started[0]).ready()
 
 
 @pytest.fixture

@@ -84,13 +84,28 @@ def logins(data: Path) -> dict[str, str]:
     return dict(line.split() for line in lines if line.strip())
 
 
+class Demo:
+    """`downrange demo`: server, router, console and one virtual machine; it starts while others go on."""
+
+    def __init__(self, data: Path) -> None:
+        self._data = data
+        self._command = Command(data / "demo.log", "demo", "--port", "0", "--data", str(data))
+
+    def ready(self) -> Stack:
+        """Wait until it can be used."""
+        url = self._command.wait_for(r"Downrange is at (http://\S+)", 500.0).group(1)
+        return Stack(url, logins(self._data))
+
+    def stop(self) -> None:
+        self._command.stop()
+
+
 @contextlib.contextmanager
 def running_demo(data: Path) -> Iterator[Stack]:
-    """`downrange demo`: server, router, console and one virtual machine."""
-    demo = Command(data / "demo.log", "demo", "--port", "0", "--data", str(data))
+    """A demo of one's own."""
+    demo = Demo(data)
     try:
-        url = demo.wait_for(r"Downrange is at (http://\S+)", 500.0).group(1)
-        yield Stack(url, logins(data))
+        yield demo.ready()
     finally:
         demo.stop()
 

@@ -17,7 +17,7 @@ from diagnosis.hypotheses.candidate import (
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, marginal_likelihood
 from diagnosis.hypotheses.search import search
 from sim_twin.effects.effect import Effect
-from tests.diagnosis.twin_throws import posed, throws
+from tests.diagnosis.twin_throws import posed, posed_healthy, throws
 
 SHORT = Effect(effect="gripper_length", parameters={"extra_length_m": -0.18})
 LATE = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.1})
@@ -65,7 +65,7 @@ def test_refinement_raises_the_evidence_and_stays_within_bounds() -> None:
 
 
 def test_a_further_effect_and_an_unlikely_size_cost_evidence() -> None:
-    problem = posed(throws((), 1))
+    problem = posed_healthy(1)
     priors, groups = problem.layout.priors, problem.layout.groups
     one = (groups.index(("gripper_length", None)),)
     two = tuple(sorted((*one, groups.index(("release_delay", None)))))
@@ -80,7 +80,7 @@ def test_a_further_effect_and_an_unlikely_size_cost_evidence() -> None:
 def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    problem = posed(throws((), 3))
+    problem = posed_healthy(3)
     asked = Throws(likelihood := marginal_likelihood(problem), likelihood)
     group = problem.layout.groups.index(("passive_coulomb_friction", None))
     (place,) = problem.layout.priors.groups[group].tolist()

@@ -15,13 +15,13 @@ from diagnosis.hypotheses.unknown_check import (
     levels_of,
     unknown_probability,
 )
-from tests.diagnosis.twin_throws import posed, throws
+from tests.diagnosis.twin_throws import posed_healthy
 
 
 @pytest.fixture(scope="module")
 def problem() -> GapProblem:
     """Throws of the twin, whose residual is the usual one."""
-    found = posed(throws((), 3))
+    found = posed_healthy(3)
     likelihood = marginal_likelihood(found)
     none = no_effect(likelihood)
     rest = likelihood.left_over(none.change, likelihood.healthy_mean(none.products))

@@ -19,7 +19,7 @@ from diagnosis.linearisation.unmodelled_effects import (
 from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.rigid_body.grip_point import gripper_axes
-from tests.diagnosis.twin_throws import SWITCH_LAG_S, posed, throws
+from tests.diagnosis.twin_throws import SWITCH_LAG_S, posed, posed_healthy, throws
 
 THROWS = 6
 DIPPER, TELESCOPE = 2, 3
@@ -82,7 +82,7 @@ def test_every_column_belongs_to_one_unmodelled_effect() -> None:
 
 
 def test_columns_act_at_their_own_joint() -> None:
-    problem = posed(throws((), 1))
+    problem = posed_healthy(1)
     prepared, linear = problem.prepared[0], problem.linear[0]
     columns = unmodelled_columns(prepared, linear)
     for place, name in enumerate(unmodelled_names()):
@@ -123,7 +123,7 @@ def test_noise_of_a_joint_that_stands_has_no_scale() -> None:
         posed(throws((), 1, received=received)).linear[0].scale[:, 0]
         for received in (None, without_slew)
     )
-    prepared = posed(throws((), 1)).prepared[0]
+    prepared = posed_healthy(1).prepared[0]
     gyro, ball = prepared.block("swing.gyro.x"), prepared.block("flight.ball")
     assert gyro is not None and ball is not None
     assert np.linalg.norm(standing[gyro.rows]) < 1e-3 * np.linalg.norm(moving[gyro.rows])
@@ -132,7 +132,7 @@ def test_noise_of_a_joint_that_stands_has_no_scale() -> None:
 
 
 def test_kick_columns_move_the_load_alone() -> None:
-    prepared, linear = posed(throws((), 1)).prepared[0], posed(throws((), 1)).linear[0]
+    prepared, linear = posed_healthy(1).prepared[0], posed_healthy(1).linear[0]
     left = unmodelled_columns(prepared, linear)[
         :, unmodelled_names().index("unmodelled.kick.y_m_per_s")
     ]
@@ -189,7 +189,7 @@ def test_scale_and_bias_of_a_sensor_are_separated(
 
 
 def test_unmodelled_effects_are_orthogonal_to_named_ones() -> None:
-    problem = posed(throws((), 3))
+    problem = posed_healthy(3)
     data, plan = total(problem.information), problem.layout
     first = plan.size_count - len(unmodelled_names())
     named = slice(0, plan.parameter_count)
