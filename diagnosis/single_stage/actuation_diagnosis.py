@@ -7,6 +7,7 @@ dead time.
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, Literal
 
@@ -27,6 +28,13 @@ from diagnosis.single_stage.stage_result import StageLabels, build_diagnosis
 from diagnosis.single_stage.structure_selection import Selection, select_structure
 from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import CommandScale, JointRecord, read_command_scale
+from diagnosis.tables.step_responses import (
+    StepResponse,
+    find_late_onset,
+    find_step_responses,
+    shows_lost_travel,
+    tabulate,
+)
 from diagnosis.verdict import (
     Ambiguity,
     Diagnosis,
@@ -35,6 +43,7 @@ from diagnosis.verdict import (
     Stage,
     VerdictKind,
 )
+from machine.conventions import Array
 
 CommandKind = Literal["auto", "speed", "position"]
 MIN_SPAN_S: Final = 2.0
@@ -47,6 +56,18 @@ MIN_UNEXPLAINED_RATIO: Final = 0.1
 """Unexplained share of the motion below which clocks are not checked."""
 MAX_SPAN_S: Final = 150.0
 """Longest part of a record that is used, s; the tick is then 30 ms."""
+MIN_SPEED_NOISES: Final = 4.0
+"""Speed, in standard deviations of its noise, below which a joint does not move."""
+MAX_ONSET_PERIODS: Final = 3.0
+"""Difference of measured and explained onset, in sample periods, up to which they agree."""
+MAX_ONSET_S: Final = 0.1
+"""Smallest difference of the onsets, s, that counts."""
+LATE_ONSET_PROBABILITY: Final = 0.95
+"""Probability of "unknown" if the effects move the joint at another time than it moved."""
+BACKLASH_NEEDS: Final = (
+    "backlash: it shows where some steps from rest reverse the joint and come later, by a travel, than those "
+    "that go on in the same direction"
+)
 NOT_SEPARABLE: Final = [
     "dead time of the valve and latency of the joint's sensor: with one sensor they are one number",
     "load, pump flow and temperature: they need a machine model or other channels",
@@ -83,11 +104,11 @@ def diagnose_actuation(
     scale = read_command_scale(record, command_words, period_s)
     notes = [*scale.notes]
     if span_s > MAX_SPAN_S:
-        record = select_busiest_part(record)
+        record = select_busiest_part(record, scale.rest)
         first = float(record.time_s[0])
         notes.append(
-            f"of {span_s:.0f} s the {MAX_SPAN_S:g} s with the most commands are used, from "
-            f"{first:.0f} s on"
+            f"of {span_s:.0f} s the {MAX_SPAN_S:g} s with the most commands in both directions are used, "
+            f"from {first:.0f} s on"
         )
     problem, selection = _fit_kind(record, scale, kind, period_s, progress)
     if kind == "auto" and problem.kind == "position":
@@ -96,6 +117,11 @@ def diagnose_actuation(
     unit = record.unit if problem.kind == "position" else f"{record.unit}/s"
     _refuse_unrelated_motion(problem, selection, unit)
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
+    steps = find_steps(problem, problem.measured_ticks())
+    tolerance_s = max(MAX_ONSET_PERIODS * period_s, MAX_ONSET_S)
+    late = find_late_onset(steps, find_steps(problem, problem.simulate(best)), tolerance_s)
+    if late:
+        selection = replace(selection, unknown_probability=LATE_ONSET_PROBABILITY)
     evidence: dict[str, Any] = {
         "rate_hz": audit.rate_hz,
         "clock": audit.as_json(),
@@ -107,7 +133,11 @@ def diagnose_actuation(
         "gain_per_full_command": {"value": best["speed_per_command"], "unit": unit},
         "window_s": len(problem.window) * problem.step_s,
         "noise": {"value": problem.noise, "unit": unit},
-        "not_separable": NOT_SEPARABLE,
+        "steps": tabulate(steps, unit),
+        "not_separable": [
+            *NOT_SEPARABLE,
+            *([] if any(o.effect == "backlash" for o in problem.options) else [BACKLASH_NEEDS]),
+        ],
         "notes": notes,
     }
     found = build_diagnosis(
@@ -118,8 +148,19 @@ def diagnose_actuation(
         evidence,
         _plots(problem, base, best, unit),
     )
+    if late:
+        found = found.model_copy(update={"sentence": f"{found.sentence} Yet {late}."})
     is_sine = find_sine_period(problem.command, problem.step_s) is not None
     return _without_separation(found, joint) if is_sine else found
+
+
+def find_steps(problem: ActuationProblem, speed: Array) -> tuple[StepResponse, ...]:
+    """Responses of a speed (ticks,) to the steps of the command; none for a position command."""
+    if problem.kind == "position":
+        return ()
+    return find_step_responses(
+        problem.command, speed, problem.step_s, MIN_SPEED_NOISES * problem.noise
+    )
 
 
 def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:
@@ -175,13 +216,18 @@ def _fit_kind(
     """
     select = partial(_select_structure, progress=progress)
     drive = make_actuation_problem(record, scale, "speed", period_s)
+    if not shows_lost_travel(find_steps(drive, drive.measured_ticks())):
+        # Without such starts a dead band or dead time that differs by level looks the same.
+        drive = replace(drive, options=tuple(o for o in drive.options if o.effect != "backlash"))
     if kind == "auto" and not record.is_speed:
         found = fit_likely_kind(
             drive, make_actuation_problem(record, scale, "position", period_s), select
         )
     else:
-        problem = make_actuation_problem(
-            record, scale, "position" if kind == "position" else "speed", period_s
+        problem = (
+            make_actuation_problem(record, scale, "position", period_s)
+            if kind == "position"
+            else drive
         )
         found = FittedKind(problem, select(problem))
     if found.selection.unexplained_ratio > MIN_UNEXPLAINED_RATIO:
@@ -215,13 +261,22 @@ def _refuse_unrelated_motion(problem: ActuationProblem, selection: Selection, un
     )
 
 
-def select_busiest_part(record: JointRecord) -> JointRecord:
-    """The part of `MAX_SPAN_S` with the most command changes."""
-    change = np.concatenate([[0.0], np.abs(np.diff(record.command))])
-    total = np.cumsum(change)
+def select_busiest_part(record: JointRecord, rest: float) -> JointRecord:
+    """The part of `MAX_SPAN_S` with the most command changes, in the direction that has fewer of them.
+
+    Args:
+        record: the joint's record.
+        rest: command at which the joint rests.
+    """
     end = np.searchsorted(record.time_s, record.time_s + MAX_SPAN_S) - 1
     whole = record.time_s + MAX_SPAN_S <= record.time_s[-1]
-    start = int(np.argmax(np.where(whole, total[end] - total, -1.0)))
+    changes: list[Array] = []
+    for way in (1.0, -1.0):
+        one = np.maximum(way * (record.command - rest), 0.0)
+        total = np.cumsum(np.concatenate([[0.0], np.abs(np.diff(one))]))
+        if total[-1] > 0.0:
+            changes.append(total[end] - total)
+    start = int(np.argmax(np.where(whole, np.min(changes, axis=0), -1.0)))
     part = slice(start, int(end[start]) + 1)
     return record._replace(
         time_s=record.time_s[part],

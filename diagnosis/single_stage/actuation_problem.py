@@ -140,6 +140,15 @@ class ActuationProblem:
         """(sets, samples) measured minus simulated."""
         return np.stack([self.measured - self.simulate(one)[self.sample] for one in values])
 
+    def measured_ticks(self) -> Array:
+        """(ticks,) measured output; nan where samples are left out."""
+        ticks = np.arange(len(self.command))
+        stride = int(np.median(np.diff(self.sample)))
+        after = np.clip(np.searchsorted(self.sample, ticks), 1, len(self.sample) - 1)
+        is_known = self.sample[after] - self.sample[after - 1] <= stride
+        inside = (ticks >= self.sample[0]) & (ticks <= self.sample[-1])
+        return np.where(is_known & inside, np.interp(ticks, self.sample, self.measured), math.nan)
+
     def simulate(self, values: Mapping[str, float]) -> Array:
         """(ticks,) output after the same differentiator as the measured one."""
         gap = values.get("backlash.gap_rad_m", 0.0)
@@ -217,7 +226,7 @@ def make_actuation_problem(
             top,
             0.0 if record.is_speed else float(np.ptp(record.output)),
             record.unit,
-            not record.is_speed,
+            use_window,
             is_speed=kind == "speed",
             sine_s=sine_s,
         ),

@@ -57,6 +57,7 @@ def list_actuation_options(
     )
     options = [
         EffectOption("valve_dead_time", "valve_dead_time", (dead_time,)),
+        *((_two_sided_dead_time_option(dead_time, min_time_s),) if is_speed else ()),
         EffectOption("valve_lag", "valve_lag", (lag,)),
         EffectOption(
             "valve_lag_second",
@@ -81,6 +82,14 @@ def list_actuation_options(
         )
         options.append(EffectOption("backlash", "backlash", (gap,)))
     return tuple(options)
+
+
+def _two_sided_dead_time_option(dead_time: FreeParameter, least_s: float) -> EffectOption:
+    """A dead time for each sign of the command."""
+    ways = tuple(
+        dead_time._replace(name=f"{way}_dead_time_s", low=0.0) for way in ("positive", "negative")
+    )
+    return EffectOption("valve_dead_time_two_sided", "valve_dead_time", ways, least_s)
 
 
 def _list_static_options() -> tuple[EffectOption, ...]:
@@ -198,8 +207,7 @@ def simulate_speed(
     # The delay commutes with the memoryless effects. Applied after them, its interpolation does not blur the
     # edges at dead band and stiction.
     before = 0.0 if starts_at_rest else float(steady[0])
-    delay = values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s
-    steady = np.concatenate([[before], _apply_delay(steady, delay, before)])
+    steady = np.concatenate([[before], _apply_dead_time(steady, x, step_s, values, before)])
     speed_limit = values.get("servo_speed_limit.limit_rad_m_per_s", 0.0)
     if speed_limit > 0.0 and "valve_lag.extra_lag_s" in values:
         # The loop of a servo commands a speed in proportion to its error; this speed is limited.
@@ -233,6 +241,22 @@ def apply_play(signal: Array, half_width: float) -> Array:
     return np.array(
         [y := x - h if x - h > y else x + h if x + h < y else y for x in signal.tolist()]
     )
+
+
+def _apply_dead_time(
+    steady: Array, x: Array, step_s: float, values: Mapping[str, float], before: float
+) -> Array:
+    """Delay the steady speed, for each sign of the command `x` by its own dead time if there are two."""
+    if "valve_dead_time_two_sided.positive_dead_time_s" not in values:
+        delay = values.get("valve_dead_time.extra_dead_time_s", 0.0) / step_s
+        return _apply_delay(steady, delay, before)
+    is_positive_before = bool(x[0] > 0.0)
+    late = np.zeros_like(steady)
+    for way, is_positive in (("positive", True), ("negative", False)):
+        delay = values[f"valve_dead_time_two_sided.{way}_dead_time_s"] / step_s
+        part = np.where((x > 0.0) == is_positive, steady, 0.0)
+        late += _apply_delay(part, delay, before if is_positive == is_positive_before else 0.0)
+    return late
 
 
 def _apply_delay(signal: Array, ticks: float, before: float) -> Array:

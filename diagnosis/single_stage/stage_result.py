@@ -227,6 +227,13 @@ def describe_fitted_effects(
         if option.key == "valve_dead_band_even":
             both = parameters.pop("both_ratio")
             parameters |= {"positive_ratio": both, "negative_ratio": both}
+        if option.key == "valve_dead_time_two_sided":
+            ways = list(parameters.values())
+            parameters["extra_dead_time_s"] = FittedParameter(
+                value=0.5 * sum(p.value for p in ways),
+                ci90=(0.5 * sum(p.ci90[0] for p in ways), 0.5 * sum(p.ci90[1] for p in ways)),
+                unit="s",
+            )
         if option.effect == "valve_gain":
             # Relative to the common gain the two directions differ by +r and -r.
             one = parameters["positive_ratio"]

@@ -15,6 +15,13 @@ from diagnosis.single_stage.fit_problem import FitProblem
 from machine.conventions import Array, IntArray
 
 DEAD_TIME_PARAMETER: Final = "valve_dead_time.extra_dead_time_s"
+DEAD_TIME_PARAMETERS: Final = frozenset(
+    {
+        DEAD_TIME_PARAMETER,
+        "valve_dead_time_two_sided.positive_dead_time_s",
+        "valve_dead_time_two_sided.negative_dead_time_s",
+    }
+)
 LAG_PARAMETERS: Final = frozenset(
     f"{key}.extra_lag_s" for key in ("valve_lag", "valve_lag_second", "valve_lag_two_sided")
 )
@@ -86,11 +93,11 @@ def parameter_intervals(
         problem, found, correlation_samples
     ) * interval_half_width_factor(problem)
     half = np.hypot(half, problem.simulation_error_ratio * found.values)
-    delays = {DEAD_TIME_PARAMETER} if DEAD_TIME_PARAMETER in found.names else LAG_PARAMETERS
+    delays = DEAD_TIME_PARAMETERS if DEAD_TIME_PARAMETERS & set(found.names) else LAG_PARAMETERS
     half = np.where(
         [name in delays for name in found.names], half + problem.timestamp_error_s, half
     )
-    if problem.timestamp_error_s > 0.0 and not (delays | {DEAD_TIME_PARAMETER}) & set(found.names):
+    if problem.timestamp_error_s > 0.0 and not (delays | DEAD_TIME_PARAMETERS) & set(found.names):
         half = half + _estimate_timestamp_shift(problem, found)
     low, high = parameter_bounds(problem, found)
     thresholds = {

@@ -49,6 +49,7 @@ def record(
     degrees: bool = False,
     wrapped: bool = False,
     span_s: float = 28.0,
+    levels: tuple[float, ...] = LEVELS,
     **effects: float | tuple[float, float],
 ) -> Path:
     """A table of steps with rests; `jitter` of the clock in sample periods."""
@@ -57,7 +58,7 @@ def record(
     command = np.zeros_like(time_s)
     for number in range(int(span_s / 3.2)):
         on = (time_s >= 1.0 + 3.2 * number) & (time_s < 3.0 + 3.2 * number)
-        command[on] = LEVELS[number % len(LEVELS)]
+        command[on] = levels[number % len(levels)]
     _, position = plant(command, **effects)
     seen_s = np.arange(0.0, span_s - 0.1, 1.0 / rate_hz)
     seen_s = np.sort(seen_s + jitter / rate_hz * rng.uniform(-1, 1, len(seen_s))).clip(0.0)

@@ -68,10 +68,17 @@ def test_a_measured_speed_suffices(tmp_path: Path) -> None:
         assert value(found, effect, parameter)[1] == pytest.approx(truth, rel=0.15), effect
 
 
-def test_backlash_is_separated_from_a_dead_band(tmp_path: Path) -> None:
-    found = diagnose_actuation_csv(record(tmp_path / "a.csv", gap=0.05))
+def test_backlash_is_named_where_some_steps_reverse_and_others_go_on(tmp_path: Path) -> None:
+    levels = (1.0, 0.6, -0.3, -0.45, 0.3, -0.8, -0.6, 0.45)
+    found = diagnose_actuation_csv(record(tmp_path / "a.csv", gap=0.05, levels=levels))
     assert effects(found) == {"backlash"}
     assert_within(found, "backlash", "gap_rad_m", 0.05, 0.005)
+
+
+def test_backlash_is_not_claimed_from_reversals_alone(tmp_path: Path) -> None:
+    found = diagnose_actuation_csv(record(tmp_path / "a.csv", gap=0.05))
+    assert all("backlash" not in cause.name for cause in found.causes)
+    assert any("backlash" in text for text in found.evidence["not_separable"])
 
 
 def test_degrees_wraps_and_a_negative_gain_make_no_difference(tmp_path: Path) -> None:

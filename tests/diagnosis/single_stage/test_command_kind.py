@@ -90,3 +90,25 @@ def test_a_joint_at_rest_was_not_commanded_before_the_record(tmp_path: Path) -> 
     assert found.verdict is VerdictKind.EXPLAINED
     low, _, high = value(found, "valve_dead_time", "extra_dead_time_s")
     assert low < 0.3 < high
+
+
+def test_each_direction_has_its_own_dead_time(tmp_path: Path) -> None:
+    """0.14 s out and 0.34 s in; the table of steps shows the same."""
+    time_s = np.arange(0.0, 40.0, 0.02)
+    sizes = np.array([0.9, -0.5, 0.3, -0.8, 0.6, -0.3, -0.9, 0.7, -0.6, 0.4])
+    lever = np.where(time_s % 4.0 < 2.0, sizes[(time_s // 4.0).astype(int)], 0.0)
+    out = np.concatenate([np.zeros(7), np.maximum(lever, 0.0)[:-7]])
+    back = np.concatenate([np.zeros(17), np.minimum(lever, 0.0)[:-17]])
+    place = np.concatenate([[0.0], np.cumsum(0.4 * (out + back))[:-1] * 0.02])
+    place += np.random.default_rng(6).normal(0.0, 0.0005, len(place))
+    columns = {"time_s": time_s, "lever": lever, "position_rad": place}
+    found = diagnose_actuation_csv(write(tmp_path / "a.csv", columns))
+    assert found.verdict is VerdictKind.EXPLAINED
+    assert {e.effect for e in found.causes[0].effects} == {"valve_dead_time"}
+    for way, truth in (("positive", 0.14), ("negative", 0.34)):
+        low, _, high = value(found, "valve_dead_time", f"{way}_dead_time_s")
+        assert low < truth < high
+        onsets = [row["onset_s"] for row in found.evidence["steps"] if row["direction"] == way]
+        assert len(onsets) >= 4
+        assert np.median(onsets) == pytest.approx(truth, abs=0.04)
+    assert value(found, "valve_dead_time", "extra_dead_time_s")[1] == pytest.approx(0.24, abs=0.03)

@@ -1,0 +1,177 @@
+"""What a person reads off a plot of a joint: when and how fast it moves after each step from rest."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from machine.conventions import Array
+
+SAME_COMMAND_RATIO: Final = 0.01
+"""Change of the command, as a share of full, below which it is held."""
+REST_RATIO: Final = 0.02
+"""Largest command at rest, as a share of full."""
+MIN_LEVEL_RATIO: Final = 0.05
+"""Smallest step, as a share of full."""
+MIN_REST_S: Final = 0.3
+"""Shortest rest before a step, s."""
+MIN_HOLD_S: Final = 0.6
+"""Shortest step, s."""
+MAX_EDGE_TICKS: Final = 3
+"""Longest edge of a step, ticks."""
+RESTING_SPEED_RATIO: Final = 0.1
+"""Speed before a step, as a share of that after it, below which the joint rests."""
+MIN_STARTS_COUNT: Final = 2
+"""Fewest starts with and without a reversal that show lost travel."""
+LOST_TRAVEL_SIGNIFICANCE: Final = 3.0
+"""Lost travel, in its standard errors, from which it shows."""
+
+
+class StepResponse(NamedTuple):
+    """One step from rest; nan where the joint did not move."""
+
+    tick: int
+    level: float
+    """Command, as a share of full."""
+    onset_s: float
+    """From the step to where the tangent through 20 and 60 % of the steady speed meets zero."""
+    rise_s: float
+    """From there to 63 % of the steady speed."""
+    steady_speed: float
+    """Median of the last third of the step, unit/s."""
+    is_reversal: bool
+    """Whether the joint moved the other way before."""
+
+
+def find_step_responses(
+    command: Array, speed: Array, step_s: float, least_speed: float
+) -> tuple[StepResponse, ...]:
+    """Find steps from rest and measure the response to each.
+
+    Args:
+        command: (ticks,) rest at 0, full at 1.
+        speed: (ticks,) nan where it is not known.
+        step_s: tick.
+        least_speed: speed below which the joint does not move.
+    """
+    edges = np.flatnonzero(np.abs(np.diff(command)) > SAME_COMMAND_RATIO) + 1
+    bounds = np.concatenate([[0], edges, [len(command)]])
+    held = [(int(a), int(b)) for a, b in pairwise(bounds) if b - a > MAX_EDGE_TICKS]
+    found: list[StepResponse] = []
+    way = 0.0
+    for (rest, start), (begin, end) in pairwise(held):
+        is_step = (
+            begin - start <= MAX_EDGE_TICKS
+            and (start - rest) * step_s >= MIN_REST_S
+            and (end - begin) * step_s >= MIN_HOLD_S
+            and abs(command[rest]) <= REST_RATIO
+            and abs(command[begin]) >= MIN_LEVEL_RATIO
+        )
+        after = speed[start:end]
+        steady = float(np.median(after[-len(after) // 3 :]))
+        if is_step and np.all(np.isfinite(after)):
+            before = abs(float(np.mean(speed[start - MAX_EDGE_TICKS : start])))
+            if before <= max(RESTING_SPEED_RATIO * abs(steady), least_speed):
+                is_reversal = way * steady < 0.0
+                found.append(
+                    _measure(
+                        start, float(command[begin]), after, steady, step_s, least_speed
+                    )._replace(is_reversal=is_reversal)
+                )
+        if abs(command[begin]) > REST_RATIO and abs(steady) > least_speed:
+            way = math.copysign(1.0, steady)
+    return tuple(found)
+
+
+def _measure(
+    tick: int, level: float, after: Array, steady: float, step_s: float, least_speed: float
+) -> StepResponse:
+    if abs(steady) <= least_speed:
+        return StepResponse(tick, level, math.nan, math.nan, steady, False)
+    share = after / steady
+    low_s, middle_s, high_s = (float(np.argmax(share >= one)) * step_s for one in (0.2, 0.6, 0.63))
+    onset_s = low_s - 0.5 * (middle_s - low_s)
+    return StepResponse(tick, level, onset_s, high_s - onset_s, steady, False)
+
+
+def tabulate(steps: Sequence[StepResponse], unit: str) -> list[dict[str, Any]]:
+    """Medians by direction and level to a tenth of full, as JSON; ``null`` where the joint did not move."""
+    keys = sorted({(step.level > 0.0, round(abs(step.level), 1)) for step in steps})
+    rows: list[dict[str, Any]] = []
+    for is_positive, level in keys:
+        group = [
+            s for s in steps if (s.level > 0.0, round(abs(s.level), 1)) == (is_positive, level)
+        ]
+        moving = [step for step in group if math.isfinite(step.onset_s)]
+        rows.append(
+            {
+                "direction": "positive" if is_positive else "negative",
+                "level_ratio": level,
+                "onset_s": float(np.median([s.onset_s for s in moving])) if moving else None,
+                "rise_s": float(np.median([s.rise_s for s in moving])) if moving else None,
+                "steady_speed": float(np.median([s.steady_speed for s in group])),
+                "speed_unit": unit,
+                "steps": len(group),
+            }
+        )
+    return rows
+
+
+def shows_lost_travel(steps: Sequence[StepResponse]) -> bool:
+    """Whether starts after a reversal come later by a travel than starts in the same direction.
+
+    Regression of the onset on a delay for each direction and, for reversals, on the time that a travel takes
+    at the steady speed.
+    """
+    moving = [step for step in steps if math.isfinite(step.onset_s)]
+    reversals = sum(step.is_reversal for step in moving)
+    if min(reversals, len(moving) - reversals) < MIN_STARTS_COUNT:
+        return False
+    matrix = np.array(
+        [
+            [step.level > 0.0, step.level < 0.0, step.is_reversal / abs(step.steady_speed)]
+            for step in moving
+        ],
+        dtype=np.float64,
+    )
+    onset = np.array([step.onset_s for step in moving])
+    solution = np.linalg.lstsq(matrix, onset, rcond=None)[0]
+    freedom = len(moving) - np.linalg.matrix_rank(matrix)
+    if freedom < 1:
+        return False
+    variance = float(np.sum((onset - matrix @ solution) ** 2)) / freedom
+    error = math.sqrt(variance * float(np.linalg.pinv(matrix.T @ matrix)[2, 2]))
+    return bool(solution[2] > LOST_TRAVEL_SIGNIFICANCE * error)
+
+
+def find_late_onset(
+    measured: Sequence[StepResponse], explained: Sequence[StepResponse], tolerance_s: float
+) -> str:
+    """Where measured and explained motion begin at other times; empty if they agree.
+
+    Args:
+        measured: responses of the joint.
+        explained: responses of the fitted effects to the same commands.
+        tolerance_s: largest difference of the median onset in one direction that counts as equal.
+    """
+    by_tick = {step.tick: step.onset_s for step in explained}
+    words: list[str] = []
+    for name, is_positive in (("positive", True), ("negative", False)):
+        pairs = [
+            (step.onset_s, by_tick[step.tick])
+            for step in measured
+            if (step.level > 0.0) == is_positive
+            and math.isfinite(step.onset_s)
+            and math.isfinite(by_tick.get(step.tick, math.nan))
+        ]
+        if len(pairs) < MIN_STARTS_COUNT:
+            continue
+        seen, simulated = (float(np.median([pair[k] for pair in pairs])) for k in (0, 1))
+        if abs(float(np.median([a - b for a, b in pairs]))) > tolerance_s:
+            words.append(
+                f"{name} steps begin to move the joint after {seen:.2g} s, by these effects after "
+                f"{simulated:.2g} s"
+            )
+    return "; ".join(words)
