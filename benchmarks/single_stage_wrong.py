@@ -160,9 +160,7 @@ def measure(name: str, count: int, seed: int, folder: Path) -> Row:
     for number in range(count):
         rng = np.random.default_rng([seed, list(KINDS).index(name), number])
         found, truth = KINDS[name](rng, folder / "a.csv")
-        named = (
-            {effect.effect for effect in found.causes[0].effects} if found.causes else set[str]()
-        )
+        named = frozenset(e.effect for cause in found.causes[:1] for e in cause.effects)
         is_sure = found.verdict in (VerdictKind.EXPLAINED, VerdictKind.NONE)
         # Of delay and lag a chirp or a short log may show the sum alone.
         is_right = named == truth or (name == "servo" and bool(named) and named <= truth)

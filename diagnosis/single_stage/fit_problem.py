@@ -38,6 +38,8 @@ class EffectOption(NamedTuple):
     parameters: tuple[FreeParameter, ...]
     least: float = 0.0
     """Smallest magnitude worth naming; the effect is insignificant if all its parameters are smaller."""
+    least_difference: float = 0.0
+    """Smallest difference of the first two parameters worth two of them; 0 for any."""
 
 
 class FitProblem(Protocol):

@@ -57,7 +57,7 @@ def list_actuation_options(
     )
     options = [
         EffectOption("valve_dead_time", "valve_dead_time", (dead_time,)),
-        *((_two_sided_dead_time_option(dead_time, min_time_s),) if is_speed else ()),
+        *((_two_sided_dead_time_option(dead_time, period_s),) if is_speed else ()),
         EffectOption("valve_lag", "valve_lag", (lag,)),
         EffectOption(
             "valve_lag_second",
@@ -68,6 +68,7 @@ def list_actuation_options(
             "valve_lag_two_sided",
             "valve_lag",
             (lag, FreeParameter("stopping_lag_s", "s", min_time_s, 5.0, (0.05, 0.3, 1.0))),
+            least_difference=period_s,
         ),
         *_list_static_options(),
         *(
@@ -84,12 +85,14 @@ def list_actuation_options(
     return tuple(options)
 
 
-def _two_sided_dead_time_option(dead_time: FreeParameter, least_s: float) -> EffectOption:
+def _two_sided_dead_time_option(dead_time: FreeParameter, period_s: float) -> EffectOption:
     """A dead time for each sign of the command."""
     ways = tuple(
         dead_time._replace(name=f"{way}_dead_time_s", low=0.0) for way in ("positive", "negative")
     )
-    return EffectOption("valve_dead_time_two_sided", "valve_dead_time", ways, least_s)
+    return EffectOption(
+        "valve_dead_time_two_sided", "valve_dead_time", ways, MIN_TIME_PERIODS * period_s, period_s
+    )
 
 
 def _list_static_options() -> tuple[EffectOption, ...]:

@@ -290,6 +290,8 @@ def _has_insignificant_effect(problem: FitProblem, found: StructureFit, correlat
                 return True
             if max(abs(values[name]) for name in names) < option.least:
                 return True
+            if abs(values[names[0]] - values[names[-1]]) < option.least_difference:
+                return True
         for p, name in zip(option.parameters, names, strict=True):
             if p.is_absent_at_high and values[name] > 0.98 * p.high:
                 return True
