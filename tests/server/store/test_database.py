@@ -85,18 +85,7 @@ def test_older_schema_names_the_remedy(database, monkeypatch):
         def walk_revisions(self):
             return [
                 type("Script", (), {"revision": name})
-                for name in (
-                    "0001",
-                    "0002",
-                    "0003",
-                    "0004",
-                    "0005",
-                    "0006",
-                    "0007",
-                    "0008",
-                    "0009",
-                    "9998",
-                )
+                for name in (*(f"{count:04}" for count in range(1, 100)), "9998")
             ]
 
     monkeypatch.setattr(module, "ScriptDirectory", Scripts)
