@@ -27,21 +27,21 @@ from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
+    alerts,
     audit,
     auth,
     events,
+    fleet,
     gap,
     health,
     history,
     hold,
-    leases,
     machines,
     plans,
     policies,
     sites,
     stops,
     validations,
-    view,
 )
 from server.schemas.console import ErrorBody
 from server.schemas.plans import HoldMessage, HoldReply
@@ -72,17 +72,17 @@ def _api_router() -> APIRouter:
     for module in (
         auth,
         machines,
+        fleet,
         stops,
-        leases,
         plans,
         hold,
         history,
-        view,
         sites,
         # Before policies: its paths name what else would be read as a version.
         validations,
         policies,
         gap,
+        alerts,
         audit,
         events,
         health,
@@ -91,6 +91,8 @@ def _api_router() -> APIRouter:
     api.include_router(sites.zones_router)
     api.include_router(policies.upload_router, max_body_size=UPLOAD_LIMIT_BYTES)
     api.include_router(history.logs_router, max_body_size=history.MAX_LOG_BODY_BYTES)
+    api.include_router(machines.leases_router)
+    api.include_router(plans.view_router)
     return api
 
 

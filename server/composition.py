@@ -15,6 +15,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.alerts.alerting import Alerting
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
 from server.deployments.policy_uploads import PolicyUploads
@@ -23,7 +24,9 @@ from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
+from server.drift.drift_watch import DriftWatch
 from server.event_hub import EventHub
+from server.fleet.machine_summaries import MachineSummaries
 from server.gap.gap_previews import GapPreviews
 from server.gap.gap_service import GapService
 from server.gap.twin_versions import TwinVersions
@@ -81,12 +84,14 @@ class Parts:
     hub: EventHub
     streams: StreamLimiter
     registry: MachineRegistry
+    alerting: Alerting
     link: MachineLink
     commands: MachineCommands
     leases: LeaseService
     policies: PolicyStore
     uploads: PolicyUploads
     machine_policies: MachinePolicies
+    summaries: MachineSummaries
     approvals: SiteApprovals
     validations: ValidationService
     deployments: Deployments
@@ -209,6 +214,8 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
                 f"machines cannot call in at {settings.link_listen} ({error}); is another server "
                 "running? Set DOWNRANGE_LINK_LISTEN to a free endpoint"
             ) from error
+        parts.alerting.start()
+        stack.callback(parts.alerting.close)
         parts.stops.start()
         stack.callback(parts.stops.close)
         yield parts
@@ -223,6 +230,7 @@ def assemble(
     accounts = Accounts(database, audit, settings.session_s)
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
     policies, uploads, approvals = _policy_parts(settings, database, audit, spec)
+    machine_policies = MachinePolicies(database, registry, policies)
     throws = ThrowStore(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
@@ -232,19 +240,14 @@ def assemble(
     )
     notices = LeaseNotices(leases, registry, commands)
     stops = StopService(database, audit, link, registry, hub)
-    plans = PlanStore(database)
+    plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
-    twins = TwinFiles(settings.data_dir, spec)
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)
     zones = ZoneStore(database, audit, registry, hub)
-    zone_notices = ZoneNotices(zones.active, registry, commands)
     planner = Planner(
         plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
     holds = HoldRelay(link, registry, metrics)
-    throw_service = ThrowService(
-        database, registry, leases, plans, sites, zones, throws, commands, holds
-    )
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     gap = GapService(database, audit, registry, logs, twins, hub)
     twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
@@ -262,12 +265,14 @@ def assemble(
         hub=hub,
         streams=StreamLimiter(metrics),
         registry=registry,
+        alerting=Alerting(database, audit, hub, registry, settings),
         link=link,
         commands=commands,
         leases=leases,
         policies=policies,
         uploads=uploads,
-        machine_policies=MachinePolicies(database, registry, policies),
+        machine_policies=machine_policies,
+        summaries=MachineSummaries(database, registry, machine_policies, policies),
         approvals=approvals,
         validations=_validations(settings, database, audit, policies),
         deployments=Deployments(database, audit, registry, policies, approvals, spec),
@@ -277,7 +282,9 @@ def assemble(
         pool=pool,
         planner=planner,
         holds=holds,
-        throw_service=throw_service,
+        throw_service=ThrowService(
+            database, registry, leases, plans, sites, zones, throws, commands, holds
+        ),
         history=ThrowHistory(database),
         statistics=ThrowStatistics(database),
         logs=logs,
@@ -288,7 +295,7 @@ def assemble(
         views=MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics),
         sites=sites,
         zones=zones,
-        zone_notices=zone_notices,
+        zone_notices=ZoneNotices(zones.active, registry, commands),
         targets=targets,
         scene=scene,
     )
@@ -324,6 +331,11 @@ def _validations(
 def _connect(parts: Parts, ingest: EventIngest) -> None:
     """Tell the parts of each other's news."""
     ingest.on_store += [parts.machine_policies.record, parts.deployments.record]
+    parts.deployments.on_change.append(parts.alerting.notifications.add_deployment)
+    drift = DriftWatch(parts.database, parts.registry, parts.machine_policies)
+    parts.throws.on_change.append(drift.note)
+    parts.alerting.watch.sources.append(drift.verdicts)
+    ingest.on_event += [parts.alerting.watch.take_event, drift.take_event]
     ingest.on_throw_end.append(parts.holds.end)
     parts.sites.on_change.append(parts.targets.show_site)
     parts.zones.on_change.append(parts.zone_notices.changed)

@@ -13,6 +13,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts, Session
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.alerts.alerting import Alerting
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
 from server.deployments.policy_uploads import PolicyUploads
@@ -22,6 +23,7 @@ from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
 from server.errors import NotSignedInError
 from server.event_hub import EventHub
+from server.fleet.machine_summaries import MachineSummaries
 from server.gap.gap_previews import GapPreviews
 from server.gap.gap_service import GapService
 from server.gap.twin_versions import TwinVersions
@@ -68,6 +70,7 @@ def _get(kind: type[PartT]) -> Callable[[HTTPConnection], Awaitable[PartT]]:
 
 AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
 AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
+AlertingDep = Annotated[Alerting, Depends(_get(Alerting))]
 ApprovalsDep = Annotated[SiteApprovals, Depends(_get(SiteApprovals))]
 AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
 CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
@@ -96,6 +99,7 @@ SitesDep = Annotated[SiteStore, Depends(_get(SiteStore))]
 StatisticsDep = Annotated[ThrowStatistics, Depends(_get(ThrowStatistics))]
 StopsDep = Annotated[StopService, Depends(_get(StopService))]
 StreamsDep = Annotated[StreamLimiter, Depends(_get(StreamLimiter))]
+SummariesDep = Annotated[MachineSummaries, Depends(_get(MachineSummaries))]
 TargetsDep = Annotated[TargetProposals, Depends(_get(TargetProposals))]
 ThrowServiceDep = Annotated[ThrowService, Depends(_get(ThrowService))]
 ThrowsDep = Annotated[ThrowStore, Depends(_get(ThrowStore))]
@@ -137,6 +141,7 @@ Viewer = Annotated[Session, Depends(requires(Permission.VIEW))]
 Lessee = Annotated[Session, Depends(requires(Permission.LEASE))]
 Thrower = Annotated[Session, Depends(requires(Permission.THROW))]
 ImpactMarker = Annotated[Session, Depends(requires(Permission.IMPACT_MARK))]
+AlertKeeper = Annotated[Session, Depends(requires(Permission.ALERT_ACKNOWLEDGE))]
 LeaseTaker = Annotated[Session, Depends(requires(Permission.LEASE_TAKE))]
 StopClearer = Annotated[Session, Depends(requires(Permission.STOP_CLEAR))]
 GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
@@ -148,6 +153,8 @@ Validator = Annotated[Session, Depends(requires(Permission.POLICY_VALIDATE))]
 Approver = Annotated[Session, Depends(requires(Permission.POLICY_APPROVE))]
 Deployer = Annotated[Session, Depends(requires(Permission.POLICY_DEPLOY))]
 Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
+Administrator = Annotated[Session, Depends(requires(Permission.ADMIN))]
+MachineEditor = Annotated[Session, Depends(requires(Permission.MACHINE_EDIT))]
 Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]
 
 

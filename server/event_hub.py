@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from server.schemas.events import (
     AlertEvent,
+    AlertUpdatedEvent,
     GapUpdatedEvent,
     LeaseChangedEvent,
     MachineLostEvent,
@@ -38,6 +39,7 @@ DiscreteEvent = (
     | SiteUpdatedEvent
     | ZonesUpdatedEvent
     | AlertEvent
+    | AlertUpdatedEvent
 )
 
 QUEUE_LENGTH = 512

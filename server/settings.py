@@ -66,12 +66,19 @@ class Settings(BaseSettings):
     """Addresses or networks of reverse proxies, comma separated. Only their X-Forwarded-* headers count."""
     metrics_token: SecretStr | None = None
     """Bearer token with which Prometheus reads /metrics; without it a signed-in auditor may."""
+    webhook_private: bool = False
+    """Allow webhooks to addresses inside a network, and http; else they could reach what only we reach."""
+    smtp_url: SecretStr | None = None
+    """`smtp://user:password@host:587` (STARTTLS) or `smtps://...`: opened alerts are mailed through it."""
+    mail_from: str = Field(default="", max_length=200)
+    mail_to: Annotated[tuple[str, ...], NoDecode] = ()
+    """Addresses that opened alerts are mailed to, comma separated."""
     min_free_bytes: int = Field(default=256 * 1024 * 1024, ge=0)
     """Free space in the data folder below which /health reports a full disk."""
     log_max_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)
     """Largest throw log that a machine may upload."""
 
-    @field_validator("origins", "trusted_proxies", mode="before")
+    @field_validator("origins", "trusted_proxies", "mail_to", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
@@ -94,6 +101,20 @@ class Settings(BaseSettings):
                 "link_private_key, and no other endpoint uses them"
             )
         return self
+
+    @model_validator(mode="after")
+    def _has_mail_addresses(self) -> "Settings":
+        url = self.smtp_url
+        if url is not None and not url.get_secret_value().startswith(("smtp://", "smtps://")):
+            raise ValueError("smtp_url begins with smtp:// or smtps://")
+        if (url is not None) != self.has_mail:
+            raise ValueError("e-mail needs all of smtp_url, mail_from and mail_to, or none")
+        return self
+
+    @property
+    def has_mail(self) -> bool:
+        """Whether opened alerts are mailed."""
+        return self.smtp_url is not None and bool(self.mail_from) and bool(self.mail_to)
 
     @property
     def is_link_in_the_clear(self) -> bool:

@@ -37,11 +37,13 @@ _OPERATOR = _VIEWER | {
     Permission.IMPACT_MARK,
     Permission.GAP_RUN,
     Permission.SITE_EDIT,
+    Permission.ALERT_ACKNOWLEDGE,
 }
 _SUPERVISOR = _OPERATOR | {
     Permission.LEASE_TAKE,
     Permission.STOP_CLEAR,
     Permission.AUDIT_READ,
+    Permission.MACHINE_EDIT,
     Permission.ZONES_APPROVE,
 }
 _ENGINEER = _SUPERVISOR | {

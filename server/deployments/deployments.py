@@ -5,6 +5,7 @@ Rows are only added; how a deployment ended is written beside it, once.
 """
 
 import threading
+from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -59,6 +60,8 @@ class Deployments:
         self._spec = spec
         self._lock = threading.Lock()
         self._hashes: dict[tuple[Path, int, int], str] = {}
+        self.on_change: list[Callable[[DatabaseSession, DeploymentView], None]] = []
+        """Called inside the transaction that stores or ends a deployment."""
 
     # People ---------------------------------------------------------------------------------------
 
@@ -146,7 +149,8 @@ class Deployments:
     def record(self, database: DatabaseSession, event: MachineEvent) -> None:
         """Note how a deployment ended; inside the transaction that stores the machine's event."""
         if event.kind is EventKind.BOOTED:
-            _note_aboard(database, event)
+            for row in _note_aboard(database, event):
+                self._tell(database, row)
         if event.kind not in (EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED):
             return
         count, mode = event.data.get("deployment_count"), event.data.get("mode")
@@ -161,6 +165,7 @@ class Deployments:
         ).value
         row.detail = str(event.data.get("detail", ""))[:1000]
         row.ended_utc = utc_now()
+        self._tell(database, row)
 
     # Parts ----------------------------------------------------------------------------------------
 
@@ -203,6 +208,7 @@ class Deployments:
             newest = _newest(database, machine_id, mode)
             if newest is not None and newest.outcome == DeploymentOutcome.PENDING:
                 newest.outcome, newest.ended_utc = DeploymentOutcome.REPLACED.value, utc_now()
+                self._tell(database, newest)
             row = Deployment(
                 machine_id=machine_id,
                 mode=mode.value,
@@ -226,7 +232,12 @@ class Deployments:
             action = "policy.roll_back" if is_rollback else "policy.deploy"
             entry = Entry(session.actor, action, "fact", machine_id=machine_id, detail=detail)
             self._audit.append(database, entry)
+            self._tell(database, row)
         return self._view(row)
+
+    def _tell(self, database: DatabaseSession, row: Deployment) -> None:
+        for listener in self.on_change:
+            listener(database, self._view(row))
 
     def _view(self, row: Deployment) -> DeploymentView:
         return DeploymentView(
@@ -258,8 +269,8 @@ class Deployments:
         return VersionFileView(name=name, sha256=known, size_bytes=status.st_size)
 
 
-def _note_aboard(database: DatabaseSession, event: MachineEvent) -> None:
-    """A machine that was cut off while it switched says at its start what it has."""
+def _note_aboard(database: DatabaseSession, event: MachineEvent) -> Iterator[Deployment]:
+    """A machine that was cut off while it switched says at its start what it has: what that ends."""
     aboard = event.data.get("policy_sha256")
     if not isinstance(aboard, dict):
         return
@@ -268,6 +279,7 @@ def _note_aboard(database: DatabaseSession, event: MachineEvent) -> None:
         is_open = row is not None and row.outcome == DeploymentOutcome.PENDING
         if row is not None and is_open and aboard.get(mode.value) == row.policy_sha256:
             row.outcome, row.ended_utc = DeploymentOutcome.SWITCHED.value, utc_now()
+            yield row
 
 
 def _newest(database: DatabaseSession, machine_id: str, mode: Mode) -> Deployment | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pydantic import JsonValue
 from sqlalchemy import select, update
 
 from machine.messages import JointStream, MachineState
@@ -41,6 +42,7 @@ class KnownMachine:
     site: str
     name: str
     is_listed: bool
+    tags: tuple[str, ...] = ()
     has_token: bool = False
     state: MachineState | None = None
     received_s: float = -1e9
@@ -94,6 +96,7 @@ class MachineRegistry:
                     row.site,
                     row.name,
                     row.is_listed,
+                    tuple(row.tags),
                     last_seen_utc=row.last_seen_utc,
                 )
 
@@ -125,6 +128,34 @@ class MachineRegistry:
         with self._lock:
             self._known[machine_id].is_listed = True
             self._known[machine_id].name = name
+
+    def edit(
+        self,
+        machine_id: str,
+        actor: Actor,
+        *,
+        name: str | None = None,
+        tags: tuple[str, ...] | None = None,
+    ) -> None:
+        """Change how people call and sort a machine; None leaves it.
+
+        Raises:
+            NotFoundError: there is none of this id.
+        """
+        known = self.get(machine_id)
+        new_name = known.name if name is None else name.strip()
+        new_tags = known.tags if tags is None else tuple(dict.fromkeys(tags))
+        with self._database.write() as session:
+            session.execute(
+                update(Machine)
+                .where(Machine.machine_id == machine_id)
+                .values(name=new_name, tags=list(new_tags))
+            )
+            detail: dict[str, JsonValue] = {"name": new_name, "tags": list(new_tags)}
+            entry = Entry(actor, "machine.edit", "fact", machine_id=machine_id, detail=detail)
+            self._audit.append(session, entry)
+        with self._lock:
+            known.name, known.tags = new_name, new_tags
 
     def secret_path(self, machine_id: str) -> Path:
         """File with the password of a machine, for `downrange machine --password-file`."""

@@ -1,8 +1,6 @@
 """Health for people and load balancers, metrics for Prometheus."""
 
 import hmac
-import shutil
-from pathlib import Path
 
 from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
@@ -18,6 +16,7 @@ from server.dependencies import (
     SettingsDep,
 )
 from server.errors import NotSignedInError
+from server.limits.disk_space import disk_standing
 from server.schemas.console import HealthView, Permission
 from server.version import SOFTWARE
 
@@ -57,17 +56,6 @@ def read_health(
         machine_count=len(listed),
         connected_count=sum(known.is_connected for known in listed),
     )
-
-
-def disk_standing(folder: Path, min_free_bytes: int) -> str:
-    """How much space a folder has: `ok`, or what is missing."""
-    try:
-        free_bytes = shutil.disk_usage(folder).free
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    if free_bytes < min_free_bytes:
-        return f"full: {free_bytes // 1_000_000} MB free, {min_free_bytes // 1_000_000} MB needed"
-    return "ok"
 
 
 def check_metrics_reader(request: Request, access: AccessDep, settings: SettingsDep) -> None:

@@ -1,4 +1,4 @@
-"""Machines: their state, targets in mind, and the commands that are neither a throw nor STOP."""
+"""Machines: their state, leases, targets in mind, and the commands that are neither a throw nor STOP."""
 
 from fastapi import APIRouter
 
@@ -15,6 +15,8 @@ from server.dependencies import (
     CommandsDep,
     Enroller,
     LeasesDep,
+    LeaseTaker,
+    Lessee,
     RegistryDep,
     StopClearer,
     StopsDep,
@@ -29,15 +31,18 @@ from server.machines.lease_service import LeaseService
 from server.machines.machine_commands import MachineCommands
 from server.schemas.console import (
     CommandView,
+    LeaseView,
     MachineEnrolRequest,
     MachineView,
     StopClearBody,
+    TakeRequest,
     TargetRequest,
     TargetView,
 )
 from server.throws.throw_service import ThrowService
 
 router = APIRouter(tags=["machines"])
+leases_router = APIRouter(tags=["leases"])
 
 
 @router.get("/machines")
@@ -156,6 +161,26 @@ def clear_stop(
     )
     with stops.suspended(machine_id):
         return _view(commands.send(request, session.actor))
+
+
+@leases_router.post("/machines/{machine_id}/lease")
+def acquire_lease(machine_id: str, session: Lessee, leases: LeasesDep) -> LeaseView:
+    """Acquire a free lease, or renew one's own; renew every 5 s, it runs out after 15 s."""
+    return leases.acquire(machine_id, session)
+
+
+@leases_router.delete("/machines/{machine_id}/lease")
+def release_lease(machine_id: str, session: Lessee, leases: LeasesDep) -> LeaseView:
+    """Give one's lease back; the machine disarms."""
+    return leases.release(machine_id, session)
+
+
+@leases_router.post("/machines/{machine_id}/lease/take")
+def take_lease(
+    machine_id: str, body: TakeRequest, session: LeaseTaker, leases: LeasesDep
+) -> LeaseView:
+    """Take a lease from another person; the machine disarms."""
+    return leases.take(machine_id, session, body.reason)
 
 
 def _command(

@@ -1,11 +1,21 @@
-"""Plans: preview, arm, fire."""
+"""Plans: preview, arm, fire; and what this session's 3D view shows."""
 
 from fastapi import APIRouter
 
-from server.dependencies import PlannerDep, PlansDep, Thrower, ThrowServiceDep, Viewer
+from server.dependencies import (
+    PlannerDep,
+    PlansDep,
+    RegistryDep,
+    TargetsDep,
+    Thrower,
+    ThrowServiceDep,
+    Viewer,
+)
+from server.schemas.console import ViewRequest
 from server.schemas.plans import ArmBody, ArmView, FireView, PlanFrames, PlanRequest, PlanView
 
 router = APIRouter(tags=["plans"])
+view_router = APIRouter(tags=["view"])
 
 
 @router.post("/machines/{machine_id}/plans", status_code=201)
@@ -40,3 +50,13 @@ def arm_plan(
 def fire_plan(plan_id: str, session: Thrower, throw_service: ThrowServiceDep) -> FireView:
     """Fire the armed plan, once; then hold on the WebSocket until the machine is committed."""
     return throw_service.fire(plan_id, session)
+
+
+@view_router.put("/view", status_code=204)
+def set_view(
+    body: ViewRequest, session: Viewer, registry: RegistryDep, targets: TargetsDep
+) -> None:
+    """Change what this session's 3D view shows."""
+    if body.machine_id is not None:
+        registry.get(body.machine_id)
+    targets.set_view(session.session_id, body)

@@ -60,6 +60,7 @@ class Permission(StrEnum):
     LEASE = "lease"
     THROW = "throw"
     IMPACT_MARK = "impact.mark"
+    ALERT_ACKNOWLEDGE = "alert.acknowledge"
     LEASE_TAKE = "lease.take"
     STOP_CLEAR = "stop.clear"
     AUDIT_READ = "audit.read"
@@ -71,6 +72,7 @@ class Permission(StrEnum):
     POLICY_DEPLOY = "policy.deploy"
     SITE_EDIT = "site.edit"
     ZONES_APPROVE = "zones.approve"
+    MACHINE_EDIT = "machine.edit"
     MACHINE_ENROL = "machine.enrol"
     ADMIN = "admin"
 

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, RootModel
 
+from server.schemas.alerts import AlertView
 from server.schemas.console import LeaseView, MachineView, TargetView, View
 from server.schemas.gap import GapRunRow
 from server.schemas.history import ThrowRow
@@ -106,13 +107,20 @@ class ZonesUpdatedEvent(View):
 
 
 class AlertEvent(View):
-    """Something a person should look at."""
+    """News for everybody who looks at the console now; nothing is kept of it."""
 
     kind: Literal["alert"] = "alert"
     severity: Literal["info", "warning", "error"]
     code: str
     text: str
     machine_id: str | None
+
+
+class AlertUpdatedEvent(View):
+    """An alert was opened, cleared, acknowledged or silenced."""
+
+    kind: Literal["alert.updated"] = "alert.updated"
+    alert: AlertView
 
 
 class ServerEvent(
@@ -129,7 +137,8 @@ class ServerEvent(
             | TwinUpdatedEvent
             | SiteUpdatedEvent
             | ZonesUpdatedEvent
-            | AlertEvent,
+            | AlertEvent
+            | AlertUpdatedEvent,
             Field(discriminator="kind"),
         ]
     ]

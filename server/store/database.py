@@ -5,11 +5,11 @@ and waits its turn at a lock of this process, so that "database is locked" canno
 """
 
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from alembic import command
 from alembic.config import Config
@@ -25,6 +25,7 @@ from server.secret_files import make_private
 from server.settings import CHECKOUT
 
 BUSY_TIMEOUT_MS = 5000
+RowT = TypeVar("RowT")
 MIGRATIONS = CHECKOUT / "migrations"
 
 
@@ -84,6 +85,16 @@ class Database:
         else:
             with self._write.begin() as session:
                 yield session
+
+    def on_insert(self, kind: type[RowT], listener: Callable[[Session, RowT], None]) -> None:
+        """Call a listener for each new row of a table, inside the write transaction that adds it."""
+
+        def look(session: Session, _context: object, _instances: object) -> None:
+            for row in list(session.new):
+                if isinstance(row, kind):
+                    listener(session, row)
+
+        event.listen(self._write, "before_flush", look)
 
     def close(self) -> None:
         """Give all connections back."""

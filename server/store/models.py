@@ -102,6 +102,7 @@ class Machine(Base):
     machine_id: Mapped[str] = mapped_column(String(32), primary_key=True)
     site: Mapped[str] = mapped_column(String(32))
     name: Mapped[str] = mapped_column(String(80), default="")
+    tags: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     token_sha256: Mapped[str] = mapped_column(String(64))
     is_listed: Mapped[bool] = mapped_column(default=False)
     """Enrolled by a person or seen at least once; spare accounts are not shown."""

@@ -54,6 +54,8 @@ class EventIngest:
         self.on_throw_end: list[EndListener] = []
         self.on_store: list[StoreListener] = []
         """Called for each new event inside the transaction that stores it."""
+        self.on_event: list[Callable[[MachineEvent], None]] = []
+        """Called for each new event when it is on disk."""
 
     def take(self, batch: EventBatch) -> EventAck:
         """Store a batch; returns what the machine may delete."""
@@ -135,6 +137,8 @@ class EventIngest:
 
     def _follow(self, event: MachineEvent) -> None:
         """What happens after the events are on disk."""
+        for listener in self.on_event:
+            listener(event)
         if event.kind in _ALERTS:
             severity, text = _ALERTS[event.kind]
             detail = event.data.get("detail") or event.data.get("fault") or ""
@@ -149,8 +153,8 @@ class EventIngest:
         if event.kind in _PHASES or event.kind is EventKind.THROW_ENDED:
             self._throws.resolve(event.throw_id)
         if event.kind is EventKind.THROW_ENDED:
-            for listener in self.on_throw_end:
-                listener(event.throw_id)
+            for end_listener in self.on_throw_end:
+                end_listener(event.throw_id)
         self._throws.publish(event.throw_id)
 
 

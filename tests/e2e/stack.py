@@ -130,6 +130,16 @@ class ServerAlone:
         self._command.wait_for("Downrange answers at", 120.0)
         return Stack(f"http://127.0.0.1:{self.port}", logins(self.data))
 
+    def machine(self, machine_id: str = "m001") -> Command:
+        """A virtual machine that calls in at this server; the caller ends it."""
+        return Command(
+            self.data / f"{machine_id}.log",
+            *("machine", "--driver", "virtual", "--machine-id", machine_id),
+            *("--connect", f"tcp/127.0.0.1:{self._link}", "--data", str(self.data / machine_id)),
+            *("--password-file", str(self.data / "machines" / f"{machine_id}.password")),
+            *("--server-url", f"http://127.0.0.1:{self.port}"),
+        )
+
     def kill(self) -> None:
         if self._command is not None:
             self._command.kill()

@@ -8,7 +8,7 @@ from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.stack import Stack
 
-PAGES = ("operate", "throws", "site", "policies", "gap", "fleet", "admin")
+PAGES = ("operate", "throws", "site", "policies", "gap", "fleet", "alerts", "admin")
 
 
 def test_no_page_has_a_finding(demo: Stack, open_page: Callable[..., Page]) -> None:
@@ -24,4 +24,8 @@ def test_no_page_has_a_finding(demo: Stack, open_page: Callable[..., Page]) -> N
         page.locator("main h1").first.wait_for()
         page.wait_for_load_state("networkidle")
         findings += findings_of_both_schemes(page)
+    page.goto("/machines/m001")
+    page.locator("main h1").first.wait_for()
+    page.wait_for_load_state("networkidle")
+    findings += findings_of_both_schemes(page)
     assert findings == []

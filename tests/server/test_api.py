@@ -7,8 +7,8 @@ import pytest
 
 from server.accounts.accounts import COOKIE
 from server.app import create_app
+from server.limits.disk_space import disk_standing
 from server.routes import health
-from server.routes.health import disk_standing
 from server.settings import Settings
 from tests.cases import each
 from tests.server.server_bench import METRICS_TOKEN, wait_for

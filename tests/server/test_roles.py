@@ -16,17 +16,20 @@ LEAST = {
         read_gap_report read_kept_reference
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
         list_policy_approvals read_policy_history list_policy_keys
-        compare_policies read_validation read_validation_log list_gates""",
+        compare_policies read_validation read_validation_log list_gates
+        list_alerts list_fleet read_machine_life""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
-        undo_zones create_gap_run cancel_gap_run preview_gap_run""",
-    Role.SUPERVISOR: "clear_stop take_lease list_audit verify_audit approve_zones",
+        undo_zones acknowledge_alert silence_alert create_gap_run cancel_gap_run preview_gap_run""",
+    Role.SUPERVISOR: "clear_stop take_lease edit_machine list_audit verify_audit approve_zones",
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
         upload_policy retire_policy rotate_policy_key revoke_policy_key
         validate_policy cancel_validation set_gates""",
-    Role.ADMIN: "enrol_machine",
+    Role.ADMIN: """
+        enrol_machine list_webhooks create_webhook remove_webhook test_webhook list_notifications
+        replay_notification""",
 }
 """The least role that may do what; `OPEN` needs no session, `put_throw_log` is for machines."""
 OPEN = {"login", "read_me", "read_health"}
@@ -61,6 +64,9 @@ def answer(client, operation):
         "throw_id",
         "gap_run_id",
         "validation_id",
+        "alert_id",
+        "webhook_id",
+        "notification_id",
         "policy_sha256",
         "key_id",
         "mode",

@@ -8,6 +8,8 @@ import {
   Outlet,
   redirect,
 } from "@tanstack/react-router";
+import { parseAlertSearch } from "./alerts/attention";
+import { parseFleetSearch } from "./fleet/rows";
 import { Frame } from "./frame/Frame";
 import { GateSentence } from "./operate/GateSentence";
 import { parseAim } from "./operate/target/aimAddress";
@@ -75,7 +77,21 @@ const gap = createRoute({
 const fleet = createRoute({
   getParentRoute: () => frame,
   path: "/fleet",
+  validateSearch: parseFleetSearch,
   component: lazyRouteComponent(() => import("./routes/fleet"), "FleetPage"),
+});
+
+const machine = createRoute({
+  getParentRoute: () => frame,
+  path: "/machines/$machineId",
+  component: lazyRouteComponent(() => import("./routes/machine"), "MachinePage"),
+});
+
+const alerts = createRoute({
+  getParentRoute: () => frame,
+  path: "/alerts",
+  validateSearch: parseAlertSearch,
+  component: lazyRouteComponent(() => import("./routes/alerts"), "AlertsPage"),
 });
 
 const site = createRoute({
@@ -92,7 +108,19 @@ const admin = createRoute({
 
 const tree = root.addChildren([
   login,
-  frame.addChildren([home, operate, throws, oneThrow, site, policies, gap, fleet, admin]),
+  frame.addChildren([
+    home,
+    operate,
+    throws,
+    oneThrow,
+    site,
+    policies,
+    gap,
+    fleet,
+    machine,
+    alerts,
+    admin,
+  ]),
 ]);
 
 export const router = createRouter({ routeTree: tree, defaultPreload: "intent" });

@@ -10,7 +10,9 @@ export function Alerts() {
   return alerts.slice(-SHOWN).map((alert) => (
     <div key={alert.id} className={classes.banner} data-severity={alert.severity} role="alert">
       <span className={classes.text}>
-        {alert.machine_id && <strong>{alert.machine_id}: </strong>}
+        {alert.machine_id && !alert.text.includes(alert.machine_id) && (
+          <strong>{alert.machine_id}: </strong>
+        )}
         {alert.text}
       </span>
       <CloseButton

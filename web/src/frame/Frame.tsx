@@ -1,5 +1,6 @@
 import { Outlet, useNavigate, useRouterState } from "@tanstack/react-router";
 import { Fragment, useEffect, useState } from "react";
+import { useAlertSound } from "../alerts/useAlertSound";
 import { useLeaseKeeper } from "../machine/useLease";
 import { useMachine, useMachineId } from "../machine/useMachine";
 import { useLiveConnection } from "../session/useLiveConnection";
@@ -22,6 +23,7 @@ export function Frame() {
   const pageKey = usePageKey(href.startsWith("/operate"));
   useLiveConnection(session?.session_id ?? null, machineId);
   useLeaseKeeper(useMachine());
+  useAlertSound();
 
   useEffect(() => {
     // The address changes before this frame goes: only the one that was asked for leads back.

@@ -1,49 +1,90 @@
-import { FleetRow } from "../machine/FleetRow";
+import { Select, TextInput } from "@mantine/core";
+import { useNavigate, useSearch } from "@tanstack/react-router";
+import { useOpenAlerts } from "../alerts/useAlerts";
+import classes from "../fleet/Fleet.module.css";
+import { FleetTable } from "../fleet/FleetTable";
+import {
+  chosenRows,
+  type FleetSearch,
+  fleetRows,
+  parseFleetSearch,
+  SORTS,
+  STANDINGS,
+} from "../fleet/rows";
+import { type FleetRecord, useFleet } from "../fleet/useFleet";
 import { StopAllButton } from "../machine/StopAllButton";
 import { GateSentence } from "../operate/GateSentence";
 import { useLive } from "../session/liveStore";
-import { zoneName } from "../words/time";
-import classes from "./fleet.module.css";
+import { useNow } from "../session/useNow";
+import { errorWords } from "../words/errors";
 
-/** Fleet: every machine of this site with its state, holder and link; lost ones stay. */
+const NO_RECORDS: readonly FleetRecord[] = [];
+
+/** Fleet: every machine of this site with its state, versions, accuracy and alerts; lost ones stay. */
 export function FleetPage() {
+  const search: FleetSearch = useSearch({ from: "/frame/fleet" });
+  const navigate = useNavigate({ from: "/fleet" });
   const machines = useLive((live) => live.machines);
   const isLoaded = useLive((live) => live.isLoaded);
-  const all = Object.values(machines).sort((a, b) => a.machine_id.localeCompare(b.machine_id));
+  const records = useFleet();
+  const alerts = useOpenAlerts();
+  const all = fleetRows(machines, records.data ?? NO_RECORDS, alerts, useNow());
+  const rows = chosenRows(all, search);
+  const change = (next: FleetSearch) =>
+    void navigate({ search: parseFleetSearch({ ...search, ...next }), replace: true });
   return (
     <div className={classes.page}>
       <header className={classes.head}>
         <h1>Fleet</h1>
+        {all.length > 0 && <Choice search={search} onChange={change} />}
       </header>
+      {records.isError && <p className={classes.refusal}>{errorWords(records.error)}</p>}
       {isLoaded && all.length === 0 && (
         <GateSentence sentence="No machine has connected to this server yet. Start one: downrange machine." />
       )}
-      {all.length > 0 && (
-        <table className={classes.table}>
-          <thead>
-            <tr>
-              <th scope="col">Machine</th>
-              <th scope="col">Site</th>
-              <th scope="col">State</th>
-              <th scope="col">In control</th>
-              <th scope="col">Link</th>
-              <th scope="col">Last seen, {zoneName(new Date())}</th>
-              <th scope="col">Load</th>
-              <th scope="col">Records to send</th>
-              <th scope="col">Software</th>
-              <th scope="col">
-                <span className="visually-hidden">Open</span>
-              </th>
-            </tr>
-          </thead>
-          <tbody>
-            {all.map((machine) => (
-              <FleetRow key={machine.machine_id} machine={machine} />
-            ))}
-          </tbody>
-        </table>
+      {all.length > 0 && rows.length === 0 && (
+        <GateSentence sentence="No machine matches. Clear a filter." />
       )}
+      {rows.length > 0 && <FleetTable rows={rows} />}
       {all.length > 0 && <StopAllButton />}
     </div>
+  );
+}
+
+type ChoiceProps = { search: FleetSearch; onChange: (next: FleetSearch) => void };
+
+function Choice({ search, onChange }: ChoiceProps) {
+  const select = { size: "sm", classNames: { root: classes.field } } as const;
+  const data = (words: Record<string, string>) =>
+    Object.entries(words).map(([value, label]) => ({ value, label }));
+  return (
+    <>
+      <TextInput
+        {...select}
+        aria-label="Find a machine"
+        placeholder="Find: name, tag, version"
+        value={search.find ?? ""}
+        onChange={(event) => onChange({ find: event.currentTarget.value })}
+      />
+      <Select
+        {...select}
+        clearable
+        aria-label="State"
+        placeholder="State"
+        data={data(STANDINGS)}
+        value={search.standing ?? null}
+        onChange={(value) =>
+          onChange({ standing: (value as FleetSearch["standing"]) ?? undefined })
+        }
+      />
+      <Select
+        {...select}
+        allowDeselect={false}
+        aria-label="Order"
+        data={data(SORTS)}
+        value={search.sort ?? "machine"}
+        onChange={(value) => onChange({ sort: (value as FleetSearch["sort"]) ?? undefined })}
+      />
+    </>
   );
 }

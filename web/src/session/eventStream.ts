@@ -20,6 +20,7 @@ const EVENT_KINDS: Record<ServerEvent["kind"], true> = {
   "site.updated": true,
   "zones.updated": true,
   alert: true,
+  "alert.updated": true,
 };
 
 const FIRST_RETRY_MS = 500;

@@ -21,7 +21,8 @@ export type ServerEvent =
   | Schema["TwinUpdatedEvent"]
   | Schema["SiteUpdatedEvent"]
   | Schema["ZonesUpdatedEvent"]
-  | Schema["AlertEvent"];
+  | Schema["AlertEvent"]
+  | Schema["AlertUpdatedEvent"];
 
 export type Live = {
   machines: Readonly<Record<string, Machine>>;
@@ -40,7 +41,10 @@ export type Live = {
   proposing: Readonly<Record<string, boolean>>;
   /** Last lease change by machine, to tell why control was lost. */
   leaseNews: Readonly<Record<string, Schema["LeaseChangedEvent"]>>;
+  /** News that lies over the page until dismissed. */
   alerts: readonly Alert[];
+  /** What is wrong now, by the alert's id. */
+  openAlerts: Readonly<Record<string, Schema["AlertView"]>>;
   isLoaded: boolean;
   /** How often everything was read anew, because events may have been missed. */
   resync_count: number;
@@ -48,6 +52,7 @@ export type Live = {
 
 export type LiveAction =
   | { kind: "resync"; machines: readonly Machine[] }
+  | { kind: "alerts"; alerts: readonly Schema["AlertView"][] }
   | { kind: "event"; event: ServerEvent; sessionId: string | null }
   | { kind: "plan"; plan: Plan }
   | { kind: "target"; machineId: string; target: Schema["TargetView"] | null; isProposing: boolean }
@@ -66,6 +71,7 @@ export const EMPTY_LIVE: Live = {
   proposing: {},
   leaseNews: {},
   alerts: [],
+  openAlerts: {},
   isLoaded: false,
   resync_count: 0,
 };
@@ -99,6 +105,11 @@ export function reduceLive(live: Live, action: LiveAction): Live {
         // News of runs may have been missed: what is asked anew counts.
         gapRuns: {},
         machines: Object.fromEntries(action.machines.map((m) => [m.machine_id, quiet(m)])),
+      };
+    case "alerts":
+      return {
+        ...live,
+        openAlerts: Object.fromEntries(action.alerts.map((alert) => [alert.alert_id, alert])),
       };
     case "plan":
       // The answer to a request may arrive after newer news of the same plan.
@@ -158,6 +169,8 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       return { ...live, zones: { ...live.zones, [event.zones.machine_id]: event.zones } };
     case "alert":
       return { ...live, alerts: addAlert(live.alerts, event) };
+    case "alert.updated":
+      return onAlert(live, event.alert);
   }
 }
 
@@ -181,6 +194,14 @@ function onTarget(live: Live, event: Schema["TargetProposedEvent"]): Live {
     ...machine,
     target: event.target,
   }));
+}
+
+function onAlert(live: Live, alert: Schema["AlertView"]): Live {
+  if (alert.cleared_utc === null) {
+    return { ...live, openAlerts: { ...live.openAlerts, [alert.alert_id]: alert } };
+  }
+  const { [alert.alert_id]: _, ...openAlerts } = live.openAlerts;
+  return { ...live, openAlerts };
 }
 
 function addAlert(alerts: readonly Alert[], event: Schema["AlertEvent"]): readonly Alert[] {

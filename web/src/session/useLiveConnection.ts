@@ -2,6 +2,8 @@
 
 import { useQueryClient } from "@tanstack/react-query";
 import { useEffect } from "react";
+import { ALERTS } from "../alerts/useAlerts";
+import { FLEET } from "../fleet/useFleet";
 import { api, take } from "./client";
 import { markData, markOpen, markRefused } from "./connection";
 import { EventStream } from "./eventStream";
@@ -10,8 +12,15 @@ import { dispatchLive } from "./liveStore";
 import { ME } from "./queries";
 import { socketUrl } from "./socketUrl";
 
+const OPEN_ALERT_LIMIT = 500;
+
 async function resync(): Promise<void> {
-  dispatchLive({ kind: "resync", machines: await take(api.GET("/api/v1/machines")) });
+  const [machines, alerts] = await Promise.all([
+    take(api.GET("/api/v1/machines")),
+    take(api.GET("/api/v1/alerts", { params: { query: { limit: OPEN_ALERT_LIMIT } } })),
+  ]);
+  dispatchLive({ kind: "alerts", alerts: alerts.rows });
+  dispatchLive({ kind: "resync", machines });
 }
 
 /** Name the watched machine to the server, which then sends its state at the full rate. */
@@ -32,8 +41,12 @@ export function useLiveConnection(sessionId: string | null, machineId: string | 
       if (event.kind === "twin.updated" || (event.kind === "gap.updated" && isTurn(event.run))) {
         void client.invalidateQueries({ queryKey: ["gap"] });
       }
+      if (event.kind === "alert.updated") {
+        void client.invalidateQueries({ queryKey: [ALERTS] });
+      }
       if (event.kind === "throw.updated" && event.throw.phase === "ended") {
         void client.invalidateQueries({ queryKey: ["throws"] });
+        void client.invalidateQueries({ queryKey: [FLEET] });
         void client.invalidateQueries({ queryKey: ["throw", event.throw.throw_id] });
       }
     };

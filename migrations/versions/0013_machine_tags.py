@@ -1,0 +1,18 @@
+"""Tags by which people sort machines."""
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0013"
+down_revision = "0012"
+branch_labels = None
+depends_on = None
+
+
+def upgrade() -> None:
+    op.add_column("machines", sa.Column("tags", sa.JSON(), nullable=False, server_default="[]"))
+
+
+def downgrade() -> None:
+    with op.batch_alter_table("machines") as machines:
+        machines.drop_column("tags")

@@ -1,0 +1,44 @@
+/** What the server knows of machines beside their live state, and how people call them. */
+
+import { useMutation, useQuery, useQueryClient } from "@tanstack/react-query";
+import { api, type Schema, take } from "../session/client";
+
+export const FLEET = "fleet";
+
+export type FleetRecord = Schema["FleetRowView"];
+export type ModeSummary = Schema["ModeSummary"];
+export type MissFigures = Schema["MissFigures"];
+export type MachineLife = Schema["MachineLifeView"];
+
+export function useFleet() {
+  return useQuery({
+    queryKey: [FLEET, "all"],
+    queryFn: () => take(api.GET("/api/v1/fleet")),
+  });
+}
+
+export function useMachineLife(machineId: string) {
+  return useQuery({
+    queryKey: [FLEET, "life", machineId],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/machines/{machine_id}/life", {
+          params: { path: { machine_id: machineId } },
+        }),
+      ),
+  });
+}
+
+export function useEditMachine(machineId: string) {
+  const client = useQueryClient();
+  return useMutation({
+    mutationFn: (body: { name: string; tags: string[] }) =>
+      take(
+        api.PATCH("/api/v1/machines/{machine_id}", {
+          params: { path: { machine_id: machineId } },
+          body,
+        }),
+      ),
+    onSuccess: () => client.invalidateQueries({ queryKey: [FLEET] }),
+  });
+}
