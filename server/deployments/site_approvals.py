@@ -37,6 +37,7 @@ from server.errors import ApiError, ConflictError, NotFoundError
 from server.plans.policy_life import (
     change_state,
     state_before_approval,
+    state_of,
     states,
     uploader_of,
 )
@@ -49,6 +50,7 @@ logger = logging.getLogger(__name__)
 
 KEY_FILE: Final = "site.key"
 TRUST_FILE: Final = "site.json"
+WITHDRAW: Final = "policy.withdraw"
 FIRST_START: Final = "the site's key at first start"
 FIRST_START_REASON: Final = "came with the software, or lay there when the server was first started"
 LISTED_REASON: Final = "the site's signed list holds its approval"
@@ -190,9 +192,12 @@ class SiteApprovals:
                 raise NotFoundError(
                     "not_approved", f"Policy {policy_sha256[:12]} has no approval to withdraw."
                 )
+            # The history may lag behind the list, for example for files that came after the start; a
+            # withdrawal is never refused for that.
+            self._reconcile()
             with self._database.read() as database:
                 before = state_before_approval(database, policy_sha256)
-            step = _Step("policy.withdraw", policy_sha256, before, reason)
+            step = _Step(WITHDRAW, policy_sha256, before, reason)
             self._change(step, session.actor, kept)
 
     def retire(self, policy_sha256: str, reason: str, session: Session) -> None:
@@ -324,14 +329,16 @@ class SiteApprovals:
         evidence = {"key_id": signed.signed_by, "list_count": signed.serial_count}
         try:
             with self._database.write() as database:
-                change_state(
-                    database,
-                    step.policy_sha256,
-                    step.to_state,
-                    actor=actor.name,
-                    reason=step.reason,
-                    evidence=evidence,
-                )
+                is_withdrawal = step.action == WITHDRAW
+                if not is_withdrawal or state_of(database, step.policy_sha256) is not None:
+                    change_state(
+                        database,
+                        step.policy_sha256,
+                        step.to_state,
+                        actor=actor.name,
+                        reason=step.reason,
+                        evidence=evidence,
+                    )
                 # The last that can fail before the commit; a start mends what lies between the two.
                 _write(self._file, signed)
         except OSError as error:

@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from sqlalchemy import select
+from sqlalchemy import delete, select
 
 from machine.messages import EventKind
 from server.deployments.site_approvals import SiteApprovals
@@ -138,6 +138,26 @@ def test_a_start_adds_what_the_signed_list_shows(assembled, database, sha256):
     found = again()
     assert steps(database, sha256)[-1] == "uploaded"
     assert not found.is_approved(parts.policies.find(sha256))
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_an_approval_that_the_history_lacks_can_be_withdrawn(assembled, database, sha256, is_known):
+    """The list of approvals was kept, and the database is another one."""
+    parts, eve = assembled.parts, assembled.session("eve", Role.ENGINEER)
+    parts.approvals.start()
+    with database.write() as session:
+        session.execute(
+            delete(PolicyTransition).where(
+                PolicyTransition.policy_sha256 == sha256,
+                *([PolicyTransition.to_state == PolicyState.APPROVED.value] if is_known else []),
+            )
+        )
+        if not is_known:
+            session.execute(delete(Policy).where(Policy.policy_sha256 == sha256))
+    parts.approvals.withdraw(sha256, WHY, eve)
+    assert not parts.approvals.is_approved(parts.policies.find(sha256))
+    if is_known:
+        assert steps(database, sha256) == ["uploaded", "approved", "uploaded"]
 
 
 def test_where_two_people_are_asked_for_the_uploader_may_not_approve(assembled, database, sha256):
