@@ -43,6 +43,7 @@ export function ComparePanel({ policies }: { policies: readonly Policy[] }) {
   return (
     <section className={classes.panel} aria-label="Compare two versions">
       <h2>Compare two versions</h2>
+      <p>Better and worse are said of the second one.</p>
       <div className={classes.choice}>
         <Select
           label="First version"
@@ -54,7 +55,6 @@ export function ComparePanel({ policies }: { policies: readonly Policy[] }) {
         />
         <Select
           label="Second version"
-          description={a === null ? undefined : "Better and worse are said of this one"}
           size="md"
           placeholder={a === null ? "Choose the first before" : "Choose"}
           disabled={a === null}

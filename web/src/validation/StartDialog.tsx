@@ -65,8 +65,7 @@ export function StartDialog({ policyId, isPending, error, onStart, onClose }: Pr
           onChange={(value) => setThrows(Number(value) || 2)}
         />
         <NumberInput
-          label="Machines that served no training"
-          description="Besides the nominal machine"
+          label="Machines that served no training, besides the nominal one"
           size="md"
           min={0}
           max={50}
