@@ -101,7 +101,7 @@ def gaps(
     measured = np.stack([p.throw.impact_m[:2] for p in problem.prepared])
     under = _under(problem, hypothesis, profile, ())
     # Other scatter of the machine is not this effect's gap; unmodelled effects would absorb it.
-    others = likelihood.healthy_mean(hypothesis.candidate.products)
+    others = hypothesis.candidate.healthy_mean.copy()
     others[-len(unmodelled_names()) :] = 0.0
     left = likelihood.left_over([linear.change for linear in under], others)
     power = [

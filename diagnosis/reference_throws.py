@@ -18,7 +18,7 @@ from diagnosis.linearisation.open_loop import impacts
 from diagnosis.linearisation.parameters import layout, library
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
-from diagnosis.population.machine_baseline import SMOOTH_EFFECTS, ReferenceThrows, machine_model
+from diagnosis.population.machine_baseline import OWN_EFFECTS, ReferenceThrows, machine_model
 from machine.errors import UsageError
 from sim_twin.twin.profile import TwinProfile
 
@@ -72,7 +72,7 @@ def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: He
     for _ in range(ROUND_COUNT):
         problem, found = _linearised(prepared, own, health._replace(noise=model))
         offsets = {
-            p: p.clip(found.healthy_mean[p.key]) for p in library() if p.effect in SMOOTH_EFFECTS
+            p: p.clip(found.healthy_mean[p.key]) for p in library() if p.effect in OWN_EFFECTS
         }
         own = with_effects(own, [p.at(size) for p, size in offsets.items()])
         model = model.about({p.key: size for p, size in offsets.items()})

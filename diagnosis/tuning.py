@@ -35,7 +35,7 @@ JITTER_TREND_SD_S = 0.2
 """Prior standard deviation of mean, trend, and dependence on the standardised swing."""
 
 # Form error of effects
-FORM_ERROR_RATIO = 0.06
+FORM_ERROR_RATIO = 0.03
 """Form error of effects: share of a channel's misfit that says nothing about which effect it is."""
 SIZE_ERROR_RATIO = 0.09
 """Standard deviation of the model error of a fitted parameter, as a share of its value. It makes 90 %
@@ -92,6 +92,8 @@ PREVIEW_COUNT = 6
 # Unknown effects and claims
 UNKNOWN_LEVEL_SD = 5.0
 """Power beyond healthy throws, in standard deviations of it between days, that is not unknown."""
+UNKNOWN_LEVEL_SD_OF_TYPE = 8.0
+"""The same without reference throws: machines of a type differ more than days, and with heavier tails."""
 UNKNOWN_WIDTH_RATIO = 0.15
 """Width of the logistic in the log of the excess."""
 CONFLICT_SD = 5.0

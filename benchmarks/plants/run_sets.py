@@ -98,14 +98,16 @@ def share(right: int, n: int) -> Value:
     return Value(value=right / n, low=float(interval.low), high=float(interval.high))
 
 
-def rows(sets: Sequence[ThrowSet], answers: Sequence[dict[str, Any]]) -> list[Row]:
-    """Shares by kind of set and judgement."""
+def rows(
+    sets: Sequence[ThrowSet], answers: Sequence[dict[str, Any]], reference_throws: str
+) -> list[Row]:
+    """Shares by kind of set and judgement; `reference_throws` labels them: ``kept`` or ``none``."""
     made: list[Row] = []
     for kind in ("healthy", "single", "pair", "unknown"):
         judged = [judge(t, a) for t, a in zip(sets, answers, strict=True) if t.kind == kind]
         for name in judged[0] if judged else ():
             right = sum(one[name] for one in judged)
-            labels = {"sets": kind, "answer": name}
+            labels = {"reference_throws": reference_throws, "sets": kind, "answer": name}
             values = {"count": right, "share_ratio": share(right, len(judged))}
             made.append(row(len(judged), labels, values))
     return made
@@ -161,7 +163,7 @@ def main() -> None:
             f"{name} {joint or ''}".strip() for name, joint in sorted(named(answer), key=str)
         )
         print(f"{one.name} {one.kind:8} {truth:45} {answer['verdict']:10} {found}")
-    table = rows(sets, answers)
+    table = rows(sets, answers, "none" if options.no_reference else "kept")
     for line in table:
         value = line.values["share_ratio"]
         print(

@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.linalg import solve_triangular
 
-from machine.conventions import Array
+from machine.conventions import ACTIVE_JOINTS, Array
+from sim_twin.effects.table import EFFECTS
 
 NOISE_PATH = Path(__file__).with_name("noise.json")
 
@@ -72,6 +73,16 @@ class Scatter(BaseModel):
         more = np.array([sd.get(name, 0.0) for name in self.names])
         return Scatter.of(self.names, self.covariance(self.names) + np.diag(more**2))
 
+    def within_parts(self) -> "Scatter":
+        """The same with parts of the chain independent of each other.
+
+        Nothing couples a valve of one joint with that of another or with the flight: such correlations
+        of a finite number of machines are chance.
+        """
+        parts = np.array([part_of(name) for name in self.names])
+        same = parts[:, None] == parts
+        return Scatter.of(self.names, np.where(same, self.covariance(self.names), 0.0))
+
     @classmethod
     def of(cls, names: Sequence[str], covariance: Array) -> "Scatter":
         """From a covariance (n, n)."""
@@ -124,10 +135,28 @@ class NoiseModel(BaseModel):
         return self.model_copy(update={"throw_scatter": wider})
 
 
+def part_of(name: str) -> str:
+    """The part of the chain that a parameter or nuisance belongs to: ``actuation.<joint>``, or a stage.
+
+    What belongs to no effect and no joint counts to the release.
+    """
+    joint = next((j for j in ACTIVE_JOINTS if f".{j}." in name), None)
+    if joint is not None:
+        return f"actuation.{joint}"
+    effect = EFFECTS.get(name.partition(".")[0])
+    return "release" if effect is None else effect.stage
+
+
 @cache
 def load_noise(path: Path = NOISE_PATH) -> NoiseModel:
     """Read the calibrated model."""
-    return NoiseModel.model_validate_json(path.read_text(encoding="utf-8"))
+    model = NoiseModel.model_validate_json(path.read_text(encoding="utf-8"))
+    return model.model_copy(
+        update={
+            "machine_scatter": model.machine_scatter.within_parts(),
+            "set_scatter": model.set_scatter.within_parts(),
+        }
+    )
 
 
 def whitener(

@@ -6,7 +6,7 @@ comparable whatever their effects do.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.population.machine_baseline import SMOOTH_EFFECTS
 from diagnosis.tuning import FURTHER_LOG_PRIOR, SLAB_SCALES_RATIO
 from diagnosis.worker_process import WorkerProcess
-from machine.conventions import Array
+from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect
 
 StartingPoint = tuple[Set, Array]
@@ -51,6 +51,8 @@ class CandidateSet:
     """(k,) from the sizes to the maximum, along the slopes."""
     covariance: Array
     """(k, k) posterior of the sizes."""
+    healthy_mean: Array
+    """(p,) of the healthy parameters, given the sizes."""
     products: Sequence[Products]
     """Of every throw."""
     change: Sequence[Array]
@@ -123,7 +125,13 @@ def _evaluate(
         followed=(),
     )
     return [
-        _candidate(likelihood, members, sizes, found)
+        _candidate(
+            likelihood,
+            members,
+            sizes,
+            [linear.change for linear in found],
+            _slopes(likelihood, members, found),
+        )
         for (members, sizes), found in zip(points, simulated, strict=True)
     ]
 
@@ -143,15 +151,19 @@ def _about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> l
     likelihood = throws.likelihood
     problem = likelihood.problem
     layout = problem.layout
-    places = [i for i, p in enumerate(library()) if p.effect in SMOOTH_EFFECTS]
+    smooth = [i for i, p in enumerate(library()) if p.effect in SMOOTH_EFFECTS]
     deviations: list[Array] = []
     requests: list[tuple[tuple[Effect, ...], list[Parameter]]] = []
     for one in candidates:
-        mean = likelihood.healthy_mean(one.products)
-        deviation = np.array([library()[i].clip(float(mean[i])) for i in places])
-        moved = [library()[i].at(float(d)) for i, d in zip(places, deviation, strict=True)]
+        index = members_index(layout.priors, one.members)
+        whole = clipped(layout.priors, one.members, one.sizes + one.healthy_mean[index])
+        deviation = np.zeros(one.healthy_mean.size)
+        for i in smooth:
+            deviation[i] = library()[i].clip(float(one.healthy_mean[i]))
+        deviation[index] = whole - one.sizes
+        moved = [library()[i].at(float(deviation[i])) for i in smooth if i not in index]
         wanted = [library()[i] for i in _constants(layout, one.members)]
-        requests.append(((*fitted_effects(layout, one.members, one.sizes), *moved), wanted))
+        requests.append(((*fitted_effects(layout, one.members, whole), *moved), wanted))
         deviations.append(deviation)
     simulated = relinearise(
         problem.prepared,
@@ -165,11 +177,16 @@ def _about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> l
     )
     found: list[CandidateSet] = []
     for one, deviation, at in zip(candidates, deviations, simulated, strict=True):
-        along = [
-            replace(new, change=new.change - linear.jacobian[:, places] @ deviation)
-            for new, linear in zip(at, problem.linear, strict=True)
+        index = members_index(layout.priors, one.members)
+        others = np.setdiff1d(np.array(smooth), index)
+        slopes = _slopes(likelihood, one.members, at)
+        changes = [
+            new.change
+            - linear.jacobian[:, others] @ deviation[others]
+            - slope[:, : index.size] @ deviation[index]
+            for new, linear, slope in zip(at, problem.linear, slopes, strict=True)
         ]
-        found.append(_candidate(likelihood, one.members, one.sizes, along))
+        found.append(_candidate(likelihood, one.members, one.sizes, changes, slopes))
     return found
 
 
@@ -179,18 +196,42 @@ def _constants(layout: ParameterLayout, members: Set) -> list[int]:
     return sorted(set(index.tolist()))
 
 
-def _candidate(
-    likelihood: MarginalLikelihood, members: Set, sizes: Array, at: Sequence[LinearThrow]
-) -> CandidateSet:
-    layout = likelihood.problem.layout
+def _slopes(likelihood: MarginalLikelihood, members: Set, at: Sequence[LinearThrow]) -> list[Array]:
+    """Slopes (n, 2 k) of every throw by the members' sizes, then by what goes with them (`_replaced`)."""
+    problem = likelihood.problem
+    index = members_index(problem.layout.priors, members)
+    is_drift = index >= problem.layout.parameter_count
+    found: list[Array] = []
+    for p, linear in zip(problem.prepared, at, strict=True):
+        along = linear.jacobian[:, index % problem.layout.parameter_count]
+        progress = p.input.progress_ratio
+        acting, other = (
+            np.where(is_drift, progress, 1.0),
+            np.where(is_drift, 1.0, progress),
+        )
+        found.append(np.column_stack([along * acting, along * other]))
+    return found
+
+
+def _replaced(layout: ParameterLayout, members: Set) -> IntArray:
+    """Healthy parameters whose slopes a set's simulation gives: its own, and their drifts (2 k,)."""
     index = members_index(layout.priors, members)
-    is_drift = index >= layout.parameter_count
-    products: list[Products] = []
-    for i, linear in enumerate(at):
-        acting = np.where(is_drift, likelihood.problem.prepared[i].input.progress_ratio, 1.0)
-        slopes = linear.jacobian[:, index % layout.parameter_count] * acting
-        products.append(likelihood.products(i, linear.change, slopes))
-    return weighed(likelihood, members, sizes, products, [linear.change for linear in at])
+    count = layout.parameter_count
+    return np.concatenate([index, (index + count) % (2 * count)])
+
+
+def _candidate(
+    likelihood: MarginalLikelihood,
+    members: Set,
+    sizes: Array,
+    changes: Sequence[Array],
+    slopes: Sequence[Array],
+) -> CandidateSet:
+    products = [
+        likelihood.products(i, change, slope)
+        for i, (change, slope) in enumerate(zip(changes, slopes, strict=True))
+    ]
+    return weighed(likelihood, members, sizes, products, changes)
 
 
 def weighed(
@@ -201,15 +242,25 @@ def weighed(
     change: Sequence[Array],
 ) -> CandidateSet:
     """The candidate with its evidence, from the products of its throws."""
-    priors = likelihood.problem.layout.priors
-    log_likelihood, gradient, precision = likelihood.marginal(products)
+    layout = likelihood.problem.layout
+    priors = layout.priors
+    found = likelihood.marginal(products, _replaced(layout, members))
+    gradient, precision = found.gradient[: sizes.size], found.precision[: sizes.size, : sizes.size]
     wide = priors.slab_sd[members_index(priors, members)]
     covariance = np.asarray(np.linalg.inv(precision + np.diag(wide**-2)), dtype=np.float64)
     step = clipped(priors, members, sizes + covariance @ (gradient - sizes / wide**2)) - sizes
     volume = 0.5 * float(np.linalg.slogdet(covariance)[1]) + 0.5 * wide.size * LOG_TWO_PI
-    evidence = log_likelihood + log_prior(priors, members, sizes) + volume
+    evidence = found.log_likelihood + log_prior(priors, members, sizes) + volume
     return CandidateSet(
-        members, sizes, log_likelihood, evidence, step, covariance, products, change
+        members,
+        sizes,
+        found.log_likelihood,
+        evidence,
+        step,
+        covariance,
+        found.healthy_mean,
+        products,
+        change,
     )
 
 

@@ -47,6 +47,8 @@ class GapProblem:
     calibration: ValveCalibration
     healthy: HealthyModel
     model: NoiseModel
+    is_own: bool
+    """Whether the model was learned from throws of this machine."""
     layout: ParameterLayout
     factor: Sequence[Sequence[Array]]
     """Cholesky factors of the noise of every throw's blocks."""
@@ -87,14 +89,23 @@ def pose_problem(
         healthy, model = nothing(), other_type_model(model, (1.0,) * len(ACTIVE_JOINTS))
         layout = beside(layout_of(model), profile.effects)
         linear = linearise(prepared, profile, calibration, healthy)
-    found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+    found = _whitened(
+        prepared, profile, calibration, Health(healthy, model, health.profile), layout, linear
+    )
     previews = OTHER_TYPE_ADAPTATIONS if is_other_type else TYPE_ADAPTATIONS
     for least_ratio, clear_log_power in () if health.is_own else previews:
         excess = misfit(found.whitened, layout.priors, model, clear_log_power)
         excess = {stage: max(factor, least_ratio) for stage, factor in excess.items()}
         if any(factor != 1.0 for factor in excess.values()):
             model = scaled_to(model, excess)
-            found = _whitened(prepared, profile, calibration, healthy, model, layout, linear)
+            found = _whitened(
+                prepared,
+                profile,
+                calibration,
+                Health(healthy, model, health.profile),
+                layout,
+                linear,
+            )
     if is_other_type:
         near = fitted_other_type_model(health.noise, total(found.information))
         model = near.model_copy(update={"channels": model.channels})
@@ -109,11 +120,11 @@ def _whitened(
     prepared: Sequence[PreparedThrow],
     profile: TwinProfile,
     calibration: ValveCalibration,
-    healthy: HealthyModel,
-    model: NoiseModel,
+    health: Health,
     layout: ParameterLayout,
     linear: Sequence[LinearThrow],
 ) -> GapProblem:
+    model = health.noise
     factor = [factors(p, model) for p in prepared]
     raw = [
         whiten_throw(p, one, model, f) for p, one, f in zip(prepared, linear, factor, strict=True)
@@ -124,8 +135,9 @@ def _whitened(
         prepared,
         profile,
         calibration,
-        healthy,
+        health.filters,
         model,
+        health.is_own,
         layout,
         factor,
         linear,

@@ -24,7 +24,20 @@ from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.whitening import Whitened
 from diagnosis.tuning import FORM_ERROR_RATIO
-from machine.conventions import Array
+from machine.conventions import Array, IntArray
+
+
+class Marginal(NamedTuple):
+    """Likelihood of sizes with all deviations marginalised."""
+
+    log_likelihood: float
+    """Up to a constant of the throws."""
+    gradient: Array
+    """(m,) by the columns' coefficients."""
+    precision: Array
+    """(m, m)"""
+    healthy_mean: Array
+    """(p,) posterior mean of the healthy parameters."""
 
 
 class Products(NamedTuple):
@@ -111,17 +124,37 @@ class MarginalLikelihood:
             found.append(one.without_nuisances(rest[:, None])[:, 0] / one.row_weight)
         return found
 
-    def marginal(self, products: Sequence[Products]) -> tuple[float, Array, Array]:
-        """Log likelihood up to a constant, and its gradient (k,) and precision (k, k) about the sizes."""
+    def marginal(self, products: Sequence[Products], replaced: IntArray) -> Marginal:
+        """The likelihood under a prediction, and its derivatives by the sizes of effects.
+
+        A healthy deviation of a parameter that is simulated at a size acts along the slope at that size. Its
+        slope at no size would let it cancel the effect, and what is left of both would pass for evidence.
+
+        Args:
+            products: of every throw: of the residual, then of m slopes at the sizes.
+            replaced: (m,) healthy parameters whose columns these slopes replace.
+        """
         own = np.sum([one.own for one in products], axis=0)
         across = np.sum([one.with_healthy for one in products], axis=0)
-        left = own - across.T @ self.covariance @ across
-        return -0.5 * float(left[0, 0]), left[1:, 0], left[1:, 1:]
-
-    def healthy_mean(self, products: Sequence[Products]) -> Array:
-        """Posterior mean (p,) of the healthy parameters under a prediction."""
-        across = np.sum([one.with_healthy[:, 0] for one in products], axis=0)
-        return np.asarray(self.covariance @ across)
+        covariance, count = self.covariance, replaced.size
+        weighed = covariance @ across
+        volume = 0.0
+        if count:
+            # The precision changes in the rows and columns replaced: an update of rank 2 m.
+            moved = across[:, 1:] - self.precision[:, replaced]
+            moved[replaced] = own[1:, 1:] - self.precision[np.ix_(replaced, replaced)]
+            across[replaced] = own[1:]
+            half = moved.copy()
+            half[replaced] *= 0.5
+            update = np.column_stack([covariance[:, replaced], covariance @ half])
+            zero, one = np.zeros((count, count)), np.eye(count)
+            inner = np.block([[zero, one], [one, zero]])
+            inner += np.vstack([update[replaced], half.T @ update])
+            weighed = covariance @ across
+            weighed -= update @ np.linalg.solve(inner, update.T @ across)
+            volume = 0.5 * float(np.linalg.slogdet(inner)[1])
+        left = own - across.T @ weighed
+        return Marginal(-0.5 * float(left[0, 0]) - volume, left[1:, 0], left[1:, 1:], weighed[:, 0])
 
 
 def marginal_likelihood(problem: GapProblem) -> MarginalLikelihood:
@@ -143,19 +176,26 @@ def stage_of(channel: str) -> str:
 
 
 def channel_weights(problem: GapProblem) -> dict[str, float]:
-    """Weight of the log likelihood of every channel: the same for all that show one part of the chain."""
+    """Weight of the log likelihood of every channel.
+
+    Healthy sets differ in their residual power by more than independent samples would. The log likelihood is
+    divided by that dispersion as well (quasi-likelihood: Wedderburn 1974, Biometrika 61, 439).
+    """
     gain = {part: 0.5 * shift.excess for part, shift in problem.none_shift.items()}
     # Deviations of pose and mounting show in the swing.
     gain["swing"] += gain["aim"]
+    spread: dict[str, float] = {}
     for name, level in problem.none_levels.items():
-        usual = np.exp(problem.model.unknown_level.get(name, (0.0, 0.0))[0])
+        middle, sd = problem.model.unknown_level.get(name, (0.0, 0.0))
         rows = sum(
             w.rows[name].stop - w.rows[name].start for w in problem.whitened if name in w.rows
         )
-        excess = 0.5 * rows * max(float(np.exp(level) / usual) - 1.0, 0.0)
+        excess = 0.5 * rows * max(float(np.exp(level - middle)) - 1.0, 0.0)
         gain[stage_of(name)] = gain.get(stage_of(name), 0.0) + excess
+        spread[name] = max(0.5 * rows * sd**2, 1.0)
     return {
-        name: 1.0 / (1.0 + FORM_ERROR_RATIO * gain[stage_of(name)]) for name in problem.none_levels
+        name: 1.0 / (spread[name] + FORM_ERROR_RATIO * gain[stage_of(name)])
+        for name in problem.none_levels
     }
 
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diagnosis.healthy.noise import part_of
 from diagnosis.linearisation.parameters import SET_NUISANCES, library, set_names
-from machine.conventions import ACTIVE_JOINTS, Array, IntArray
+from machine.conventions import Array, IntArray
 
 
 class PriorShift(NamedTuple):
@@ -53,11 +54,8 @@ def prior_shift(scatter: Array, covariance: Array, mean: Array) -> dict[str, Pri
 def _parameters_by_part() -> dict[str, IntArray]:
     """Indices of the healthy parameters of each part of the chain: a driven joint, or a stage."""
     keys = [p.key for p in library()]
-    stage = {p.key: p.stage for p in library()}
     parts: dict[str, list[int]] = {}
     for place, name in enumerate((*keys, *keys, *set_names())):
-        joint = next((j for j in ACTIVE_JOINTS if f".{j}." in name), None)
-        part = stage.get(name, "release") if joint is None else f"actuation.{joint}"
         if name not in SET_NUISANCES:
-            parts.setdefault(part, []).append(place)
+            parts.setdefault(part_of(name), []).append(place)
     return {part: np.array(places) for part, places in parts.items()}

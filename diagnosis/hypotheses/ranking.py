@@ -104,7 +104,7 @@ def rank(
     ]
     probability = softmax(np.array([h.log_evidence for h in hypotheses]))
     best = candidates[0]
-    mean = likelihood.healthy_mean(best.products)
+    mean = best.healthy_mean
     left = check(problem, levels_of(likelihood, likelihood.left_over(best.change, mean)))
     conflict = conflicts(likelihood, mean)
     left = {

@@ -192,7 +192,7 @@ def _extensions(
     linear = linear_gains(likelihood, about, groups)
     others = [g for g in sorted(linear, key=lambda g: -linear[g][0]) if g not in about.members]
     points = [_with(priors, about, g, linear[g][1]) for g in others[:EXTENSION_COUNT]]
-    rest = likelihood.left_over(about.change, likelihood.healthy_mean(about.products))
+    rest = likelihood.left_over(about.change, about.healthy_mean)
     left = check(problem, levels_of(likelihood, rest))
     stage = max(left, key=lambda name: left[name].excess_ratio)
     for group in others:

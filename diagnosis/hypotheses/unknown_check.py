@@ -14,7 +14,13 @@ from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
 from diagnosis.hypotheses.prior_conflict import prior_shift
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
-from diagnosis.tuning import CONFLICT_SD, FORM_LEFT_RATIO, UNKNOWN_LEVEL_SD, UNKNOWN_WIDTH_RATIO
+from diagnosis.tuning import (
+    CONFLICT_SD,
+    FORM_LEFT_RATIO,
+    UNKNOWN_LEVEL_SD,
+    UNKNOWN_LEVEL_SD_OF_TYPE,
+    UNKNOWN_WIDTH_RATIO,
+)
 from machine.conventions import Array
 
 
@@ -49,6 +55,7 @@ def levels_of(likelihood: MarginalLikelihood, left: list[Array]) -> dict[str, fl
 def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
     """What a set leaves in every part of the chain."""
     healthy = problem.model.unknown_level
+    level_sd = UNKNOWN_LEVEL_SD if problem.is_own else UNKNOWN_LEVEL_SD_OF_TYPE
     rows = {b.name: 0 for p in problem.prepared for b in p.blocks}
     for p in problem.prepared:
         for block in p.blocks:
@@ -64,7 +71,7 @@ def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:
             spread += rows[name] * np.exp(middle) * (np.exp(sd) - 1.0)
             left += rows[name] * np.exp(levels[name])
             before += rows[name] * np.exp(problem.none_levels[name])
-        may_remain = UNKNOWN_LEVEL_SD * spread + FORM_LEFT_RATIO * max(before - usual, 0.0)
+        may_remain = level_sd * spread + FORM_LEFT_RATIO * max(before - usual, 0.0)
         found[stage] = Left(float((left - usual) / spread), float((left - usual) / may_remain))
     return found
 

@@ -29,7 +29,11 @@ from machine.conventions import Array
 from sim_twin.effects.table import effects_where
 
 SMOOTH_EFFECTS = effects_where(lambda effect: effect.growth in ("linear", "curved", "delay"))
-"""Effects that a machine's twin can take from a posterior mean."""
+"""Effects whose deviations can be simulated at a posterior mean."""
+OWN_EFFECTS = effects_where(
+    lambda effect: effect.growth in ("linear", "curved", "delay") and not effect.is_of_load
+)
+"""Those that a machine's twin takes from its reference throws."""
 MEASURED_STAGES = ("actuation", "swing")
 """Stages whose channels have enough samples in a throw for a covariance of their own."""
 ROUND_COUNT = 8
@@ -72,9 +76,10 @@ def machine_model(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
 def with_wide_priors(model: NoiseModel) -> NoiseModel:
     """The model of a machine of which nothing is known but that effects with slopes may be part of it.
 
-    A machine differs from its twin by more than the machines of the virtual type differ from theirs.
+    A machine differs from its twin by more than the machines of the virtual type differ from theirs. Load and
+    air are not part of it.
     """
-    wide = {p.key: p.prior_sd for p in library() if p.effect in SMOOTH_EFFECTS}
+    wide = {p.key: p.prior_sd for p in library() if p.effect in OWN_EFFECTS}
     return model.model_copy(update={"machine_scatter": model.machine_scatter.widened(wide)})
 
 

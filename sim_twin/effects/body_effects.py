@@ -12,6 +12,14 @@ from machine.conventions import Array
 from sim_twin.effects.arrays import EffectArrays
 from sim_twin.rigid_body.model import twin_model
 
+LEAST_MASS_RATIO = 0.1
+"""Of a nominal mass or inertia, which several effects together leave at least."""
+
+
+def loaded_mass_kg(nominal_kg: Array | float, extra_kg: Array) -> Array:
+    """Mass (N,) of a load with another mass than the nominal one; never negative."""
+    return np.maximum(nominal_kg + extra_kg, LEAST_MASS_RATIO * np.asarray(nominal_kg))
+
 
 class BodyEffects:
     """Effects of the stage `swing`."""
@@ -40,14 +48,14 @@ class BodyEffects:
         if self._length is not None:
             batch.expand("body_ipos")[:, gripper, 2] -= self._length
         if self._inertia is not None:
-            batch.expand("body_inertia")[:, gripper] *= 1.0 + self._inertia[:, None]
+            ratio = np.maximum(1.0 + self._inertia, LEAST_MASS_RATIO)
+            batch.expand("body_inertia")[:, gripper] *= ratio[:, None]
         if self._mass is not None:
             mass = batch.expand("body_mass")
             # A heavier load of the same size and make.
-            batch.expand("body_inertia")[:, load] *= ((mass[:, load] + self._mass) / mass[:, load])[
-                :, None
-            ]
-            mass[:, load] += self._mass
+            loaded_kg = loaded_mass_kg(mass[:, load], self._mass)
+            batch.expand("body_inertia")[:, load] *= (loaded_kg / mass[:, load])[:, None]
+            mass[:, load] = loaded_kg
         if self.offset_m is not None or self._inertia is not None or self._mass is not None:
             batch.set_const()
 

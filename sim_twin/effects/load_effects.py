@@ -5,6 +5,7 @@ import numpy as np
 from machine.conventions import Array, IntArray
 from machine.spec import MachineSpec
 from sim_twin.effects.arrays import EffectArrays
+from sim_twin.effects.body_effects import loaded_mass_kg
 
 
 class LoadEffects:
@@ -23,9 +24,8 @@ class LoadEffects:
         x, y = (arrays.filled("wind", f"{axis}_m_per_s") for axis in "xy")
         self.wind_m_per_s = np.stack([x, y, np.zeros(arrays.count)], axis=-1)
         """(N, 3) added to the profile's."""
-        self.mass_share = ball.mass_kg / (
-            ball.mass_kg + arrays.filled("payload_mass", "extra_mass_kg")
-        )
+        extra_kg = arrays.filled("payload_mass", "extra_mass_kg")
+        self.mass_share = ball.mass_kg / loaded_mass_kg(ball.mass_kg, extra_kg)
         """(N,) nominal mass over true mass: what is left of the air's accelerations."""
         self._radius_m = ball.radius_m
         area_m2 = np.pi * ball.radius_m**2

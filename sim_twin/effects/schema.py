@@ -75,6 +75,8 @@ class EffectSpec:
     """Least size that counts beside another effect, as a share of `prior_sd`: less is its form error."""
     least_shortening_ratio: float = 0.0
     """Least negative size that counts, as a share of the joint's mean lag 2 z / w."""
+    is_of_load: bool = False
+    """Whether it belongs to the load or the air, and not to the machine."""
     unit_field: str | None = None
     """Field of a virtual machine's unit (sim_twin.virtual.units) that the same effect changes."""
     hides_drift: bool = False

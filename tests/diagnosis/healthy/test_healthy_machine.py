@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.healthy.filters import HealthyModel, correction, inputs, learn, nothing
-from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, whiten, whitener
+from diagnosis.healthy.noise import ChannelNoise, Scatter, load_noise, part_of, whiten, whitener
 from diagnosis.hypotheses.release_jitter import fit_jitter
 from diagnosis.linearisation.nuisances import throw_nuisances
 from diagnosis.linearisation.parameters import layout, library, scatter_names
@@ -28,6 +28,20 @@ def test_filter_learns_what_is_linear_in_its_inputs() -> None:
     assert np.std(found - truth) < 0.2 * np.std(truth)
     both = correction(model, p.motion, 1, np.stack([predicted, predicted]))
     np.testing.assert_allclose(both, [found, found])
+
+
+def test_healthy_deviations_of_different_parts_are_independent() -> None:
+    model = load_noise()
+    names = scatter_names()
+    for scatter in (model.machine_scatter, model.set_scatter):
+        covariance = scatter.covariance(names)
+        parts = np.array([part_of(name) for name in names])
+        assert np.all(covariance[parts[:, None] != parts] == 0.0)
+        assert np.linalg.eigvalsh(covariance).min() > 0.0
+    lag, dead_time = "valve_lag.slew.extra_lag_s", "valve_dead_time.slew.extra_dead_time_s"
+    assert part_of(lag) == part_of(dead_time) == "actuation.slew"
+    one = model.machine_scatter.covariance((lag, dead_time))
+    assert one[0, 1] < 0.0, "a longer dead time passes for a shorter lag"
 
 
 def test_nothing_corrects_nothing() -> None:

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.hypotheses.candidate import no_effect
+from diagnosis.hypotheses.candidate import Throws, evaluate, no_effect
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import (
     channel_weights,
     marginal_likelihood,
-    stage_of,
 )
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, throws
@@ -37,15 +36,44 @@ def test_it_equals_the_dense_normal(problem: GapProblem) -> None:
     assert no_effect(likelihood).log_likelihood == pytest.approx(expected, rel=1e-6)
 
 
-def test_channels_of_one_part_share_a_weight_and_a_misfit_lowers_it(problem: GapProblem) -> None:
+def test_deviations_of_a_simulated_parameter_act_along_its_slope_there(problem: GapProblem) -> None:
+    likelihood = marginal_likelihood(problem)
+    group = problem.layout.groups.index(("joint_sensor_latency", "slew"))
+    (place,) = problem.layout.priors.groups[group].tolist()
+    drift = place + problem.layout.parameter_count
+    (late,) = evaluate(Throws(likelihood, likelihood), [((group,), np.array([0.03]))])
+    # With the columns of the parameter and its drift replaced, all else is the plain normal.
+    precision = likelihood.precision.copy()
+    across = np.sum([one.with_healthy for one in late.products], axis=0)
+    own = np.sum([one.own for one in late.products], axis=0)
+    for column, index in enumerate((place, drift), start=1):
+        precision[:, index] = precision[index, :] = across[:, column]
+    precision[np.ix_([place, drift], [place, drift])] = own[1:, 1:]
+    gradient = across[:, 0].copy()
+    gradient[[place, drift]] = own[1:, 0]
+    scatter = problem.layout.priors.scatter
+    identity = np.eye(scatter.shape[0])
+    mean = np.linalg.solve(identity + scatter @ precision, scatter @ gradient)
+    volumes = [
+        np.linalg.slogdet(identity + scatter @ p)[1] for p in (precision, likelihood.precision)
+    ]
+    expected = -0.5 * (own[0, 0] - gradient @ mean + volumes[0] - volumes[1])
+    assert late.log_likelihood == pytest.approx(expected, rel=1e-6)
+    np.testing.assert_allclose(late.healthy_mean, mean, atol=1e-7)
+
+
+def test_a_misfit_lowers_the_weight_of_its_part_and_scatter_that_of_its_channel(
+    problem: GapProblem,
+) -> None:
     weights = channel_weights(problem)
-    by_part: dict[str, set[float]] = {}
-    for name, weight in weights.items():
-        by_part.setdefault(stage_of(name), set()).add(weight)
-    assert all(len(found) == 1 for found in by_part.values())
+    level, sd = problem.model.unknown_level["actuation.slew"]
+    levels = {**problem.model.unknown_level, "actuation.slew": (level, 2.0 * sd)}
+    model = problem.model.model_copy(update={"unknown_level": levels})
+    scattered = channel_weights(replace(problem, model=model))
+    assert {n for n in weights if scattered[n] < weights[n]} == {"actuation.slew"}
     louder = {**problem.none_levels, "actuation.boom": problem.none_levels["actuation.boom"] + 3.0}
     after = channel_weights(replace(problem, none_levels=louder))
-    assert after["actuation.boom"] < 0.3 * weights["actuation.boom"]
+    assert after["actuation.boom"] < 0.7 * weights["actuation.boom"]
     assert {n: w for n, w in after.items() if n != "actuation.boom"} == {
         n: w for n, w in weights.items() if n != "actuation.boom"
     }

@@ -1,5 +1,7 @@
 """Sets of effects are found at their sizes, large ones included, and nothing beside them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from diagnosis.hypotheses.candidate import (
     refined,
     sizes_by_member,
 )
-from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, marginal_likelihood
+from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
 from diagnosis.hypotheses.search import search
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import posed, posed_healthy, throws
@@ -77,9 +79,7 @@ def test_a_further_effect_and_an_unlikely_size_cost_evidence() -> None:
     assert list(sizes_by_member(priors, two, sizes)) == list(two)
 
 
-def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size() -> None:
     problem = posed_healthy(3)
     asked = Throws(likelihood := marginal_likelihood(problem), likelihood)
     group = problem.layout.groups.index(("passive_coulomb_friction", None))
@@ -87,8 +87,7 @@ def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size(
     size = 0.2
     mean = np.zeros(likelihood.covariance.shape[0])
     mean[place] = size
-    monkeypatch.setattr(MarginalLikelihood, "healthy_mean", lambda *_: mean)
-    (none,) = about_healthy_mean(asked, [no_effect(likelihood)])
+    (none,) = about_healthy_mean(asked, [replace(no_effect(likelihood), healthy_mean=mean)])
     assert none.members == ()
     (effect,) = evaluate(asked, [((group,), np.array([size]))])
     for linear, one, other in zip(problem.linear, none.change, effect.change, strict=True):

@@ -24,7 +24,7 @@ def problem() -> GapProblem:
     found = posed_healthy(3)
     likelihood = marginal_likelihood(found)
     none = no_effect(likelihood)
-    rest = likelihood.left_over(none.change, likelihood.healthy_mean(none.products))
+    rest = likelihood.left_over(none.change, none.healthy_mean)
     usual = {name: (level, 0.1) for name, level in levels_of(likelihood, rest).items()}
     return replace(found, model=found.model.model_copy(update={"unknown_level": usual}))
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from diagnosis.linearisation.parameters import library
 from diagnosis.population.machine_baseline import (
-    SMOOTH_EFFECTS,
+    OWN_EFFECTS,
     with_set_tolerance,
     with_wide_priors,
 )
@@ -22,9 +22,9 @@ def test_every_parameter_scatters_between_days_by_its_tolerance_alone() -> None:
     np.testing.assert_allclose(more, np.diag(expected**2), rtol=2e-3, atol=1e-6)
 
 
-def test_a_machine_may_have_any_smooth_effect_of_its_own() -> None:
+def test_a_machine_may_have_any_smooth_effect_that_is_not_the_loads() -> None:
     model = health().noise
     before, after = model.machine_scatter, with_wide_priors(model).machine_scatter
     for p in library():
         widened = after.sd_of(p.key) > 1.01 * before.sd_of(p.key)
-        assert widened is (p.effect in SMOOTH_EFFECTS), p.key
+        assert widened is (p.effect in OWN_EFFECTS), p.key

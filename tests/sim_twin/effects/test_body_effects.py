@@ -14,6 +14,7 @@ from machine.kinematics import hanging_pitch_rad, rotate_z
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import ValveCommand
+from sim_twin.effects.body_effects import loaded_mass_kg
 from sim_twin.effects.effect import Effect
 from sim_twin.replay.replay import fly
 from sim_twin.rigid_body.arm_load import largest_tipping_moment, tipping_ratio
@@ -104,6 +105,16 @@ def test_masses_and_lengths_change_the_period(
     inertia, stiffness = pendulum(joint, **options)
     expected = 2.0 * math.pi * math.sqrt(inertia / stiffness) * (1.0 + 0.05**2 / 16.0)
     assert swing_period_s(make(change, profile=FREE), joint) == pytest.approx(expected, rel=3e-4)
+
+
+def test_effects_together_never_make_a_mass_negative() -> None:
+    nominal = np.array([0.6, 0.6])
+    found = loaded_mass_kg(nominal, np.array([-0.4, -0.9]))
+    np.testing.assert_allclose(found, [0.2, 0.06])
+    lost = effect("payload_mass", extra_mass_kg=-0.5), effect("payload_mass", extra_mass_kg=-0.4)
+    twin = make(*lost, profile=FREE)
+    twin.reset(swung(4, 0.3), 0)
+    assert np.isfinite(run(twin, 50)).all()
 
 
 def test_hoses_stiffen_the_pendulum_about_the_throws_start() -> None:

@@ -1,6 +1,6 @@
-"""The blind check of the diagnosis as a result file, from the answers of `downrange challenge run`.
+"""A challenge of the diagnosis as a result file, from the answers of `downrange challenge run`.
 
-    python -m scripts.blind_check_result --sealed truth.json --seed N --files answers.json lag_rmse.json ...
+    python -m scripts.challenge_result --sealed truth.json --seed N --files answers.json lag_rmse.json ...
 
 The first file is the diagnosis; the others are baselines on the same sets.
 """
@@ -58,8 +58,10 @@ class Options:
     """Seed of `downrange challenge make`."""
     files: tuple[Path, ...]
     """Answers: the diagnosis first."""
+    labels: tuple[str, ...] = ()
+    """Names of the files' columns; their methods if left out."""
     out: Path | None = None
-    """Result file; benchmarks/results/blind_check.json if left out."""
+    """Result file; benchmarks/results/challenge_sets.json if left out."""
 
 
 def rows_of(method: str, lines: list[Measure]) -> list[Row]:
@@ -89,15 +91,16 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     rows: list[Row] = []
     first = None
-    for document in answered(options.files):
+    for place, document in enumerate(answered(options.files)):
         sealed = read_sealed(options.sealed, str(document["sealed_sha256"]))
         scored = match(document, sealed)
         method = "diagnosis" if first is None else str(document["method"])
+        method = options.labels[place] if options.labels else method
         rows += rows_of(method, measures(scored) if first is None else measures(scored, first))
         first = scored if first is None else first
     count = len(first) if first else 0
-    title = f"Blind check of the diagnosis: {count} sets with hidden effects, baselines on the same sets"
-    print(write_result(describe("blind_check", title, rows, seed=options.seed), options.out))
+    title = f"Challenge of the diagnosis: {count} sets with hidden effects"
+    print(write_result(describe("challenge_sets", title, rows, seed=options.seed), options.out))
 
 
 if __name__ == "__main__":
