@@ -1,9 +1,18 @@
-"""Policy versions: deployed, rolled back, validated, compared; what a machine runs is not retired."""
+"""Policy versions: uploaded, approved, retired, deployed, rolled back, validated, compared."""
 
+import base64
+import json
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
+import onnx
+from onnx import numpy_helper
 from playwright.sync_api import Page, expect
 
+from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256
+from scripts.golden_vectors import add_golden_vectors
 from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
@@ -49,6 +58,117 @@ def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[
     expect(board.locator("tbody tr").first).to_contain_text("Switched")
     expect(board.locator("li").first).to_contain_text(NEWER)
     until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
+
+
+ROOT = Path(__file__).parents[2]
+RETRAINED = "m545-2d-retrained"
+
+
+def _retrained(folder: Path) -> Path:
+    """The active version with slightly other weights, under a name of its own, as an export writes it."""
+    shutil.copytree(ROOT / "policies" / NEWER, folder)
+    model = onnx.load(str(folder / POLICY_FILE))
+    for tensor in model.graph.initializer:
+        if tensor.name == "weights_1":
+            weights = 1.001 * numpy_helper.to_array(tensor)
+            tensor.CopyFrom(numpy_helper.from_array(weights.astype(np.float32), tensor.name))
+    (folder / POLICY_FILE).write_bytes(model.SerializeToString())
+    _write_card(folder)
+    (folder / GOLDEN_FILE).unlink()
+    add_golden_vectors(folder)
+    return folder
+
+
+def _permute_inputs(folder: Path) -> None:
+    """As an exporter that sorts its inputs: the file is sound, its golden vectors tell."""
+    model = onnx.load(str(folder / POLICY_FILE))
+    for tensor in model.graph.initializer:
+        if tensor.name in ("mean", "scale", "weights_0"):
+            values = np.roll(numpy_helper.to_array(tensor), 1, axis=0)
+            tensor.CopyFrom(numpy_helper.from_array(values.copy(), tensor.name))
+    (folder / POLICY_FILE).write_bytes(model.SerializeToString())
+    _write_card(folder)
+
+
+def _write_card(folder: Path) -> None:
+    card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+    card |= {"policy_id": RETRAINED, "policy_sha256": file_sha256(folder / POLICY_FILE)}
+    (folder / CARD_FILE).write_text(json.dumps(card), encoding="utf-8")
+
+
+def _files(folder: Path) -> list[Path]:
+    return [folder / name for name in (POLICY_FILE, CARD_FILE, GOLDEN_FILE)]
+
+
+def _drop(page: Page, files: list[Path]) -> None:
+    """Drop files on the panel as a file manager does."""
+    contents = [[file.name, base64.b64encode(file.read_bytes()).decode()] for file in files]
+    dropped = page.evaluate_handle(
+        """(files) => {
+            const transfer = new DataTransfer();
+            for (const [name, text] of files) {
+                const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+                transfer.items.add(new File([bytes], name));
+            }
+            return transfer;
+        }""",
+        contents,
+    )
+    page.get_by_test_id("drop-policy").dispatch_event("drop", {"dataTransfer": dropped})
+
+
+def test_a_version_is_uploaded_approved_and_retired(
+    demo: Stack, open_page: Callable[..., Page], console: Console, tmp_path: Path
+) -> None:
+    console.allowed.append("400 (Bad Request)")  # the refused upload
+    good = _retrained(tmp_path / "good")
+    bad = Path(shutil.copytree(good, tmp_path / "bad"))
+    _permute_inputs(bad)
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, "admin", path="/policies")
+    panel = page.get_by_role("region", name="Upload a version")
+    send = panel.get_by_role("button", name="Upload", exact=True)
+    card = page.get_by_role("article", name=RETRAINED)
+
+    # Not all files: said before anything is sent.
+    _drop(page, _files(bad)[:2])
+    expect(panel).to_contain_text("golden_vectors.json is missing")
+    expect(send).to_be_disabled()
+    _drop(page, _files(bad))
+    panel.get_by_label("Why").fill("retrained in the yard")
+    send.click()
+    expect(panel.get_by_role("alert")).to_contain_text("not those that it was trained with")
+    expect(card).to_have_count(0)
+
+    panel.locator("input[type=file]").set_input_files(_files(good))
+    send.click()
+    expect(panel.get_by_role("status")).to_contain_text(f"{RETRAINED} is uploaded")
+    expect(card).to_contain_text("Not approved")
+    steps = card.get_by_role("list", name=f"Life of {RETRAINED}")
+    now = steps.locator("[aria-current=step]")
+    expect(now).to_have_text("Uploaded")
+
+    card.get_by_role("button", name="Approve").click()
+    page.get_by_role("dialog").get_by_label("Why").fill("looks right")
+    page.get_by_role("dialog").get_by_role("button", name="Approve").click()
+    expect(now).to_have_text("Approved")
+    expect(card.get_by_role("button", name=f"Deploy to m001: {RETRAINED}")).to_be_enabled()
+
+    card.get_by_role("button", name=f"Retire {RETRAINED}").click()
+    page.get_by_role("dialog").get_by_label("Why").fill("only a try")
+    page.get_by_role("button", name=f"Retire {RETRAINED} for good").click()
+    expect(now).to_have_text("Retired")
+    card.get_by_text("Who, when and why").click()
+    for words in (
+        "by admin: retrained in the yard",
+        "by admin: looks right",
+        "by admin: only a try",
+    ):
+        expect(card).to_contain_text(words)
+    with client(demo, "admin") as admin:
+        found = admin.get("/policies").json()
+        assert [one["state"] for one in found if one["policy_id"] == RETRAINED] == ["retired"]
 
 
 def test_what_the_machine_runs_is_not_retired(
