@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.linalg import solve_triangular
 
 from machine.conventions import ACTIVE_JOINTS, Array
+from machine.errors import UsageError
 from sim_twin.effects.table import EFFECTS
 
 NOISE_PATH = Path(__file__).with_name("noise.json")
@@ -47,8 +48,18 @@ class Scatter(BaseModel):
     """Lower triangle, row by row, without the diagonal of ones and the zeros at the end of a row."""
 
     def covariance(self, names: Sequence[str]) -> Array:
-        """Covariance (n, n) of these names, in their order."""
+        """Covariance (n, n) of these names, in their order.
+
+        Raises:
+            UsageError: healthy machines were measured without some of these.
+        """
         place = {name: i for i, name in enumerate(self.names)}
+        missing = [name for name in names if name not in place]
+        if missing:
+            raise UsageError(
+                f"the model of healthy machines lacks {', '.join(missing)}; estimate it again by "
+                "`python -m diagnosis.population.estimation FOLDER...`"
+            )
         order = np.array([place[name] for name in names])
         full = np.eye(len(self.names))
         for row, values in enumerate(self.correlation):

@@ -27,7 +27,7 @@ from machine.messages import (
 from machine.reach import check_target
 from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
-    BEFORE_COMMIT,
+    ABORTABLE,
     LATCHED,
     NONCE_VALID_S,
     RUNNING,
@@ -152,7 +152,7 @@ def _conflict(machine: ThrowMachine, refusal: CommandRefusal, now_ns: int) -> An
     if machine.state is ThrowState.ARMED:
         machine, events = disarm(machine, reason, now_ns)
         return machine, refusal, events
-    if machine.state in BEFORE_COMMIT:
+    if machine.state in ABORTABLE:
         machine, events = abort(machine, reason, now_ns)
         return machine, refusal, events
     return machine, refusal, ()
@@ -184,7 +184,7 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
     reason = f"the lease went to {command.issuer} (epoch {command.epoch_count})"
     if machine.state is ThrowState.ARMED:
         machine, events = disarm(machine, reason, now_ns)
-    elif machine.state in BEFORE_COMMIT:
+    elif machine.state in ABORTABLE:
         machine, events = abort(machine, reason, now_ns)
     after = replace(machine, epoch_count=command.epoch_count, lease_issuer=command.issuer)
     return after, None, events
@@ -348,7 +348,7 @@ def _abort(machine: ThrowMachine, command: AbortRequest, now_ns: int) -> Answer:
     if machine.state is ThrowState.ARMED:
         machine, events = disarm(machine, reason, now_ns)
         return machine, None, events
-    if machine.state in BEFORE_COMMIT:
+    if machine.state in ABORTABLE:
         machine, events = abort(machine, reason, now_ns)
         return machine, None, events
     if machine.state is ThrowState.COMMITTED:

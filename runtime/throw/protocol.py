@@ -38,9 +38,9 @@ REPLY_MEMORY_COUNT = 256
 """Command ids and throw ids whose answers are kept."""
 
 WAITING = frozenset({ThrowState.DISARMED, ThrowState.ARMED})
-BEFORE_COMMIT = frozenset({ThrowState.ALIGNING, ThrowState.THROWING})
+ABORTABLE = frozenset({ThrowState.ALIGNING, ThrowState.THROWING})
 """Of a throw that was fired: aborted to a hold. ARMED is not among them: it is only disarmed."""
-RUNNING = BEFORE_COMMIT | {ThrowState.COMMITTED, ThrowState.SETTLING}
+RUNNING = ABORTABLE | {ThrowState.COMMITTED, ThrowState.SETTLING}
 LATCHED = frozenset({ThrowState.STOPPED, ThrowState.FAULT})
 
 

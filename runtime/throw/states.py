@@ -16,8 +16,8 @@ from machine.messages import Command, EventKind, OperatorHeartbeat, ThrowState
 from runtime.throw.command_rules import handle_command
 from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
+    ABORTABLE,
     ALIGN_TIMEOUT_S,
-    BEFORE_COMMIT,
     COMMIT_TIMEOUT_S,
     FIRST_HEARTBEAT_S,
     HEARTBEAT_SILENCE_S,
@@ -69,7 +69,7 @@ def _heartbeat(
 ) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """A heartbeat counts only for the running throw, the current epoch, and once."""
     if (
-        machine.state not in BEFORE_COMMIT
+        machine.state not in ABORTABLE
         or beat.machine_id != machine.machine_id
         or beat.throw_id != machine.throw_id
         or beat.epoch_count != machine.epoch_count
@@ -94,7 +94,7 @@ def _let_go(
 ) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     if machine.state is ThrowState.ARMED:
         return disarm(machine, reason, now_ns)
-    if machine.state in BEFORE_COMMIT:
+    if machine.state in ABORTABLE:
         return abort(machine, reason, now_ns)
     return machine, ()
 

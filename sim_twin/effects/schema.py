@@ -121,9 +121,15 @@ _UNITS: Final = (
 
 
 def parameter_unit(name: str, joint: str | None = None) -> str:
-    """Unit of a parameter, from its name; that of the telescope is linear. Ratios have none: ``1``."""
+    """Unit of a parameter, from its name; that of the telescope is linear. Ratios have none: ``1``.
+
+    Raises:
+        KeyError: no unit is known for the end of the name.
+    """
+    if name.endswith("_ratio"):
+        return "1"
     for suffix, unit in _UNITS:
         if name.endswith(suffix):
             linear = joint == "telescope" and "_rad_m" in suffix
             return unit.replace("rad", "m") if linear else unit
-    return "1"
+    raise KeyError(f"the name '{name}' ends with no known unit")

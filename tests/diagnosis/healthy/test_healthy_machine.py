@@ -12,6 +12,7 @@ from diagnosis.linearisation.nuisances import throw_nuisances
 from diagnosis.linearisation.parameters import layout, library, scatter_names
 from diagnosis.loading.prepared import prepare
 from diagnosis.separating_motions import separating_motion
+from machine.errors import UsageError
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
 
@@ -42,6 +43,11 @@ def test_healthy_deviations_of_different_parts_are_independent() -> None:
     assert part_of(lag) == part_of(dead_time) == "actuation.slew"
     one = model.machine_scatter.covariance((lag, dead_time))
     assert one[0, 1] < 0.0, "a longer dead time passes for a shorter lag"
+
+
+def test_a_parameter_that_healthy_machines_were_measured_without_is_named() -> None:
+    with pytest.raises(UsageError, match=r"valve_leak\.boom\.flow_ratio.*population\.estimation"):
+        load_noise().machine_scatter.covariance((*scatter_names(), "valve_leak.boom.flow_ratio"))
 
 
 def test_nothing_corrects_nothing() -> None:

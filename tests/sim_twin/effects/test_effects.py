@@ -117,6 +117,8 @@ def test_units_follow_the_names_and_the_telescope_is_linear() -> None:
     assert parameter_unit("breakaway_rad_m_per_s", "telescope") == "m/s"
     assert parameter_unit("extra_coulomb_rad_per_s2") == "rad/s2"
     assert parameter_unit("extra_inertia_ratio") == "1"
+    with pytest.raises(KeyError, match="leak_litres"):
+        parameter_unit("leak_litres")
 
 
 def test_sets_of_effects_become_arrays_and_nothing_becomes_none() -> None:

@@ -156,7 +156,6 @@ function onMachine(state: Hold, phase: MachinePhase, throwId: string | null): St
 function onMachineEnd(state: Hold, phase: MachinePhase, isOurs: boolean): Step {
   if (phase === "stopped") return idle("STOP is latched.", ["rest"]);
   if (phase === "fault") return idle("The machine reports a fault.", ["rest"]);
-  if (phase === "lost" && state.phase !== "committed") return [state, []];
   const isOver = phase === "settling" || phase === "disarmed";
   if (!isOver) return [state, []];
   if (state.phase === "committed") return idle(null, ["rest"]);
