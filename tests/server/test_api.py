@@ -192,9 +192,9 @@ def test_unknown_things_are_404_with_their_own_code(running, ada):
 
 
 def test_wrong_method_is_named(ada):
-    reply = ada.patch("/machines/m001")
+    reply = ada.put("/machines/m001")
     assert assert_error(reply, 404) == "not_found"
-    assert "PATCH" in reply.json()["error"]["message"]
+    assert "PUT" in reply.json()["error"]["message"]
 
 
 def test_security_headers_everywhere(running, ada):

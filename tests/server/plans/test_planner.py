@@ -185,9 +185,9 @@ def test_an_incomplete_plan_cannot_be_armed_and_a_newer_preview_stops_it(machine
     ada.post("/machines/m001/lease")
     older = create(ada, rollout_count=1000)
     path = f"/plans/{older['plan_id']}"
-    # It has a hash, but the spread of its landings is not checked.
-    assert older["plan_hash"]
-    early = ada.post(f"{path}/arm", json={"plan_hash": older["plan_hash"]})
+    # It has a hash as soon as its nominal throw is known, but the spread of its landings is not checked.
+    plan_hash = wait_for(lambda: ada.get(path).json()["plan_hash"])
+    early = ada.post(f"{path}/arm", json={"plan_hash": plan_hash})
     assert (early.status_code, early.json()["error"]["code"]) == (409, "preview_refused")
     assert "not complete" in early.json()["error"]["message"]
     newer = finished(ada, create(ada))
