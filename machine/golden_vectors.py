@@ -64,6 +64,11 @@ class GoldenVectors(BaseModel):
                 f"{len(names)}; export the policy again"
             )
         found = infer(given)
+        if found.shape != expected.shape:
+            raise PolicyError(
+                f"{what} gives actions of shape {found.shape} for golden observations of shape "
+                f"{given.shape}, {GOLDEN_FILE} has {expected.shape}; export the policy again"
+            )
         error = np.abs(found - expected) / np.maximum(np.abs(expected), 1.0)
         if bool((error <= self.tolerance).all()):
             return

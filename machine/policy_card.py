@@ -1,6 +1,8 @@
 """Card of a policy: inputs and outputs, targets, origin, accuracy."""
 
 import hashlib
+import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +20,7 @@ GOLDEN_FILE = "golden_vectors.json"
 class TrainingRecord(BaseModel):
     """How the policy came to be."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     commit: str
     seed_count: int
     """Seed of the training."""
@@ -38,7 +40,7 @@ class PolicyCard(BaseModel):
     the last one is the release (opens above 0.9).
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     schema_version: Literal[1] = 1
     policy_id: str = Field(pattern=r"^[a-z0-9][a-z0-9._-]{2,63}$")
     mode: Mode
@@ -152,8 +154,10 @@ def policy_of(folder: Path, policy: bytes, text: bytes, golden: bytes | None) ->
     """
     card_path, policy_path = folder / CARD_FILE, folder / POLICY_FILE
     try:
+        # Also numbers in fields of any content must be finite: no database holds others in JSON.
+        json.loads(text, parse_constant=_finite, parse_float=_finite)
         card = PolicyCard.model_validate_json(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise PolicyError(f"{card_path} is not a policy card: {_card_problems(error)}") from error
     found = hashlib.sha256(policy).hexdigest()
     if found != card.policy_sha256:
@@ -164,7 +168,14 @@ def policy_of(folder: Path, policy: bytes, text: bytes, golden: bytes | None) ->
     return PolicyFiles(folder, card, policy, text, golden)
 
 
-def _card_problems(error: ValueError) -> str:
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is no finite number")
+    return value
+
+
+def _card_problems(error: Exception) -> str:
     """What is wrong, a phrase a field; the library's own text spans lines and links to its manual."""
     if not isinstance(error, ValidationError):
         return str(error)

@@ -316,7 +316,8 @@ def _policy_parts(
         settings.data_dir,
         is_four_eyes=settings.policy_four_eyes,
     )
-    return policies, PolicyUploads(policies, audit, uploaded_dir, spec), approvals
+    uploads = PolicyUploads(policies, audit, uploaded_dir, spec, settings.min_free_bytes)
+    return policies, uploads, approvals
 
 
 def _validations(

@@ -106,7 +106,11 @@ class PolicyRunner:
             )
 
     def infer(self, observation: Array) -> Array:
-        """Raw actions (N, A) for observations (N, D); may hold NaN, never raises for values."""
+        """Raw actions (N, A) for observations (N, D); may hold NaN, never raises for values.
+
+        Raises:
+            PolicyError: another shape comes in or out, or the network cannot run.
+        """
         given = np.ascontiguousarray(observation, dtype=np.float32)
         if given.ndim != 2 or given.shape[1] != self._observation_count:
             raise PolicyError(
@@ -120,7 +124,14 @@ class PolicyRunner:
             raise PolicyError(f"policy {self.card.policy_id} failed to run ({error})") from error
         busy_s, took_s = time.thread_time() - busy_s, time.perf_counter() - began_s
         self.is_late = self._has_deadline and (busy_s > LATE_PROCESSOR_S or took_s > LATE_WALL_S)
-        return np.asarray(result, dtype=np.float64)
+        action = np.asarray(result, dtype=np.float64)
+        expected_shape = (given.shape[0], self._action_count)
+        if action.shape != expected_shape:
+            raise PolicyError(
+                f"policy {self.card.policy_id} gave actions of shape {action.shape} for observations "
+                f"of shape {given.shape}, needs {expected_shape}; export the policy again"
+            )
+        return action
 
     def act(self, observation: Array) -> Array:
         """Actions (N, A) for observations (N, D), as the policy gives them (not clipped).
@@ -148,6 +159,8 @@ def _open_session(content: bytes, path: Path) -> ort.InferenceSession:
     # A spinning worker would take the core that the link process needs.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    # Never the other format, whose networks are not checked here.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     options.log_severity_level = 4
     try:
         # From the bytes that were checked: without a path nothing beside the file can be read.

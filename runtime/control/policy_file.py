@@ -18,6 +18,8 @@ MAX_FILE_BYTES: Final = 8 * 1024 * 1024
 OPERATOR_SETS: Final = range(13, 23)
 """Versions of ONNX's operator set; exports use 17, and the allowed operators are the same in all of these."""
 MAX_NODE_COUNT: Final = 64
+MAX_INPUT_COUNT: Final = 8
+"""Of one node; exports use at most three."""
 MAX_AXIS_COUNT: Final = 2
 MAX_LENGTH_COUNT: Final = 1024
 """Of one axis of a tensor."""
@@ -71,6 +73,7 @@ _MESSAGES: Final[dict[str, tuple[tuple[str, int, int, str], ...]]] = {
         ("graphs", 11, _MESSAGE, "Graph"),
     ),
     "Node": (
+        ("input", 1, _STRING, ""),
         ("op_type", 4, _STRING, ""),
         ("attribute", 5, _MESSAGE, "Attribute"),
         ("domain", 7, _STRING, ""),
@@ -125,6 +128,9 @@ def check_policy_file(content: bytes, name: str) -> None:
     """
     if len(content) > MAX_FILE_BYTES:
         raise PolicyError(f"{name} has {len(content)} bytes, at most {MAX_FILE_BYTES} are taken")
+    # A network in onnxruntime's own format, which may also read as ONNX with other operators.
+    if content[4:8] == b"ORTM":
+        raise PolicyError(f"{name} is in onnxruntime's own format; export it as ONNX")
     try:
         model = _MODEL.FromString(content)
     except DecodeError as error:
@@ -165,6 +171,10 @@ def _check_node(node: Any, name: str) -> None:
     if operator not in OPERATORS or any(node.domain):
         raise PolicyError(
             f"{name} uses operator {operator[:40]!r}, allowed are {', '.join(sorted(OPERATORS))}"
+        )
+    if len(node.input) > MAX_INPUT_COUNT:
+        raise PolicyError(
+            f"{name}: operator {operator} has {len(node.input)} inputs, at most {MAX_INPUT_COUNT} are taken"
         )
     for attribute in node.attribute:
         if attribute.g or attribute.graphs or attribute.t or attribute.tensors:

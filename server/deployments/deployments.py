@@ -24,6 +24,7 @@ from server.deployments.machine_policies import version_before
 from server.deployments.site_approvals import SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.machines.machine_registry import MachineRegistry
+from server.plans.policy_life import state_of
 from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.schemas.deployments import (
     DeploymentOutcome,
@@ -33,8 +34,9 @@ from server.schemas.deployments import (
     WantedPoliciesView,
     WantedPolicyView,
 )
+from server.schemas.policies import PolicyState
 from server.store.database import Database
-from server.store.models import Deployment
+from server.store.models import Deployment, Policy
 
 LISTED_COUNT: Final = 100
 FILES: Final = (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
@@ -192,6 +194,7 @@ class Deployments:
                 f"{policy.card.policy_id} is not approved, or its card was altered since: no machine "
                 "loads it. An engineer approves it.",
             )
+        self._approvals.catch_up()
         return policy
 
     def _add(
@@ -205,6 +208,7 @@ class Deployments:
         is_rollback: bool,
     ) -> DeploymentView:
         with self._lock, self._database.write() as database:
+            _require_approved(database, policy)
             newest = _newest(database, machine_id, mode)
             if newest is not None and newest.outcome == DeploymentOutcome.PENDING:
                 newest.outcome, newest.ended_utc = DeploymentOutcome.REPLACED.value, utc_now()
@@ -267,6 +271,20 @@ class Deployments:
         if known is None:
             known = self._hashes[key] = sha256(path.read_bytes()).hexdigest()
         return VersionFileView(name=name, sha256=known, size_bytes=status.st_size)
+
+
+def _require_approved(database: DatabaseSession, policy: StoredPolicy) -> None:
+    """Refuse a version that was retired or whose approval was withdrawn since it was looked up."""
+    sha256 = policy.card.policy_sha256
+    # Locked on PostgreSQL until the commit, as a change of the state is.
+    database.get(Policy, sha256, with_for_update=True)
+    state = state_of(database, sha256)
+    if state is not PolicyState.APPROVED:
+        raise ConflictError(
+            "not_approved",
+            f"{policy.card.policy_id} is {state.value if state else 'not known'}, only approved versions "
+            "are deployed.",
+        )
 
 
 def _note_aboard(database: DatabaseSession, event: MachineEvent) -> Iterator[Deployment]:

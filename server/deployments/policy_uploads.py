@@ -20,17 +20,21 @@ from runtime.control.policy_file import MAX_FILE_BYTES
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
 from server.errors import ApiError, ConflictError
+from server.limits.disk_space import disk_standing
 from server.plans.policy_store import UPLOAD_FILE, PolicyStore, UploadRecord
 from server.schemas.history import PolicyView
+from server.schemas.policies import PolicyState
 
 LIMITS_BYTES: Final[Mapping[str, int]] = {
     POLICY_FILE: MAX_FILE_BYTES,
-    CARD_FILE: 1024 * 1024,
+    CARD_FILE: 64 * 1024,
     GOLDEN_FILE: 256 * 1024,
 }
 """Files of a version, and the most that each may have."""
 UPLOAD_LIMIT_BYTES: Final = sum(LIMITS_BYTES.values()) + 64 * 1024
 """Of a whole upload with what separates its parts."""
+MAX_OPEN_COUNT: Final = 50
+"""Versions that are neither approved nor retired."""
 INCOMING: Final = ".incoming"
 NAMES: Final = f"{POLICY_FILE}, {CARD_FILE} and {GOLDEN_FILE}"
 
@@ -39,9 +43,23 @@ class PolicyUploads:
     """Takes versions in; thread-safe."""
 
     def __init__(
-        self, policies: PolicyStore, audit: AuditChain, folder: Path, spec: MachineSpec
+        self,
+        policies: PolicyStore,
+        audit: AuditChain,
+        folder: Path,
+        spec: MachineSpec,
+        min_free_bytes: int = 0,
     ) -> None:
-        """Args: folder: of uploaded versions."""
+        """Begin.
+
+        Args:
+            policies: the versions that are here.
+            audit: notes uploads.
+            folder: of uploaded versions.
+            spec: machine type.
+            min_free_bytes: that the disk keeps.
+        """
+        self._min_free_bytes = min_free_bytes
         self._policies = policies
         self._audit = audit
         self._folder = folder
@@ -62,12 +80,14 @@ class PolicyUploads:
 
         Raises:
             ApiError: it is incomplete or cannot be used, with what is wrong.
-            ConflictError: the network, or a version of that name, is here already, or the disk refuses.
+            ConflictError: the network, or a version of that name, is here already, too many versions are
+                open, or the disk is full or refuses.
         """
         files = self._checked(contents)
         card = files.card
         with self._lock:
             self._require_new(files)
+            self._require_space(contents)
             record = UploadRecord(uploaded_by=session.username, reason=reason)
             detail = {"policy_id": card.policy_id, "policy_sha256": card.policy_sha256}
             self._audit.record(Entry(session.actor, "policy.upload", "fact", detail=dict(detail)))
@@ -107,9 +127,23 @@ class PolicyUploads:
             raise ApiError("policy_refused", f"{str(error).rstrip('.')}.") from error
         return files
 
+    def _require_space(self, contents: Mapping[str, bytes]) -> None:
+        folder = self._folder if self._folder.is_dir() else self._folder.parent
+        needed_bytes = self._min_free_bytes + sum(len(content) for content in contents.values())
+        standing = disk_standing(folder, needed_bytes)
+        if standing != "ok":
+            raise ConflictError("disk", f"The server's disk takes no version: {standing}.")
+
     def _require_new(self, files: PolicyFiles) -> None:
         card = files.card
-        for known in self._policies.views():
+        views = self._policies.views()
+        closed = (PolicyState.APPROVED, PolicyState.RETIRED)
+        if sum(v.is_present and v.state not in closed for v in views) >= MAX_OPEN_COUNT:
+            raise ConflictError(
+                "too_many_versions",
+                f"{MAX_OPEN_COUNT} versions are neither approved nor retired; retire some first.",
+            )
+        for known in views:
             if known.policy_sha256 == card.policy_sha256:
                 raise ConflictError(
                     "policy_known",

@@ -40,6 +40,7 @@ from server.plans.policy_life import (
     state_of,
     states,
     uploader_of,
+    was_withdrawn,
 )
 from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.schemas.policies import PolicyState, SiteKeyView
@@ -52,7 +53,8 @@ KEY_FILE: Final = "site.key"
 TRUST_FILE: Final = "site.json"
 WITHDRAW: Final = "policy.withdraw"
 FIRST_START: Final = "the site's key at first start"
-FIRST_START_REASON: Final = "came with the software, or lay there when the server was first started"
+FIRST_START_REASON: Final = "came with the software"
+FIRST_START_STATES: Final = (PolicyState.UPLOADED, PolicyState.VALIDATED, PolicyState.APPROVED)
 LISTED_REASON: Final = "the site's signed list holds its approval"
 
 
@@ -97,7 +99,7 @@ class SiteApprovals:
         self._trust = SiteTrust(site=site, keys=())
 
     def start(self) -> None:
-        """Read key and approvals; at the first start make the key and approve every version that is there.
+        """Read key and approvals; at the first start make the key and approve what came with the software.
 
         Raises:
             ApprovalError: they are damaged, or one of the two files is gone.
@@ -128,6 +130,8 @@ class SiteApprovals:
         self._trust = SiteTrust(site=self._site, keys=(public_key(key),))
         approvals: list[Approval] = []
         for policy in self._policies.present():
+            if not self._came_with_the_software(policy):
+                continue
             try:
                 approvals.append(_signed(policy, key, FIRST_START))
             except PolicyError as error:
@@ -138,6 +142,18 @@ class SiteApprovals:
         _write(part / TRUST_FILE, self._trust)
         part.rename(self._folder)
         logger.info("made the site's key and approved %d policy versions by it", len(approvals))
+
+    def _came_with_the_software(self, policy: StoredPolicy) -> bool:
+        """Whether no person brought a version, took its approval back or retired it."""
+        if not self._policies.is_installed(policy):
+            return False
+        sha256 = policy.card.policy_sha256
+        with self._database.read() as database:
+            return (
+                uploader_of(database, sha256) == SERVER.name
+                and state_of(database, sha256) in FIRST_START_STATES
+                and not was_withdrawn(database, sha256, except_by=SERVER.name)
+            )
 
     def trust(self) -> SiteTrust:
         """What machines are given."""
@@ -150,6 +166,11 @@ class SiteApprovals:
         except PolicyError:
             return False
         return True
+
+    def catch_up(self) -> None:
+        """Let the history say what the list says, for example of files that came after the start."""
+        with self._lock:
+            self._reconcile()
 
     def approve(self, policy_sha256: str, reason: str, session: Session) -> Approval:
         """Approve a version.
@@ -211,13 +232,9 @@ class SiteApprovals:
         with self._lock:
             with self._database.read() as database:
                 users = machines_that_need(database, policy_sha256)
-            name = self._policies.name_of(policy_sha256)
             if self._policies.is_active(policy_sha256):
                 users.insert(0, "active.json of the policies folder names it")
-            if users:
-                raise ConflictError(
-                    "policy_needed", f"{name} cannot be retired: {'; '.join(users)}."
-                )
+            self._require_unneeded(policy_sha256, users)
             kept = tuple(a for a in self._trust.approvals if a.policy_sha256 != policy_sha256)
             step = _Step("policy.retire", policy_sha256, PolicyState.RETIRED, reason)
             self._change(step, session.actor, kept)
@@ -320,6 +337,11 @@ class SiteApprovals:
                 f"{uploader} has uploaded {policy.card.policy_id}; another engineer approves it.",
             )
 
+    def _require_unneeded(self, policy_sha256: str, users: list[str]) -> None:
+        if users:
+            name = self._policies.name_of(policy_sha256)
+            raise ConflictError("policy_needed", f"{name} cannot be retired: {'; '.join(users)}.")
+
     def _change(self, step: "_Step", actor: Actor, approvals: tuple[Approval, ...]) -> None:
         """Take the next list into use once it is on the disk, and note the step with it."""
         self._note(step.action, step.policy_sha256, actor)
@@ -329,8 +351,13 @@ class SiteApprovals:
         evidence = {"key_id": signed.signed_by, "list_count": signed.serial_count}
         try:
             with self._database.write() as database:
-                is_withdrawal = step.action == WITHDRAW
-                if not is_withdrawal or state_of(database, step.policy_sha256) is not None:
+                state = state_of(database, step.policy_sha256)
+                is_removal = len(approvals) < len(self._trust.approvals)
+                # An approval that the list should not hold leaves it in any case.
+                is_listed_only = is_removal and (
+                    state is PolicyState.RETIRED or (state is None and step.action == WITHDRAW)
+                )
+                if not is_listed_only:
                     change_state(
                         database,
                         step.policy_sha256,
@@ -338,6 +365,11 @@ class SiteApprovals:
                         actor=actor.name,
                         reason=step.reason,
                         evidence=evidence,
+                    )
+                if step.to_state is PolicyState.RETIRED:
+                    # Again, with the version locked: a deployment may have come in between.
+                    self._require_unneeded(
+                        step.policy_sha256, machines_that_need(database, step.policy_sha256)
                     )
                 # The last that can fail before the commit; a start mends what lies between the two.
                 _write(self._file, signed)

@@ -158,6 +158,16 @@ def uploader_of(database: DatabaseSession, policy_sha256: str) -> str | None:
     ).first()
 
 
+def was_withdrawn(database: DatabaseSession, policy_sha256: str, except_by: str) -> bool:
+    """Whether anyone but one actor ever took a version's approval back."""
+    query = select(PolicyTransition.transition_count).where(
+        PolicyTransition.policy_sha256 == policy_sha256,
+        PolicyTransition.from_state == PolicyState.APPROVED.value,
+        PolicyTransition.actor != except_by,
+    )
+    return database.scalars(query.limit(1)).first() is not None
+
+
 def _newest(database: DatabaseSession, policy_sha256: str) -> PolicyTransition | None:
     return database.scalars(
         select(PolicyTransition)

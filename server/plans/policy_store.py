@@ -12,6 +12,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
+from sqlalchemy.exc import DataError, IntegrityError
+from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.conventions import Mode
 from machine.errors import PolicyError
@@ -93,36 +95,40 @@ class PolicyStore:
             stamp = self._read_stamp()
             if stamp == self._stamp:
                 return
-            self._stamp = stamp
             self._present, self._problems, self._active = {}, {}, {}
+            found: dict[Path, str] = {}
             for folder in self._folders():
                 try:
                     card = load_card(folder)
+                    sha256 = card.policy_sha256
+                    if sha256 not in self._present:
+                        # Installed folders come first: an uploaded copy takes no version's place.
+                        self._remember(StoredPolicy(folder, card))
+                    found[folder] = sha256
                 except PolicyError as error:
                     self._problems[folder.name] = str(error)
-                else:
-                    self._present[card.policy_sha256] = StoredPolicy(folder, card)
             for mode in Mode:
-                self._read_active(mode)
-            self._remember()
+                self._read_active(mode, found)
+            # Last: what failed on the way is tried again.
+            self._stamp = stamp
 
-    def _read_active(self, mode: Mode) -> None:
+    def _read_active(self, mode: Mode, versions: Mapping[Path, str]) -> None:
         try:
             folder = find_policy(self._folder, mode)
         except PolicyError as error:
             self._problems[mode.value] = str(error)
             return
-        found = [p for p in self._present.values() if p.folder == folder and p.card.mode is mode]
-        if not found:
+        found = self._present.get(versions.get(folder, ""))
+        if found is None or found.card.mode is not mode:
             cause = self._problems.get(folder.name, f"its card is not for mode {mode.value}")
             self._problems[mode.value] = f"active policy {folder.name} cannot be used: {cause}"
-        elif found[0].card.model_sha256 != self._spec.sha256:
+        elif found.card.model_sha256 != self._spec.sha256:
             self._problems[mode.value] = (
                 f"active policy {folder.name} is for machine model "
-                f"{found[0].card.model_sha256[:12]}..., this server's is {self._spec.sha256[:12]}..."
+                f"{found.card.model_sha256[:12]}..., this server's is {self._spec.sha256[:12]}..."
             )
         else:
-            self._active[mode] = found[0]
+            self._active[mode] = found
 
     def _folders(self) -> list[Path]:
         roots = [root for root in (self._folder, self._uploaded_dir) if root and root.is_dir()]
@@ -138,29 +144,45 @@ class PolicyStore:
         files += [file for folder in self._folders() for file in folder.iterdir()]
         return tuple((str(f), f.stat().st_mtime_ns) for f in files if f.is_file())
 
-    def _remember(self) -> None:
-        with self._database.write() as session:
-            for sha256, policy in self._present.items():
-                if session.get(Policy, sha256) is None:
-                    session.add(
-                        Policy(
-                            policy_sha256=sha256,
-                            policy_id=policy.card.policy_id,
-                            mode=policy.card.mode.value,
-                            card=policy.card.model_dump(mode="json"),
-                            first_seen_utc=utc_now(),
-                        )
-                    )
-                    session.flush()
-                if state_of(session, sha256) is None:
-                    record = _upload_record(policy.folder)
-                    change_state(
-                        session,
-                        sha256,
-                        PolicyState.UPLOADED,
-                        actor=record.uploaded_by,
-                        reason=record.reason,
-                    )
+    def _remember(self, policy: StoredPolicy) -> None:
+        """Take a version into the history and into use.
+
+        Raises:
+            PolicyError: the database does not take its card.
+        """
+        try:
+            with self._database.write() as session:
+                self._store(session, policy)
+        except (DataError, IntegrityError) as error:
+            raise PolicyError(f"{policy.folder} cannot be stored: {error.orig}") from error
+        self._present[policy.card.policy_sha256] = policy
+
+    def _store(self, session: DatabaseSession, policy: StoredPolicy) -> None:
+        sha256 = policy.card.policy_sha256
+        if session.get(Policy, sha256) is None:
+            session.add(
+                Policy(
+                    policy_sha256=sha256,
+                    policy_id=policy.card.policy_id,
+                    mode=policy.card.mode.value,
+                    card=policy.card.model_dump(mode="json"),
+                    first_seen_utc=utc_now(),
+                )
+            )
+            session.flush()
+        if state_of(session, sha256) is None:
+            record = _upload_record(policy.folder)
+            change_state(
+                session,
+                sha256,
+                PolicyState.UPLOADED,
+                actor=record.uploaded_by,
+                reason=record.reason,
+            )
+
+    def is_installed(self, policy: StoredPolicy) -> bool:
+        """Whether a version lies in the folder of the installation, and not with people's uploads."""
+        return policy.folder.parent == self._folder
 
     def active(self, mode: Mode) -> StoredPolicy:
         """The policy to throw with.

@@ -131,3 +131,22 @@ def test_an_evaluation_takes_the_place_of_the_last_one_on_the_same_plant(folder)
         {"plant": "virtual", "unit_seed": 0, "seed": 2},
     ]
     assert load_card(folder).policy_sha256 == sha
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("place", ["target_range_min_m", "config", "evaluation"])
+def test_numbers_that_are_not_finite_are_refused(folder, number, place):
+    body = json.loads((folder / CARD_FILE).read_text())
+    if place == "config":
+        body["training"]["config"] = {"rate": "HERE"}
+    else:
+        body[place] = [{"mean": "HERE"}] if place == "evaluation" else "HERE"
+    (folder / CARD_FILE).write_text(json.dumps(body).replace('"HERE"', number))
+    with pytest.raises(PolicyError, match="is no finite number"):
+        load_card(folder)
+
+
+def test_a_deeply_nested_card_is_refused(folder):
+    (folder / CARD_FILE).write_text('{"evaluation": ' + "[" * 100_000)
+    with pytest.raises(PolicyError, match="is not a policy card"):
+        load_card(folder)

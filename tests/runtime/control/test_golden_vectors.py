@@ -158,3 +158,21 @@ def test_another_rate_is_refused(folder, field):
     (folder / CARD_FILE).write_text(json.dumps(card | {field: 50.0}))
     with pytest.raises(PolicyError, match="50 Hz"):
         PolicyRunner(folder, SPEC)
+
+
+@pytest.mark.parametrize("row_count", [1, 3])
+def test_actions_of_another_shape_are_refused_in_words(folder, row_count):
+    files = read_policy(folder)
+    golden = read_golden_vectors(files.golden, "it")
+    names = files.card.action_names
+    with pytest.raises(PolicyError, match=rf"gives actions of shape \({row_count}, "):
+        golden.check(lambda given: np.zeros((row_count, len(names))), names, "it")
+    runner = PolicyRunner(files, SPEC)
+
+    class Session:
+        def run(self, names, given):
+            return [np.zeros((row_count, len(runner.card.action_names)))]
+
+    runner._session = Session()
+    with pytest.raises(PolicyError, match=rf"gave actions of shape \({row_count}, .*needs \(2, "):
+        runner.act(np.zeros((2, len(runner.card.observation_names))))

@@ -114,3 +114,18 @@ def test_no_operator_makes_its_output_larger_than_its_inputs() -> None:
         "Scan",
     }
     assert not OPERATORS & growing
+
+
+def test_a_file_that_also_reads_as_the_other_format_is_refused() -> None:
+    prefix = b"\x7a\x06__ORTM"
+    with pytest.raises(PolicyError, match="own format"):
+        check_policy_file(prefix + model().SerializeToString(), "polyglot")
+    check_policy_file(prefix.replace(b"M", b"_") + model().SerializeToString(), "plain")
+
+
+def test_a_node_with_many_inputs_is_refused() -> None:
+    check_policy_file(model(helper.make_node("Max", ["a"] * 8, ["b"])).SerializeToString(), "eight")
+    with pytest.raises(PolicyError, match="operator Max has 9 inputs, at most 8 are taken"):
+        check_policy_file(
+            model(helper.make_node("Max", ["a"] * 9, ["b"])).SerializeToString(), "nine"
+        )

@@ -17,6 +17,7 @@ from cli.main import main
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256, load_card
 from scripts.golden_vectors import add_golden_vectors
+from server.deployments import policy_uploads
 from server.deployments.policy_uploads import LIMITS_BYTES
 from tests.runtime.quick_policy import write_policy
 from tests.server.server_bench import PASSWORD
@@ -212,7 +213,7 @@ REFUSED = {
     ),
     "large card": (
         lambda f: contents(f) | {CARD_FILE: b" " * (LIMITS_BYTES[CARD_FILE] + 1)},
-        "card.json has 1048577 bytes",
+        "card.json has 65537 bytes",
     ),
 }
 
@@ -329,3 +330,16 @@ def test_what_a_cut_off_upload_left_is_removed_at_the_next_start(assembled):
     assert not any(view.policy_id == "ab12" for view in parts.policies.views())
     parts.uploads.start()
     assert not left.exists()
+
+
+def test_a_full_disk_takes_no_version(running, eve, version, monkeypatch):
+    before = uploaded(running)
+    monkeypatch.setattr(running.parts.uploads, "_min_free_bytes", 2**60)
+    assert "The server's disk takes no version: full" in refusal(eve, contents(version), 409)
+    assert uploaded(running) == before
+
+
+def test_open_versions_are_bounded(running, eve, version, monkeypatch):
+    monkeypatch.setattr(policy_uploads, "MAX_OPEN_COUNT", 0)
+    words = "0 versions are neither approved nor retired; retire some first."
+    assert refusal(eve, contents(version), 409) == words

@@ -1,13 +1,19 @@
 import json
+import shutil
 
 import pytest
 
 from cli.main import main
+from machine.conventions import Mode
 from machine.errors import PolicyError
 from server.deployments import site_approvals
 from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
+from server.plans.policy_life import change_state
 from server.schemas.console import Role
+from server.schemas.deployments import DeployRequest
+from server.schemas.policies import PolicyState
+from tests.runtime.quick_policy import write_policy
 from tests.server.server_bench import PASSWORD
 
 WHY = "for a test"
@@ -215,3 +221,81 @@ def test_the_command_line_lists_rotates_and_revokes(running, tmp_path, capsys):
     assert {"policy.rotate_key", "policy.revoke_key"} <= actions
     with running.client("sue") as sue:
         assert sue.post("/policy-keys/rotate", json={"reason": WHY}).status_code == 403
+
+
+def removed(assembled):
+    """The site's key is lost with its folder, and the server starts with a new one."""
+    shutil.rmtree(assembled.parts.settings.data_dir / "policy-approvals")
+    again = fresh(assembled, assembled.parts.settings.data_dir)
+    again.start()
+    return again
+
+
+def versions(assembled):
+    return {p.card.policy_id: p for p in assembled.parts.policies.present()}
+
+
+def test_a_new_key_approves_only_what_came_with_the_software(assembled, approvals, tmp_path):
+    parts, eve = assembled.parts, assembled.session("eve", Role.ENGINEER)
+    here = versions(assembled)
+    uploaded = parts.settings.data_dir / "uploaded-policies" / "brought-2d"
+    write_policy(uploaded, Mode.PLANAR, 0.4242)
+    (uploaded / "upload.json").write_text('{"uploaded_by": "eve", "reason": "new"}')
+    try:
+        parts.policies.look_again()
+        brought = versions(assembled)["brought-2d"]
+        approvals.approve(brought.card.policy_sha256, WHY, eve)
+        approvals.withdraw(here["waits-2d"].card.policy_sha256, WHY, eve)
+        approvals.approve(here["waits-2d"].card.policy_sha256, WHY, eve)
+        approvals.retire(here["waits-3d"].card.policy_sha256, WHY, eve)
+        again = removed(assembled)
+        approved = {name for name, p in versions(assembled).items() if again.is_approved(p)}
+        assert approved == set(here) - {"waits-2d", "waits-3d"}
+        assert parts.policies.view(brought.card.policy_sha256).state == "uploaded"
+    finally:
+        shutil.rmtree(uploaded)
+        parts.policies.look_again()
+
+
+@pytest.mark.parametrize("end", ["withdraw", "retire"])
+def test_a_retired_version_that_the_list_still_holds_leaves_it(assembled, approvals, end):
+    eve = assembled.session("eve", Role.ENGINEER)
+    policy = versions(assembled)["waits-3d"]
+    sha256 = policy.card.policy_sha256
+    with assembled.parts.database.write() as database:
+        change_state(database, sha256, PolicyState.RETIRED, actor="eve", reason=WHY)
+    assert approvals.is_approved(policy)
+    body = DeployRequest(policy_sha256=sha256, reason=WHY)
+    with pytest.raises(ConflictError, match="is retired, only approved"):
+        assembled.parts.deployments.deploy("m001", Mode.SPATIAL, body, eve)
+    getattr(approvals, end)(sha256, WHY, eve)
+    assert not approvals.is_approved(policy)
+    assert assembled.parts.policies.view(sha256).state == "retired"
+
+
+def test_a_version_is_not_deployed_whose_approval_ends_meanwhile(assembled, approvals, monkeypatch):
+    eve = assembled.session("eve", Role.ENGINEER)
+    sha256 = versions(assembled)["waits-3d"].card.policy_sha256
+    deployments = assembled.parts.deployments
+    catch_up = approvals.catch_up
+
+    def end():
+        catch_up()
+        approvals.retire(sha256, WHY, eve)
+
+    monkeypatch.setattr(approvals, "catch_up", end)
+    body = DeployRequest(policy_sha256=sha256, reason=WHY)
+    with pytest.raises(ConflictError, match="is retired, only approved"):
+        deployments.deploy("m001", Mode.SPATIAL, body, eve)
+    assert not [d for d in deployments.list("m001") if d.policy_sha256 == sha256]
+
+
+def test_a_version_that_is_deployed_meanwhile_is_not_retired(assembled, approvals, monkeypatch):
+    eve = assembled.session("eve", Role.ENGINEER)
+    sha256 = versions(assembled)["waits-3d"].card.policy_sha256
+    answers = iter([[], ["m001 is to switch to it"]])
+    monkeypatch.setattr(site_approvals, "machines_that_need", lambda *_: next(answers))
+    with pytest.raises(ConflictError, match="m001 is to switch to it"):
+        approvals.retire(sha256, WHY, eve)
+    assert assembled.parts.policies.view(sha256).state == "approved"
+    assert approvals.is_approved(versions(assembled)["waits-3d"])

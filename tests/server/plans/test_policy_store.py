@@ -2,11 +2,13 @@ import json
 import shutil
 
 import pytest
+from sqlalchemy.exc import DataError
 
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, POLICY_FILE, load_card
 from machine.spec import load_spec
 from server.errors import ApiError
+from server.plans import policy_store
 from server.plans.policy_store import PolicyStore
 from tests.cases import each
 
@@ -111,3 +113,43 @@ def test_switching_the_active_policy_is_seen(policies, folder):
     assert policies.active(Mode.PLANAR).card.policy_id == "waits-2d"
     assert policies.name_of(load_card(folder / "waits-2d").policy_sha256) == "waits-2d"
     assert policies.name_of("f" * 64) == "ffffffffffff"
+
+
+def test_one_version_that_the_database_refuses_does_not_stop_the_others(
+    policies, folder, monkeypatch
+):
+    refused = load_card(folder / "waits-2d").policy_sha256
+    real = policy_store.state_of
+
+    def state_of(session, policy_sha256):
+        if policy_sha256 == refused:
+            raise DataError("insert", {}, ValueError("invalid input syntax for type json"))
+        return real(session, policy_sha256)
+
+    monkeypatch.setattr(policy_store, "state_of", state_of)
+    policies.refresh()
+    assert policies.active(Mode.PLANAR).card.policy_id == "swing-2d"
+    assert policies.find(refused) is None
+    assert "invalid input syntax" in policies._problems["waits-2d"]
+
+
+def test_what_failed_is_read_again(policies, monkeypatch):
+    def fail(session, policy_sha256):
+        raise RuntimeError("no connection")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(policy_store, "state_of", fail)
+        with pytest.raises(RuntimeError):
+            policies.refresh()
+    look_again(policies)
+    assert policies.active(Mode.PLANAR).card.policy_id == "swing-2d"
+
+
+def test_an_uploaded_copy_does_not_take_the_place_of_an_installed_version(
+    assembled, folder, tmp_path
+):
+    shutil.copytree(folder / "swing-2d", tmp_path / "uploaded" / "swing-2d")
+    store = PolicyStore(assembled.parts.database, folder, load_spec(), tmp_path / "uploaded")
+    active = store.active(Mode.PLANAR)
+    assert active.folder == folder / "swing-2d"
+    assert store.is_installed(active)
