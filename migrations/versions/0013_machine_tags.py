@@ -14,5 +14,5 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    with op.batch_alter_table("machines") as machines:
-        machines.drop_column("tags")
+    # Not by batch: that drops the table, which leases refer to. SQLite can since 3.35.
+    op.drop_column("machines", "tags")

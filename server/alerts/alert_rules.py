@@ -40,6 +40,7 @@ RULES: Final = MappingProxyType(
         AlertRule.CLOCK: Rule("warning", 0.0),
         AlertRule.DISK: Rule("error", 60.0),
         AlertRule.CERTIFICATE: Rule("warning", 0.0),
+        AlertRule.EXPIRED: Rule("error", 0.0),
         AlertRule.DRIFT: Rule("warning", 0.0),
     }
 )
@@ -73,9 +74,9 @@ class MachineRecord:
     waiting_since_s: float | None = None
     """Since when records have been waiting on the machine without a pause, monotonic."""
 
-    def take_state(self, state: MachineState, now_s: float) -> None:
-        """Note the newest state."""
-        if state.outbox_count == 0:
+    def take_state(self, state: MachineState | None, now_s: float) -> None:
+        """Note the present state; None: the machine says nothing."""
+        if state is None or state.outbox_count == 0:
             self.waiting_since_s = None
         elif self.waiting_since_s is None:
             self.waiting_since_s = now_s
@@ -117,10 +118,13 @@ def judge_machine(
         is_connected: whether that state is the present.
         now_s: server's monotonic time.
     """
-    if record.refused_arms_count is not None:
-        is_bad = record.refused_arms_count >= ARM_REFUSED_COUNT
-        text = f"Refused to arm {record.refused_arms_count} times in a row: {record.last_refusal}"
-        yield _verdict(AlertRule.ARM_REFUSED, record, text if is_bad else None)
+    refused_count = record.refused_arms_count
+    if refused_count == 0:
+        yield _verdict(AlertRule.ARM_REFUSED, record, None)
+    elif refused_count is not None and refused_count >= ARM_REFUSED_COUNT:
+        # Fewer say nothing: refusals before a restart of the server are not counted.
+        text = f"Refused to arm {refused_count} times in a row: {record.last_refusal}"
+        yield _verdict(AlertRule.ARM_REFUSED, record, text)
     if record.clock_offset_s is not None:
         offset_s = record.clock_offset_s
         way = "ahead of" if offset_s > 0.0 else "behind"
@@ -151,16 +155,15 @@ def judge_disk(standing: str) -> Judgement:
     return Judgement(Subject(AlertRule.DISK, None), text)
 
 
-def judge_certificate(expires_utc: datetime, now_utc: datetime) -> Judgement:
-    """Judgement about the certificate of the machines' link."""
+def judge_certificate(expires_utc: datetime, now_utc: datetime) -> Iterator[Judgement]:
+    """Judgements about the certificate of the machines' link: it runs out soon, it has run out."""
     days = (expires_utc - now_utc).total_seconds() / 86_400.0
     end = f"{expires_utc:%Y-%m-%d}"
-    text = None
-    if days < 0.0:
-        text = f"The link's certificate ran out on {end}: machines cannot connect anew. Renew it."
-    elif days < CERTIFICATE_DAYS:
-        text = f"The link's certificate runs out on {end}, in {days:.0f} days. Renew it."
-    return Judgement(Subject(AlertRule.CERTIFICATE, None), text)
+    text = f"The link's certificate runs out on {end}, in {days:.0f} days. Renew it."
+    is_soon = 0.0 <= days < CERTIFICATE_DAYS
+    yield Judgement(Subject(AlertRule.CERTIFICATE, None), text if is_soon else None)
+    text = f"The link's certificate ran out on {end}: machines cannot connect anew. Renew it."
+    yield Judgement(Subject(AlertRule.EXPIRED, None), text if days < 0.0 else None)
 
 
 def _verdict(rule: AlertRule, record: MachineRecord, text: str | None) -> Judgement:

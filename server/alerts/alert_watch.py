@@ -3,8 +3,9 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -43,6 +44,8 @@ class AlertWatch:
         self._settings = settings
         self.sources: list[Callable[[], Iterator[Judgement]]] = []
         """Further rules, asked at every look."""
+        self._failed: list[Judgement] = []
+        """Verdicts that could not be stored; judged again at the next look."""
         self._lock = threading.Lock()
         self._records: dict[str, MachineRecord] = {}
         self._found: set[str] = set()
@@ -86,39 +89,58 @@ class AlertWatch:
     def _run(self) -> None:
         while not self._is_closing:
             try:
-                self._alerts.judge(list(self._verdicts()))
+                self.look()
             except Exception:
                 logger.exception("alerts could not be judged")
             self._wake.wait(PERIOD_S)
             self._wake.clear()
 
+    def look(self) -> None:
+        """Judge everything once; a rule that fails holds up no other."""
+        # Of a subject only the newest verdict counts.
+        verdicts = {verdict.subject: verdict for verdict in (*self._failed, *self._verdicts())}
+        self._failed = self._alerts.judge(verdicts.values())
+
     def _verdicts(self) -> Iterator[Judgement]:
         now_s = time.monotonic()
         for known in self._registry.listed():
-            yield from self._judge(known, now_s)
+            yield from _asked(partial(self._judge, known, now_s))
         for source in self.sources:
-            yield from source()
+            yield from _asked(source)
         if now_s - self._slow_s < SLOW_PERIOD_S:
             return
         self._slow_s = now_s
+        yield from _asked(self._judge_disk)
+        yield from _asked(self._judge_certificate)
+
+    def _judge_disk(self) -> Iterator[Judgement]:
         yield judge_disk(disk_standing(self._settings.data_dir, self._settings.min_free_bytes))
+
+    def _judge_certificate(self) -> Iterator[Judgement]:
         certificate = self._settings.link_certificate
         if certificate is not None and (expires_utc := expiry(certificate)) is not None:
-            yield judge_certificate(expires_utc, utc_now())
+            yield from judge_certificate(expires_utc, utc_now())
 
     def _judge(self, known: KnownMachine, now_s: float) -> Iterator[Judgement]:
         machine_id, is_lost = known.machine_id, known.is_marked_lost
         with self._lock:
             record = self._record(machine_id)
             is_known = machine_id in self._found or now_s - self._started_s > START_S
-            if known.state is not None and not is_lost:
-                record.take_state(known.state, now_s)
+            record.take_state(None if is_lost else known.state, now_s)
             verdicts = list(
                 judge_machine(record, known.state, is_connected=not is_lost, now_s=now_s)
             )
         if is_known and known.last_seen_utc is not None:
             yield judge_link(machine_id, is_lost=is_lost)
         yield from verdicts
+
+
+def _asked(source: Callable[[], Iterable[Judgement]]) -> Iterator[Judgement]:
+    """What a source says, up to where it fails."""
+    try:
+        yield from source()
+    except Exception:
+        logger.exception("a rule of alerts failed")
 
 
 def expiry(certificate: Path) -> datetime | None:

@@ -1,5 +1,6 @@
 """Alerts from the moment their condition is found: opened, cleared, acknowledged, silenced; all are kept."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -19,6 +20,8 @@ from server.schemas.alerts import AlertPage, AlertRule, AlertView
 from server.schemas.events import AlertUpdatedEvent
 from server.store.alert_models import AlertRow
 from server.store.database import Database
+
+logger = logging.getLogger(__name__)
 
 SEEN_PERIOD_S: Final = 30.0
 """How often `seen_utc` of open alerts is written."""
@@ -52,24 +55,41 @@ class Alerts:
 
     # Rules ----------------------------------------------------------------------------------------
 
-    def judge(self, verdicts: Iterable[Judgement]) -> None:
-        """Open and clear alerts by what the rules say now; subjects without a verdict stay as they are."""
+    def judge(self, verdicts: Iterable[Judgement]) -> list[Judgement]:
+        """Open and clear alerts by what the rules say now; subjects without a verdict stay as they are.
+
+        Returns:
+            Verdicts that could not be stored; each stands for itself, the others hold.
+        """
         now_s = time.monotonic()
+        failed: list[Judgement] = []
         with self._lock:
             for verdict in verdicts:
-                subject = verdict.subject
-                is_open = subject in self._open
-                if verdict.text is not None:
-                    self._gone_since_s.pop(subject, None)
-                    if not is_open:
-                        self._add(subject, verdict.text)
-                elif is_open:
-                    since_s = self._gone_since_s.setdefault(subject, now_s)
-                    if now_s - since_s >= RULES[subject.rule].clear_after_s:
-                        self._clear(subject)
+                try:
+                    self._take(verdict, now_s)
+                except Exception:
+                    logger.exception("the verdict about %s could not be stored", verdict.subject)
+                    failed.append(verdict)
             if now_s - self._seen_s >= SEEN_PERIOD_S:
                 self._seen_s = now_s
-                self._write_seen()
+                try:
+                    self._write_seen()
+                except Exception:
+                    logger.exception("open alerts could not be marked as seen")
+        return failed
+
+    def _take(self, verdict: Judgement, now_s: float) -> None:
+        subject = verdict.subject
+        is_open = subject in self._open
+        if verdict.text is not None:
+            self._gone_since_s.pop(subject, None)
+            if not is_open:
+                # PostgreSQL stores no NUL.
+                self._add(subject, verdict.text.replace("\x00", "")[:2000])
+        elif is_open:
+            since_s = self._gone_since_s.setdefault(subject, now_s)
+            if now_s - since_s >= RULES[subject.rule].clear_after_s:
+                self._clear(subject)
 
     def _add(self, subject: Subject, text: str) -> None:
         now_utc = utc_now()
@@ -80,7 +100,7 @@ class Alerts:
                 rule=subject.rule.value,
                 severity=RULES[subject.rule].severity,
                 machine_id=subject.machine_id,
-                text=text[:2000],
+                text=text,
                 opened_utc=now_utc,
                 seen_utc=now_utc,
                 cleared_utc=None,

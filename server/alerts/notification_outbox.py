@@ -4,8 +4,9 @@ import json
 from collections.abc import Mapping
 from datetime import timedelta
 from typing import Any, Final
+from urllib.parse import urlsplit
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from server.accounts.accounts import Session
@@ -195,14 +196,23 @@ class NotificationOutbox:
 
     # Sending --------------------------------------------------------------------------------------
 
-    def due(self, limit: int) -> list[tuple[Notification, Webhook | None]]:
-        """Messages that are to be tried now, the longest waiting first, with their webhooks."""
+    def due(self) -> list[tuple[Notification, Webhook | None]]:
+        """First message of each receiver that is to be tried now, the longest waiting first, and webhook."""
+        place = func.row_number().over(
+            partition_by=func.coalesce(Notification.webhook_id, ""),
+            order_by=(Notification.next_utc, Notification.notification_id),
+        )
+        waiting = (
+            select(Notification.notification_id, place.label("place_count"))
+            .where(Notification.next_utc <= utc_now())
+            .subquery()
+        )
         query = (
             select(Notification, Webhook)
+            .join(waiting, waiting.c.notification_id == Notification.notification_id)
             .outerjoin(Webhook, Webhook.webhook_id == Notification.webhook_id)
-            .where(Notification.next_utc <= utc_now())
+            .where(waiting.c.place_count == 1)
             .order_by(Notification.next_utc)
-            .limit(limit)
         )
         with self._database.read() as database:
             return [(row[0], row[1]) for row in database.execute(query)]
@@ -225,7 +235,9 @@ class NotificationOutbox:
     def _record(
         self, database: DatabaseSession, action: str, row: Webhook, session: Session
     ) -> None:
-        detail = {"webhook_id": row.webhook_id, "url": row.url}
+        # Path and query may be the receiver's secret.
+        parts = urlsplit(row.url)
+        detail = {"webhook_id": row.webhook_id, "to": f"{parts.scheme}://{parts.hostname}"}
         self._audit.append(database, Entry(session.actor, action, "fact", detail={**detail}))
 
 

@@ -17,7 +17,8 @@ logger = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.5
 SENDERS_COUNT: Final = 4
-BATCH_COUNT: Final = 50
+HOLD_S: Final = 60.0
+"""A receiver gets nothing for so long when it could not be written down what became of a message."""
 
 
 class NotificationSender:
@@ -28,6 +29,7 @@ class NotificationSender:
         self._settings = settings
         self._lock = threading.Lock()
         self._busy: set[str] = set()
+        self._held_until_s: dict[str, float] = {}
         self._is_closing = threading.Event()
         self._senders = ThreadPoolExecutor(SENDERS_COUNT, "notification")
         self._thread: threading.Thread | None = None
@@ -52,27 +54,39 @@ class NotificationSender:
                 logger.exception("the outbox of notifications could not be read")
 
     def _look(self) -> None:
-        for message, webhook in self._outbox.due(BATCH_COUNT):
+        for message, webhook in self._outbox.due():
             # One message of a receiver at a time: they arrive in order, and it is not flooded.
             receiver = message.webhook_id or "mail"
             with self._lock:
-                if receiver in self._busy:
+                is_held = time.monotonic() < self._held_until_s.get(receiver, 0.0)
+                if is_held or receiver in self._busy:
                     continue
                 self._busy.add(receiver)
             self._senders.submit(self._send, receiver, message, webhook)
 
     def _send(self, receiver: str, message: Notification, webhook: Webhook | None) -> None:
         try:
-            if webhook is not None:
-                is_delivered, answer = self._post(message, webhook)
-            else:
-                is_delivered, answer = self._mail(message)
+            is_delivered, answer = self._attempt(message, webhook)
             self._outbox.note(message.notification_id, is_delivered=is_delivered, answer=answer)
         except Exception:
-            logger.exception("message %s could not be sent", message.notification_id)
+            logger.exception(
+                "the attempt of message %s could not be noted", message.notification_id
+            )
+            with self._lock:
+                self._held_until_s[receiver] = time.monotonic() + HOLD_S
         finally:
             with self._lock:
                 self._busy.discard(receiver)
+
+    def _attempt(self, message: Notification, webhook: Webhook | None) -> tuple[bool, str]:
+        """Send once; an error of any kind is a failed attempt."""
+        try:
+            return self._mail(message) if webhook is None else self._post(message, webhook)
+        except Exception as error:
+            # Without its text, which may hold parts of an address with a password.
+            name = type(error).__name__
+            logger.warning("message %s could not be sent: %s", message.notification_id, name)
+            return False, name
 
     def _post(self, message: Notification, webhook: Webhook) -> tuple[bool, str]:
         try:

@@ -1,6 +1,8 @@
 """Runs the drift test over the measured throws of each machine with the versions on board, for its alert."""
 
+import logging
 import threading
+import time
 from collections.abc import Iterator
 from typing import Final
 
@@ -16,6 +18,10 @@ from server.schemas.alerts import AlertRule
 from server.store.database import Database
 from server.store.models import Throw
 
+logger = logging.getLogger(__name__)
+
+RETRY_S: Final = 30.0
+"""From a failed test of a machine to the next."""
 CONSIDERED_COUNT: Final = 3000
 """Newest measured throws of a mode and version."""
 _WORDS: Final = {
@@ -39,6 +45,7 @@ class DriftWatch:
         self._machine_policies = machine_policies
         self._lock = threading.Lock()
         self._due = {known.machine_id for known in registry.all()}
+        self._retry_s: dict[str, float] = {}
 
     def note(self, machine_id: str) -> None:
         """A throw of a machine has news."""
@@ -52,14 +59,23 @@ class DriftWatch:
 
     def verdicts(self) -> Iterator[Judgement]:
         """What the test says of machines with news."""
+        now_s = time.monotonic()
         with self._lock:
             due, self._due = self._due, set()
+            due |= {machine_id for machine_id, at_s in self._retry_s.items() if at_s <= now_s}
         for machine_id in sorted(due):
-            known = self._registry.get(machine_id)
-            if known.is_listed:
-                texts = list(self._texts(machine_id))
-                text = " ".join(texts) or None
-                yield Judgement(Subject(AlertRule.DRIFT, machine_id), text)
+            try:
+                is_listed = self._registry.get(machine_id).is_listed
+                text = " ".join(self._texts(machine_id)) if is_listed else ""
+            except Exception:
+                logger.exception("the throws of %s could not be tested for drift", machine_id)
+                with self._lock:
+                    self._retry_s[machine_id] = now_s + RETRY_S
+                continue
+            with self._lock:
+                self._retry_s.pop(machine_id, None)
+            if is_listed:
+                yield Judgement(Subject(AlertRule.DRIFT, machine_id), text or None)
 
     def _texts(self, machine_id: str) -> Iterator[str]:
         for entry in self._machine_policies.view(machine_id, None).policies:

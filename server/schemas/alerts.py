@@ -22,6 +22,8 @@ class AlertRule(StrEnum):
     CLOCK = "clock"
     DISK = "disk"
     CERTIFICATE = "certificate"
+    EXPIRED = "expired"
+    """The certificate has run out."""
     DRIFT = "drift"
 
 

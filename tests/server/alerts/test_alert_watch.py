@@ -1,9 +1,11 @@
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
 import trustme
 
 from machine.messages import EventKind
-from server.alerts.alert_watch import PERIOD_S, expiry
+from server.alerts.alert_rules import Judgement, Subject
+from server.alerts.alert_watch import PERIOD_S, AlertWatch, expiry
 from server.machines.machine_registry import FRESH_S
 from server.schemas.alerts import AlertRule
 from tests.server.server_bench import clear_stop, make_settings, running_server, wait_for
@@ -92,6 +94,31 @@ def test_the_end_of_a_certificate_is_read(tmp_path):
     path.write_text("nothing")
     assert expiry(path) is None
     assert expiry(tmp_path / "none.pem") is None
+
+
+def test_a_source_that_fails_holds_up_no_other_and_what_was_not_stored_is_judged_again(assembled):
+    parts = assembled.parts
+    alerts = parts.alerting.alerts
+    watch = AlertWatch(alerts, parts.registry, parts.settings)
+    news = [Judgement(Subject(AlertRule.DRIFT, "m001"), "drifts")]
+
+    def broken() -> Iterator[Judgement]:
+        raise RuntimeError("no history")
+
+    def told_once() -> Iterator[Judgement]:
+        while news:
+            yield news.pop()
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("the database is away")
+
+    watch.sources += [broken, told_once]
+    alerts.on_change[:] = [fail]
+    watch.look()
+    assert alerts.page(rule=AlertRule.DRIFT).rows == ()
+    alerts.on_change.clear()
+    watch.look()
+    assert [row.text for row in alerts.page(rule=AlertRule.DRIFT).rows] == ["drifts"]
 
 
 def test_a_silent_machine_is_noticed_within_the_bar_of_two_seconds():

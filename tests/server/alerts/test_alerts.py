@@ -117,13 +117,30 @@ def test_changes_are_told_inside_their_transaction(assembled, alerts):
         raise RuntimeError("the listener failed")
 
     alerts.on_change.append(fail)
-    with pytest.raises(RuntimeError):
-        alerts.judge([Judgement(STOPPED, "Stopped: a.")])
+    assert len(alerts.judge([Judgement(STOPPED, "Stopped: a.")])) == 1
     assert told == [("alert.opened", AlertRule.STOPPED)]
     assert alerts.page().rows == ()
     alerts.on_change.clear()
     alerts.judge([Judgement(STOPPED, "Stopped: a.")])
     assert len(open_rows(alerts)) == 1
+
+
+def test_a_verdict_that_cannot_be_stored_holds_up_no_other(alerts):
+    def fail(_: object, __: str, view) -> None:
+        if view.machine_id == "m001":
+            raise RuntimeError("the text cannot be stored")
+
+    alerts.on_change[:] = [fail]
+    failing = Judgement(STOPPED, "Stopped: a.")
+    assert alerts.judge([failing, Judgement(DISK, "full")]) == [failing]
+    assert [row.rule for row in open_rows(alerts)] == [AlertRule.DISK]
+
+
+def test_a_text_is_stored_without_nul_and_of_bounded_length(alerts):
+    alerts.judge([Judgement(STOPPED, "Stopped: \x00a." + "b" * 3000)])
+    (row,) = open_rows(alerts)
+    assert row.text.startswith("Stopped: a.bb")
+    assert len(row.text) == 2000
 
 
 def test_pages_and_filters(alerts):

@@ -3,6 +3,7 @@ import pytest
 from sqlalchemy import delete, select
 
 from server.clock import new_id, utc_now
+from server.drift import drift_watch
 from server.drift.drift_watch import DriftWatch
 from server.schemas.alerts import AlertRule
 from server.store.models import MachinePolicy, Throw
@@ -94,6 +95,23 @@ def test_a_bias_is_found_and_said_and_ends_with_another_version(yard):
 
 
 def test_only_machines_with_news_are_judged(yard):
+    assert yard.text() is None
+    assert list(yard.watch.verdicts()) == []
+
+
+def test_a_machine_whose_test_failed_is_tested_again_and_holds_up_no_other(yard, monkeypatch):
+    def view(machine_id: str, _: object):
+        if machine_id == "m001":
+            raise RuntimeError("the database is away")
+        return real(machine_id, _)
+
+    monkeypatch.setattr(drift_watch, "RETRY_S", 0.0)
+    real = yard.parts.machine_policies.view
+    yard.parts.registry.get("m002").is_listed = True
+    yard.watch.note("m002")
+    with monkeypatch.context() as patch:
+        patch.setattr(yard.parts.machine_policies, "view", view)
+        assert "m002" in [verdict.subject.machine_id for verdict in yard.watch.verdicts()]
     assert yard.text() is None
     assert list(yard.watch.verdicts()) == []
 

@@ -10,7 +10,7 @@ from server.clock import utc_now
 from server.composition import prepare_database
 from server.store import database as module
 from server.store.database import Database, DatabaseError, DatabaseStanding, alembic_config, upgrade
-from server.store.models import Base, Machine, User
+from server.store.models import Base, Lease, Machine, User
 from tests.server.server_bench import make_settings
 
 
@@ -27,9 +27,26 @@ def user(name: str) -> User:
     )
 
 
+def machine(machine_id: str) -> Machine:
+    return Machine(
+        machine_id=machine_id,
+        site="yard",
+        name="0",
+        token_sha256="",
+        is_listed=False,
+        enrolled_utc=utc_now(),
+    )
+
+
 def test_schema_goes_up_and_down_and_agrees_with_the_models(database_url):
     upgrade(database_url)
     command.check(alembic_config(database_url))
+    database = Database(database_url)
+    with database.write() as session:
+        session.add(machine("m001"))
+        session.flush()
+        session.add(Lease(machine_id="m001", epoch_count=1))
+    database.close()
     command.downgrade(alembic_config(database_url), "base")
     engine = create_engine(database_url)
     assert set(inspect(engine).get_table_names()) <= {"alembic_version"}
@@ -136,8 +153,6 @@ def test_write_commits_at_the_end_and_rolls_back_on_errors(database):
 
 
 def test_foreign_keys_are_enforced(database):
-    from server.store.models import Lease
-
     with pytest.raises(IntegrityError), database.write() as session:
         session.add(Lease(machine_id="nobody", epoch_count=0))
 
@@ -157,16 +172,7 @@ def test_times_keep_zone_and_microseconds(database):
 
 def test_many_writers_never_meet_a_locked_database(database):
     with database.write() as session:
-        session.add(
-            Machine(
-                machine_id="m001",
-                site="yard",
-                name="0",
-                token_sha256="",
-                is_listed=False,
-                enrolled_utc=utc_now(),
-            )
-        )
+        session.add(machine("m001"))
     errors: list[BaseException] = []
 
     def count_up() -> None:

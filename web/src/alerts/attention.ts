@@ -16,6 +16,7 @@ export const RULE_WORDS: Record<Rule, string> = {
   clock: "Clock",
   disk: "Disk",
   certificate: "Certificate",
+  expired: "Certificate expired",
   drift: "Drift",
 };
 

@@ -1684,7 +1684,7 @@ export interface components {
          * @description What an alert is about (server/alerts/alert_rules.py).
          * @enum {string}
          */
-        AlertRule: "lost" | "stopped" | "fault" | "arm_refused" | "records" | "clock" | "disk" | "certificate" | "drift";
+        AlertRule: "lost" | "stopped" | "fault" | "arm_refused" | "records" | "clock" | "disk" | "certificate" | "expired" | "drift";
         /**
          * AlertUpdatedEvent
          * @description An alert was opened, cleared, acknowledged or silenced.
