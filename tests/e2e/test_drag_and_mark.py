@@ -18,7 +18,7 @@ from tests.e2e.stack import Stack
 GROUND = (0.45, 0.8)
 """Open ground within reach in the 3D view of a page of 1024 by 768, as a share of it."""
 DRAG_PX = (60.0, 20.0)
-TARGET = re.compile(r"Target.*?(\d+\.\d+) m", re.DOTALL)
+TARGET = re.compile(r"Target.*?(\d+\.\d+)\s*m", re.DOTALL)
 REACH_M = 10.9
 POSITIVE = re.compile(r"^0?\.\d+$|^[1-9]\d*(\.\d+)?$")
 
