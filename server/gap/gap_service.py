@@ -1,13 +1,9 @@
-"""Diagnoses of machines against their twins: queued, run one at a time, cancelled.
+"""Diagnoses of machines against their twins, one at a time in a process of its own.
 
-A thread gives one run after the other to a separate process. A run that a restart cut off is marked as
-interrupted and not repeated.
+A run that a restart cut off is marked as interrupted and not repeated.
 """
 
-import logging
-import threading
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import select
@@ -16,12 +12,14 @@ from diagnosis.loading.kept_reference import LEAST_REFERENCE_COUNT, advice, word
 from machine.errors import DownrangeError
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
+from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id, utc_now
-from server.errors import ApiError, ConflictError, TooManyRequestsError
+from server.errors import ApiError, ConflictError
 from server.event_hub import EventHub
 from server.gap.gap_store import GapStore, gap_row
-from server.gap.gap_worker import GapAnswer, GapFailedError, GapJob, GapKilledError, GapProcess
+from server.gap.gap_worker import GapAnswer, GapJob, GapProcess
 from server.gap.throw_choice import ChosenThrows, choose_throws
+from server.job_queue import Job, JobQueue
 from server.machines.machine_registry import MachineRegistry
 from server.machines.twin_files import TwinFiles, content_sha256
 from server.schemas.events import GapUpdatedEvent
@@ -38,23 +36,15 @@ from server.store.models import GapRun, Throw
 from server.throws.throw_logs import LogStore
 from sim_twin.twin.profile import TwinProfile
 
-logger = logging.getLogger(__name__)
-
-QUEUE_COUNT = 8
-"""Runs that may wait."""
 DETAIL_LENGTH = 2000
 
 
-@dataclass(slots=True)
-class OpenRun:
+@dataclass(slots=True, kw_only=True)
+class OpenRun(Job):
     """A run that waits or is under way."""
 
-    gap_run_id: str
     machine_id: str
     throws: ChosenThrows
-    cancelled: threading.Event = field(default_factory=threading.Event)
-    progress_ratio: float = 0.0
-    step: str = "waiting"
 
 
 class GapService:
@@ -78,24 +68,18 @@ class GapService:
         self._twins = twins
         self._hub = hub
         self._process = GapProcess() if process is None else process
-        self._change = threading.Condition()
-        self._queue: deque[str] = deque()
-        self._open: dict[str, OpenRun] = {}
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._work, name="gap runs", daemon=True)
+        self.queue = JobQueue[OpenRun](
+            "diagnoses", "gap_queue_full", self._run, lambda run: self.publish(run.job_id)
+        )
 
     def start(self) -> None:
         """Mark what a restart cut off, and begin to work."""
         self.store.interrupt_all()
-        self._thread.start()
+        self.queue.start()
 
     def close(self) -> None:
         """Kill what runs; it is marked as interrupted."""
-        with self._change:
-            self._is_closed = True
-            self._change.notify_all()
-        if self._thread.is_alive():
-            self._thread.join(timeout=10.0)
+        if self.queue.close():
             self.store.interrupt_all()
 
     # Asked ----------------------------------------------------------------------------------------------
@@ -110,20 +94,12 @@ class GapService:
         kept = self._twins.reference(machine_id)
         throws = choose_throws(self._database, machine_id, request, kept)
         profile = self._twins.profile(machine_id)
-        with self._change:
-            if len(self._queue) >= QUEUE_COUNT:
-                raise TooManyRequestsError(
-                    "gap_queue_full", f"{QUEUE_COUNT} diagnoses are waiting. Cancel one or wait."
-                )
-            row = self._add(machine_id, throws, profile, session)
-            self._open[row.gap_run_id] = OpenRun(row.gap_run_id, machine_id, throws)
-            self._queue.append(row.gap_run_id)
-            self._change.notify_all()
-        return self._publish(row)
+        run = self.queue.add(lambda: self._add(machine_id, throws, profile, session))
+        return self.publish(run.job_id)
 
     def _add(
         self, machine_id: str, throws: ChosenThrows, profile: TwinProfile, session: Session
-    ) -> GapRun:
+    ) -> OpenRun:
         row = GapRun(
             gap_run_id=new_id(),
             machine_id=machine_id,
@@ -148,7 +124,7 @@ class GapService:
             database.add(row)
             database.flush()
             self._audit.append(database, self._entry(session.actor, "gap.run", row))
-        return row
+        return OpenRun(job_id=row.gap_run_id, machine_id=machine_id, throws=throws)
 
     @staticmethod
     def _entry(actor: Actor, action: str, row: GapRun) -> Entry:
@@ -188,15 +164,10 @@ class GapService:
             ApiError: there is none, or it has ended.
         """
         row = self.store.row(gap_run_id, machine_id)
-        with self._change:
-            run = self._open.get(gap_run_id)
-            if run is None or run.cancelled.is_set():
-                raise ConflictError("gap_run_ended", f"This diagnosis has ended: {row.state}.")
-            run.cancelled.set()
-            is_waiting = gap_run_id in self._queue
-            if is_waiting:
-                self._queue.remove(gap_run_id)
-                del self._open[gap_run_id]
+        run = self.queue.find(gap_run_id)
+        is_waiting = None if run is None else self.queue.cancel(run)
+        if is_waiting is None:
+            raise ConflictError("gap_run_ended", f"This diagnosis has ended: {row.state}.")
         self._audit.record(self._entry(session.actor, "gap.cancel", row))
         if is_waiting:
             row = self.store.change(gap_run_id, state=GapState.CANCELLED.value, ended_utc=utc_now())
@@ -218,11 +189,10 @@ class GapService:
         return self._publish(self.store.row(gap_run_id))
 
     def _with_progress(self, row: GapRunRow) -> GapRunRow:
-        with self._change:
-            run = self._open.get(row.gap_run_id)
-            if run is None or row.ended_utc is not None:
-                return row
-            return row.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
+        run = self.queue.find(row.gap_run_id)
+        if run is None or row.ended_utc is not None:
+            return row
+        return row.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
 
     def _publish(self, row: GapRun) -> GapRunRow:
         view = self._with_progress(gap_row(row))
@@ -231,27 +201,10 @@ class GapService:
 
     # Work -----------------------------------------------------------------------------------------------
 
-    def _work(self) -> None:
-        while True:
-            with self._change:
-                self._change.wait_for(lambda: self._is_closed or self._queue)
-                if self._is_closed:
-                    return
-                run = self._open[self._queue.popleft()]
-            try:
-                self._run(run)
-            except Exception:
-                logger.exception("diagnosis %s could not be kept", run.gap_run_id)
-            finally:
-                with self._change:
-                    self._open.pop(run.gap_run_id, None)
-            if not self._is_closed:
-                self.publish(run.gap_run_id)
-
     def _run(self, run: OpenRun) -> None:
         profile = self._twins.profile(run.machine_id)
         row = self.store.change(
-            run.gap_run_id,
+            run.job_id,
             state=GapState.RUNNING.value,
             started_utc=utc_now(),
             profile_version_count=profile.version_count,
@@ -261,7 +214,7 @@ class GapService:
         self._publish(row)
 
         def tell(share: float, text: str) -> None:
-            run.progress_ratio, run.step = min(max(share, 0.0), 1.0), text[:120]
+            run.report(share, text)
             self._publish(row)
 
         try:
@@ -283,12 +236,12 @@ class GapService:
                     run.throws.material_m,
                 ),
                 tell,
-                lambda: run.cancelled.is_set() or self._is_closed,
+                lambda: self.queue.must_end(run),
             )
-        except GapKilledError:
+        except ChildKilledError:
             if run.cancelled.is_set():
                 self._end(run, GapState.CANCELLED, "")
-        except (GapFailedError, ApiError, DownrangeError, OSError) as error:
+        except (ChildFailedError, ApiError, DownrangeError, OSError) as error:
             self._end(run, GapState.FAILED, str(error)[:DETAIL_LENGTH])
         else:
             self._keep(run, answer)
@@ -325,11 +278,11 @@ class GapService:
                 "gap.done",
                 "fact",
                 machine_id=run.machine_id,
-                detail={"gap_run_id": run.gap_run_id, "verdict": answer.verdict},
+                detail={"gap_run_id": run.job_id, "verdict": answer.verdict},
             )
         )
 
     def _end(self, run: OpenRun, state: GapState, detail: str, **values: object) -> None:
         self.store.change(
-            run.gap_run_id, state=state.value, detail=detail, ended_utc=utc_now(), **values
+            run.job_id, state=state.value, detail=detail, ended_utc=utc_now(), **values
         )

@@ -1,19 +1,10 @@
-"""Runs a diagnosis in a separate process at low priority; the parent receives its progress and may kill it.
-
-The process reads log files and answers with JSON and an HTML page. It is spawned, not forked, because the
-server holds Zenoh's threads, and it exits when the server is gone.
-"""
+"""A diagnosis in a process of its own, which reads log files and answers with JSON and an HTML page."""
 
 import logging
 import math
-import multiprocessing
-import os
-import signal
-import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
@@ -22,8 +13,8 @@ from diagnosis.correction import found_effects
 from diagnosis.report.diagnosis_page import diagnosis_html
 from diagnosis.verdict import Diagnosis
 from machine.errors import DownrangeError
+from server.child_process import Send, run_child
 from server.throws.limited_reader import LimitedLogReader
-from sim_twin.child_processes import end_with_parent
 from sim_twin.twin.profile import TwinProfile
 
 if TYPE_CHECKING:
@@ -31,10 +22,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-NICENESS = 15
-"""Below previews (5): a diagnosis takes a minute and may wait."""
-POLL_S = 0.2
-END_WAIT_S = 2.0
 PROGRESS_PERIOD_S = 0.25
 READ_S = 120.0
 """Time for one log: the process has a low priority."""
@@ -69,14 +56,6 @@ class GapAnswer:
     effect_count: int
     result: Mapping[str, Any]
     report: bytes
-
-
-class GapFailedError(Exception):
-    """The process ended without an answer."""
-
-
-class GapKilledError(Exception):
-    """The run was cancelled."""
 
 
 def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
@@ -116,7 +95,6 @@ class GapProcess:
     """Runs one diagnosis at a time; `run` blocks until it ended."""
 
     def __init__(self, diagnose: Diagnose = diagnose_logs) -> None:
-        self._context = multiprocessing.get_context("spawn")
         self._diagnose = diagnose
 
     def run(self, job: GapJob, progress: Progress, is_cancelled: Callable[[], bool]) -> GapAnswer:
@@ -128,65 +106,21 @@ class GapProcess:
             is_cancelled: polled several times a second; True kills the process.
 
         Raises:
-            GapKilledError: `is_cancelled` returned True.
-            GapFailedError: the process failed, with the reason.
+            ChildKilledError: `is_cancelled` returned True.
+            ChildFailedError: the process failed, with the reason.
         """
-        ours, theirs = self._context.Pipe(duplex=False)
-        # Not a daemon: those may have no processes of their own, and logs are read in one.
-        process = self._context.Process(
-            target=run_job, args=(job, self._diagnose, theirs), name="gap"
-        )
-        process.start()
-        theirs.close()
-        try:
-            while True:
-                if is_cancelled():
-                    raise GapKilledError
-                if not ours.poll(POLL_S):
-                    continue
-                try:
-                    kind, content = ours.recv()
-                except EOFError:
-                    process.join(END_WAIT_S)
-                    raise GapFailedError(
-                        f"the diagnosis ended without an answer (exit code {process.exitcode}); "
-                        "killed for memory? The server's log may say more"
-                    ) from None
-                if kind == "progress":
-                    progress(*content)
-                elif kind == "failed":
-                    raise GapFailedError(content)
-                else:
-                    return cast("GapAnswer", content)
-        finally:
-            ours.close()
-            _end(process)
+        work = (job, self._diagnose)
 
+        def take(_kind: str, content: tuple[float, str]) -> None:
+            progress(*content)
 
-def _end(process: Any) -> None:
-    process.join(0.5)
-    if process.is_alive():
-        process.terminate()
-        process.join(END_WAIT_S)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    process.close()
+        return run_child(send_answer, work, "diagnosis", take, is_cancelled)
 
 
 # In the process --------------------------------------------------------------------------------------
 
 
-def run_job(job: GapJob, diagnose: Diagnose, answers: Connection) -> None:
-    """Entry point of the process."""
-    os.nice(NICENESS)
-    end_with_parent()
-    # A cancelled diagnosis ends its own worker process.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    send_answer(job, diagnose, answers.send)
-
-
-def send_answer(job: GapJob, diagnose: Diagnose, send: Callable[[tuple[str, Any]], None]) -> None:
+def send_answer(job: GapJob, diagnose: Diagnose, send: Send) -> None:
     """Diagnose; sends ("progress", (share, text)), then ("done", GapAnswer) or ("failed", reason)."""
     sent_s = -1e9
 

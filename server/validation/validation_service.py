@@ -1,15 +1,12 @@
-"""Validations of policy versions: queued, run one at a time, cancelled; a restart goes on with what is open.
+"""Validations of policy versions, one at a time in a process of its own.
 
-A thread gives one validation after the other to a separate process. Parts that have ended are kept, so that a
-restart throws only what is missing.
+Parts that have ended are kept, so that a restart throws only what is missing.
 """
 
 import logging
 import re
-import threading
-from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -24,8 +21,10 @@ from machine.conventions import Mode
 from machine.errors import DownrangeError, UsageError
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
+from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id, utc_now
-from server.errors import ApiError, ConflictError, NotFoundError, TooManyRequestsError
+from server.errors import ApiError, ConflictError, NotFoundError
+from server.job_queue import Job, JobQueue
 from server.plans.policy_life import state_of
 from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.schemas.policies import PolicyState
@@ -35,30 +34,19 @@ from server.store.validation_tables import PolicyValidation
 from server.validation.gate_settings import GateSettings
 from server.validation.policy_comparison import PolicyComparison
 from server.validation.validation_store import ValidationStore
-from server.validation.validation_worker import (
-    ValidationFailedError,
-    ValidationKilledError,
-    ValidationProcess,
-)
+from server.validation.validation_worker import ValidationProcess
 
 logger = logging.getLogger(__name__)
 
-QUEUE_COUNT: Final = 8
-"""Validations that may wait."""
 DETAIL_LENGTH: Final = 2000
 LOG_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap")
 
 
-@dataclass(slots=True)
-class OpenValidation:
+@dataclass(slots=True, kw_only=True)
+class OpenValidation(Job):
     """A validation that waits or is under way."""
 
-    validation_id: str
     policy_sha256: str
-    created_by: str
-    cancelled: threading.Event = field(default_factory=threading.Event)
-    progress_ratio: float = 0.0
-    step: str = "waiting"
 
 
 class ValidationService:
@@ -80,26 +68,20 @@ class ValidationService:
         self._policies = policies
         self._folder = data_dir / "validations"
         self._process = process
-        self._change = threading.Condition()
-        self._queue: deque[str] = deque()
-        self._open: dict[str, OpenValidation] = {}
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._work, name="validations", daemon=True)
+        self.queue = JobQueue[OpenValidation](
+            "validations", "validation_queue_full", self._run_or_fail
+        )
 
     def start(self) -> None:
         """Take up what a restart cut off, and begin to work."""
         for validation_id in self.store.open_ids():
-            row = self.store.row(validation_id)
-            self._enter(OpenValidation(validation_id, row.policy_sha256, row.created_by))
-        self._thread.start()
+            found = _open_validation(self.store.row(validation_id))
+            self.queue.add(lambda job=found: job, is_bounded=False)
+        self.queue.start()
 
     def close(self) -> None:
         """Kill what runs; the next start goes on with it."""
-        with self._change:
-            self._is_closed = True
-            self._change.notify_all()
-        if self._thread.is_alive():
-            self._thread.join(timeout=10.0)
+        self.queue.close()
 
     # Asked ----------------------------------------------------------------------------------------------
 
@@ -130,19 +112,16 @@ class ValidationService:
             )
         except (UsageError, ValueError) as error:
             raise ConflictError("no_targets", f"It cannot be validated: {error}.") from error
-        with self._change:
+        active_sha256 = None if active is None else active.card.policy_sha256
+
+        def make() -> OpenValidation:
             if self._open_of(policy_sha256) is not None:
                 raise ConflictError(
                     "validation_open", f"{candidate.card.policy_id} is being validated already."
                 )
-            if len(self._queue) >= QUEUE_COUNT:
-                raise TooManyRequestsError(
-                    "validation_queue_full",
-                    f"{QUEUE_COUNT} validations are waiting. Cancel one or wait.",
-                )
-            active_sha256 = None if active is None else active.card.policy_sha256
-            row = self._add(policy_sha256, active_sha256, plan, session)
-            self._enter(OpenValidation(row.validation_id, policy_sha256, session.username))
+            return _open_validation(self._add(policy_sha256, active_sha256, plan, session))
+
+        self.queue.add(make)
         return self._view_of(policy_sha256)
 
     def _active_beside(self, candidate: StoredPolicy) -> StoredPolicy | None:
@@ -197,21 +176,14 @@ class ValidationService:
         Raises:
             ConflictError: none is open.
         """
-        with self._change:
-            run = self._open_of(policy_sha256)
-            if run is None:
-                raise ConflictError("no_open_validation", "This version is not being validated.")
-            run.cancelled.set()
-            is_waiting = run.validation_id in self._queue
-            if is_waiting:
-                self._queue.remove(run.validation_id)
-                del self._open[run.validation_id]
-        entry = self._entry(
-            session.actor, "policy.validate.cancel", run.validation_id, policy_sha256
-        )
+        run = self._open_of(policy_sha256)
+        if run is None:
+            raise ConflictError("no_open_validation", "This version is not being validated.")
+        is_waiting = self.queue.cancel(run)
+        entry = self._entry(session.actor, "policy.validate.cancel", run.job_id, policy_sha256)
         self._audit.record(entry)
         if is_waiting:
-            self.store.end(run.validation_id, ValidationState.CANCELLED, "")
+            self.store.end(run.job_id, ValidationState.CANCELLED, "")
         return self._view_of(policy_sha256)
 
     def view(self, policy_sha256: str) -> ValidationView | None:
@@ -238,60 +210,40 @@ class ValidationService:
         return view
 
     def _with_progress(self, view: ValidationView) -> ValidationView:
-        with self._change:
-            run = self._open.get(view.validation_id)
-            if run is None or view.ended_utc is not None:
-                return view
-            return view.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
+        run = self.queue.find(view.validation_id)
+        if run is None or view.ended_utc is not None:
+            return view
+        return view.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
 
     def _open_of(self, policy_sha256: str) -> OpenValidation | None:
-        runs = (run for run in self._open.values() if run.policy_sha256 == policy_sha256)
+        runs = (run for run in self.queue.open_jobs() if run.policy_sha256 == policy_sha256)
         return next((run for run in runs if not run.cancelled.is_set()), None)
-
-    def _enter(self, run: OpenValidation) -> None:
-        with self._change:
-            self._open[run.validation_id] = run
-            self._queue.append(run.validation_id)
-            self._change.notify_all()
 
     # Work -----------------------------------------------------------------------------------------------
 
-    def _work(self) -> None:
-        while True:
-            with self._change:
-                self._change.wait_for(lambda: self._is_closed or self._queue)
-                if self._is_closed:
-                    return
-                run = self._open[self._queue.popleft()]
-            try:
-                self._run(run)
-            except Exception:
-                logger.exception("validation %s could not be kept", run.validation_id)
-                with suppress(Exception):
-                    text = "The server could not keep it; its log says more."
-                    self.store.end(run.validation_id, ValidationState.FAILED, text)
-            finally:
-                with self._change:
-                    self._open.pop(run.validation_id, None)
+    def _run_or_fail(self, run: OpenValidation) -> None:
+        try:
+            self._run(run)
+        except Exception:
+            with suppress(Exception):
+                text = "The server could not keep it; its log says more."
+                self.store.end(run.job_id, ValidationState.FAILED, text)
+            raise
 
     def _run(self, run: OpenValidation) -> None:
-        row = self.store.begin(run.validation_id)
+        row = self.store.begin(run.job_id)
         run.step = "starting"
-
-        def progress(share: float, text: str) -> None:
-            run.progress_ratio, run.step = min(max(share, 0.0), 1.0), text[:120]
-
         try:
             result = self._process.run(
                 self._job(row),
-                ValidationListener(progress, lambda name, answer: self._keep(run, name, answer)),
-                lambda: run.cancelled.is_set() or self._is_closed,
+                ValidationListener(run.report, lambda name, answer: self._keep(run, name, answer)),
+                lambda: self.queue.must_end(run),
             )
-        except ValidationKilledError:
+        except ChildKilledError:
             if run.cancelled.is_set():
-                self.store.end(run.validation_id, ValidationState.CANCELLED, "")
-        except (ValidationFailedError, DownrangeError, OSError) as error:
-            self.store.end(run.validation_id, ValidationState.FAILED, str(error)[:DETAIL_LENGTH])
+                self.store.end(run.job_id, ValidationState.CANCELLED, "")
+        except (ChildFailedError, DownrangeError, OSError) as error:
+            self.store.end(run.job_id, ValidationState.FAILED, str(error)[:DETAIL_LENGTH])
         else:
             self._finish(run, result)
 
@@ -323,15 +275,19 @@ class ValidationService:
     def _keep(self, run: OpenValidation, name: str, answer: PartAnswer) -> None:
         """Keep a part: its logs first, so that no row names a log that is not there."""
         if answer.logs:
-            folder = self._folder / run.validation_id
+            folder = self._folder / run.job_id
             folder.mkdir(parents=True, exist_ok=True)
             for file, content in answer.logs.items():
                 part = folder / f"{file}.part"
                 part.write_bytes(content)
                 part.replace(folder / file)
-        self.store.keep_part(run.validation_id, name, answer.landings)
+        self.store.keep_part(run.job_id, name, answer.landings)
 
     def _finish(self, run: OpenValidation, result: ValidationResult) -> None:
-        self.store.end(run.validation_id, ValidationState.DONE, "", result)
+        self.store.end(run.job_id, ValidationState.DONE, "", result)
         action = "policy.validate.passed" if result.is_passed else "policy.validate.not_passed"
-        self._audit.record(self._entry(SERVER, action, run.validation_id, run.policy_sha256))
+        self._audit.record(self._entry(SERVER, action, run.job_id, run.policy_sha256))
+
+
+def _open_validation(row: PolicyValidation) -> OpenValidation:
+    return OpenValidation(job_id=row.validation_id, policy_sha256=row.policy_sha256)

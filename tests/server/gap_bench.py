@@ -14,13 +14,13 @@ from machine.conventions import Mode
 from machine.messages import Target, ThrowPlan
 from machine.spec import load_spec
 from server.accounts.accounts import Session
+from server.child_process import ChildFailedError
 from server.clock import new_id, utc_now
 from server.composition import Parts
 from server.gap.gap_service import GapService
 from server.gap.gap_worker import (
     Diagnose,
     GapAnswer,
-    GapFailedError,
     GapJob,
     GapProcess,
     Progress,
@@ -101,7 +101,7 @@ class GapThread(GapProcess):
         send_answer(job, self._diagnose, take)
         ((kind, content),) = found
         if kind == "failed":
-            raise GapFailedError(content)
+            raise ChildFailedError(content)
         return content
 
 
@@ -115,9 +115,9 @@ def diagnosing(
     try:
         yield desk
     finally:
-        for run in list(desk._open.values()):
+        for run in desk.queue.open_jobs():
             run.cancelled.set()
-        wait_for(lambda: not desk._open)
+        wait_for(lambda: not desk.queue.open_jobs())
         desk._process = before
 
 

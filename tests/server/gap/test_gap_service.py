@@ -11,8 +11,8 @@ from machine.conventions import Mode
 from machine.errors import LogError
 from machine.spec import load_spec
 from server.gap import gap_worker
-from server.gap.gap_service import QUEUE_COUNT
 from server.gap.gap_worker import GapProcess
+from server.job_queue import WAITING_COUNT
 from server.schemas.console import Role
 from server.schemas.gap import GapState
 from sim_twin.twin.profile import nominal_profile
@@ -144,8 +144,8 @@ def test_one_at_a_time_at_low_priority_and_cancel_kills(running, ada, throws):
 def test_a_full_queue_is_refused(running, ada, throws):
     with diagnosing(running.parts, gap_fakes.patient, GapProcess) as desk:
         start(ada)
-        wait_for(lambda: not desk._queue)
-        for _ in range(QUEUE_COUNT):
+        wait_for(lambda: not desk.queue._waiting)
+        for _ in range(WAITING_COUNT):
             start(ada)
         reply = ada.post(RUNS, json={"newest_count": 6})
         assert (reply.status_code, reply.json()["error"]["code"]) == (429, "gap_queue_full")

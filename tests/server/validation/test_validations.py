@@ -40,9 +40,9 @@ def validating(parts, how, process=InThread):
     try:
         yield
     finally:
-        for run in list(service._open.values()):
+        for run in service.queue.open_jobs():
             run.cancelled.set()
-        wait_for(lambda: not service._open)
+        wait_for(lambda: not service.queue.open_jobs())
         service._process = before
 
 

@@ -18,11 +18,10 @@ from evaluation.validation.validation import (
     validate,
 )
 from machine.errors import UsageError
+from server.child_process import ChildFailedError, ChildKilledError
 from server.validation.validation_worker import (
     CampaignProcesses,
     Validate,
-    ValidationFailedError,
-    ValidationKilledError,
 )
 
 PART = "part "
@@ -39,13 +38,13 @@ class InThread:
     ) -> ValidationResult:
         def progress(share: float, text: str) -> None:
             if is_cancelled():
-                raise ValidationKilledError
+                raise ChildKilledError
             listener.progress(share, text)
 
         try:
             return self._how(job, CampaignProcesses(), listener._replace(progress=progress))
         except UsageError as error:
-            raise ValidationFailedError(str(error)) from error
+            raise ChildFailedError(str(error)) from error
 
 
 COUNT = 20
