@@ -79,6 +79,16 @@ def test_click_preview_hold_impact_history_replay(
     _replay(page)
     _print(page)
     _correct_impact(page)
+    _machine_page(page)
+
+
+def _machine_page(page: Page) -> None:
+    """The machine's page shows the throw in its charts and lists it."""
+    page.goto("/machines/m001")
+    for title in ("Miss along over time", "Miss across over time"):
+        chart = page.get_by_role("img", name=title)
+        expect(chart).to_be_visible()
+        expect(chart.locator("circle")).not_to_have_count(0)
 
 
 def _replay(page: Page) -> None:

@@ -55,7 +55,7 @@ export function LifePanel({ machine, life }: { machine: Machine; life: MachineLi
     ["Records to send", state?.outbox_count ?? "not known"],
     ["Software", state?.software || "not known"],
     ["Site", machine.site],
-    ["In the list since", zonedStamp(counts.enrolled_utc)],
+    ["Known since", zonedStamp(counts.enrolled_utc)],
     [
       "Throws",
       `${counts.throw_count}: ${counts.landed_count} landed, ${counts.aborted_count} aborted`,

@@ -3,7 +3,7 @@ import { useCallback } from "react";
 import { toCsv } from "../charts/export";
 import { PlotFigure } from "../charts/PlotFigure";
 import { signed } from "../words/format";
-import { localStamp } from "../words/time";
+import { localStamp, shortStamp, zoneName } from "../words/time";
 import { type Axis, medians, type TrendPoint, type Version } from "./trend";
 
 const LABELS: Record<Axis, string> = {
@@ -60,10 +60,17 @@ function trend(
     height,
     marginTop: 24,
     marginRight: 14,
-    marginBottom: 36,
+    marginBottom: 44,
     marginLeft: 44,
     style: { background: "transparent", fontSize: "11px", overflow: "visible" },
-    x: { type: "time", label: null, inset: 12, ticks: Math.max(2, Math.floor(width / 110)) },
+    x: {
+      type: "time",
+      label: zoneName(new Date()),
+      labelArrow: "none",
+      inset: 12,
+      ticks: Math.max(2, Math.floor(width / 110)),
+      tickFormat: (date: Date) => shortStamp(date.toISOString()).slice(0, 11).replace(" ", "\n"),
+    },
     y: { label: LABELS[axis], labelArrow: "none", nice: true, grid: true, ticks: 5 },
     marks: [
       Plot.ruleY([0], { stroke: "var(--line-strong)" }),

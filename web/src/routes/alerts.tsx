@@ -107,7 +107,7 @@ function Open({ search }: { search: AlertSearch }) {
   );
   if (!isLoaded) return null;
   if (shown.length === 0) {
-    return <GateSentence sentence={all.length === 0 ? "Nothing is wrong." : FILTERED} />;
+    return <GateSentence sentence={all.length === 0 ? "No alert is open." : FILTERED} />;
   }
   return (
     <ul className={classes.list} aria-label="Open alerts">
