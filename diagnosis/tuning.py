@@ -93,7 +93,7 @@ PREVIEW_COUNT = 6
 UNKNOWN_LEVEL_SD = 5.0
 """Power beyond healthy throws, in standard deviations of it between days, that is not unknown."""
 UNKNOWN_LEVEL_SD_OF_TYPE = 8.0
-"""The same without reference throws: machines of a type differ more than days, and with heavier tails."""
+"""The same without reference throws: machines of a type differ by more than one does from day to day."""
 UNKNOWN_WIDTH_RATIO = 0.15
 """Width of the logistic in the log of the excess."""
 CONFLICT_SD = 5.0

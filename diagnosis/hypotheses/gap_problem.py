@@ -81,34 +81,26 @@ def pose_problem(
     layout: ParameterLayout,
 ) -> GapProblem:
     """Linearise at "no effect", with the model of healthy machines adapted to this machine."""
-    healthy, model = health.filters, health.noise
+    of_type = health.noise
     layout = beside(layout, profile.effects)
-    linear = linearise(prepared, profile, calibration, healthy)
-    is_other_type = not health.is_own and not filters_help(prepared, linear, healthy)
+    linear = linearise(prepared, profile, calibration, health.filters)
+    is_other_type = not health.is_own and not filters_help(prepared, linear, health.filters)
     if is_other_type:
-        healthy, model = nothing(), other_type_model(model, (1.0,) * len(ACTIVE_JOINTS))
-        layout = beside(layout_of(model), profile.effects)
-        linear = linearise(prepared, profile, calibration, healthy)
-    found = _whitened(
-        prepared, profile, calibration, Health(healthy, model, health.profile), layout, linear
-    )
+        other = other_type_model(of_type, (1.0,) * len(ACTIVE_JOINTS))
+        health = health._replace(filters=nothing(), noise=other)
+        layout = beside(layout_of(other), profile.effects)
+        linear = linearise(prepared, profile, calibration, health.filters)
+    found = _whitened(prepared, profile, calibration, health, layout, linear)
     previews = OTHER_TYPE_ADAPTATIONS if is_other_type else TYPE_ADAPTATIONS
     for least_ratio, clear_log_power in () if health.is_own else previews:
-        excess = misfit(found.whitened, layout.priors, model, clear_log_power)
+        excess = misfit(found.whitened, layout.priors, health.noise, clear_log_power)
         excess = {stage: max(factor, least_ratio) for stage, factor in excess.items()}
         if any(factor != 1.0 for factor in excess.values()):
-            model = scaled_to(model, excess)
-            found = _whitened(
-                prepared,
-                profile,
-                calibration,
-                Health(healthy, model, health.profile),
-                layout,
-                linear,
-            )
+            health = health._replace(noise=scaled_to(health.noise, excess))
+            found = _whitened(prepared, profile, calibration, health, layout, linear)
     if is_other_type:
-        near = fitted_other_type_model(health.noise, total(found.information))
-        model = near.model_copy(update={"channels": model.channels})
+        near = fitted_other_type_model(of_type, total(found.information))
+        model = near.model_copy(update={"channels": health.noise.channels})
         # The whitening does not depend on the machines' scatter.
         found = replace(found, model=model, layout=beside(layout_of(model), profile.effects))
     none = screen(total(found.information), found.layout.priors)
