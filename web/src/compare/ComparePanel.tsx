@@ -43,7 +43,7 @@ export function ComparePanel({ policies }: { policies: readonly Policy[] }) {
   return (
     <section className={classes.panel} aria-label="Compare two versions">
       <h2>Compare two versions</h2>
-      <p>Better and worse are said of the second one.</p>
+      <p>The verdicts are about the second version.</p>
       <div className={classes.choice}>
         <Select
           label="First version"
