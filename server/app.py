@@ -25,23 +25,19 @@ from server.deployments.policy_uploads import UPLOAD_LIMIT_BYTES
 from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
+from server.management_routes import alerts, fleet, gap, policies, validations
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
-    alerts,
     audit,
     auth,
     events,
-    fleet,
-    gap,
     health,
     history,
     hold,
     machines,
     plans,
-    policies,
     sites,
     stops,
-    validations,
 )
 from server.schemas.console import ErrorBody
 from server.schemas.plans import HoldMessage, HoldReply

@@ -1,1 +1,1 @@
-"""HTTP routes, one module per resource: they check permissions and bodies and call the parts."""
+"""HTTP routes of accounts and throwing machines: they check permissions and bodies and call the parts."""

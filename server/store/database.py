@@ -19,6 +19,7 @@ from sqlalchemy import Connection, create_engine, event, inspect, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.pool import ConnectionPoolEntry
 
 from machine.errors import DownrangeError
 from server.secret_files import make_private
@@ -97,7 +98,8 @@ class Database:
         event.listen(self._write, "before_flush", look)
 
     def close(self) -> None:
-        """Give all connections back."""
+        """Close all connections; one that a thread still uses is closed when it comes back."""
+        event.listen(self.engine, "checkin", _close_returned)
         self.engine.dispose()
 
     def ping(self) -> None:
@@ -173,6 +175,10 @@ def alembic_config(url: str) -> Config:
 def upgrade(url: str, revision: str = "head") -> None:
     """Bring the schema to a revision, the newest one by default."""
     command.upgrade(alembic_config(url), revision)
+
+
+def _close_returned(_connection: object, record: ConnectionPoolEntry) -> None:
+    record.invalidate()
 
 
 def _set_up_sqlite(connection: Any, _record: object) -> None:

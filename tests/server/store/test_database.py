@@ -55,6 +55,16 @@ def test_schema_goes_up_and_down_and_agrees_with_the_models(database_url):
     command.check(alembic_config(database_url))
 
 
+def test_a_connection_in_use_is_closed_when_it_comes_back(database):
+    with database.read() as session:
+        connection = session.connection().connection
+        driver = connection.driver_connection
+        database.close()
+        session.execute(text("SELECT 1"))
+    with pytest.raises(Exception, match="clos"):
+        driver.execute("SELECT 1")
+
+
 def test_check_finds_a_difference(schema_url):
     engine = create_engine(schema_url)
     with engine.begin() as connection:
