@@ -1,5 +1,5 @@
 import { Link } from "@tanstack/react-router";
-import { AlertItem } from "../alerts/AlertItem";
+import { AlertList } from "../alerts/AlertList";
 import { inOrder } from "../alerts/attention";
 import { useClearedAlerts, useOpenAlerts } from "../alerts/useAlerts";
 import { useGapRuns } from "../gap/useGap";
@@ -151,11 +151,7 @@ export function AlertsPanel({ machineId }: OwnProps) {
     <section className={classes.panel} aria-label="Alerts">
       <h2>Alerts</h2>
       {open.length === 0 && <p className={classes.dim}>None is open.</p>}
-      <ul className={classes.rows}>
-        {[...inOrder(open, now), ...cleared].map((alert) => (
-          <AlertItem key={alert.alert_id} alert={alert} />
-        ))}
-      </ul>
+      <AlertList alerts={[...inOrder(open, now), ...cleared]} label="Alerts of the machine" />
       <Link to="/alerts" search={{ machine: machineId, state: "cleared" }}>
         History of alerts
       </Link>

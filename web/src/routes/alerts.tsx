@@ -1,6 +1,6 @@
 import { Button, SegmentedControl, Select, Switch } from "@mantine/core";
 import { useNavigate, useSearch } from "@tanstack/react-router";
-import { AlertItem } from "../alerts/AlertItem";
+import { AlertList } from "../alerts/AlertList";
 import classes from "../alerts/Alerts.module.css";
 import {
   type AlertSearch,
@@ -109,13 +109,7 @@ function Open({ search }: { search: AlertSearch }) {
   if (shown.length === 0) {
     return <GateSentence sentence={all.length === 0 ? "No alert is open." : FILTERED} />;
   }
-  return (
-    <ul className={classes.list} aria-label="Open alerts">
-      {shown.map((alert) => (
-        <AlertItem key={alert.alert_id} alert={alert} />
-      ))}
-    </ul>
-  );
+  return <AlertList alerts={shown} label="Open alerts" />;
 }
 
 function Cleared({ search }: { search: AlertSearch }) {
@@ -127,11 +121,7 @@ function Cleared({ search }: { search: AlertSearch }) {
   }
   return (
     <>
-      <ul className={classes.list} aria-label="Cleared alerts">
-        {pages.rows.map((alert) => (
-          <AlertItem key={alert.alert_id} alert={alert} />
-        ))}
-      </ul>
+      <AlertList alerts={pages.rows} label="Cleared alerts" />
       {pages.hasNextPage && (
         <Button
           variant="default"
