@@ -175,6 +175,8 @@ class Outcome:
     moved_rad_or_m: Array
     """Largest difference of a joint from the same throw without a fault, when noticed, or at the end."""
     collided: BoolArray
+    collided_by_stop: BoolArray
+    """So does the same throw without a fault, stopped at the same moment."""
     collided_tick: IntArray
     motion_ratio: Array
     """(N, 4) largest uncommanded motion as a share of its limit, before a collision."""
@@ -194,9 +196,22 @@ class Throws(NamedTuple):
 
 
 def simulate(
-    given: Throws, injection: Injection, way: list[Array] | None = None
+    given: Throws,
+    injection: Injection,
+    way: list[Array] | None = None,
+    stop_tick: IntArray | None = None,
 ) -> tuple[Outcome, list[Array]]:
-    """Run them; `way` is that of the same throws without faults, (T)(N, 4), and that of these comes back."""
+    """Run them.
+
+    Args:
+        given: the throws.
+        injection: their faults.
+        way: (T)(N, 4) positions of the same throws without faults.
+        stop_tick: (N,) a person presses STOP then; -1 = never.
+
+    Returns:
+        What came of them, and their own way.
+    """
     count = given.size
     rng = np.random.default_rng(given.seed)
     reach, bearing = rng.uniform(6.0, 10.5, count), rng.uniform(-np.pi, np.pi, count)
@@ -227,6 +242,8 @@ def simulate(
         fresh = ((code != 0) | (out.violation_count != 0)) & (noticed < 0)
         codes = np.where(fresh, code, codes)
         noticed = np.where(fresh, tick, noticed)
+        if stop_tick is not None:
+            noticed = np.where((tick == stop_tick) & (noticed < 0), tick, noticed)
         collided_tick[plant.collided() & (collided_tick < 0)] = tick
         watched = (tick <= injection.start + AFTER_TICKS) & ((noticed < 0) | fresh)
         if way is not None:
@@ -245,7 +262,16 @@ def simulate(
     since = collided_tick - injection.start
     collided = (collided_tick >= 0) & (~has_fault | ((since >= 0) & (since <= AFTER_TICKS)))
     outcome = Outcome(
-        injection, noticed, codes, early, moved, collided, collided_tick, largest, load
+        injection,
+        noticed,
+        codes,
+        early,
+        moved,
+        collided,
+        np.zeros(count, dtype=np.bool_),
+        collided_tick,
+        largest,
+        load,
     )
     return outcome, path
 
@@ -260,7 +286,9 @@ def run_faulty(given: Throws) -> Outcome:
     alone, way = simulate(given, Injection.none(given.size))
     injection = Injection.draw(given.size, np.random.default_rng([given.seed, 1]))
     injection.kind[alone.collided] = NO_FAULT
-    return simulate(given, injection, way)[0]
+    faulty = simulate(given, injection, way)[0]
+    stopped = simulate(given, Injection.none(given.size), stop_tick=faulty.noticed_tick)[0]
+    return replace(faulty, collided_by_stop=stopped.collided)
 
 
 def fault_rows(outcomes: Sequence[Outcome]) -> list[Row]:
@@ -271,6 +299,7 @@ def fault_rows(outcomes: Sequence[Outcome]) -> list[Row]:
     early = np.concatenate([o.is_early for o in outcomes])
     moved = np.concatenate([o.moved_rad_or_m for o in outcomes])
     collided = np.concatenate([o.collided for o in outcomes])
+    by_stop = np.concatenate([o.collided_by_stop for o in outcomes])
     seen = (noticed >= start) & (noticed <= start + AFTER_TICKS)
     delay_ms = np.where(seen, (noticed - start) * 10.0, np.inf)
     outside = (delay_ms > BAR_MS) & (moved >= BAR_RAD_OR_M) & ~early
@@ -286,6 +315,7 @@ def fault_rows(outcomes: Sequence[Outcome]) -> list[Row]:
             "unnoticed_count": chosen & ~seen,
             "outside_the_bar_count": chosen & outside,
             "collided_count": chosen & collided,
+            "collided_by_stop_count": chosen & collided & by_stop,
         }
         values = {
             "p50_ms": of(delays, 0.5),

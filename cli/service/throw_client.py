@@ -23,6 +23,7 @@ from server.accounts.access_control import WRITE_HEADER_VALUE
 from server.accounts.accounts import COOKIE, FIRST_LOGIN_FILE
 
 HOLD_PERIOD_S = 0.05
+REPLY_LIMIT_S = 5.0
 RENEW_PERIOD_S = 5.0
 POLL_PERIOD_S = 0.1
 PREVIEW_TIMEOUT_S = 30.0
@@ -323,14 +324,21 @@ class Holding:
         self._done.set()
         self._thread.join()
 
-    def _send(self, *, is_holding: bool) -> None:
-        self._socket.send(json.dumps({"throw_id": self._throw_id, "holding": is_holding}))
+    def _say(self, *, is_holding: bool, seen_ns: int | None) -> int | None:
+        said = {
+            "throw_id": self._throw_id,
+            "holding": is_holding,
+            "machine_t_mono_ns": seen_ns,
+        }
+        self._socket.send(json.dumps(said))
+        return json.loads(self._socket.recv(REPLY_LIMIT_S))["machine_t_mono_ns"]
 
     def _run(self) -> None:
         try:
+            seen_ns = self._say(is_holding=True, seen_ns=None)
             while not self._done.is_set():
-                self._send(is_holding=True)
+                seen_ns = self._say(is_holding=True, seen_ns=seen_ns)
                 self._done.wait(HOLD_PERIOD_S)
-            self._send(is_holding=False)
-        except WebSocketException:
-            return  # without messages the machine releases by itself
+            self._say(is_holding=False, seen_ns=seen_ns)
+        except (WebSocketException, TimeoutError):
+            return  # without messages the machine lets go by itself

@@ -24,7 +24,7 @@ CLOSED_REFUSED = 4403
 CLOSED_SESSION_ENDED = 4401
 CLOSED_MALFORMED = 4400
 MAX_MESSAGE_COUNT = 1024
-"""Characters; a message has under 100."""
+"""Characters; a message has under 150."""
 RECHECK_S = 5.0
 
 
@@ -76,8 +76,7 @@ async def _serve(
 async def _relay(
     websocket: WebSocket, holds: HoldRelay, session: Session, machine_id: str
 ) -> str | None:
-    """Pass messages on until the socket closes; send a reply when the result changes."""
-    last_reply: tuple[str, str] | None = None
+    """Pass messages on until the socket closes, and answer each."""
     while True:
         text = await websocket.receive_text()
         try:
@@ -86,12 +85,19 @@ async def _relay(
             await websocket.close(CLOSED_MALFORMED, "not a hold message")
             return None
         refusal = holds.relay(
-            machine_id, message.throw_id, session.session_id, is_holding=message.holding
+            machine_id,
+            message.throw_id,
+            session.session_id,
+            is_holding=message.holding,
+            echo_ns=message.machine_t_mono_ns,
         )
-        if last_reply != (message.throw_id, refusal):
-            last_reply = (message.throw_id, refusal)
-            reply = HoldReply(throw_id=message.throw_id, is_relayed=not refusal, detail=refusal)
-            await websocket.send_text(reply.model_dump_json())
+        reply = HoldReply(
+            throw_id=message.throw_id,
+            is_relayed=not refusal,
+            detail=refusal,
+            machine_t_mono_ns=holds.machine_t_mono_ns(machine_id),
+        )
+        await websocket.send_text(reply.model_dump_json())
 
 
 async def _watch(

@@ -141,11 +141,15 @@ class HoldMessage(Request):
 
     throw_id: str = Field(max_length=64)
     holding: bool
+    machine_t_mono_ns: int | None = Field(default=None, ge=0, lt=2**63)
+    """That of the newest reply, ns of the machine's clock; a hold without it is answered, not passed on."""
 
 
 class HoldReply(View):
-    """Server to browser on the hold WebSocket: `relayed`, or why the hold does not count."""
+    """Server to browser on the hold WebSocket, one a message: passed on, or why the hold does not count."""
 
     throw_id: str
     is_relayed: bool
     detail: str
+    machine_t_mono_ns: int | None
+    """Time of the machine's clock, ns, for the next message: its age is the time on the way."""

@@ -1,7 +1,8 @@
 """The operator's hold: each message of the browser is forwarded as one heartbeat, or not at all.
 
 Nothing is repeated, stored or delayed: without messages from the browser the machine gets none. A hold
-counts only for the throw, session and lease epoch for which fire was pressed.
+counts only for the throw, session and lease epoch for which fire was pressed, and from the machine's time
+that the browser had when it sent it: what waits in a network or a browser grows old.
 """
 
 import threading
@@ -66,7 +67,7 @@ class HoldRelay:
             if grant is None or grant.session_id != session_id or not grant.sequence_count:
                 return
             throw_id = grant.throw_id
-        self.relay(machine_id, throw_id, session_id, is_holding=False)
+        self.relay(machine_id, throw_id, session_id, is_holding=False, echo_ns=None)
 
     def let_go_all(self, session_id: str) -> None:
         """A session ended."""
@@ -75,11 +76,38 @@ class HoldRelay:
         for machine_id in held:
             self.let_go(machine_id, session_id)
 
-    def relay(self, machine_id: str, throw_id: str, session_id: str, *, is_holding: bool) -> str:
-        """Pass one message on; returns why it does not count, empty when it was passed on."""
+    def machine_t_mono_ns(self, machine_id: str) -> int | None:
+        """Present time of the machine's clock as the server knows it, ns; None = it has not been heard."""
+        return self._registry.machine_t_mono_ns(machine_id)
+
+    def relay(
+        self,
+        machine_id: str,
+        throw_id: str,
+        session_id: str,
+        *,
+        is_holding: bool,
+        echo_ns: int | None,
+    ) -> str:
+        """Pass one message on; returns why it does not count, empty when it was passed on.
+
+        Args:
+            machine_id: the machine.
+            throw_id: the throw that was fired.
+            session_id: whose message it is.
+            is_holding: False = the operator let go, which has no age.
+            echo_ns: the machine's time that the browser had, ns; a hold needs it.
+        """
+        now_ns = self.machine_t_mono_ns(machine_id)
+        seen_ns = now_ns
         with self._lock:
             grant = self._grants.get(machine_id)
             refusal = _refusal(grant, throw_id, session_id)
+            if not refusal and is_holding:
+                if echo_ns is None or now_ns is None:
+                    refusal = "the machine's time is not known yet"
+                else:
+                    seen_ns = min(echo_ns, now_ns)
             if grant is None or refusal:
                 self._metrics.heartbeats_count.labels(result="refused").inc()
                 return refusal
@@ -90,7 +118,7 @@ class HoldRelay:
                 epoch_count=grant.epoch_count,
                 sequence_count=grant.sequence_count,
                 is_holding=is_holding,
-                seen_t_mono_ns=self._registry.machine_t_mono_ns(machine_id),
+                seen_t_mono_ns=seen_ns,
             )
         self._link.put_heartbeat(heartbeat)
         self._metrics.heartbeats_count.labels(result="relayed").inc()

@@ -41,7 +41,9 @@ class Hold:
     def _send(self):
         while not self._done.is_set():
             if self.throw_id is not None and not self.silent:
-                self.socket.send(json.dumps({"throw_id": self.throw_id, "holding": self.holding}))
+                seen = self.replies[-1]["machine_t_mono_ns"] if self.replies else None
+                said = {"throw_id": self.throw_id, "holding": self.holding}
+                self.socket.send(json.dumps(said | {"machine_t_mono_ns": seen}))
             time.sleep(0.03)
 
     def _receive(self):

@@ -1,5 +1,6 @@
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -105,6 +106,9 @@ def test_a_person_who_may_not_throw_any_more_holds_nothing(running, monkeypatch)
     assert caught.value.rcvd.code == 4401
 
 
+SEEN_NS = 40_000_000_000
+
+
 class Wire:
     """Takes what would go to the machine."""
 
@@ -116,34 +120,45 @@ class Wire:
 
 
 @pytest.fixture
-def desk(running):
+def desk():
     wire = Wire()
-    desk = HoldRelay(wire, running.parts.registry, ServiceMetrics())
+    registry = SimpleNamespace(machine_t_mono_ns=lambda _: SEEN_NS + 100_000_000)
+    desk = HoldRelay(wire, registry, ServiceMetrics())
     desk.begin("m001", "t1", "s1", 7)
     return desk, wire
 
 
 def test_only_the_session_that_fired_holds_only_this_throw(desk):
     holds, wire = desk
-    assert holds.relay("m001", "t1", "s1", is_holding=True) == ""
-    assert "another session" in holds.relay("m001", "t1", "s2", is_holding=True)
-    assert "t1" in holds.relay("m001", "t2", "s1", is_holding=True)
-    assert holds.relay("m002", "t1", "s1", is_holding=True)
+    assert holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS) == ""
+    assert "another session" in holds.relay("m001", "t1", "s2", is_holding=True, echo_ns=SEEN_NS)
+    assert "t1" in holds.relay("m001", "t2", "s1", is_holding=True, echo_ns=SEEN_NS)
+    assert holds.relay("m002", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     assert [(beat.sequence_count, beat.epoch_count) for beat in wire.sent] == [(1, 7)]
 
 
 def test_each_message_is_one_heartbeat_and_silence_is_silence(desk):
     holds, wire = desk
     for _ in range(5):
-        holds.relay("m001", "t1", "s1", is_holding=True)
+        holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     time.sleep(0.2)
     assert [beat.sequence_count for beat in wire.sent] == [1, 2, 3, 4, 5]
+
+
+def test_a_hold_is_as_old_as_the_machines_time_that_the_browser_echoes(desk):
+    holds, wire = desk
+    for echo_ns in (None, SEEN_NS, SEEN_NS + 900_000_000):
+        holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=echo_ns)
+    holds.relay("m001", "t1", "s1", is_holding=False, echo_ns=None)
+    seen = [beat.seen_t_mono_ns - SEEN_NS for beat in wire.sent]
+    assert seen == [0, 100_000_000, 100_000_000]
+    assert [beat.is_holding for beat in wire.sent] == [True, True, False]
 
 
 def test_a_lease_that_changes_hands_ends_the_hold(desk):
     holds, wire = desk
     holds.revoke("m001")
-    assert "changed hands" in holds.relay("m001", "t1", "s1", is_holding=True)
+    assert "changed hands" in holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     holds.let_go("m001", "s1")
     assert not wire.sent
 
@@ -151,13 +166,13 @@ def test_a_lease_that_changes_hands_ends_the_hold(desk):
 def test_the_end_of_a_throw_and_of_time_end_the_hold(desk, monkeypatch):
     holds, wire = desk
     holds.end("another")
-    assert holds.relay("m001", "t1", "s1", is_holding=True) == ""
+    assert holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS) == ""
     now_s = time.monotonic()
     monkeypatch.setattr("server.throws.hold_relay.time.monotonic", lambda: now_s + GRANT_S + 1.0)
-    assert holds.relay("m001", "t1", "s1", is_holding=True)
+    assert holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     monkeypatch.undo()
     holds.end("t1")
-    assert holds.relay("m001", "t1", "s1", is_holding=True)
+    assert holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     assert len(wire.sent) == 1
 
 
@@ -165,7 +180,7 @@ def test_letting_go_is_said_once_by_the_one_who_held(desk):
     holds, wire = desk
     holds.let_go("m001", "s1")
     assert not wire.sent  # nothing was held yet: the deadman of the machine counts from its start
-    holds.relay("m001", "t1", "s1", is_holding=True)
+    holds.relay("m001", "t1", "s1", is_holding=True, echo_ns=SEEN_NS)
     holds.let_go("m001", "s2")
     holds.let_go_all("s1")
     assert [beat.is_holding for beat in wire.sent] == [True, False]

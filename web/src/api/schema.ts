@@ -2518,18 +2518,25 @@ export interface components {
         HoldMessage: {
             /** Holding */
             holding: boolean;
+            /**
+             * Machine T Mono Ns
+             * @default null
+             */
+            machine_t_mono_ns: number | null;
             /** Throw Id */
             throw_id: string;
         };
         /**
          * HoldReply
-         * @description Server to browser on the hold WebSocket: `relayed`, or why the hold does not count.
+         * @description Server to browser on the hold WebSocket, one a message: passed on, or why the hold does not count.
          */
         HoldReply: {
             /** Detail */
             detail: string;
             /** Is Relayed */
             is_relayed: boolean;
+            /** Machine T Mono Ns */
+            machine_t_mono_ns: number | null;
             /** Throw Id */
             throw_id: string;
         };

@@ -3,8 +3,8 @@ import { FRESH_LIMIT_MS, HoldLink, holdUrl, type Socket } from "./holdLink";
 
 class FakeSocket implements Socket {
   readyState = 1;
-  sent: { throw_id: string; holding: boolean }[] = [];
-  listeners: Record<string, () => void> = {};
+  sent: { throw_id: string; holding: boolean; machine_t_mono_ns: number | null }[] = [];
+  listeners: Record<string, (event?: { data: string }) => void> = {};
   isClosed = false;
   send(text: string): void {
     this.sent.push(JSON.parse(text));
@@ -14,6 +14,9 @@ class FakeSocket implements Socket {
   }
   addEventListener(kind: string, listener: unknown): void {
     this.listeners[kind] = listener as () => void;
+  }
+  answer(time: number | null): void {
+    this.listeners.message?.({ data: JSON.stringify({ machine_t_mono_ns: time }) });
   }
 }
 
@@ -33,7 +36,22 @@ describe("HoldLink", () => {
     link.rest();
     vi.advanceTimersByTime(1000);
     expect(socket.sent).toHaveLength(22);
-    expect(socket.sent.at(-1)).toEqual({ throw_id: "t1", holding: false });
+    expect(socket.sent.at(-1)).toMatchObject({ throw_id: "t1", holding: false });
+  });
+
+  it("echoes the machine's newest time, and speaks at once when it hears the first", () => {
+    const socket = new FakeSocket();
+    const link = new HoldLink(() => socket, vi.fn());
+    link.beat("t1");
+    socket.answer(7e15);
+    expect(socket.sent.map((message) => message.machine_t_mono_ns)).toEqual([null, 7e15]);
+    socket.answer(7e15 + 5e7);
+    expect(socket.sent).toHaveLength(2);
+    vi.advanceTimersByTime(100);
+    expect(socket.sent.slice(2).map((message) => message.machine_t_mono_ns)).toEqual([
+      7e15 + 5e7,
+      7e15 + 5e7,
+    ]);
   });
 
   it("falls silent when the page hangs, and speaks again when it is back", () => {

@@ -5,8 +5,12 @@
  * sees the hand, has shown within `FRESH_LIMIT_MS` that it is alive.
  */
 
+import type { components } from "../../api/schema";
 import { socketUrl } from "../../session/socketUrl";
 import { HEARTBEAT_MS } from "./hold";
+
+type HoldMessage = components["schemas"]["HoldMessage"];
+type HoldReply = components["schemas"]["HoldReply"];
 
 export type Socket = Pick<WebSocket, "send" | "close" | "readyState" | "addEventListener">;
 
@@ -20,6 +24,8 @@ export class HoldLink {
   private timer: ReturnType<typeof setInterval> | null = null;
   private throwId: string | null = null;
   private freshMs = 0;
+  /** The machine's time in the newest reply; each message carries it, so that its time on the way shows. */
+  private machineTime: number | null = null;
 
   constructor(
     open: () => Socket,
@@ -27,6 +33,7 @@ export class HoldLink {
     private readonly now: () => number = () => performance.now(),
   ) {
     this.socket = open();
+    this.socket.addEventListener("message", ({ data }) => this.heard(JSON.parse(data)));
     this.socket.addEventListener("close", () => this.lost());
     this.socket.addEventListener("error", () => this.lost());
   }
@@ -64,7 +71,19 @@ export class HoldLink {
 
   private say(holding: boolean): void {
     if (this.throwId === null || this.socket.readyState !== OPEN) return;
-    this.socket.send(JSON.stringify({ throw_id: this.throwId, holding }));
+    const message: HoldMessage = {
+      throw_id: this.throwId,
+      holding,
+      machine_t_mono_ns: this.machineTime,
+    };
+    this.socket.send(JSON.stringify(message));
+  }
+
+  private heard(reply: HoldReply): void {
+    const isFirst = this.machineTime === null;
+    this.machineTime = reply.machine_t_mono_ns;
+    // The first message had no time and was not passed on.
+    if (isFirst && this.timer !== null) this.sayIfFresh();
   }
 
   private lost(): void {
