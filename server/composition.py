@@ -316,7 +316,7 @@ def _policy_parts(
         settings.data_dir,
         is_four_eyes=settings.policy_four_eyes,
     )
-    uploads = PolicyUploads(policies, audit, uploaded_dir, spec, settings.min_free_bytes)
+    uploads = PolicyUploads(policies, audit, uploaded_dir, settings.min_free_bytes)
     return policies, uploads, approvals
 
 

@@ -43,20 +43,22 @@ def approve(
     *,
     policy: str,
     reason: str,
+    without_validation: bool = False,
     login: Login = USUAL_LOGIN,
 ) -> int:
-    """Approve a version by the site's key; machines load no other.
+    """Approve a version by the site's key; machines load no other. It needs a validation that passed.
 
     Args:
         policy: id of the version, or the beginning of its sha256.
         reason: why, for the history.
+        without_validation: approve it though no validation of these files passed the gates in force; history
+            and audit say so.
         login: which server, and by which account.
     """
     with login.open(USUAL_USER) as client:
         chosen = choose_policy(client.call("GET", "/policies"), policy)
-        approval = client.call(
-            "POST", f"/policies/{chosen['policy_sha256']}/approve", {"reason": reason}
-        )
+        body = {"reason": reason, "is_without_validation": without_validation}
+        approval = client.call("POST", f"/policies/{chosen['policy_sha256']}/approve", body)
         print(
             f"{chosen['policy_id']}: approved by {approval['approved_by']}, key {approval['key_id']}"
         )
@@ -161,7 +163,8 @@ def show(
         if chosen["problem"]:
             print(f"problem        {chosen['problem']}")
         for row in client.call("GET", f"/policies/{chosen['policy_sha256']}/history"):
-            print(f"{row['at_utc']}  {row['to_state']:<10}  {row['actor']}: {row['reason']}")
+            note = "without a validation  " * row["evidence"].get("is_without_validation", False)
+            print(f"{row['at_utc']}  {row['to_state']:<10}  {note}{row['actor']}: {row['reason']}")
     return 0
 
 

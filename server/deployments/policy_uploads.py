@@ -14,11 +14,10 @@ from typing import Final
 
 from machine.errors import PolicyError
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, PolicyFiles, policy_of
-from machine.spec import MachineSpec
-from runtime.control.policy_check import check_version
 from runtime.control.policy_file import MAX_FILE_BYTES
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
+from server.deployments.policy_checks import check_in_child
 from server.errors import ApiError, ConflictError
 from server.limits.disk_space import disk_standing
 from server.plans.policy_store import UPLOAD_FILE, PolicyStore, UploadRecord
@@ -47,7 +46,6 @@ class PolicyUploads:
         policies: PolicyStore,
         audit: AuditChain,
         folder: Path,
-        spec: MachineSpec,
         min_free_bytes: int = 0,
     ) -> None:
         """Begin.
@@ -56,14 +54,12 @@ class PolicyUploads:
             policies: the versions that are here.
             audit: notes uploads.
             folder: of uploaded versions.
-            spec: machine type.
             min_free_bytes: that the disk keeps.
         """
         self._min_free_bytes = min_free_bytes
         self._policies = policies
         self._audit = audit
         self._folder = folder
-        self._spec = spec
         self._lock = threading.Lock()
 
     def start(self) -> None:
@@ -122,7 +118,7 @@ class PolicyUploads:
             files = policy_of(
                 Path("upload"), contents[POLICY_FILE], contents[CARD_FILE], contents[GOLDEN_FILE]
             )
-            check_version(files, self._spec)
+            check_in_child(files)
         except PolicyError as error:
             raise ApiError("policy_refused", f"{str(error).rstrip('.')}.") from error
         return files

@@ -8,7 +8,7 @@ import logging
 import os
 import shutil
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Final
@@ -26,12 +26,13 @@ from machine.policy_approval import (
     rotate_key,
     sign_list,
 )
-from machine.policy_card import read_policy
+from machine.policy_card import PolicyFiles, read_policy
 from machine.spec import load_spec
 from runtime.control.policy_check import check_version
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.clock import utc_now
+from server.deployments.approval_basis import ApprovalBasis, VersionChecks
 from server.deployments.machine_policies import machines_that_need
 from server.errors import ApiError, ConflictError, NotFoundError
 from server.plans.policy_life import (
@@ -52,6 +53,7 @@ logger = logging.getLogger(__name__)
 KEY_FILE: Final = "site.key"
 TRUST_FILE: Final = "site.json"
 WITHDRAW: Final = "policy.withdraw"
+APPROVE_WITHOUT: Final = "policy.approve.without_validation"
 FIRST_START: Final = "the site's key at first start"
 FIRST_START_REASON: Final = "came with the software"
 FIRST_START_STATES: Final = (PolicyState.UPLOADED, PolicyState.VALIDATED, PolicyState.APPROVED)
@@ -73,6 +75,8 @@ class _Step:
     policy_sha256: str
     to_state: PolicyState
     reason: str
+    evidence: dict[str, JsonValue] = field(default_factory=dict)
+    """What it rests on."""
 
 
 class SiteApprovals:
@@ -95,6 +99,7 @@ class SiteApprovals:
         self._policies = policies
         self._site = site
         self._folder = data_dir / "policy-approvals"
+        self._checks = VersionChecks(database, audit, policies)
         self._lock = threading.Lock()
         self._trust = SiteTrust(site=site, keys=())
 
@@ -133,7 +138,9 @@ class SiteApprovals:
             if not self._came_with_the_software(policy):
                 continue
             try:
-                approvals.append(_signed(policy, key, FIRST_START))
+                files = read_policy(policy.folder)
+                check_version(files, load_spec())
+                approvals.append(_signed(files, key, FIRST_START))
             except PolicyError as error:
                 logger.warning("%s is not approved: %s", policy.card.policy_id, error)
             else:
@@ -172,31 +179,52 @@ class SiteApprovals:
         with self._lock:
             self._reconcile()
 
-    def approve(self, policy_sha256: str, reason: str, session: Session) -> Approval:
+    def basis(self, policy_sha256: str) -> ApprovalBasis:
+        """What an approval of a version would rest on now.
+
+        Raises:
+            NotFoundError: no files of such a version, or they cannot be read.
+        """
+        return self._checks.basis(self._checks.read(policy_sha256)[1])
+
+    def approve(
+        self,
+        policy_sha256: str,
+        reason: str,
+        session: Session,
+        *,
+        is_without_validation: bool = False,
+    ) -> Approval:
         """Approve a version.
+
+        Args:
+            policy_sha256: the version.
+            reason: why, for the history.
+            session: who approves.
+            is_without_validation: also where no validation of these files passed the gates in force; history
+                and audit say so.
 
         Raises:
             NotFoundError: no files of such a version.
-            ConflictError: it is approved already or retired, cannot be used, the one who uploaded it asks
-                where two people are required, or the disk refuses.
+            ConflictError: it is approved already or retired, cannot be used, has not been validated, the one
+                who uploaded it asks where two people are required, or the disk refuses.
         """
-        policy = self._policies.find(policy_sha256)
-        if policy is None:
-            raise NotFoundError(
-                "no_policy", f"There are no files of policy {policy_sha256[:12]} here."
-            )
+        policy, files = self._checks.read(policy_sha256)
+        self._checks.require_usable(policy, files)
         with self._lock:
             if self.is_approved(policy):
                 raise ConflictError("approved", f"{policy.card.policy_id} is approved already.")
             self._require_other_person(policy, session)
-            try:
-                approval = _signed(policy, self._private_key(), session.username)
-            except PolicyError as error:
+            basis = self._checks.basis(files)
+            if not (basis.is_validated or is_without_validation):
                 raise ConflictError(
-                    "policy_unusable", f"It cannot be approved: {error}."
-                ) from error
+                    "not_validated",
+                    f"{basis.sentence} Validate it, or approve it without a validation and say why.",
+                )
+            approval = _signed(files, self._private_key(), session.username)
             others = tuple(a for a in self._trust.approvals if a.policy_sha256 != policy_sha256)
-            step = _Step("policy.approve", policy_sha256, PolicyState.APPROVED, reason)
+            action = "policy.approve" if basis.is_validated else APPROVE_WITHOUT
+            step = _Step(action, policy_sha256, PolicyState.APPROVED, reason, basis.evidence)
             self._change(step, session.actor, (*others, approval))
         return approval
 
@@ -344,11 +372,15 @@ class SiteApprovals:
 
     def _change(self, step: "_Step", actor: Actor, approvals: tuple[Approval, ...]) -> None:
         """Take the next list into use once it is on the disk, and note the step with it."""
-        self._note(step.action, step.policy_sha256, actor)
+        self._note(step.action, step.policy_sha256, actor, step.reason)
         signed = sign_list(
             self._trust.model_copy(update={"approvals": approvals}), self._private_key()
         )
-        evidence = {"key_id": signed.signed_by, "list_count": signed.serial_count}
+        evidence: dict[str, JsonValue] = {
+            "key_id": signed.signed_by,
+            "list_count": signed.serial_count,
+            **step.evidence,
+        }
         try:
             with self._database.write() as database:
                 state = state_of(database, step.policy_sha256)
@@ -406,7 +438,10 @@ class SiteApprovals:
                     to_state,
                     actor=actor,
                     reason=reason,
-                    evidence={"list_count": self._trust.serial_count},
+                    evidence={
+                        "list_count": self._trust.serial_count,
+                        **({"is_without_validation": True} if reason == FIRST_START_REASON else {}),
+                    },
                 )
 
     @property
@@ -426,31 +461,20 @@ class SiteApprovals:
         if own not in self._trust.keys or own.key_id != self._trust.signed_by:
             raise ValueError(f"it is not signed by {own.key_id}, the key in {KEY_FILE}")
 
-    def _note(self, action: str, policy_sha256: str, actor: Actor) -> None:
+    def _note(self, action: str, policy_sha256: str, actor: Actor, reason: str = "") -> None:
         detail: dict[str, JsonValue] = {
             "policy_sha256": policy_sha256,
             "policy_id": self._policies.name_of(policy_sha256),
             "key_id": self._trust.keys[-1].key_id,
+            **({"reason": reason} if reason else {}),
         }
         with self._database.write() as database:
             self._audit.append(database, Entry(actor, action, "fact", detail=detail))
 
 
-def _signed(policy: StoredPolicy, key: bytes, approved_by: str) -> Approval:
-    """The approval of a version that a machine can load.
-
-    Raises:
-        PolicyError: its network or machine model is not one that machines take.
-    """
-    files = read_policy(policy.folder)
-    # As a machine does: network, card, machine model, golden vectors.
-    check_version(files, load_spec())
-    return approve(
-        files,
-        key,
-        approved_by=approved_by,
-        approved_utc=_utc_text(),
-    )
+def _signed(files: PolicyFiles, key: bytes, approved_by: str) -> Approval:
+    """The approval of a version that was checked."""
+    return approve(files, key, approved_by=approved_by, approved_utc=_utc_text())
 
 
 def _utc_text() -> str:

@@ -36,7 +36,13 @@ from server.schemas.deployments import (
     WantedPoliciesView,
 )
 from server.schemas.history import PolicyView
-from server.schemas.policies import PolicyTransitionView, SiteKeyView, TransitionRequest
+from server.schemas.policies import (
+    ApprovalBasisView,
+    ApproveRequest,
+    PolicyTransitionView,
+    SiteKeyView,
+    TransitionRequest,
+)
 
 router = APIRouter(tags=["policies"])
 upload_router = APIRouter(tags=["policies"])
@@ -118,10 +124,21 @@ def read_policy_history(
 
 @router.post("/policies/{policy_sha256}/approve", status_code=201)
 def approve_policy(
-    policy_sha256: str, body: TransitionRequest, session: Approver, approvals: ApprovalsDep
+    policy_sha256: str, body: ApproveRequest, session: Approver, approvals: ApprovalsDep
 ) -> Approval:
-    """Approve the version by the site's key, as it lies there."""
-    return approvals.approve(policy_sha256, body.reason, session)
+    """Approve the version by the site's key, as it lies there; needs a validation that passed the gates."""
+    return approvals.approve(
+        policy_sha256, body.reason, session, is_without_validation=body.is_without_validation
+    )
+
+
+@router.get("/policies/{policy_sha256}/approval-basis")
+def read_approval_basis(
+    policy_sha256: str, session: Viewer, approvals: ApprovalsDep
+) -> ApprovalBasisView:
+    """Whether the newest validation of these files passed the gates in force, in a sentence."""
+    basis = approvals.basis(policy_sha256)
+    return ApprovalBasisView(is_validated=basis.is_validated, sentence=basis.sentence)
 
 
 @router.post("/policies/{policy_sha256}/withdraw", status_code=204)

@@ -27,6 +27,21 @@ class TransitionRequest(Request):
     """Why, for the history."""
 
 
+class ApproveRequest(TransitionRequest):
+    """Approves a version."""
+
+    is_without_validation: bool = False
+    """Though no validation of these files passed the gates in force; kept in history and audit."""
+
+
+class ApprovalBasisView(View):
+    """What an approval would rest on now."""
+
+    is_validated: bool
+    """The newest validation of these files passed the gates in force."""
+    sentence: str
+
+
 class SiteKeyView(View):
     """A key by which the site approves versions."""
 

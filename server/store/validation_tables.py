@@ -18,6 +18,8 @@ class PolicyValidation(Base):
     policy_sha256: Mapped[str] = mapped_column(ForeignKey("policies.policy_sha256"))
     active_sha256: Mapped[str | None] = mapped_column(String(64))
     """Version that was active when it was asked for and throws beside it; None where there is none other."""
+    card_sha256: Mapped[str | None] = mapped_column(String(64))
+    """Of the version's card; None in validations of before it was kept."""
     created_by: Mapped[str] = mapped_column(String(64))
     created_utc: Mapped[datetime]
     started_utc: Mapped[datetime | None]

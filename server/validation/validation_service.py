@@ -3,6 +3,7 @@
 Parts that have ended are kept, so that a restart throws only what is missing.
 """
 
+import hashlib
 import logging
 import re
 from contextlib import suppress
@@ -18,7 +19,8 @@ from evaluation.validation.protocol import make_plan
 from evaluation.validation.results import ValidationPlan
 from evaluation.validation.validation import ValidationJob, ValidationListener, ValidationResult
 from machine.conventions import Mode
-from machine.errors import DownrangeError, UsageError
+from machine.errors import DownrangeError, PolicyError, UsageError
+from machine.policy_card import CARD_FILE, read_policy
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.child_process import ChildFailedError, ChildKilledError
@@ -113,13 +115,16 @@ class ValidationService:
         except (UsageError, ValueError) as error:
             raise ConflictError("no_targets", f"It cannot be validated: {error}.") from error
         active_sha256 = None if active is None else active.card.policy_sha256
+        card_sha256 = _card_sha256(candidate)
 
         def make() -> OpenValidation:
             if self._open_of(policy_sha256) is not None:
                 raise ConflictError(
                     "validation_open", f"{candidate.card.policy_id} is being validated already."
                 )
-            return _open_validation(self._add(policy_sha256, active_sha256, plan, session))
+            return _open_validation(
+                self._add(policy_sha256, card_sha256, active_sha256, plan, session)
+            )
 
         self.queue.add(make)
         return self._view_of(policy_sha256)
@@ -135,6 +140,7 @@ class ValidationService:
     def _add(
         self,
         policy_sha256: str,
+        card_sha256: str,
         active_sha256: str | None,
         plan: ValidationPlan,
         session: Session,
@@ -144,6 +150,7 @@ class ValidationService:
             validation_id=new_id(),
             policy_sha256=policy_sha256,
             active_sha256=active_sha256,
+            card_sha256=card_sha256,
             created_by=session.username,
             created_utc=utc_now(),
             started_utc=None,
@@ -264,6 +271,10 @@ class ValidationService:
                 )
             versions.append(found)
         files = [read_version(version.folder, version.card.policy_sha256) for version in versions]
+        if hashlib.sha256(files[0].files[CARD_FILE]).hexdigest() != row.card_sha256:
+            raise ConflictError(
+                "card_changed", "Its card was altered since it was asked for. Validate again."
+            )
         return ValidationJob(
             plan=ValidationPlan.model_validate(row.plan),
             gates=Gates.model_validate(row.gates),
@@ -287,6 +298,13 @@ class ValidationService:
         self.store.end(run.job_id, ValidationState.DONE, "", result)
         action = "policy.validate.passed" if result.is_passed else "policy.validate.not_passed"
         self._audit.record(self._entry(SERVER, action, run.job_id, run.policy_sha256))
+
+
+def _card_sha256(policy: StoredPolicy) -> str:
+    try:
+        return read_policy(policy.folder).card_sha256
+    except PolicyError as error:
+        raise NotFoundError("no_policy", f"Its files cannot be read: {error}.") from error
 
 
 def _open_validation(row: PolicyValidation) -> OpenValidation:

@@ -150,8 +150,12 @@ def test_a_version_is_uploaded_approved_and_retired(
     expect(now).to_have_text("Uploaded")
 
     card.get_by_role("button", name="Approve").click()
-    page.get_by_role("dialog").get_by_label("Why").fill("looks right")
-    page.get_by_role("dialog").get_by_role("button", name="Approve").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_test_id("approval-basis")).to_contain_text("has no finished validation")
+    dialog.get_by_label("Why").fill("looks right")
+    expect(dialog.get_by_role("button", name="Approve", exact=True)).to_be_disabled()
+    dialog.get_by_label("Approve it without a validation").check()
+    dialog.get_by_role("button", name="Approve without a validation").click()
     expect(now).to_have_text("Approved")
     expect(card.get_by_role("button", name=f"Deploy to m001: {RETRAINED}")).to_be_enabled()
 
@@ -162,6 +166,7 @@ def test_a_version_is_uploaded_approved_and_retired(
     card.get_by_text("Who, when and why").click()
     for words in (
         "by admin: retrained in the yard",
+        "Approved without a validation",
         "by admin: looks right",
         "by admin: only a try",
     ):

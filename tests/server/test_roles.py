@@ -16,7 +16,7 @@ LEAST = {
         read_gap_report read_kept_reference
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
         list_policy_approvals read_policy_history list_policy_keys
-        compare_policies read_validation read_validation_log list_gates
+        compare_policies read_validation read_validation_log list_gates read_approval_basis
         list_alerts list_fleet read_machine_life""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan

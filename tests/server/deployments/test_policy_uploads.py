@@ -16,14 +16,17 @@ from onnx import TensorProto, helper, numpy_helper
 from cli.main import main
 from machine.conventions import Mode
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256, load_card
+from machine.spec import load_spec
+from runtime.control.policy_check import check_version
 from scripts.golden_vectors import add_golden_vectors
-from server.deployments import policy_uploads
+from server.deployments import approval_basis, policy_uploads
 from server.deployments.policy_uploads import LIMITS_BYTES
 from tests.runtime.quick_policy import write_policy
 from tests.server.server_bench import PASSWORD
 
 ROOT = Path(__file__).parents[3]
 WHY = {"reason": "retrained"}
+UNVALIDATED = WHY | {"is_without_validation": True}
 NAMES = (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
 
 
@@ -31,6 +34,17 @@ NAMES = (POLICY_FILE, CARD_FILE, GOLDEN_FILE)
 def eve(running):
     with running.client("eve") as client:
         yield client
+
+
+@pytest.fixture(autouse=True)
+def quick_checks(monkeypatch):
+    """Versions are checked in this process; the child has tests of its own (test_policy_checks.py)."""
+
+    def check(files):
+        check_version(files, load_spec())
+
+    for module in (policy_uploads, approval_basis):
+        monkeypatch.setattr(module, "check_in_child", check)
 
 
 @pytest.fixture
@@ -74,7 +88,7 @@ def test_an_upload_is_a_version_with_its_uploader_and_may_be_deployed(running, e
     sha256 = view["policy_sha256"]
     (step,) = eve.get(f"/policies/{sha256}/history").json()
     assert (step["actor"], step["reason"]) == ("eve", "retrained")
-    assert eve.post(f"/policies/{sha256}/approve", json=WHY).status_code == 201
+    assert eve.post(f"/policies/{sha256}/approve", json=UNVALIDATED).status_code == 201
     body = WHY | {"policy_sha256": sha256}
     assert eve.post("/machines/m001/policies/2d/deploy", json=body).status_code == 201
     again = refusal(eve, contents(version), 409)
@@ -105,7 +119,7 @@ def test_what_was_changed_on_the_servers_disk_after_its_approval_is_not_deployed
 ):
     change, code = ALTERED[case]
     sha256 = send(eve, contents(version)).json()["policy_sha256"]
-    assert eve.post(f"/policies/{sha256}/approve", json=WHY).status_code == 201
+    assert eve.post(f"/policies/{sha256}/approve", json=UNVALIDATED).status_code == 201
     change(running.settings.data_dir / "uploaded-policies" / version.name)
     running.parts.policies.look_again()
     body = WHY | {"policy_sha256": sha256}
@@ -264,7 +278,6 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from machine.spec import load_spec
 from server.deployments import policy_uploads
 
 source, target = Path(sys.argv[1]), Path(sys.argv[2])
@@ -273,7 +286,8 @@ contents = {name: (source / name).read_bytes() for name in names}
 nothing = lambda *_: None
 policies = SimpleNamespace(views=lambda: [], look_again=nothing, view=nothing)
 audit = SimpleNamespace(record=nothing)
-uploads = policy_uploads.PolicyUploads(policies, audit, target, load_spec())
+uploads = policy_uploads.PolicyUploads(policies, audit, target)
+policy_uploads.check_in_child = nothing
 real = policy_uploads.os.fsync
 steps = [0]
 

@@ -6,7 +6,7 @@ import pytest
 from cli.main import main
 from machine.conventions import Mode
 from machine.errors import PolicyError
-from server.deployments import site_approvals
+from server.deployments import approval_basis, site_approvals
 from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
 from server.plans.policy_life import change_state
@@ -49,17 +49,17 @@ def test_an_approval_is_withdrawn_and_given_again_by_a_person(assembled, approva
     policy = assembled.parts.policies.active("2d")
     sha256, eve = policy.card.policy_sha256, assembled.session("eve", Role.ENGINEER)
     with pytest.raises(ConflictError, match="approved already"):
-        approvals.approve(sha256, WHY, eve)
+        approvals.approve(sha256, WHY, eve, is_without_validation=True)
     approvals.withdraw(sha256, WHY, eve)
     assert not approvals.is_approved(policy)
     with pytest.raises(NotFoundError):
         approvals.withdraw(sha256, WHY, eve)
-    assert approvals.approve(sha256, WHY, eve).approved_by == "eve"
+    assert approvals.approve(sha256, WHY, eve, is_without_validation=True).approved_by == "eve"
     again = fresh(assembled, assembled.parts.settings.data_dir)
     again.start()
     assert again.is_approved(policy)
     with pytest.raises(NotFoundError):
-        approvals.approve("0" * 64, WHY, eve)
+        approvals.approve("0" * 64, WHY, eve, is_without_validation=True)
 
 
 @pytest.mark.parametrize("damage", ["no key", "no list", "other key", "torn list"])
@@ -123,9 +123,9 @@ def test_what_machines_would_not_load_is_not_approved(assembled, approvals, monk
     def refuse(files, spec):
         raise PolicyError(f"{files.folder} uses operator 'Loop'")
 
-    monkeypatch.setattr(site_approvals, "check_version", refuse)
+    monkeypatch.setattr(approval_basis, "check_version", refuse)
     with pytest.raises(ConflictError, match=r"cannot be approved: .*Loop"):
-        approvals.approve(sha256, WHY, eve)
+        approvals.approve(sha256, WHY, eve, is_without_validation=True)
     assert not approvals.is_approved(policy)
 
 
@@ -143,7 +143,11 @@ def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(runn
             refused = eve.post("/machines/m001/policies/3d/deploy", json=body)
             assert refused.json()["error"]["code"] == "not_approved"
         finally:
-            assert eve.post(f"/policies/{sha256}/approve", json={"reason": WHY}).status_code == 201
+            refused = eve.post(f"/policies/{sha256}/approve", json={"reason": WHY})
+            assert refused.json()["error"]["code"] == "not_validated"
+            assert "has no finished validation" in refused.json()["error"]["message"]
+            again = {"reason": WHY, "is_without_validation": True}
+            assert eve.post(f"/policies/{sha256}/approve", json=again).status_code == 201
         assert approved()
         token = running.parts.registry.secret_path("m001").read_text().strip()
         headers = {"Authorization": f"Bearer {token}"}
@@ -235,7 +239,8 @@ def versions(assembled):
     return {p.card.policy_id: p for p in assembled.parts.policies.present()}
 
 
-def test_a_new_key_approves_only_what_came_with_the_software(assembled, approvals, tmp_path):
+def test_a_new_key_approves_only_what_came_with_the_software(assembled, approvals, monkeypatch):
+    monkeypatch.setattr(approval_basis, "check_in_child", lambda files: None)
     parts, eve = assembled.parts, assembled.session("eve", Role.ENGINEER)
     here = versions(assembled)
     uploaded = parts.settings.data_dir / "uploaded-policies" / "brought-2d"
@@ -244,9 +249,9 @@ def test_a_new_key_approves_only_what_came_with_the_software(assembled, approval
     try:
         parts.policies.look_again()
         brought = versions(assembled)["brought-2d"]
-        approvals.approve(brought.card.policy_sha256, WHY, eve)
+        approvals.approve(brought.card.policy_sha256, WHY, eve, is_without_validation=True)
         approvals.withdraw(here["waits-2d"].card.policy_sha256, WHY, eve)
-        approvals.approve(here["waits-2d"].card.policy_sha256, WHY, eve)
+        approvals.approve(here["waits-2d"].card.policy_sha256, WHY, eve, is_without_validation=True)
         approvals.retire(here["waits-3d"].card.policy_sha256, WHY, eve)
         again = removed(assembled)
         approved = {name for name, p in versions(assembled).items() if again.is_approved(p)}

@@ -98,7 +98,7 @@ def test_a_withdrawn_version_is_what_it_was_before_its_approval(assembled, datab
     approvals.withdraw(sha256, WHY, eve)
     step(database, sha256, PolicyState.VALIDATING)
     step(database, sha256, PolicyState.VALIDATED)
-    approvals.approve(sha256, "measured", eve)
+    approvals.approve(sha256, "measured", eve, is_without_validation=True)
     approvals.withdraw(sha256, WHY, eve)
     assert steps(database, sha256)[-4:] == ["validating", "validated", "approved", "validated"]
     with database.read() as session:
@@ -178,9 +178,11 @@ def test_where_two_people_are_asked_for_the_uploader_may_not_approve(assembled, 
         ).first()
         first.actor = "eve"
     with pytest.raises(ConflictError, match=r"eve has uploaded swing-2d; another engineer"):
-        approvals.approve(sha256, WHY, eve)
+        approvals.approve(sha256, WHY, eve, is_without_validation=True)
     assert steps(database, sha256)[-1] == "uploaded"
-    approvals.approve(sha256, WHY, assembled.session("ada", Role.ENGINEER))
+    approvals.approve(
+        sha256, WHY, assembled.session("ada", Role.ENGINEER), is_without_validation=True
+    )
     assert steps(database, sha256)[-1] == "approved"
 
 
@@ -189,7 +191,8 @@ def test_what_is_needed_is_not_retired_and_the_retired_stays_so(running, machine
     with running.client("eve") as eve:
 
         def ask(verb):
-            return eve.post(f"/policies/{sha256}/{verb}", json={"reason": WHY})
+            more = {"is_without_validation": True} if verb == "approve" else {}
+            return eve.post(f"/policies/{sha256}/{verb}", json={"reason": WHY} | more)
 
         def refusal():
             reply = ask("retire")

@@ -4,10 +4,12 @@ from contextlib import contextmanager
 from functools import partial
 
 import pytest
+from sqlalchemy import update
 
 from cli.main import main
 from evaluation.validation.gates import DEFAULT_GATES
 from server.store.models import Throw
+from server.store.validation_tables import PolicyValidation
 from server.validation.validation_worker import CampaignProcesses, ValidationProcess
 from tests.server.gap_bench import add_throws, forget_throws
 from tests.server.server_bench import PASSWORD, add_people, make_settings, running_server
@@ -174,7 +176,41 @@ def test_a_version_that_is_not_approved_moves_on_only_with_all_gates(running, ev
     newest = eve.get(f"/policies/{sha256}/history").json()[-1]
     assert newest["reason"].startswith("passed all")
     assert newest["evidence"]["gates"]["landed"]["limit"] == 0.98
-    eve.post(f"/policies/{sha256}/approve", json={"reason": "as before"})
+    assert is_validated(eve, sha256)
+    assert approve(eve, sha256).status_code == 201
+    assert eve.get(f"/policies/{sha256}/history").json()[-1]["evidence"]["gates"]["landed"]
+
+
+def is_validated(client, sha256):
+    return client.get(f"/policies/{sha256}/approval-basis").json()["is_validated"]
+
+
+def approve(client, sha256, **more):
+    return client.post(f"/policies/{sha256}/approve", json={"reason": "as before", **more})
+
+
+def test_an_approval_needs_a_validation_of_these_files_by_the_gates_in_force(running, eve, shas):
+    sha256, database = shas["waits-3d"], running.parts.database
+    assert is_validated(eve, sha256)
+    strict = DEFAULT_GATES["3d"].model_dump(mode="json") | {"sd_m": 0.001}
+    eve.post("/policy-gates/3d", json={"gates": strict, "reason": "a test"})
+    assert eve.post(f"/policies/{sha256}/withdraw", json={"reason": "a test"}).status_code == 204
+    refused = approve(eve, sha256).json()["error"]
+    assert refused["code"] == "not_validated"
+    assert "2 of 9 gates in its newest validation: Spread along" in refused["message"]
+    usual = DEFAULT_GATES["3d"].model_dump(mode="json")
+    eve.post("/policy-gates/3d", json={"gates": usual, "reason": "a test"})
+    assert is_validated(eve, sha256)
+    with database.write() as session:
+        session.execute(update(PolicyValidation).values(card_sha256="0" * 64))
+    assert "with another card" in approve(eve, sha256).json()["error"]["message"]
+    assert approve(eve, sha256, is_without_validation=True).status_code == 201
+    newest = eve.get(f"/policies/{sha256}/history").json()[-1]["evidence"]
+    assert newest["is_without_validation"] is True
+    with running.client("root") as root:
+        rows = root.get("/audit").json()["rows"]
+    (entry,) = [row for row in rows if row["action"] == "policy.approve.without_validation"][:1]
+    assert entry["detail"]["reason"] == "as before"
 
 
 def test_gates_are_set_by_an_engineer_and_kept(running, eve):
@@ -187,7 +223,7 @@ def test_gates_are_set_by_an_engineer_and_kept(running, eve):
     (planar, spatial) = eve.get("/policy-gates").json()
     assert (planar["gates"]["sd_m"], planar["version_count"]) == (0.2, 1)
     assert (planar["set_by"], planar["reason"]) == ("eve", "a softer yard")
-    assert spatial["version_count"] == 0
+    assert spatial["gates"] == spatial["defaults"]
     with running.client("ada") as ada:
         assert ada.post("/policy-gates/2d", json=body).status_code == 403
     wrong = eve.post("/policy-gates/2d", json=body | {"gates": planar["gates"] | {"sd_m": 0.0}})

@@ -1100,6 +1100,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policies/{policy_sha256}/approval-basis": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Approval Basis
+         * @description Whether the newest validation of these files passed the gates in force, in a sentence.
+         */
+        get: operations["read_approval_basis"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/policies/{policy_sha256}/approve": {
         parameters: {
             query?: never;
@@ -1111,7 +1131,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Policy
-         * @description Approve the version by the site's key, as it lies there.
+         * @description Approve the version by the site's key, as it lies there; needs a validation that passed the gates.
          */
         post: operations["approve_policy"];
         delete?: never;
@@ -1781,6 +1801,29 @@ export interface components {
              * @default
              */
             signature: string;
+        };
+        /**
+         * ApprovalBasisView
+         * @description What an approval would rest on now.
+         */
+        ApprovalBasisView: {
+            /** Is Validated */
+            is_validated: boolean;
+            /** Sentence */
+            sentence: string;
+        };
+        /**
+         * ApproveRequest
+         * @description Approves a version.
+         */
+        ApproveRequest: {
+            /**
+             * Is Without Validation
+             * @default false
+             */
+            is_without_validation: boolean;
+            /** Reason */
+            reason: string;
         };
         /**
          * ArmBody
@@ -11598,6 +11641,118 @@ export interface operations {
             };
         };
     };
+    read_approval_basis: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ApprovalBasisView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
     approve_policy: {
         parameters: {
             query?: never;
@@ -11609,7 +11764,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["TransitionRequest"];
+                "application/json": components["schemas"]["ApproveRequest"];
             };
         };
         responses: {

@@ -12,15 +12,17 @@ type Props = {
   action: string;
   isPending: boolean;
   error: unknown;
+  /** What is above still has to be filled in. */
+  isBlocked?: boolean;
   onConfirm: (reason: string) => void;
   onClose: () => void;
 };
 
 /** A change of what machines throw with: its consequence, who answers for it, and why. */
 export function ConfirmDialog(props: Props) {
-  const { title, children, action, isPending, error, onConfirm, onClose } = props;
+  const { title, children, action, isPending, error, isBlocked, onConfirm, onClose } = props;
   const [reason, setReason] = useState("");
-  const isReady = reason.trim().length >= MIN_REASON;
+  const isReady = !isBlocked && reason.trim().length >= MIN_REASON;
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
     if (isReady && !isPending) onConfirm(reason.trim());

@@ -30,8 +30,9 @@ export function LifeStepper({ policyId, sha256, state }: Props) {
           <ol>
             {history.data.map((row) => (
               <li key={`${row.at_utc}-${row.to_state}`}>
-                <strong>{stateWords(row.to_state)}</strong> {zonedStamp(row.at_utc)} by {row.actor}:{" "}
-                {row.reason}
+                <strong>{stateWords(row.to_state)}</strong>
+                {row.evidence.is_without_validation === true && " without a validation"}{" "}
+                {zonedStamp(row.at_utc)} by {row.actor}: {row.reason}
               </li>
             ))}
           </ol>

@@ -3,6 +3,7 @@ import { useState } from "react";
 import type { Schema } from "../session/client";
 import { useMay } from "../session/useSession";
 import { zonedStamp } from "../words/time";
+import { ApproveDialog } from "./ApproveDialog";
 import { ConfirmDialog } from "./ConfirmDialog";
 import { approvalOf, deployRefusal } from "./life";
 import classes from "./PolicyCard.module.css";
@@ -97,19 +98,13 @@ export function PolicyActions({ policy, machineId }: Props) {
         </ConfirmDialog>
       )}
       {asking === "approve" && (
-        <ConfirmDialog
-          title={`Approve ${policy_id}`}
-          action="Approve"
+        <ApproveDialog
+          policy={policy}
           isPending={approve.isPending}
           error={approve.error}
-          onConfirm={(reason) => approve.mutate({ sha256: policy_sha256, reason }, done)}
+          onConfirm={(wish) => approve.mutate(wish, done)}
           onClose={close}
-        >
-          <p>
-            The site signs network, card, mode and machine model. Machines of this site may then
-            load it; nothing moves to it by that. Look at its accuracy below first.
-          </p>
-        </ConfirmDialog>
+        />
       )}
       {asking === "withdraw" && (
         <ConfirmDialog

@@ -12,6 +12,7 @@ export type PolicyState = Schema["PolicyState"];
 const ON_BOARD = "machine-policies";
 const DEPLOYMENTS = "deployments";
 const APPROVALS = "policy-approvals";
+const APPROVAL_BASIS = "policy-approval-basis";
 const HISTORY = "policy-history";
 const POLICIES = "policies";
 const WAITING_MS = 2_000;
@@ -65,6 +66,20 @@ export function usePolicyHistory(sha256: string) {
   });
 }
 
+/** Whether the newest validation of a version passed the gates in force. */
+export function useApprovalBasis(sha256: string) {
+  return useQuery({
+    queryKey: [APPROVAL_BASIS, sha256],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/policies/{policy_sha256}/approval-basis", {
+          params: { path: { policy_sha256: sha256 } },
+        }),
+      ),
+    staleTime: 0,
+  });
+}
+
 type Step = { sha256: string; reason: string };
 
 /** Each change is asked for once; what became of it is read from the server. */
@@ -95,11 +110,15 @@ export function usePolicyActions(machineId: string) {
     onSettled,
   });
   const approve = useMutation({
-    mutationFn: ({ sha256, reason }: Step) =>
+    mutationFn: ({
+      sha256,
+      reason,
+      isWithoutValidation,
+    }: Step & { isWithoutValidation: boolean }) =>
       take(
         api.POST("/api/v1/policies/{policy_sha256}/approve", {
           params: { path: { policy_sha256: sha256 } },
-          body: { reason },
+          body: { reason, is_without_validation: isWithoutValidation },
         }),
       ),
     onSettled,
