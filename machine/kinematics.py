@@ -3,8 +3,12 @@
 Arrays are of numpy or JAX: functions use the namespace of their arguments, so that training and runtime
 share the code.
 
-Equations: docs/machine.md, section "Planar forward kinematics". The planar chain gives the tool pin in
-the arm plane; the slew rotates that plane, which is ``arm_plane_offset_m`` beside the slew axis.
+The planar chain gives the tool pin in the arm plane (x outward, z up); the slew rotates that plane, which
+is ``arm_plane_offset_m`` beside the slew axis. With e(a) = (cos a, sin a), n(a) = (-sin a, cos a) and
+a = boom + dipper, lengths in m:
+
+    P_dipper = P_boom + 2.85 e(boom), P_boom = (0.698, 1.927)
+    P_pin    = P_dipper + 0.366 e(a) - (1.47 + telescope + 0.87) n(a)
 """
 
 from typing import Any, NamedTuple
