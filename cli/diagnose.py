@@ -81,6 +81,7 @@ def throws(
         lambda share, text: show(f"{share:4.0%} {text}"),
         reference=chosen.throws,
         material_m=material_m,
+        store=chosen.store,
     )
     found = with_reference_stated(found, chosen.days)
     if apply is not None and (effects := found_effects(found)):

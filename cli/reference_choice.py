@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from diagnosis.healthy.health_store import HealthStore, health_store
 from diagnosis.loading.kept_reference import (
     LEAST_REFERENCE_COUNT,
     LEAST_USABLE_COUNT,
@@ -25,6 +26,8 @@ class ReferenceChoice(NamedTuple):
     words: str
     days: Mapping[str, int]
     """Number of throws by day, where it is known."""
+    store: HealthStore | None = None
+    """Keeps the model of the healthy machine for the next diagnosis."""
 
 
 def choose_reference(
@@ -55,7 +58,15 @@ def choose_reference(
         more = (
             f"; {LEAST_REFERENCE_COUNT} or more are better" if count < LEAST_REFERENCE_COUNT else ""
         )
-        return ReferenceChoice(loaded, f"compared with {count} reference throws{more}", {})
+        words = f"compared with {count} reference throws{more}"
+        # Only where machines are kept already: a diagnosis makes no folder that was not asked for.
+        machines = next((folder for folder in folders if folder.is_dir()), None)
+        store = (
+            health_store(machines, diagnosed.throws[0].machine_id)
+            if machines is not None and diagnosed.throws
+            else None
+        )
+        return ReferenceChoice(loaded, words, {}, store)
     if not diagnosed.throws:
         return ReferenceChoice(None, "", {})
     return _kept(diagnosed, folders)
@@ -78,7 +89,8 @@ def _kept(diagnosed: LoadedSet, folders: Sequence[Path]) -> ReferenceChoice:
             return ReferenceChoice(None, f"reference throws: not compared, {more}", {})
         loaded = load_throws([path for paths in logs.values() for path in paths])
         words = f"compared with {words_of_days(days)} ({kept.folder})"
-        return ReferenceChoice(loaded, f"{words}; {more}" if more else words, days)
+        store = health_store(folder, machine_id)
+        return ReferenceChoice(loaded, f"{words}; {more}" if more else words, days, store)
     return ReferenceChoice(
         None,
         f"reference throws: none of {machine_id} are kept; `downrange commission` records them",

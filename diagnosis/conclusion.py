@@ -39,6 +39,8 @@ class Findings:
     """Reduction of the gap, and its measure: ``impact`` or ``channels``."""
     material_m: float | None = None
     """Least displacement of the impact from which an effect is claimed."""
+    health_kept_utc: str | None = None
+    """When the model of the healthy machine was estimated, if it was kept from an earlier diagnosis."""
 
 
 def conclude(found: Findings) -> Diagnosis:
@@ -67,7 +69,7 @@ def conclude(found: Findings) -> Diagnosis:
         shrink=gain if verdict in (VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS) else None,
         evidence={
             **found.loaded.evidence(),
-            "reference": reference_evidence(found.reference),
+            "reference": reference_evidence(found.reference, found.health_kept_utc),
             "twin": {
                 "machine_id": found.problem.profile.machine_id,
                 "version_count": found.problem.profile.version_count,

@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.conclusion import Findings, conclude
 from diagnosis.cross_validation import shrink
 from diagnosis.healthy.health import Health, load_health
+from diagnosis.healthy.health_store import HealthStore
 from diagnosis.healthy.sensor_noise import with_measured_sensor_noise
 from diagnosis.hypotheses.candidate import Throws, evaluate
 from diagnosis.hypotheses.gap_problem import pose_problem
@@ -19,7 +20,7 @@ from diagnosis.hypotheses.search import search
 from diagnosis.linearisation.parameters import layout
 from diagnosis.loading.prepared import prepare
 from diagnosis.loading.throw_data import LoadedSet
-from diagnosis.reference_throws import check_reference, health_from_reference
+from diagnosis.reference_throws import check_reference, kept_or_estimated
 from diagnosis.report.overlay import overlay
 from diagnosis.stages import swap_stages
 from diagnosis.verdict import Diagnosis
@@ -44,6 +45,7 @@ def diagnose_throws(
     reference: LoadedSet | None = None,
     *,
     material_m: float | None = None,
+    store: HealthStore | None = None,
     is_alone: bool = True,
 ) -> Diagnosis:
     """Diagnose a set of throws.
@@ -58,6 +60,8 @@ def diagnose_throws(
             own deviations. Without them the machine is compared with healthy machines of its type.
         material_m: least displacement of the impact from which an effect is claimed; one that acts on pose
             or sensors always is.
+        store: keeps the model of the healthy machine, which takes longest to estimate, for the next
+            diagnosis with the same reference throws and twin.
         is_alone: whether a second core is free.
 
     Raises:
@@ -73,7 +77,9 @@ def diagnose_throws(
         if worker is not None:
             worker.preload(evaluate)
         known = load_health() if health is None else health
-        return _diagnose(loaded, reference, profile, known, material_m, progress, cancel, worker)
+        return _diagnose(
+            loaded, reference, profile, known, store, material_m, progress, cancel, worker
+        )
 
 
 def _diagnose(
@@ -81,6 +87,7 @@ def _diagnose(
     reference: LoadedSet | None,
     profile: TwinProfile,
     health: Health,
+    store: HealthStore | None,
     material_m: float | None,
     progress: Progress | None,
     cancel: Callable[[], bool] | None,
@@ -96,9 +103,10 @@ def _diagnose(
         if progress is not None:
             progress(share, text)
 
+    kept_utc: str | None = None
     if reference is not None:
         report(0.01, "the machine while it was healthy")
-        health = health_from_reference(reference, profile, health)
+        health, kept_utc = kept_or_estimated(reference, profile, health, store)
     twin = profile if health.profile is None else health.profile
     # From these throws alone: a sticking joint looks noisy, and did not while the machine was healthy.
     health = health._replace(noise=with_measured_sensor_noise(health.noise, loaded))
@@ -130,7 +138,9 @@ def _diagnose(
         else None
     )
     report(0.97, "series")
-    concluded = conclude(Findings(loaded, reference, problem, ranked, terms, found, material_m))
+    concluded = conclude(
+        Findings(loaded, reference, problem, ranked, terms, found, material_m, kept_utc)
+    )
     where = concluded.evidence["where"]
     place = None if where is None else (where["stage"], where["joint"])
     plots = overlay(problem, best.effects, place)

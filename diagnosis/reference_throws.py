@@ -12,6 +12,7 @@ import numpy as np
 
 from diagnosis.correction import with_effects
 from diagnosis.healthy.health import Health
+from diagnosis.healthy.health_store import HealthStore, health_key
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
 from diagnosis.linearisation.open_loop import impacts
@@ -49,15 +50,42 @@ def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> Non
         )
 
 
-def reference_evidence(reference: LoadedSet | None) -> dict[str, Any] | None:
-    """For `Diagnosis.evidence`; None where the machine was compared with healthy machines of its type."""
+def reference_evidence(
+    reference: LoadedSet | None, kept_utc: str | None = None
+) -> dict[str, Any] | None:
+    """For `Diagnosis.evidence`; None where the machine was compared with healthy machines of its type.
+
+    Args:
+        reference: throws of the machine while it was healthy.
+        kept_utc: when their model was estimated, if it was kept from an earlier diagnosis.
+    """
     if reference is None:
         return None
     return {
         "throws_count": len(reference.throws),
         "throw_ids": [throw.throw_id for throw in reference.throws],
         "refused": refusals(reference.refused),
+        "kept_utc": kept_utc,
     }
+
+
+def kept_or_estimated(
+    reference: LoadedSet, profile: TwinProfile, health: Health, store: HealthStore | None
+) -> tuple[Health, str | None]:
+    """`health_from_reference`, taken from a store where it was estimated before, and kept there else.
+
+    Returns:
+        The model, and when it was estimated (UTC) if it was taken from the store.
+    """
+    if store is None:
+        return health_from_reference(reference, profile, health), None
+    key = health_key(reference.throws, profile, health)
+    kept = store.find(key)
+    if kept is not None:
+        return kept
+    found = health_from_reference(reference, profile, health)
+    store.keep(key, found)
+    return found, None
 
 
 def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:

@@ -92,6 +92,7 @@ SENTENCES: Mapping[str, str] = {
     "compared_with_machine": "{count} of this machine",
     "healthy_throw": "healthy throw",
     "compared_with_type": "healthy machines of the type",
+    "health_kept": "{words}; its model is kept from {time}",
     "undecided": "Undecided: {members}; {why}.",
     "where": (
         "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % "
@@ -192,7 +193,16 @@ def reference_words(evidence: Mapping[str, Any]) -> str | None:
     known = cast("Mapping[str, Any]", reference)
     words = compared_words(int(known.get("throws_count", 0)))
     days = list(cast("Mapping[str, int]", known.get("days", {})))
-    return f"{words}, {', '.join(days)}" if days else words
+    words = f"{words}, {', '.join(days)}" if days else words
+    kept_utc = known.get("kept_utc")
+    return (
+        words if kept_utc is None else sentence("health_kept", words=words, time=_minute(kept_utc))
+    )
+
+
+def _minute(utc: Any) -> str:
+    """YYYY-MM-DDTHH:MM:SSZ to the minute, for people."""
+    return f"{str(utc)[:16].replace('T', ' ')} UTC"
 
 
 def compared_words(reference_throw_count: int) -> str:

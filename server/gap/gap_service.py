@@ -234,6 +234,7 @@ class GapService:
                     self._names(run.throws),
                     dict(run.throws.reference_days),
                     run.throws.material_m,
+                    self._twins.folder,
                 ),
                 tell,
                 lambda: self.queue.must_end(run),

@@ -45,6 +45,8 @@ class GapJob:
     """Kept reference throws by day."""
     material_m: float | None = None
     """An effect that moves the impact by less is not claimed."""
+    machines_folder: Path | None = None
+    """Where the models of healthy machines are kept for the next diagnosis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,7 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
     """Load the logs and diagnose them."""
     # Imported here: the server's own process does not need the simulator.
     from diagnosis.diagnose import diagnose_throws
+    from diagnosis.healthy.health_store import health_store
     from diagnosis.loading.kept_reference import with_reference_stated
     from diagnosis.loading.logs import load_throws
 
@@ -75,8 +78,11 @@ def diagnose_logs(job: GapJob, progress: Progress) -> Diagnosis:
             reference = _named(healthy, job.names)
     finally:
         reader.close()
+    store = None
+    if job.machines_folder is not None and loaded.throws:
+        store = health_store(job.machines_folder, loaded.throws[0].machine_id)
     found = diagnose_throws(
-        loaded, job.profile, progress, reference=reference, material_m=job.material_m
+        loaded, job.profile, progress, reference=reference, material_m=job.material_m, store=store
     )
     return with_reference_stated(found, job.reference_days)
 

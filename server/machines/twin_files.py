@@ -18,18 +18,19 @@ class TwinFiles:
     """
 
     def __init__(self, data_dir: Path, spec: MachineSpec | None = None) -> None:
-        self._folder = data_dir / "machines"
+        self.folder = data_dir / "machines"
+        """Everything that is kept of every machine."""
         self._spec = load_spec() if spec is None else spec
         self._lock = threading.Lock()
         self._versions: dict[tuple[Path, int], int] = {}
 
     def profile_path(self, machine_id: str) -> Path | None:
         """The machine's twin profile, None for the nominal one."""
-        return _existing(self._folder / f"{machine_id}.profile.json")
+        return _existing(self.folder / f"{machine_id}.profile.json")
 
     def calibration_path(self, machine_id: str) -> Path | None:
         """The machine's valve calibration, None for the nominal one."""
-        return _existing(self._folder / f"{machine_id}.calibration.json")
+        return _existing(self.folder / f"{machine_id}.calibration.json")
 
     def profile(self, machine_id: str) -> TwinProfile:
         """The profile that previews use now."""
@@ -38,7 +39,7 @@ class TwinFiles:
 
     def reference(self, machine_id: str) -> KeptReference:
         """Reference throws that commissioning has kept."""
-        return kept_reference(self._folder, machine_id)
+        return kept_reference(self.folder, machine_id)
 
     def profile_version(self, machine_id: str) -> int:
         """Version of the profile that previews use; 0 is the nominal one."""
@@ -57,7 +58,7 @@ class TwinFiles:
         Raises:
             UsageError: its file is gone.
         """
-        path = self._folder / Path(name).name
+        path = self.folder / Path(name).name
         if not path.is_file():
             raise UsageError(
                 f"the twin profile's earlier version is not at {path}; bring the file back from a backup"
@@ -66,12 +67,12 @@ class TwinFiles:
 
     def replace(self, machine_id: str, profile: TwinProfile) -> str:
         """Put a new version in use, which previews read at once; returns where the old one is kept."""
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
         before = self.profile(machine_id)
         digest = content_sha256(before)[:8]
         name = f"{machine_id}.profile.v{before.version_count}-{digest}.json"
-        _write(profile_text(before), self._folder / name)
-        _write(profile_text(profile), self._folder / f"{machine_id}.profile.json")
+        _write(profile_text(before), self.folder / name)
+        _write(profile_text(profile), self.folder / f"{machine_id}.profile.json")
         return name
 
 

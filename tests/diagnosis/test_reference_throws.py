@@ -88,6 +88,7 @@ def test_a_diagnosis_says_what_it_was_compared_with() -> None:
         "throws_count": 3,
         "throw_ids": [f"healthy-twin-{i:04d}" for i in range(3)],
         "refused": [{"path": "cut.mcap", "reason": "it ends too soon"}],
+        "kept_utc": None,
     }
     assert reference_evidence(None) is None
 
@@ -96,7 +97,7 @@ def test_reference_throws_keep_the_type_s_sensor_noise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     known, spy = health(), Mock(side_effect=CancelledError("seen"))
-    monkeypatch.setattr(diagnose, "health_from_reference", spy)
+    monkeypatch.setattr(diagnose, "kept_or_estimated", spy)
     loaded, rng = throws(count=3), np.random.default_rng(1)
     noisy = tuple(
         replace(t, sensor_velocity_rad_m_per_s=t.sensor_velocity_rad_m_per_s + 0.02 * more)

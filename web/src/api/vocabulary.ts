@@ -71,6 +71,7 @@ export const VOCABULARY = {
     "compared_with_machine": "{count} of this machine",
     "healthy_throw": "healthy throw",
     "compared_with_type": "healthy machines of the type",
+    "health_kept": "{words}; its model is kept from {time}",
     "undecided": "Undecided: {members}; {why}.",
     "where": "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % interval along it, of the mean over the throws. The terms sum to measured minus twin. Shares compare root mean squares over the throws: a term may be large and its mean small.",
     "where_single_stage": "One stage was recorded on its own: its share is all of the gap, in the recorded channel.",
