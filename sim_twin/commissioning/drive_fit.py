@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from machine.conventions import CONTROL_PERIOD_S, Array
 from sim_twin.commissioning.drive_motion import DriveMotion
@@ -107,6 +106,9 @@ def fit_drive(record: DriveMotion, first: OilSpringDrive | None = None) -> Drive
         return np.where(held[:, None], 0.0, found).T
 
     jacobian: Any = slopes
+
+    # Not at the top: every process that throws imports this module, few of them fit.
+    from scipy.optimize import least_squares
 
     def search(start: Array, rounds: int) -> Any:
         return least_squares(

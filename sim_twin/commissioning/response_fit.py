@@ -2,15 +2,14 @@
 
 Model, one joint: y'' = w^2 (g u(t - d) - y) - 2 z w y', with the commanded velocity u, the measured
 velocity y, dead time d, natural frequency w, damping ratio z and gain g. Simulated exactly for inputs
-held over a sample (zero-order hold).
+held over a sample (zero-order hold). Functions load scipy's solvers themselves: every process that throws
+imports this module, and scipy.signal takes seconds.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import cont2discrete, lfilter
 
 from machine.conventions import CONTROL_PERIOD_S, Array
 
@@ -42,6 +41,8 @@ def simulate_response(
     period_s: float = CONTROL_PERIOD_S,
 ) -> Array:
     """Velocity (runs, ticks) of the model for commands (runs, ticks), from rest."""
+    from scipy.signal import cont2discrete, lfilter
+
     whole, fraction = divmod(dead_time_s / period_s, 1.0)
     padded = np.pad(command, ((0, 0), (int(whole) + 1, 0)))[:, : command.shape[1] + 1]
     delayed = padded[:, 1:] + fraction * (padded[:, :-1] - padded[:, 1:])
@@ -61,6 +62,8 @@ def fit_response(
     Raises:
         ValueError: the command is constant.
     """
+    from scipy.optimize import least_squares
+
     if float(np.std(command)) < 1e-4:
         raise ValueError("the commanded velocity is constant: nothing to identify, record a motion")
 

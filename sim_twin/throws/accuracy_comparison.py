@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
-from scipy.stats import f as f_distribution
-from scipy.stats import t as student_t
+from scipy.special import fdtri, stdtrit
 
 from machine.errors import UsageError
 from sim_twin.confidence_intervals import Interval, proportion_interval
@@ -146,7 +145,7 @@ def mean_difference(
     if sum(parts) == 0.0:
         return middle, middle
     freedom = sum(parts) ** 2 / sum(p * p / (n - 1) for p, n in zip(parts, counts, strict=True))
-    half = float(student_t.ppf(0.5 + 0.5 * confidence_ratio, freedom)) * math.sqrt(sum(parts))
+    half = float(stdtrit(freedom, 0.5 + 0.5 * confidence_ratio)) * math.sqrt(sum(parts))
     return middle - half, middle + half
 
 
@@ -155,7 +154,7 @@ def deviation_ratio(
 ) -> Interval:
     """Interval of the second standard deviation over the first, by Fisher's F; positive, counts from 2."""
     tail = 0.5 - 0.5 * confidence_ratio
-    low, high = f_distribution.ppf([tail, 1.0 - tail], counts[1] - 1, counts[0] - 1)
+    low, high = fdtri(counts[1] - 1, counts[0] - 1, [tail, 1.0 - tail])
     ratio = sds[1] / sds[0]
     return ratio / math.sqrt(float(high)), ratio / math.sqrt(float(low))
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import shapely
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from machine.conventions import Array, BoolArray
 from machine.messages import LandingEllipse, RejectReason, Target
@@ -148,7 +148,7 @@ def region_m(ellipse: LandingEllipse, target: Target) -> Array:
     Of a normal distribution that is estimated from `landed_count` throws (Hotelling's T2).
     """
     n = ellipse.landed_count
-    quantile = float(f_distribution.ppf(REGION_RATIO, 2, n - 2))
+    quantile = float(fdtri(2, n - 2, REGION_RATIO))
     scale = math.sqrt(2.0 * (n - 1) * (n + 1) / (n * (n - 2)) * quantile)
     sx, sy = ellipse.sd_downrange_m, ellipse.sd_crossrange_m
     shared = ellipse.correlation_ratio * sx * sy
