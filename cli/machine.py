@@ -54,7 +54,7 @@ def run(
         username: User name at the server when it is not the machine's name.
         password_file: File with the machine's password, for the link and for uploads.
         root_ca_file: Certificate authority of the server, for tls endpoints.
-        server_url: Where throw logs are uploaded to, e.g. http://127.0.0.1:8000; without it they stay here.
+        server_url: Where logs go and policies come from, e.g. http://127.0.0.1:8000; without it neither.
         policies: Folder of policies with its active.json.
         calibration: Valve tables of this machine, from `downrange calibrate`; without it nominal ones.
         unit_seed: Which of the virtual machines this is; 0 is the nominal one.

@@ -77,6 +77,6 @@ export function deployRefusal(
   if (pending?.policy_sha256 === sha256) return "On its way already.";
   const own = onBoard.find((one) => one.mode === mode);
   if (pending === null && own?.policy_sha256 === sha256) return "On board.";
-  if (!mayDeploy) return "Your role may look, not deploy. Ask a fleet engineer.";
+  if (!mayDeploy) return "Your role may look, not deploy. Ask an engineer.";
   return null;
 }

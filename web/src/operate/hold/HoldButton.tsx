@@ -6,7 +6,7 @@ import { useHoldInput } from "./useHoldInput";
 
 const HINTS: Partial<Record<Hold["phase"], string>> = {
   idle: "1 s to arm, then keep holding. Letting go aborts.",
-  ring: "Letting go now does nothing",
+  ring: "Let go now and nothing moves",
   holding: "Let go to abort",
   committed: "STOP still works",
   letting_go: "Aborting before the commit point",
