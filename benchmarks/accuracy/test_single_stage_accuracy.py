@@ -10,7 +10,9 @@ from diagnosis.single_stage.csv_diagnosis import (
     diagnose_flight_csv,
     diagnose_swing_csv,
 )
+from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.verdict import Diagnosis, VerdictKind
+from tests.diagnosis.single_stage.joint_records import record
 from tests.diagnosis.single_stage.synthetic import (
     Columns,
     ball,
@@ -85,6 +87,23 @@ def test_doubtful_drag_is_ambiguous(tmp_path: Path) -> None:
             doubts += 1
             assert "may as well be" in found.sentence
     assert doubts > 0
+
+
+def test_a_film_without_depth_is_not_sure_of_a_drag_that_no_ball_has(tmp_path: Path) -> None:
+    """0.9 1/m is three times the drag of a table-tennis ball with a coefficient of 1."""
+    flight = thrown((5.0, 0.0, 3.0), drag_per_m=0.9, span_s=0.9)[:, [0, 2]]
+    rows = flight[::8] + np.random.default_rng(3).normal(0.0, 0.002, flight[::8].shape)
+    columns = {"t": np.arange(len(rows)) * 0.008, "x_m": rows[:, 0], "z_m": rows[:, 1]}
+    path = write(tmp_path / "a.csv", columns)
+    found = diagnose_flight_csv(path)
+    assert found.verdict is VerdictKind.AMBIGUOUS
+    assert found.ambiguity is not None
+    assert "camera" in found.ambiguity.members[1]
+    assert "--mass-kg" in found.sentence
+    table_tennis = BallProperties(0.0027, 0.04)
+    found = diagnose_flight_csv(path, ball=table_tennis)
+    assert found.verdict is VerdictKind.UNKNOWN
+    assert "by the best known explanation" in found.sentence
 
 
 def rolled(roll_rad: float, wind: float, directions: tuple[float, ...]) -> Columns:
@@ -192,6 +211,12 @@ def test_the_slew_networks_show_dead_band_dead_time_and_lag(tmp_path: Path) -> N
     assert found.evidence["gain_per_full_command"]["value"] < 0.0
     assert found.shrink is not None
     assert found.shrink.ci90[0] > 0.6
+
+
+def test_backlash_is_not_claimed_from_reversals_alone(tmp_path: Path) -> None:
+    found = diagnose_actuation_csv(record(tmp_path / "a.csv", gap=0.05))
+    assert all("backlash" not in cause.name for cause in found.causes)
+    assert any("backlash" in text for text in found.evidence["not_separable"])
 
 
 STEP_S = 0.002

@@ -8,11 +8,13 @@ from datetime import timedelta
 from pathlib import Path
 
 import httpx
+import pytest
 
 from machine.conventions import Mode
 from machine.policy_card import load_card
 from server.clock import utc_now
 from server.composition import Parts
+from server.plans.preview_pool import PreviewPool
 from server.schemas.console import Role
 from server.serve import make_server, open_socket
 from server.settings import Settings
@@ -63,9 +65,13 @@ class Running:
 
 @contextlib.contextmanager
 def running_server(settings: Settings) -> Iterator[Running]:
-    """Run a server in a thread until the block ends."""
+    """Run a server in a thread until the block ends; preview processes start with the first preview."""
     ready = threading.Event()
-    with open_socket(settings.host, settings.port_count) as listener:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        open_socket(settings.host, settings.port_count) as listener,
+    ):
+        patch.setattr(PreviewPool, "start", _start_later)
         server, app = make_server(settings, ready.set)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
@@ -78,6 +84,11 @@ def running_server(settings: Settings) -> Iterator[Running]:
             server.should_exit = True
             thread.join(timeout=60.0)
             assert not thread.is_alive(), "the server did not stop"
+
+
+def _start_later(pool: PreviewPool) -> None:
+    pool._pool = pool._new_pool()
+    pool._thread.start()
 
 
 def make_settings(data_dir: Path, policies: Path, **overrides: object) -> Settings:

@@ -111,20 +111,3 @@ def test_unusable_flights_are_refused_with_the_remedy(tmp_path: Path) -> None:
         found = diagnose_flight_csv(write(tmp_path / "a.csv", columns))
         assert found.verdict is VerdictKind.BAD_DATA, words
         assert words in found.sentence
-
-
-def test_a_film_without_depth_is_not_sure_of_a_drag_that_no_ball_has(tmp_path: Path) -> None:
-    """0.9 1/m is three times the drag of a table-tennis ball with a coefficient of 1."""
-    flight = thrown((5.0, 0.0, 3.0), drag_per_m=0.9, span_s=0.9)[:, [0, 2]]
-    rows = flight[::8] + np.random.default_rng(3).normal(0.0, 0.002, flight[::8].shape)
-    columns = {"t": np.arange(len(rows)) * 0.008, "x_m": rows[:, 0], "z_m": rows[:, 1]}
-    path = write(tmp_path / "a.csv", columns)
-    found = diagnose_flight_csv(path)
-    assert found.verdict is VerdictKind.AMBIGUOUS
-    assert found.ambiguity is not None
-    assert "camera" in found.ambiguity.members[1]
-    assert "--mass-kg" in found.sentence
-    table_tennis = BallProperties(0.0027, 0.04)
-    found = diagnose_flight_csv(path, ball=table_tennis)
-    assert found.verdict is VerdictKind.UNKNOWN
-    assert "by the best known explanation" in found.sentence
