@@ -73,9 +73,10 @@ Throw with a material handler. Verbs:
 
 
 def _run(module: ModuleType, prog: str, arguments: Sequence[str]) -> int | None:
-    """Call what the verb's module offers: ``run``, or one of its ``ACTIONS`` by name."""
+    """Call what the verb's module offers: one of its ``ACTIONS`` by name, else ``run``."""
     actions: dict[str, Callable[..., int]] | None = getattr(module, "ACTIONS", None)
-    if actions is None:
+    has_both = hasattr(module, "run") and not (arguments and arguments[0] in (actions or {}))
+    if actions is None or has_both:
         return tyro.cli(module.run, prog=prog, args=arguments)
     return tyro.extras.subcommand_cli_from_dict(actions, prog=prog, args=arguments)
 

@@ -25,7 +25,7 @@ from server.deployments.policy_uploads import UPLOAD_LIMIT_BYTES
 from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
-from server.management_routes import alerts, fleet, gap, policies, validations
+from server.management_routes import alerts, enrolment, fleet, gap, policies, validations
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
@@ -69,6 +69,7 @@ def _api_router() -> APIRouter:
         auth,
         machines,
         fleet,
+        enrolment,
         stops,
         plans,
         hold,

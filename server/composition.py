@@ -25,6 +25,8 @@ from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
 from server.drift.drift_watch import DriftWatch
+from server.enrolment.enrolments import Enrolments
+from server.enrolment.router_renewal import RouterRenewal
 from server.event_hub import EventHub
 from server.fleet.machine_summaries import MachineSummaries
 from server.gap.gap_previews import GapPreviews
@@ -84,6 +86,7 @@ class Parts:
     hub: EventHub
     streams: StreamLimiter
     registry: MachineRegistry
+    enrolments: Enrolments
     alerting: Alerting
     link: MachineLink
     commands: MachineCommands
@@ -214,6 +217,11 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
                 f"machines cannot call in at {settings.link_listen} ({error}); is another server "
                 "running? Set DOWNRANGE_LINK_LISTEN to a free endpoint"
             ) from error
+        renewal = RouterRenewal(
+            parts.link, parts.registry, lambda: link_config(settings, parts.registry)
+        )
+        renewal.start()
+        stack.callback(renewal.close)
         parts.alerting.start()
         stack.callback(parts.alerting.close)
         parts.stops.start()
@@ -238,7 +246,7 @@ def assemble(
     leases = LeaseService(
         database, audit, registry, hub, ttl_s=settings.lease_ttl_s, idle_s=settings.lease_idle_s
     )
-    notices = LeaseNotices(leases, registry, commands)
+    notices, holds = LeaseNotices(leases, registry, commands), HoldRelay(link, registry, metrics)
     stops = StopService(database, audit, link, registry, hub)
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
@@ -247,7 +255,6 @@ def assemble(
     planner = Planner(
         plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
-    holds = HoldRelay(link, registry, metrics)
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     gap = GapService(database, audit, registry, logs, twins, hub)
     twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
@@ -265,6 +272,7 @@ def assemble(
         hub=hub,
         streams=StreamLimiter(metrics),
         registry=registry,
+        enrolments=Enrolments(database, audit, registry, approvals, settings),
         alerting=Alerting(database, audit, hub, registry, settings),
         link=link,
         commands=commands,

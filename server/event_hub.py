@@ -17,6 +17,7 @@ from server.schemas.events import (
     GapUpdatedEvent,
     LeaseChangedEvent,
     MachineLostEvent,
+    MachineRetiredEvent,
     MachineStateEvent,
     PlanUpdatedEvent,
     PointPickedEvent,
@@ -29,6 +30,7 @@ from server.schemas.events import (
 
 DiscreteEvent = (
     MachineLostEvent
+    | MachineRetiredEvent
     | LeaseChangedEvent
     | TargetProposedEvent
     | PointPickedEvent

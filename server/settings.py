@@ -47,8 +47,12 @@ class Settings(BaseSettings):
     """Certificate of a `tls/...` endpoint, PEM; machines get its authority as `--root-ca-file`."""
     link_private_key: Path | None = None
     """Its private key, PEM."""
-    machine_slot_count: int = Field(default=16, ge=1, le=1000)
-    """Machine accounts m001.. made at first start; the link's access rules cannot grow while it runs."""
+    link_root_ca: Path | None = None
+    """Authority of that certificate, PEM: new machines are given it."""
+    link_address: str | None = Field(default=None, pattern=r"^(tcp|tls)/[^/]+:\d{1,5}$")
+    """Endpoint as machines reach it, where that is not `link_listen` or the console's own host name."""
+    machine_slot_count: int = Field(default=16, ge=0, le=1000)
+    """Machine accounts m001.. made at first start; further ones are made as machines are added."""
     policies_dir: Path = CHECKOUT / "policies"
     policy_four_eyes: bool = False
     """Whoever uploaded a policy version may not approve it."""

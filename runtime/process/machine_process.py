@@ -14,6 +14,8 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -185,6 +187,20 @@ class MachineProcess:
                 logger.error("%s process does not end; killed", child.name)
                 child.process.kill()
                 child.process.wait()
+
+
+@contextmanager
+def machine_lock(settings: MachineSettings) -> Generator[None]:
+    """Hold a machine's folder, so that no process of the machine starts meanwhile.
+
+    Raises:
+        UsageError: one runs.
+    """
+    descriptor = _take_lock(settings)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _take_lock(settings: MachineSettings) -> int:

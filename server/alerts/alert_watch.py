@@ -13,8 +13,10 @@ from cryptography import x509
 
 from machine.messages import MachineEvent
 from server.alerts.alert_rules import (
+    RULES,
     Judgement,
     MachineRecord,
+    Subject,
     judge_certificate,
     judge_disk,
     judge_link,
@@ -105,6 +107,9 @@ class AlertWatch:
         now_s = time.monotonic()
         for known in self._registry.listed():
             yield from _asked(partial(self._judge, known, now_s))
+        for known in self._registry.retired():
+            # Out of service: whatever was wrong with it concerns nobody any more.
+            yield from (Judgement(Subject(rule, known.machine_id), None) for rule in RULES)
         for source in self.sources:
             yield from _asked(source)
         if now_s - self._slow_s < SLOW_PERIOD_S:

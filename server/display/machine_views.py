@@ -11,7 +11,7 @@ from server.machines.stop_service import StopService
 from server.metrics import ServiceMetrics
 from server.plans.policy_store import PolicyStore
 from server.schemas.console import Lamp, LinkView, MachineView, TargetView
-from server.schemas.events import MachineLostEvent, MachineStateEvent
+from server.schemas.events import MachineLostEvent, MachineRetiredEvent, MachineStateEvent
 from server.throws.throw_store import ThrowStore
 from server.viewer.scene import ViewerScene
 
@@ -82,6 +82,10 @@ class MachineViews:
         self._hub.publish_state(
             machine_id, lambda: MachineStateEvent(machine=self._view(known)), is_urgent=True
         )
+
+    def publish_retired(self, machine_id: str) -> None:
+        """Tell all browsers that a machine is out of service."""
+        self._hub.publish(MachineRetiredEvent(machine_id=machine_id))
 
     def _take_state(self, known: KnownMachine, state: MachineState) -> None:
         self._metrics.outbox_count.labels(machine_id=known.machine_id).set(state.outbox_count)

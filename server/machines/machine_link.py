@@ -50,6 +50,10 @@ MACHINE_BATCH_COUNT = 8
 """Batches of one machine that may wait, so that it leaves room for the others. One is usual."""
 WARNING_PERIOD_S = 10.0
 """Shortest time between two log lines about refused messages of one machine."""
+RENEWAL_WAIT_S = 2.0
+"""Machines are back on a router that was opened anew after 0.3 s (benchmarks/router_renewal.py)."""
+SETTLED_S = 1.0
+"""The link is at rest when no command was sent for so long: the states show what the last one did."""
 
 
 class MachineLostError(Exception):
@@ -81,20 +85,31 @@ class MachineLink:
         self._news = threading.Condition()
         self._latest: dict[tuple[str, str], bytes] = {}
         self._tokens: dict[str, bool] = {}
+        self._tokens_seen: set[str] = set()
+        """Machines that have called in since the session began."""
         self._waiting: Counter[str] = Counter()
         self._warned_s: dict[str, float] = {}
         self._batches: queue.Queue[zenoh.Query | None] = queue.Queue(EVENT_QUEUE_LENGTH)
+        self._gate = threading.Condition()
+        """Commands and a renewal of the router exclude each other."""
+        self._sending_count = 0
+        self._is_renewing = False
+        self._sent_s = -1e9
+        self.renewals_count = 0
+        """How often the router was opened anew."""
 
     # Life -----------------------------------------------------------------------------------------
 
     def open(self, config: zenoh.Config) -> None:
         """Open the session and start listening."""
-        self._session = zenoh.open(config)
+        self._begin_session(config)
         for target, name in ((self._run_news, "link-news"), (self._run_events, "link-events")):
             thread = threading.Thread(target=target, name=name, daemon=True)
             thread.start()
             self._threads.append(thread)
-        session = self._session
+
+    def _begin_session(self, config: zenoh.Config) -> None:
+        session = self._session = zenoh.open(config)
         for known in self._registry.all():
             self._listen_to(session, known.machine_id)
         every_token = f"{KEY_ROOT}/{self._site}/m/*/{KEYS['alive'].suffix}"
@@ -114,17 +129,50 @@ class MachineLink:
         key = machine_key(self._site, machine_id, "events")
         self._declared.append(session.declare_queryable(key, self._note_batch))
 
+    def renew(self, config: zenoh.Config) -> bool:
+        """Open the router anew with other accounts; whether the moment was quiet enough to do it.
+
+        Machines reconnect by themselves within `RENEWAL_WAIT_S`; commands wait until they have. The caller
+        makes sure that no machine is armed or throws.
+
+        Raises:
+            zenoh.ZError: the port could not be opened; call again.
+        """
+        with self._gate:
+            is_at_rest = time.monotonic() - self._sent_s > SETTLED_S and not self._sending_count
+            if not is_at_rest or self._is_closing.is_set():
+                return False
+            self._is_renewing = True
+        try:
+            awaited = {known.machine_id for known in self._registry.all() if known.is_connected}
+            self._end_session()
+            with self._news:
+                self._tokens_seen.clear()
+            self._begin_session(config)
+            with self._news:
+                self._news.wait_for(lambda: self._tokens_seen >= awaited, RENEWAL_WAIT_S)
+            self.renewals_count += 1
+        finally:
+            with self._gate:
+                self._is_renewing = False
+                self._gate.notify_all()
+        return True
+
     def close(self) -> None:
         """Stop listening and close the session; never hangs on a machine that is gone."""
         self._is_closing.set()
-        for declared in self._declared:
-            declared.undeclare()
-        self._declared = []
         with self._news:
             self._news.notify_all()
         self._batches.put(None)
         for thread in self._threads:
             thread.join(timeout=5.0)
+        self._end_session()
+
+    def _end_session(self) -> None:
+        # Undeclared first: the end of the session must not read as the loss of every machine.
+        for declared in self._declared:
+            declared.undeclare()
+        self._declared = []
         if self._session is not None:
             session, self._session = self._session, None
             # Closing may wait for peers that no longer answer; the process must not.
@@ -135,7 +183,8 @@ class MachineLink:
     @property
     def is_open(self) -> bool:
         """Whether machines can call in."""
-        return self._session is not None and not self._session.is_closed()
+        session = self._session
+        return self._is_renewing or (session is not None and not session.is_closed())
 
     @staticmethod
     def _machine_of(key: str) -> str:
@@ -150,6 +199,17 @@ class MachineLink:
             MachineLostError: the machine is not connected; nothing was sent.
             NoAnswerError: no, more than one, or an unreadable answer.
         """
+        with self._gate:
+            self._gate.wait_for(lambda: not self._is_renewing, RENEWAL_WAIT_S)
+            self._sending_count += 1
+        try:
+            return self._send(command)
+        finally:
+            with self._gate:
+                self._sending_count -= 1
+                self._sent_s = time.monotonic()
+
+    def _send(self, command: Command) -> CommandReply:
         session = self._session
         if session is None or not self._registry.is_connected(command.machine_id):
             raise MachineLostError
@@ -210,13 +270,18 @@ class MachineLink:
         session = self._session
         if session is None:
             return
-        session.put(
-            machine_key(self._site, machine_id, name),
-            message.model_dump_json(),
-            congestion_control=congestion,
-            priority=zenoh.Priority.REAL_TIME,
-            express=True,
-        )
+        try:
+            session.put(
+                machine_key(self._site, machine_id, name),
+                message.model_dump_json(),
+                congestion_control=congestion,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        except zenoh.ZError:
+            # A STOP is repeated, and nobody holds while the router is opened anew.
+            if self._session is session:
+                raise
 
     # In: callbacks only queue ------------------------------------------------------------------
 
@@ -237,7 +302,9 @@ class MachineLink:
         machine_id = self._machine_of(str(sample.key_expr))
         with self._news:
             self._tokens[machine_id] = sample.kind == zenoh.SampleKind.PUT
-            self._news.notify()
+            if self._tokens[machine_id]:
+                self._tokens_seen.add(machine_id)
+            self._news.notify_all()
 
     def _note_batch(self, query: zenoh.Query) -> None:
         machine_id = self._machine_of(str(query.key_expr))

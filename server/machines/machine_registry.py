@@ -18,7 +18,7 @@ from sqlalchemy import select, update
 from machine.messages import JointStream, MachineState
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.clock import utc_now
-from server.errors import NotFoundError
+from server.errors import ConflictError, NotFoundError
 from server.machines.machine_clock import MachineClock
 from server.secret_files import write_secret
 from server.store.database import Database
@@ -52,6 +52,8 @@ class KnownMachine:
     round_trip_s: float | None = None
     state_rate_hz: float | None = None
     is_marked_lost: bool = True
+    retired_utc: datetime | None = None
+    """Since when it is out of service: nothing of it is taken, nothing is sent to it."""
     clock: MachineClock | None = None
     """The machine's own time, which commands and heartbeats carry so that it can tell a stale one."""
 
@@ -85,6 +87,8 @@ class MachineRegistry:
         self.on_joints: list[Callable[[JointStream], None]] = []
         self.on_found: list[LinkListener] = []
         self.on_lost: list[LinkListener] = []
+        self.on_new_account: list[LinkListener] = []
+        """Called when there is an account that the router does not know yet."""
         self._load()
 
     def _load(self) -> None:
@@ -98,6 +102,7 @@ class MachineRegistry:
                     row.is_listed,
                     tuple(row.tags),
                     last_seen_utc=row.last_seen_utc,
+                    retired_utc=row.retired_utc,
                 )
 
     # Accounts -------------------------------------------------------------------------------------
@@ -108,13 +113,33 @@ class MachineRegistry:
             machine_id = f"m{index:03d}"
             if machine_id not in self._known:
                 self._create(machine_id)
-            elif not self.secret_path(machine_id).exists():
+            elif self._is_secret_missing(machine_id):
                 self._renew_secret(machine_id)
 
-    def enrol(self, machine_id: str, name: str, actor: Actor) -> None:
-        """List a machine, with an account if it has none; the link knows it after a restart."""
-        if machine_id not in self._known:
-            self._create(machine_id)
+    def enrol(self, machine_id: str | None, name: str, actor: Actor) -> str:
+        """List a machine; returns its id.
+
+        Args:
+            machine_id: its id; None = the next free one. One without an account gets one, and the router is
+                opened anew at the next moment at which no machine is armed or throws.
+            name: how people call it.
+            actor: who adds it.
+
+        Raises:
+            ConflictError: the machine of this id is retired.
+        """
+        with self._lock:
+            if machine_id is None:
+                machine_id = self._free_id()
+            is_new = machine_id not in self._known
+            if is_new:
+                self._create(machine_id)
+            known = self._known[machine_id]
+        if known.retired_utc is not None:
+            raise ConflictError(
+                "retired",
+                f"{machine_id} is retired; its id stays with its history. Choose another.",
+            )
         with self._database.write() as session:
             session.execute(
                 update(Machine)
@@ -126,8 +151,58 @@ class MachineRegistry:
                 Entry(actor, "machine.enrol", "fact", machine_id=machine_id, detail={"name": name}),
             )
         with self._lock:
-            self._known[machine_id].is_listed = True
-            self._known[machine_id].name = name
+            known.is_listed, known.name = True, name
+        if is_new:
+            for listener in self.on_new_account:
+                listener(machine_id)
+        return machine_id
+
+    def _free_id(self) -> str:
+        """The first account that nobody uses; else the number after them."""
+        for machine_id in sorted(self._known):
+            known = self._known[machine_id]
+            if not known.is_listed and known.retired_utc is None:
+                return machine_id
+        index = 1
+        while f"m{index:03d}" in self._known:
+            index += 1
+        return f"m{index:03d}"
+
+    def retire(self, machine_id: str, reason: str, actor: Actor) -> None:
+        """Take a machine out of service for good; its history stays. Its password is void at once.
+
+        Raises:
+            NotFoundError: there is none of this id.
+            ConflictError: it is connected, or retired already.
+        """
+        known = self.get(machine_id)
+        if known.is_connected:
+            raise ConflictError(
+                "machine_connected",
+                f"{machine_id} is connected. Switch it off, so that it is seen who retires what, and "
+                "retire it then.",
+            )
+        if known.retired_utc is not None:
+            raise ConflictError("retired", f"{machine_id} is retired already.")
+        now = utc_now()
+        with self._database.write() as session:
+            session.execute(
+                update(Machine)
+                .where(Machine.machine_id == machine_id)
+                .values(retired_utc=now, is_listed=False, token_sha256="", stop_requested_utc=None)
+            )
+            entry = Entry(
+                actor, "machine.retire", "fact", machine_id=machine_id, detail={"reason": reason}
+            )
+            self._audit.append(session, entry)
+        with self._lock:
+            known.retired_utc, known.is_listed, known.has_token = now, False, False
+            self._tokens[machine_id] = ""
+        self.secret_path(machine_id).unlink(missing_ok=True)
+
+    def password(self, machine_id: str) -> str:
+        """Password of a machine, to hand it over to it."""
+        return self.secret_path(machine_id).read_text(encoding="utf-8").strip()
 
     def edit(
         self,
@@ -164,9 +239,9 @@ class MachineRegistry:
     def passwords(self) -> dict[str, str]:
         """Passwords of all machines, for the link's router."""
         return {
-            machine_id: self.secret_path(machine_id).read_text(encoding="utf-8").strip()
-            for machine_id in self._known
-            if self.secret_path(machine_id).exists()
+            known.machine_id: self.password(known.machine_id)
+            for known in self.all()
+            if known.retired_utc is None and self.secret_path(known.machine_id).exists()
         }
 
     def is_token_of(self, machine_id: str, token: str) -> bool:
@@ -197,6 +272,10 @@ class MachineRegistry:
             self._tokens[machine_id] = digest
             self._known[machine_id] = KnownMachine(machine_id, self._site, "", is_listed=False)
 
+    def _is_secret_missing(self, machine_id: str) -> bool:
+        is_retired = self._known[machine_id].retired_utc is not None
+        return not is_retired and not self.secret_path(machine_id).exists()
+
     def _renew_secret(self, machine_id: str) -> None:
         password = secrets.token_urlsafe(24)
         write_secret(self.secret_path(machine_id), password + "\n")
@@ -213,7 +292,7 @@ class MachineRegistry:
         """The liveliness token of a machine came or went."""
         with self._lock:
             known = self._known.get(machine_id)
-            if known is None:
+            if known is None or known.retired_utc is not None:
                 return
             known.has_token = is_alive
         if not is_alive:
@@ -223,7 +302,7 @@ class MachineRegistry:
         """A machine's state arrived."""
         with self._lock:
             known = self._known.get(state.machine_id)
-            if known is None:
+            if known is None or known.retired_utc is not None:
                 return
             now_s = time.monotonic()
             gap_s = now_s - known.received_s
@@ -292,7 +371,7 @@ class MachineRegistry:
             session.execute(
                 update(Machine)
                 .where(Machine.machine_id == known.machine_id)
-                .values(last_seen_utc=known.last_seen_utc, is_listed=True)
+                .values(last_seen_utc=known.last_seen_utc, is_listed=known.retired_utc is None)
             )
 
     # Queries --------------------------------------------------------------------------------------
@@ -303,8 +382,14 @@ class MachineRegistry:
             return list(self._known.values())
 
     def listed(self) -> list[KnownMachine]:
-        """Machines that people see."""
+        """Machines that people see: those in service."""
         return [known for known in self.all() if known.is_listed]
+
+    def retired(self) -> list[KnownMachine]:
+        """Machines out of service, the newest of them first."""
+        found = [(known.retired_utc, known) for known in self.all()]
+        dated = [(moment, known) for moment, known in found if moment is not None]
+        return [known for _, known in sorted(dated, key=lambda pair: pair[0], reverse=True)]
 
     def get(self, machine_id: str) -> KnownMachine:
         """One machine.

@@ -13,7 +13,6 @@ from server.accounts.accounts import Session
 from server.clock import new_id
 from server.dependencies import (
     CommandsDep,
-    Enroller,
     LeasesDep,
     LeaseTaker,
     Lessee,
@@ -32,7 +31,6 @@ from server.machines.machine_commands import MachineCommands
 from server.schemas.console import (
     CommandView,
     LeaseView,
-    MachineEnrolRequest,
     MachineView,
     StopClearBody,
     TakeRequest,
@@ -54,15 +52,6 @@ def list_machines(
         views.view(known.machine_id, targets.target_of(session.session_id, known.machine_id))
         for known in registry.listed()
     ]
-
-
-@router.post("/machines", status_code=201)
-def enrol_machine(
-    body: MachineEnrolRequest, session: Enroller, registry: RegistryDep, views: ViewsDep
-) -> MachineView:
-    """Add a machine to the list; one without an account gets one, which the link knows after a restart."""
-    registry.enrol(body.machine_id, body.name, session.actor)
-    return views.view(body.machine_id)
 
 
 @router.get("/machines/{machine_id}")

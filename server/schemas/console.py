@@ -297,13 +297,6 @@ class ViewRequest(Request):
     """Play the plan's ghost once more."""
 
 
-class MachineEnrolRequest(Request):
-    """A new machine of this site."""
-
-    machine_id: str = Field(pattern=r"^[a-z0-9][a-z0-9-]{1,31}$")
-    name: str = Field(default="", max_length=80)
-
-
 class HealthView(View):
     """Whether the service can do its work."""
 

@@ -30,6 +30,13 @@ class MachineLostEvent(View):
     detail: str
 
 
+class MachineRetiredEvent(View):
+    """A machine is out of service."""
+
+    kind: Literal["machine.retired"] = "machine.retired"
+    machine_id: str
+
+
 class LeaseChangedEvent(View):
     """A lease was acquired, taken, released or has run out."""
 
@@ -128,6 +135,7 @@ class ServerEvent(
         Annotated[
             MachineStateEvent
             | MachineLostEvent
+            | MachineRetiredEvent
             | LeaseChangedEvent
             | TargetProposedEvent
             | PointPickedEvent

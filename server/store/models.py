@@ -108,6 +108,8 @@ class Machine(Base):
     """Enrolled by a person or seen at least once; spare accounts are not shown."""
     enrolled_utc: Mapped[datetime]
     last_seen_utc: Mapped[datetime | None]
+    retired_utc: Mapped[datetime | None]
+    """Out of service since then; its history stays."""
     stop_requested_utc: Mapped[datetime | None]
     """STOP was pressed and not confirmed yet; survives a restart of the server."""
 

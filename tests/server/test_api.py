@@ -13,15 +13,24 @@ from server.settings import Settings
 from tests.cases import each
 from tests.server.server_bench import METRICS_TOKEN, wait_for
 
-OPEN = {("get", "/api/v1/health"), ("post", "/api/v1/auth/login")}
+OPEN = {
+    ("get", "/api/v1/health"),
+    ("post", "/api/v1/auth/login"),
+    ("post", "/api/v1/enrolments/claim"),
+}
 CLEAR = {"latch_id": "any", "is_sighted": True, "reason": "nobody is in reach"}
 UPLOAD = "/api/v1/machines/{machine_id}/throw-logs/{throw_id}"
 OF_MACHINES = (
     UPLOAD,
+    "/api/v1/machines/{machine_id}/self-test",
     "/api/v1/machines/{machine_id}/policies/wanted",
     "/api/v1/machines/{machine_id}/policy-files/{policy_sha256}/{name}",
 )
 """Asked by a machine with its own token; nobody signs in for it."""
+
+
+BY_TOKEN = (*OF_MACHINES, "/api/v1/enrolments/claim")
+"""No browser sends the token by itself: it does not matter which page asks."""
 
 
 def operations():
@@ -54,7 +63,7 @@ def test_every_endpoint_needs_a_session(running, method, path):
             assert reply.status_code == 200
         elif (method, path) == ("get", "/api/v1/auth/me"):
             assert reply.status_code == 200 and reply.json() is None
-        elif (method, path) == ("post", "/api/v1/auth/login"):
+        elif (method, path) in OPEN:
             assert assert_error(reply, 422) == "invalid"
         else:
             expected = "wrong_token" if path in OF_MACHINES else "not_signed_in"
@@ -63,7 +72,7 @@ def test_every_endpoint_needs_a_session(running, method, path):
 
 @each(
     ("method", "path"),
-    [(m, p) for m, p in operations() if m != "get" and p != UPLOAD],
+    [(m, p) for m, p in operations() if m != "get" and p not in BY_TOKEN],
 )
 def test_every_write_needs_our_origin_and_header(running, ada, method, path):
     for headers in (
@@ -257,7 +266,7 @@ def test_audit_pages_and_verifies(running):
 def test_enrolled_machines_are_listed_before_they_are_seen(running):
     with running.client("root") as root:
         body = {"machine_id": "m002", "name": "North pile"}
-        assert root.post("/machines", json=body).json()["lamp"] == "never_seen"
+        assert root.post("/machines", json=body).json()["machine"]["lamp"] == "never_seen"
         names = {m["machine_id"]: m["name"] for m in root.get("/machines").json()}
         assert names["m002"] == "North pile"
         new = root.post("/machines", json={"machine_id": "loader-7"})

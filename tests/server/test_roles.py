@@ -17,7 +17,8 @@ LEAST = {
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
         list_policy_approvals read_policy_history list_policy_keys
         compare_policies read_validation read_validation_log list_gates read_approval_basis
-        list_alerts list_fleet read_machine_life""",
+        list_alerts list_fleet read_machine_life list_retired
+        read_enrolment""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
@@ -28,12 +29,12 @@ LEAST = {
         upload_policy retire_policy rotate_policy_key revoke_policy_key
         validate_policy cancel_validation set_gates""",
     Role.ADMIN: """
-        enrol_machine list_webhooks create_webhook remove_webhook test_webhook list_notifications
-        replay_notification""",
+        enrol_machine renew_enrolment retire_machine list_webhooks create_webhook remove_webhook
+        test_webhook list_notifications replay_notification""",
 }
 """The least role that may do what; `OPEN` needs no session, `put_throw_log` is for machines."""
-OPEN = {"login", "read_me", "read_health"}
-OF_MACHINES = {"put_throw_log", "read_wanted_policies", "read_policy_file"}
+OPEN = {"login", "read_me", "read_health", "claim_enrolment"}
+OF_MACHINES = {"put_throw_log", "read_wanted_policies", "read_policy_file", "put_self_test"}
 NOT_CALLED = {"stop_all", "logout"}
 """Would stop the machines of other tests, or end the session; both are for everybody."""
 

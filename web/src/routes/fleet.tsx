@@ -1,8 +1,11 @@
-import { Select, TextInput } from "@mantine/core";
+import { Button, Select, TextInput } from "@mantine/core";
 import { useNavigate, useSearch } from "@tanstack/react-router";
+import { useState } from "react";
 import { useOpenAlerts } from "../alerts/useAlerts";
+import { AddMachine } from "../fleet/AddMachine";
 import classes from "../fleet/Fleet.module.css";
 import { FleetTable } from "../fleet/FleetTable";
+import { RetiredMachines } from "../fleet/RetiredMachines";
 import {
   chosenRows,
   type FleetSearch,
@@ -16,6 +19,7 @@ import { StopAllButton } from "../machine/StopAllButton";
 import { GateSentence } from "../operate/GateSentence";
 import { useLive } from "../session/liveStore";
 import { useNow } from "../session/useNow";
+import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 
 const NO_RECORDS: readonly FleetRecord[] = [];
@@ -29,6 +33,8 @@ export function FleetPage() {
   const records = useFleet();
   const alerts = useOpenAlerts();
   const all = fleetRows(machines, records.data ?? NO_RECORDS, alerts, useNow());
+  const [isAdding, setAdding] = useState(false);
+  const mayAdd = useMay("machine.enrol");
   const rows = chosenRows(all, search);
   const change = (next: FleetSearch) =>
     void navigate({ search: parseFleetSearch({ ...search, ...next }), replace: true });
@@ -37,16 +43,27 @@ export function FleetPage() {
       <header className={classes.head}>
         <h1>Fleet</h1>
         {all.length > 0 && <Choice search={search} onChange={change} />}
+        <span className={classes.spread} />
+        <Button
+          size="sm"
+          disabled={!mayAdd}
+          title={mayAdd ? undefined : "An admin may add machines."}
+          onClick={() => setAdding(true)}
+        >
+          Add machine
+        </Button>
       </header>
       {records.isError && <p className={classes.refusal}>{errorWords(records.error)}</p>}
       {isLoaded && all.length === 0 && (
-        <GateSentence sentence="No machine has connected to this server yet. Start one: downrange machine." />
+        <GateSentence sentence="No machine has connected to this server yet. Add one." />
       )}
       {all.length > 0 && rows.length === 0 && (
         <GateSentence sentence="No machine matches. Clear a filter." />
       )}
       {rows.length > 0 && <FleetTable rows={rows} />}
       {all.length > 0 && <StopAllButton />}
+      <RetiredMachines />
+      {isAdding && <AddMachine onClose={() => setAdding(false)} />}
     </div>
   );
 }

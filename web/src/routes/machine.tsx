@@ -11,6 +11,8 @@ import {
   ThrowsPanel,
 } from "../fleet/MachinePanels";
 import { MachineStop } from "../fleet/MachineStop";
+import { RetireMachine } from "../fleet/RetireMachine";
+import { SetUpPanel } from "../fleet/SetUp";
 import { TrendChart } from "../fleet/TrendChart";
 import { chosenPoints, chosenVersions, type Mode, rangeBins } from "../fleet/trend";
 import { type MachineLife, useMachineLife } from "../fleet/useFleet";
@@ -41,6 +43,7 @@ export function MachinePage() {
       <div className={classes.panels}>
         <OnBoardPanel machineId={machineId} />
         <LifePanel machine={machine} life={life.data} />
+        <SetUpPanel machineId={machineId} isConnected={machine.link.is_connected} />
         <AlertsPanel machineId={machineId} />
         <ThrowsPanel machineId={machineId} />
         <GapPanel machineId={machineId} />
@@ -51,7 +54,10 @@ export function MachinePage() {
 
 function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
   const [isOpen, setOpen] = useState(false);
+  const [isRetiring, setRetiring] = useState(false);
   const mayEdit = useMay("machine.edit");
+  const mayRetire = useMay("machine.enrol");
+  const isConnected = machine.link.is_connected;
   const [, choose] = useMachineId();
   const navigate = useNavigate();
   const id = machine.machine_id;
@@ -75,10 +81,28 @@ function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
       >
         Name and tags
       </Button>
+      {mayRetire && (
+        <Button
+          variant="default"
+          size="sm"
+          disabled={isConnected}
+          title={isConnected ? "Switch the machine off first." : undefined}
+          onClick={() => setRetiring(true)}
+        >
+          Retire
+        </Button>
+      )}
       <Button variant="default" size="sm" onClick={operate}>
         Operate
       </Button>
       <MachineStop machineId={id} />
+      {isRetiring && (
+        <RetireMachine
+          machineId={id}
+          onClose={() => setRetiring(false)}
+          onDone={() => void navigate({ to: "/fleet" })}
+        />
+      )}
       {isOpen && (
         <EditMachine
           machineId={id}

@@ -10,6 +10,7 @@ import type { ServerEvent } from "./live";
 const EVENT_KINDS: Record<ServerEvent["kind"], true> = {
   "machine.state": true,
   "machine.lost": true,
+  "machine.retired": true,
   "lease.changed": true,
   "target.proposed": true,
   "point.picked": true,

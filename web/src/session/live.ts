@@ -12,6 +12,7 @@ export type Alert = Schema["AlertEvent"] & { id: number };
 export type ServerEvent =
   | Schema["MachineStateEvent"]
   | Schema["MachineLostEvent"]
+  | Schema["MachineRetiredEvent"]
   | Schema["LeaseChangedEvent"]
   | Schema["TargetProposedEvent"]
   | Schema["PointPickedEvent"]
@@ -144,6 +145,10 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
         lamp_text: "lost",
         link: { ...machine.link, is_connected: false, last_seen_utc: event.last_seen_utc },
       }));
+    case "machine.retired": {
+      const { [event.machine_id]: _retired, ...machines } = live.machines;
+      return { ...live, machines };
+    }
     case "lease.changed":
       return patch(
         { ...live, leaseNews: { ...live.leaseNews, [event.lease.machine_id]: event } },

@@ -1,0 +1,1 @@
+"""A machine's computer is set up with a one-time token, and tests itself."""
