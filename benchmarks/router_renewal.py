@@ -61,11 +61,12 @@ def main(repeats: int = 20, json: Path = RESULTS / "router_renewal.json") -> Non
             lost: list[str] = []
             running.parts.registry.on_lost.append(lost.append)
             pauses = [pause_s(running, count) for count in range(repeats)]
+            lost_count = len(lost)
     values = {
         "p50_s": percentile(pauses, 50),
         "p95_s": percentile(pauses, 95),
         "max_s": max(pauses),
-        "lost_count": float(len(lost)),
+        "lost_count": float(lost_count),
         "bar_s": FRESH_S,
     }
     rows = [row(repeats, {"machines": str(len(ids))}, values)]

@@ -18,7 +18,7 @@ class MachineEnrolRequest(Request):
 
     machine_id: str | None = Field(default=None, pattern=r"^[a-z0-9][a-z0-9-]{1,31}$")
     """None: the next free one."""
-    name: str = Field(default="", max_length=80)
+    name: str = Field(default="", max_length=80, pattern=r"^[^\x00-\x1f]*$")
 
 
 class EnrolmentToken(View):
@@ -95,7 +95,7 @@ class SelfTestReport(Request):
 class RetireRequest(Request):
     """Why a machine goes out of service."""
 
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=r"\w")
 
 
 class RetiredMachineView(View):
