@@ -1,7 +1,7 @@
 """The result of a diagnosis: gap, causes with intervals, ambiguity, effects ruled out, and one sentence."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from diagnosis.inference.evidence import screen, total, weigh
 from diagnosis.loading.throw_data import LoadedSet
 from diagnosis.location import named, signature_of, where
 from diagnosis.reference_throws import reference_evidence
-from diagnosis.report.vocabulary import channel_words, size_words
+from diagnosis.report.effect_sentences import effect_sentence
+from diagnosis.report.vocabulary import channel_words
 from diagnosis.separating_motions import detecting_motion, separating_motion
 from diagnosis.stages import Terms, stage_gaps
 from diagnosis.tuning import LEAST_GAIN_RATIO, MOST_LOSS_RATIO, PLAIN_PROBABILITY, SOME_PROBABILITY
@@ -39,6 +40,8 @@ class Findings:
     """Reduction of the gap, and its measure: ``impact`` or ``channels``."""
     material_m: float | None = None
     """Least displacement of the impact from which an effect is claimed."""
+    healthy_gap_m: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Impact gap of this machine while it was healthy, by mode (`Health.replay_gap_m`)."""
     health_kept_utc: str | None = None
     """When the model of the healthy machine was estimated, if it was kept from an earlier diagnosis."""
 
@@ -161,8 +164,11 @@ def _gap(found: Findings) -> Gap:
     ratio = float(np.sqrt(sum(power) / max(rows, 1)))
     if gap.shape[0] == 0:
         return Gap(trajectory_rms_ratio=ratio)
+    healthy = [found.healthy_gap_m.get(p.throw.mode) for p in found.problem.prepared]
+    floor = [value for value in healthy if value is not None]
     return Gap(
         impact_rms_m=float(np.sqrt((gap**2).sum(axis=1).mean())),
+        healthy_rms_m=float(np.sqrt(np.mean(np.square(floor)))) if floor else None,
         downrange_bias_m=float(gap[:, 0].mean()),
         crossrange_bias_m=float(gap[:, 1].mean()),
         trajectory_rms_ratio=ratio,
@@ -252,7 +258,14 @@ def _ruled_out(found: Findings) -> list[dict[str, Any]]:
 
 
 def _miss_words(gap: Gap) -> str:
-    return "" if gap.impact_rms_m is None else f"The twin misses by {gap.impact_rms_m:.2f} m. "
+    if gap.impact_rms_m is None:
+        return ""
+    healthy = (
+        ""
+        if gap.healthy_rms_m is None
+        else f" (while the machine was healthy: {gap.healthy_rms_m:.2f} m)"
+    )
+    return f"The twin's replay misses by {gap.impact_rms_m:.2f} m{healthy}. "
 
 
 def sentence_of(
@@ -301,7 +314,5 @@ def sentence_of(
         closes = f" Adding it closes {share} of the removable {what} on held-out throws{metres}."
     if ambiguity is not None:
         return f"{size}Either {ambiguity.members[0]} or {ambiguity.members[1]}.{closes}"
-    sizes = ", ".join(
-        f"{name} {value}" for effect in top.effects for name, value, _ in size_words(effect)
-    )
-    return f"{size}Cause: {top.name} ({sure} sure): {sizes}.{closes}"
+    does = "; ".join(effect_sentence(effect) for effect in top.effects)
+    return f"{size}Cause: {top.name} ({sure} sure): {does}.{closes}"

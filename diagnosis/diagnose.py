@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -138,8 +139,9 @@ def _diagnose(
         else None
     )
     report(0.97, "series")
+    findings = Findings(loaded, reference, problem, ranked, terms, found, material_m)
     concluded = conclude(
-        Findings(loaded, reference, problem, ranked, terms, found, material_m, kept_utc)
+        replace(findings, healthy_gap_m=health.replay_gap_m, health_kept_utc=kept_utc)
     )
     where = concluded.evidence["where"]
     place = None if where is None else (where["stage"], where["joint"])

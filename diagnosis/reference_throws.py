@@ -20,7 +20,9 @@ from diagnosis.linearisation.parameters import layout, library
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
 from diagnosis.population.machine_baseline import OWN_EFFECTS, ReferenceThrows, machine_model
+from machine.conventions import Array
 from machine.errors import UsageError
+from sim_twin.replay.replay import ReplayElement, replay
 from sim_twin.twin.profile import TwinProfile
 
 ROUND_COUNT = 1
@@ -105,7 +107,8 @@ def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: He
         own = with_effects(own, [p.at(size) for p, size in offsets.items()])
         model = model.about({p.key: size for p, size in offsets.items()})
     problem, found = _linearised(prepared, own, health._replace(noise=model))
-    return Health(problem.healthy, _with_gap(found, problem), own)
+    model = _with_gap(found, problem)
+    return Health(problem.healthy, model, own, _replay_gap_m(prepared, profile))
 
 
 def _linearised(
@@ -121,11 +124,23 @@ def _linearised(
 def _with_gap(model: NoiseModel, problem: GapProblem) -> NoiseModel:
     """The model with the impact gap of this machine's reference throws by mode, root mean square."""
     found = impacts(problem.prepared, problem.healthy, problem.profile, problem.calibration)
-    gap_m = np.stack([p.throw.impact_m[:2] for p in problem.prepared]) - found
-    modes = np.array([p.throw.mode for p in problem.prepared])
+    gap_m = {**model.healthy_gap_m, **_gap_by_mode(problem.prepared, found)}
+    return model.model_copy(update={"healthy_gap_m": gap_m})
+
+
+def _replay_gap_m(prepared: Sequence[PreparedThrow], profile: TwinProfile) -> dict[str, float]:
+    """Impact gap of throws against a twin that replays their valve commands, by mode."""
+    elements = [ReplayElement(throw) for throw in range(len(prepared))]
+    output = replay([p.input for p in prepared], elements, profile, prepared[0].throw.calibration)
+    return _gap_by_mode(prepared, output.impact_m[:, :2])
+
+
+def _gap_by_mode(prepared: Sequence[PreparedThrow], impact_m: Array) -> dict[str, float]:
+    """Root mean square of measured minus simulated impacts (N, 2), by mode."""
+    gap_m = np.stack([p.throw.impact_m[:2] for p in prepared]) - impact_m
+    modes = np.array([p.throw.mode for p in prepared])
     is_known = np.isfinite(gap_m).all(axis=1)
-    by_mode = {
+    return {
         mode: float(np.sqrt(np.square(gap_m[is_known & (modes == mode)]).sum(axis=1).mean()))
         for mode in np.unique(modes[is_known]).tolist()
     }
-    return model.model_copy(update={"healthy_gap_m": {**model.healthy_gap_m, **by_mode}})

@@ -65,6 +65,11 @@ _STAGES: Mapping[str, tuple[dict[str, Any], str]] = {
 }
 
 
+def stage_motion_words(stage: str) -> str:
+    """What to record to see a stage alone; empty for an unknown stage."""
+    return _STAGES[stage][1] if stage in _STAGES else ""
+
+
 def detecting_motion(effect: Effect) -> dict[str, Any]:
     """What to record next to distinguish an effect from none; ``words`` for people."""
     motion, words = _STAGES[effect_stage(effect)]

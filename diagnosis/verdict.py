@@ -75,6 +75,8 @@ class Gap(_Part):
     """Twin against measurement, before anything is added. None where it was not measured."""
 
     impact_rms_m: float | None = None
+    healthy_rms_m: float | None = None
+    """The same of the reference throws; None without them."""
     downrange_bias_m: float | None = None
     crossrange_bias_m: float | None = None
     trajectory_rms_ratio: float | None = None

@@ -4,7 +4,12 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from cli.commissioning.record import PHASE_WORDS, STEPS, Commissioning, JointFit
+from diagnosis.identification.commissioning_record import (
+    PHASE_WORDS,
+    STEPS,
+    Commissioning,
+    JointFit,
+)
 from diagnosis.loading.kept_reference import advice, words_of_days
 from reports.html import render_page
 from reports.svg import Axes, Margins, drawing, round_ticks

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from cli.commissioning.page import commissioning_html
-from cli.commissioning.record import (
+from cli.machine_folder import MachineFolder
+from diagnosis.identification.commissioning_record import (
     STEPS,
     Commissioning,
     RegistrationFit,
@@ -16,7 +17,6 @@ from cli.commissioning.record import (
     joint_fit,
     load_record,
 )
-from cli.machine_folder import MachineFolder
 from diagnosis.identification.free_swing import identify_swing
 from diagnosis.identification.profile_update import next_profile, with_release, with_swing
 from diagnosis.identification.release_delay import identify_release

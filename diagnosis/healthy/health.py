@@ -1,5 +1,6 @@
 """The model of a healthy machine: filters, noise and scatter."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from diagnosis.healthy.filters import HealthyModel, load_healthy
@@ -15,6 +16,8 @@ class Health(NamedTuple):
     profile: TwinProfile | None = None
     """The twin profile with what reference throws show of this machine's own deviations.
     None for the model of the type."""
+    replay_gap_m: Mapping[str, float] = {}
+    """Impact gap of the reference throws against the twin as it was given, by mode, root mean square."""
 
     @property
     def is_own(self) -> bool:

@@ -138,6 +138,7 @@ def _text(health: Health, estimated_utc: str) -> str:
         "filters": health.filters.model_dump(mode="json"),
         "noise": health.noise.model_dump(mode="json"),
         "profile": own,
+        "replay_gap_m": dict(health.replay_gap_m),
     }
     return json.dumps(content)
 
@@ -150,6 +151,7 @@ def _parsed(text: str) -> KeptHealth:
             HealthyModel.model_validate(content["filters"]),
             NoiseModel.model_validate(content["noise"]),
             None if own is None else TwinProfile.model_validate(own),
+            content["replay_gap_m"],
         ),
         content["estimated_utc"],
     )

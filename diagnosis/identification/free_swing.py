@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
-from diagnosis.identification.quantity import Quantity, mean_quantity, unknown
+from diagnosis.identification.quantity import AxisSwing, mean_quantity, unknown
 from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import CONTROL_PERIOD_S, GRAVITY_M_PER_S2, PASSIVE_JOINTS, Array
 from machine.kinematics import pin_in_plane
@@ -56,20 +55,6 @@ class FreeSwing(NamedTuple):
     """Horizontal acceleration of the axis, in the direction of growing angle."""
     lift_m_per_s2: Array
     """Upward acceleration of the axis."""
-
-
-class AxisSwing(BaseModel):
-    """One passive joint."""
-
-    model_config = ConfigDict(frozen=True)
-    joint: str
-    viscous_friction_per_s: Quantity
-    coulomb_friction_rad_per_s2: Quantity
-    length_m: Quantity
-    residual_rad_per_s: float | None = None
-    swing_count: int = 0
-    plot: dict[str, list[float]] = {}
-    """Time, measured and predicted angle of the longest swing."""
 
 
 def identify_swing(throws: Sequence[ThrowData], spec: MachineSpec) -> tuple[AxisSwing, AxisSwing]:

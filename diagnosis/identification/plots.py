@@ -8,8 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from diagnosis.identification.drive_record import drive_record
-from diagnosis.identification.free_swing import AxisSwing
-from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.quantity import AxisSwing, Quantity
 from diagnosis.identification.release_delay import (
     PAPER_COUNT,
     PAPER_MEAN_S,

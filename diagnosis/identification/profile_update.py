@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from diagnosis.identification.free_swing import AxisSwing
-from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.quantity import AxisSwing, Quantity
 from diagnosis.identification.release_delay import ReleaseDelay
 from diagnosis.identification.response import JointResponse
 from machine.spec import MachineSpec

@@ -25,6 +25,20 @@ class Quantity(BaseModel):
     why: str = ""
 
 
+class AxisSwing(BaseModel):
+    """Free swing of one passive joint."""
+
+    model_config = ConfigDict(frozen=True)
+    joint: str
+    viscous_friction_per_s: Quantity
+    coulomb_friction_rad_per_s2: Quantity
+    length_m: Quantity
+    residual_rad_per_s: float | None = None
+    swing_count: int = 0
+    plot: dict[str, list[float]] = {}
+    """Time, measured and predicted angle of the longest swing."""
+
+
 def unknown(unit: str, why: str, at_least: float | None = None, count: int = 0) -> Quantity:
     """A quantity that the logs do not determine."""
     words = f"cannot be known from these logs: {why}"

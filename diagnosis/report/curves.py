@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 from markupsafe import Markup
 
-from diagnosis.report.vocabulary import SENTENCES, SERIES
+from diagnosis.report.vocabulary import SENTENCES, SERIES, plot_source
 from reports.svg import Axes, Margins, drawing, element, round_ticks, text
 
 Series = list[float]
@@ -44,6 +44,8 @@ class Figure(NamedTuple):
     title: str
     legend: tuple[Curve, ...]
     panels: tuple[Panel, ...]
+    source: str = ""
+    """Which throw it shows, and when that was."""
 
 
 def interval_bar(value: float, ends: tuple[float, float], limit: float, words: str) -> Markup:
@@ -102,7 +104,8 @@ def figure(name: str, plot: Any) -> Figure | None:
             picture = _panel(x, differences, unit, x_unit, 120.0, is_about_zero=True)
             panels.append(Panel(SENTENCES["measured_minus_twin"].capitalize(), picture))
     panels += [Panel(other.words, _panel(x, [other], "", x_unit, 90.0)) for other in others]
-    return Figure(name.replace("_", " "), tuple(curves), tuple(panels))
+    source = plot_source(plot.get("throw_id"), plot.get("thrown_utc"))
+    return Figure(name.replace("_", " "), tuple(curves), tuple(panels), source)
 
 
 def _numbers(value: Any) -> Series:

@@ -12,7 +12,6 @@ from diagnosis.report.vocabulary import (
     STAGES,
     VERDICTS,
     channel_words,
-    reference_words,
     sentence,
     signature_facts,
 )
@@ -47,7 +46,8 @@ def diagnosis_html(found: Diagnosis, title: str = "Gap") -> str:
         heading=title,
         words=SENTENCES,
         verdict=VERDICTS[found.verdict],
-        facts=_facts(found),
+        facts=words.facts,
+        action=words.action,
         chain=_chain(found),
         causes=list(zip(found.causes, words.causes, strict=True)),
         next_experiment=_next_experiment(found, words),
@@ -63,30 +63,6 @@ def diagnosis_html(found: Diagnosis, title: str = "Gap") -> str:
         is_bad_data=found.verdict is VerdictKind.BAD_DATA,
         evidence=_other_evidence(evidence),
     )
-
-
-def _facts(found: Diagnosis) -> list[tuple[str, str]]:
-    """Names and values under the verdict."""
-    gap, evidence = found.gap, found.evidence
-    facts: list[tuple[str, str]] = []
-    if gap.impact_rms_m is not None:
-        facts.append((SENTENCES["impact_rms"], metres(gap.impact_rms_m)))
-    if gap.downrange_bias_m is not None:
-        facts.append(("Along, measured minus twin", downrange(gap.downrange_bias_m)))
-    if gap.crossrange_bias_m is not None:
-        facts.append(("Across", crossrange(gap.crossrange_bias_m)))
-    if gap.trajectory_rms_ratio is not None:
-        facts.append((SENTENCES["residual"], f"{gap.trajectory_rms_ratio:.2f}"))
-    used = entries(evidence.get("throws_used"))
-    if used:
-        facts.append(("Throws used", str(len(used))))
-    twin = evidence.get("twin")
-    if isinstance(twin, Mapping):
-        facts.append(("Twin", f"{twin['machine_id']}, version {twin['version_count']}"))
-    compared = reference_words(evidence)
-    if compared is not None:
-        facts.append(("Compared with", compared))
-    return facts
 
 
 def _chain(found: Diagnosis) -> dict[str, Any] | None:

@@ -7,7 +7,9 @@ before and after alike.
 """
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any
+from uuid import UUID
 
 import numpy as np
 
@@ -38,7 +40,9 @@ FROM_MEASURED = {TURN_RATE: "turn rate from measured joints", HEIGHT: "height fr
 def overlay(
     problem: GapProblem, effects: Sequence[Effect], where: tuple[str, str | None] | None = None
 ) -> dict[str, Any]:
-    """Plots ``{name: {x, x_unit, unit, measured, twin_before, twin_after}}``; the last only with effects.
+    """Plots ``{name: {x, x_unit, unit, measured, twin_before, twin_after, throw_id, thrown_utc}}``.
+
+    ``twin_after`` only with effects; ``thrown_utc`` is None where it is not known.
 
     The signals that the effects act on come first, then the located stage, then the rest of the chain.
 
@@ -55,11 +59,25 @@ def overlay(
     plots = _all(problem, effects, is_driven=is_driven)
     names = list(dict.fromkeys([name for name in wanted if name in plots] + list(plots)))
     titles = {} if is_driven else FROM_MEASURED
+    throws = dict(enumerate(problem.prepared, start=1))
     return {
-        f"{titles.get(name, name)}, throw {number}": plot
+        f"{titles.get(name, name)}, throw {number}": {**plot, **_source(throws[number])}
         for name in names
         for number, plot in plots[name].items()
     }
+
+
+def _source(p: PreparedThrow) -> dict[str, str | None]:
+    """Which throw a plot shows, and when it was if its id tells: one of version 7 begins with it."""
+    throw_id = p.throw.throw_id
+    try:
+        known = UUID(throw_id)
+    except ValueError:
+        return {"throw_id": throw_id, "thrown_utc": None}
+    if known.version != 7:
+        return {"throw_id": throw_id, "thrown_utc": None}
+    at = datetime.fromtimestamp((known.int >> 80) / 1000.0, UTC)
+    return {"throw_id": throw_id, "thrown_utc": at.strftime("%Y-%m-%dT%H:%M:%SZ")}
 
 
 def _signal(stage: str, joint: str | None, effect: str) -> str:

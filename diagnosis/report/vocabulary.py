@@ -93,6 +93,24 @@ SENTENCES: Mapping[str, str] = {
     "healthy_throw": "healthy throw",
     "compared_with_type": "healthy machines of the type",
     "health_kept": "{words}; its model is kept from {time}",
+    "drifts": "from the first throw to the last, {clause}",
+    "interval_is": "90 % interval {interval}",
+    "at_bound": "at the end of the range that is searched: it may be more",
+    "which_miss": (
+        "The miss is that of the replay: the twin is given the valve commands of each throw as they were "
+        "sent. The preview chose other commands, so its miss is another one."
+    ),
+    "next_none": "Nothing to do: keep the twin as it is.",
+    "next_commission": "To see smaller effects, commission the machine: it keeps reference throws.",
+    "next_explained": (
+        "Look at {places}. If the machine stays as it is, apply the result to its twin; "
+        "diagnose again after a repair."
+    ),
+    "next_ambiguous": "Record {motion}; then diagnose again.",
+    "next_unknown": (
+        "Look at {part}; nothing is applied to the twin. Record {motion}, and diagnose that stage alone."
+    ),
+    "next_bad_data": "Mend or replace the refused logs: each has its remedy below. Then diagnose again.",
     "undecided": "Undecided: {members}; {why}.",
     "where": (
         "Metres of miss that each stage adds, along the target line and across it; the bar is the 90 % "
@@ -121,11 +139,19 @@ SENTENCES: Mapping[str, str] = {
     "twin_after": "twin after",
     "measured": "measured",
     "measured_minus_twin": "measured minus twin",
-    "impact_rms": "Twin misses by (root mean square)",
+    "impact_rms": "Replay misses by (root mean square)",
+    "healthy_rms": "While the machine was healthy",
+    "along": "Along, measured minus twin",
+    "across": "Across",
+    "throws_used": "Throws used",
+    "twin": "Twin",
+    "twin_version": "{machine}, version {version}",
+    "compared_with": "Compared with",
     "residual": "Residual over a healthy machine's",
     "section_where": "Where",
     "section_which": "Which",
     "section_next": "Next experiment",
+    "section_action": "What to do",
     "section_shrink": "How far it shrinks",
     "section_plots": "Measured against twin",
     "section_ruled_out": "Ruled out",
@@ -203,6 +229,14 @@ def reference_words(evidence: Mapping[str, Any]) -> str | None:
 def _minute(utc: Any) -> str:
     """YYYY-MM-DDTHH:MM:SSZ to the minute, for people."""
     return f"{str(utc)[:16].replace('T', ' ')} UTC"
+
+
+def plot_source(throw_id: Any, thrown_utc: Any) -> str:
+    """Which throw a plot shows; empty where it is not known."""
+    if not isinstance(throw_id, str):
+        return ""
+    time = "" if not isinstance(thrown_utc, str) else f", {_minute(thrown_utc)}"
+    return f"{throw_id}{time}"
 
 
 def compared_words(reference_throw_count: int) -> str:

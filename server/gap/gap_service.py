@@ -16,6 +16,7 @@ from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError
 from server.event_hub import EventHub
+from server.gap.commissioning_view import commissioning_report, commissioning_view
 from server.gap.gap_store import GapStore, gap_row
 from server.gap.gap_worker import GapAnswer, GapJob, GapProcess
 from server.gap.throw_choice import ChosenThrows, choose_throws
@@ -24,6 +25,7 @@ from server.machines.machine_registry import MachineRegistry
 from server.machines.twin_files import TwinFiles, content_sha256
 from server.schemas.events import GapUpdatedEvent
 from server.schemas.gap import (
+    CommissioningView,
     GapRunPage,
     GapRunRequest,
     GapRunRow,
@@ -45,6 +47,8 @@ class OpenRun(Job):
 
     machine_id: str
     throws: ChosenThrows
+    usual_s: tuple[float, float] | None
+    """Times of earlier ones like it."""
 
 
 class GapService:
@@ -124,7 +128,8 @@ class GapService:
             database.add(row)
             database.flush()
             self._audit.append(database, self._entry(session.actor, "gap.run", row))
-        return OpenRun(job_id=row.gap_run_id, machine_id=machine_id, throws=throws)
+        usual_s = self.store.usual_s(has_reference=bool(throws.reference_throw_ids))
+        return OpenRun(job_id=row.gap_run_id, machine_id=machine_id, throws=throws, usual_s=usual_s)
 
     @staticmethod
     def _entry(actor: Actor, action: str, row: GapRun) -> Entry:
@@ -156,6 +161,24 @@ class GapService:
             is_used=count >= LEAST_REFERENCE_COUNT,
             words=f"{words[0].upper()}{words[1:]}.",
         )
+
+    def commissioning(self, machine_id: str) -> CommissioningView:
+        """The last commissioning of a machine.
+
+        Raises:
+            ApiError: no such machine.
+        """
+        self._registry.get(machine_id)
+        return commissioning_view(self._twins, machine_id)
+
+    def commissioning_report(self, machine_id: str) -> bytes:
+        """Its report.
+
+        Raises:
+            ApiError: no such machine, or no report.
+        """
+        self._registry.get(machine_id)
+        return commissioning_report(self._twins, machine_id)
 
     def cancel(self, machine_id: str, gap_run_id: str, session: Session) -> GapRunRow:
         """Stop a run that waits or is under way.
@@ -192,7 +215,8 @@ class GapService:
         run = self.queue.find(row.gap_run_id)
         if run is None or row.ended_utc is not None:
             return row
-        return row.model_copy(update={"progress_ratio": run.progress_ratio, "step": run.step})
+        now = {"progress_ratio": run.progress_ratio, "step": run.step, "usual_s": run.usual_s}
+        return row.model_copy(update=now)
 
     def _publish(self, row: GapRun) -> GapRunRow:
         view = self._with_progress(gap_row(row))

@@ -16,6 +16,9 @@ from server.store.models import GapRun
 
 OPEN_STATES = (GapState.QUEUED.value, GapState.RUNNING.value)
 
+USUAL_COUNT = 5
+"""Earlier diagnoses whose times are shown for the next one."""
+
 
 class GapStore:
     """All diagnoses in the database."""
@@ -53,6 +56,25 @@ class GapStore:
         if row is None or machine_id not in (None, row.machine_id):
             raise NotFoundError("no_gap_run", f"There is no diagnosis '{gap_run_id[:40]}' here.")
         return row
+
+    def usual_s(self, *, has_reference: bool) -> tuple[float, float] | None:
+        """Shortest and longest time of the newest finished diagnoses, of any machine; None without any.
+
+        Args:
+            has_reference: whether they were compared with reference throws.
+        """
+        wanted = select(GapRun).where(GapRun.state == GapState.DONE.value)
+        newest = wanted.order_by(GapRun.gap_run_id.desc()).limit(4 * USUAL_COUNT)
+        with self._database.read() as session:
+            rows = session.scalars(newest).all()
+        times_s = [
+            (row.ended_utc - row.started_utc).total_seconds()
+            for row in rows
+            if row.ended_utc is not None
+            and row.started_utc is not None
+            and bool(row.reference_throw_ids) == has_reference
+        ][:USUAL_COUNT]
+        return (min(times_s), max(times_s)) if times_s else None
 
     def result(self, gap_run_id: str, machine_id: str) -> Diagnosis | None:
         """What a run found."""

@@ -37,6 +37,10 @@ class TwinFiles:
         path = self.profile_path(machine_id)
         return nominal_profile(self._spec) if path is None else load_profile(path)
 
+    def file(self, machine_id: str, ending: str) -> Path:
+        """Where a file of a machine lies that has this ending; it may be missing."""
+        return self.folder / f"{machine_id}.{ending}"
+
     def reference(self, machine_id: str) -> KeptReference:
         """Reference throws that commissioning has kept."""
         return kept_reference(self.folder, machine_id)

@@ -16,6 +16,7 @@ from server.dependencies import (
     Viewer,
 )
 from server.schemas.gap import (
+    CommissioningView,
     GapPreviewView,
     GapRunPage,
     GapRunRequest,
@@ -49,6 +50,22 @@ def create_gap_run(
 def read_kept_reference(machine_id: str, session: Viewer, gap: GapDep) -> KeptReferenceView:
     """Reference throws that commissioning has kept, which diagnoses compare with by default."""
     return gap.kept_reference(machine_id)
+
+
+@router.get("/commissioning")
+def read_commissioning(machine_id: str, session: Viewer, gap: GapDep) -> CommissioningView:
+    """The last commissioning: what the twin explains, and the command that goes on with it."""
+    return gap.commissioning(machine_id)
+
+
+@router.get("/commissioning/report.html", response_class=Response)
+def read_commissioning_report(machine_id: str, session: Viewer, gap: GapDep) -> Response:
+    """The report of the commissioning as one page."""
+    return Response(
+        gap.commissioning_report(machine_id),
+        media_type="text/html; charset=utf-8",
+        headers={**REPORT_HEADERS, "Cache-Control": "private, no-cache"},
+    )
 
 
 @router.get("/gap-runs")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from diagnosis.report.diagnosis_words import DiagnosisWords
+from diagnosis.report.diagnosis_words import DiagnosisWords, FactWords
 from diagnosis.verdict import Diagnosis, VerdictKind
 from machine.conventions import Mode
 from server.schemas.console import Request, TargetView, View
@@ -84,6 +84,49 @@ class KeptReferenceView(View):
     """What there is, and what is recommended."""
 
 
+class CommissionedStepView(View):
+    """One step of a commissioning."""
+
+    name: str
+    done_utc: str | None
+    """YYYY-MM-DDTHH:MM:SSZ; None: not yet."""
+    words: str
+    """What was measured."""
+
+
+class CommissionedJointView(View):
+    """What the twin's drive of one joint explains of motions that it was not fitted to."""
+
+    joint: str
+    model: str
+    explained_ratio: float
+    """Share of the variance of the speed."""
+    linear_explained_ratio: float
+    """The same of the linear drive."""
+    rest: str
+    """Where most of the rest lies."""
+    at_bound: tuple[str, ...]
+    """Parameters at an end of the range that was searched."""
+
+
+class CommissioningView(View):
+    """The last commissioning of a machine."""
+
+    command: str
+    """Command that commissions it, or goes on with it; PLANT stands for what is driven."""
+    steps: tuple[CommissionedStepView, ...]
+    joints: tuple[CommissionedJointView, ...]
+    quantities: tuple[FactWords, ...]
+    """Identified numbers with their intervals."""
+    flags: tuple[str, ...]
+    """What an engineer should look at."""
+    reference: str
+    """Kept reference throws, and what is recommended."""
+    has_report: bool
+    problem: str
+    """Why nothing is shown of it; empty where there is none."""
+
+
 class GapRunRow(View):
     """One line of the history of diagnoses."""
 
@@ -97,6 +140,8 @@ class GapRunRow(View):
     progress_ratio: float
     step: str
     """What is being done."""
+    usual_s: tuple[float, float] | None = None
+    """Shortest and longest time of earlier diagnoses like it, while it waits or runs; None without any."""
     detail: str
     """Why it has no result."""
     throw_count: int

@@ -6,8 +6,7 @@ import pytest
 
 from cli.commissioning import steps
 from cli.main import main
-from diagnosis.identification.free_swing import AxisSwing
-from diagnosis.identification.quantity import Quantity, unknown
+from diagnosis.identification.quantity import AxisSwing, Quantity, unknown
 from diagnosis.identification.release_delay import ReleaseDelay
 from diagnosis.loading.throw_data import LoadedSet
 from machine.calibration import load_calibration, nominal_calibration
@@ -134,7 +133,7 @@ def test_one_command_measures_keeps_and_reports(
     assert commission(swing_policies, tmp_path, "--day", "2026-05-01") == 0
     said = capsys.readouterr().out
     assert (
-        "slew: the twin explains 95.0% of its speed; 70% of what is left lies in what follows"
+        "slew: the twin explains 95.0 % of its speed; 70 % of what is left lies in what follows"
         in said
     )
     assert "gain_ratio is at a bound" in said

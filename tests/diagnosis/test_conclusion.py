@@ -23,7 +23,7 @@ def test_an_unknown_effect_is_placed_in_words() -> None:
     gap = Gap(impact_rms_m=0.5, downrange_bias_m=0.5, crossrange_bias_m=0.0)
     sentence = sentence_of(VerdictKind.UNKNOWN, causes, gap, None, cast("Ranked", ranked), None)
     assert sentence == (
-        "The twin misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
+        "The twin's replay misses by 0.50 m. Something unknown in flight: the best known cause leaves the "
         "flight of the load 12 standard deviations above a healthy machine."
     )
 

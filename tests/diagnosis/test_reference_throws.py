@@ -20,6 +20,7 @@ from diagnosis.reference_throws import (
     health_from_reference,
     reference_evidence,
 )
+from diagnosis.stages import swap_stages
 from machine.errors import UsageError
 from sim_twin.effects.effect import Effect
 from tests.diagnosis.twin_throws import health, profile, throws
@@ -71,6 +72,9 @@ def test_the_twin_takes_a_machine_s_own_deviations_from_its_healthy_throws() -> 
     )
     assert after.mean() < 0.4 * before.mean()
     assert own.noise.healthy_gap_m["3d"] == pytest.approx(np.sqrt(np.mean(after**2)), rel=0.05)
+    # What the answer calls the miss of the replay is the same for reference throws and diagnosed ones.
+    gap_m = swap_stages(prepared, profile(), calibration).gap_m
+    assert own.replay_gap_m == pytest.approx({"3d": float(np.sqrt((gap_m**2).sum(axis=1).mean()))})
     # From day to day nothing is steadier than the effect table's tolerance.
     of_sets = own.noise.set_scatter
     assert all(of_sets.sd_of(p.key) >= 0.999 * p.tolerance for p in library())

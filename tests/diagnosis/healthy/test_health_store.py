@@ -22,7 +22,7 @@ def own() -> Health:
     known = health()
     gap = {"2d": float(np.float64(1.0) / 3.0), "3d": 0.1 + 0.2}
     noise = known.noise.model_copy(update={"healthy_gap_m": gap})
-    return known._replace(noise=noise, profile=profile())
+    return known._replace(noise=noise, profile=profile(), replay_gap_m={"2d": 0.1 + 0.2})
 
 
 def test_what_is_kept_comes_back_to_the_last_bit(tmp_path: Path, own: Health) -> None:

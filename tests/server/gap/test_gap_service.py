@@ -79,6 +79,15 @@ def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
     assert {"gap.run", "gap.done"} <= {r["action"] for r in rows}
 
 
+def test_an_open_run_says_what_earlier_ones_like_it_took(running, ada, throws):
+    with diagnosing(running.parts, gap_fakes.quick):
+        ended(ada, start(ada, throw_ids=throws[:6]))
+        asked = start(ada, throw_ids=throws[:6])
+        low_s, high_s = asked["usual_s"]
+        assert 0.0 <= low_s <= high_s
+        assert ended(ada, asked)["row"]["usual_s"] is None
+
+
 def test_throws_by_name_or_the_newest_of_a_mode(running, ada, throws):
     with diagnosing(running.parts, gap_fakes.nothing_found):
         chosen = throws[:6]

@@ -332,6 +332,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{machine_id}/commissioning": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Commissioning
+         * @description The last commissioning: what the twin explains, and the command that goes on with it.
+         */
+        get: operations["read_commissioning"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/commissioning/report.html": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Commissioning Report
+         * @description The report of the commissioning as one page.
+         */
+        get: operations["read_commissioning_report"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{machine_id}/deployments": {
         parameters: {
             query?: never;
@@ -2101,6 +2141,58 @@ export interface components {
             state: components["schemas"]["ThrowState"];
         };
         /**
+         * CommissionedJointView
+         * @description What the twin's drive of one joint explains of motions that it was not fitted to.
+         */
+        CommissionedJointView: {
+            /** At Bound */
+            at_bound: string[];
+            /** Explained Ratio */
+            explained_ratio: number;
+            /** Joint */
+            joint: string;
+            /** Linear Explained Ratio */
+            linear_explained_ratio: number;
+            /** Model */
+            model: string;
+            /** Rest */
+            rest: string;
+        };
+        /**
+         * CommissionedStepView
+         * @description One step of a commissioning.
+         */
+        CommissionedStepView: {
+            /** Done Utc */
+            done_utc: string | null;
+            /** Name */
+            name: string;
+            /** Words */
+            words: string;
+        };
+        /**
+         * CommissioningView
+         * @description The last commissioning of a machine.
+         */
+        CommissioningView: {
+            /** Command */
+            command: string;
+            /** Flags */
+            flags: string[];
+            /** Has Report */
+            has_report: boolean;
+            /** Joints */
+            joints: components["schemas"]["CommissionedJointView"][];
+            /** Problem */
+            problem: string;
+            /** Quantities */
+            quantities: components["schemas"]["FactWords"][];
+            /** Reference */
+            reference: string;
+            /** Steps */
+            steps: components["schemas"]["CommissionedStepView"][];
+        };
+        /**
          * ComparisonSource
          * @description Throws that a comparison rests on.
          * @enum {string}
@@ -2232,8 +2324,12 @@ export interface components {
          * @description Texts beside a `Diagnosis`.
          */
         DiagnosisWords: {
+            /** Action */
+            action: string;
             /** Causes */
             causes: components["schemas"]["CauseWords"][];
+            /** Facts */
+            facts: components["schemas"]["FactWords"][];
             /** Ruled Out */
             ruled_out: components["schemas"]["ReasonWords"][];
             /** Shrink */
@@ -2380,6 +2476,16 @@ export interface components {
          */
         EventKind: "booted" | "armed" | "disarmed" | "throw_accepted" | "throw_started" | "release_commanded" | "aborted" | "impact" | "throw_ended" | "stop_latched" | "stop_cleared" | "fault" | "command_refused" | "log_stored" | "policy_switched" | "policy_refused";
         /**
+         * FactWords
+         * @description A number of the diagnosis: "Throws used", "12".
+         */
+        FactWords: {
+            /** Name */
+            name: string;
+            /** Value */
+            value: string;
+        };
+        /**
          * Failure
          * @description A throw that did not land.
          */
@@ -2465,6 +2571,8 @@ export interface components {
             crossrange_bias_m?: number | null;
             /** Downrange Bias M */
             downrange_bias_m?: number | null;
+            /** Healthy Rms M */
+            healthy_rms_m?: number | null;
             /** Impact Rms M */
             impact_rms_m?: number | null;
             /** Trajectory Rms Ratio */
@@ -2552,6 +2660,11 @@ export interface components {
             step: string;
             /** Throw Count */
             throw_count: number;
+            /** Usual S */
+            usual_s: [
+                number,
+                number
+            ] | null;
             verdict: components["schemas"]["VerdictKind"] | null;
         };
         /**
@@ -6796,6 +6909,228 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["CommandView"];
                 };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_commissioning: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CommissioningView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_commissioning_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description Bad Request */
             400: {

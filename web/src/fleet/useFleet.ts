@@ -8,6 +8,7 @@ export const FLEET = "fleet";
 export type FleetRecord = Schema["FleetRowView"];
 export type ModeSummary = Schema["ModeSummary"];
 export type MissFigures = Schema["MissFigures"];
+export type Commissioning = Schema["CommissioningView"];
 export type MachineLife = Schema["MachineLifeView"];
 
 export function useFleet() {
@@ -28,6 +29,22 @@ export function useMachineLife(machineId: string) {
       ),
   });
 }
+
+/** What commissioning has measured of a machine. */
+export function useCommissioning(machineId: string) {
+  return useQuery({
+    queryKey: [FLEET, "commissioning", machineId],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/machines/{machine_id}/commissioning", {
+          params: { path: { machine_id: machineId } },
+        }),
+      ),
+  });
+}
+
+export const commissioningReportHref = (machineId: string) =>
+  `/api/v1/machines/${encodeURIComponent(machineId)}/commissioning/report.html`;
 
 export function useEditMachine(machineId: string) {
   const client = useQueryClient();

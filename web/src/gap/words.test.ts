@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 import { chainOf } from "./result/chain";
 import { overlaysOf } from "./result/plots";
 import { refusedOf } from "./result/refused";
-import { additionWords, type Diagnosis, doubtWords, newest, type Run } from "./words";
+import { additionWords, type Diagnosis, doubtWords, newest, type Run, usualWords } from "./words";
 
 const found: Diagnosis = {
   verdict: "explained",
@@ -60,8 +60,15 @@ describe("words of a diagnosis", () => {
     expect(doubtWords({ ...found, shrink: null })).toBeNull();
   });
 
+  it("say how long earlier ones took, and guess nothing", () => {
+    const took = (usual_s: [number, number] | null) => usualWords({ usual_s } as Run);
+    expect(took([23.6, 39.2])).toBe("The last ones like it took 24 to 39 s.");
+    expect(took([24.1, 23.9])).toBe("The last one like it took 24 s.");
+    expect(took(null)).toBe("No earlier one tells how long it takes.");
+  });
+
   it("say what applying would add", () => {
-    const words = { causes: [], ruled_out: [], undecided: "", shrink: "" };
+    const words = { causes: [], ruled_out: [], undecided: "", shrink: "", facts: [], action: "" };
     const sizes = [{ name: "extra dead time", value: "62.0 ms", interval: "55.0 to 70.0 ms" }];
     const effects = [{ title: "valve dead time, dipper", sizes }];
     const causes = [{ title: "valve dead time, dipper", probability: "93 %", effects }];
@@ -131,6 +138,8 @@ describe("overlays", () => {
         ideal: [0, 1, 2],
         explained: [1, 2, 3],
         other: [1],
+        throw_id: "t1",
+        thrown_utc: "2026-05-01T10:00:00Z",
       },
       empty: { x: [], measured: [] },
       odd: "text",
@@ -138,6 +147,7 @@ describe("overlays", () => {
     expect(rest).toEqual([]);
     expect(overlay?.name).toBe("t1 dipper");
     expect(overlay?.group).toBe("t1 dipper");
+    expect([overlay?.throwId, overlay?.thrownUtc]).toEqual(["t1", "2026-05-01T10:00:00Z"]);
     expect(overlay?.lines.map((line) => line.label)).toEqual(["measured", "before", "after"]);
     expect(overlay?.left.map((line) => line.values)).toEqual([
       [1, 1, null],

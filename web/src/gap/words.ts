@@ -55,6 +55,15 @@ export const shareWords = (ratio: number) =>
 export const intervalWords = (low: string, high: string) =>
   fill(SENTENCES.interval_90, { low, high });
 
+/** How long it may take: what earlier ones took, never a guess. */
+export function usualWords({ usual_s }: Run): string {
+  if (!usual_s) return "No earlier one tells how long it takes.";
+  const [low, high] = usual_s.map((value) => Math.max(1, Math.round(value)));
+  return low === high
+    ? `The last one like it took ${low} s.`
+    : `The last ones like it took ${low} to ${high} s.`;
+}
+
 /** Why not to apply what was found; null when held-out throws confirm it. */
 export function doubtWords(found: Diagnosis): string | null {
   const { shrink } = found;

@@ -58,7 +58,7 @@ function GapOf({ machineId, wanted }: GapOfProps) {
         ) : (
           runs.isSuccess && (
             <GateSentence
-              sentence={`${machineId} was not diagnosed yet. Choose throws at the left and start: it takes one to three minutes and does not touch the machine.`}
+              sentence={`${machineId} was not diagnosed yet. Choose throws at the left and start: it takes some minutes and does not touch the machine.`}
             />
           )
         )}
@@ -85,7 +85,7 @@ function OneRun({ machineId, runId, onStarted }: OneRunProps) {
   };
   return (
     <>
-      <RunHead key={runId} run={run.row} found={found} again={again} onStarted={onStarted} />
+      <RunHead key={runId} run={run.row} words={words} again={again} onStarted={onStarted} />
       {found && words && <RunResult key={runId} run={run.row} found={found} words={words} />}
     </>
   );

@@ -1,6 +1,7 @@
 import { Button, SegmentedControl, Select } from "@mantine/core";
 import { useNavigate, useParams } from "@tanstack/react-router";
 import { useMemo, useState } from "react";
+import { CommissioningPanel } from "../fleet/CommissioningPanel";
 import { EditMachine } from "../fleet/EditMachine";
 import classes from "../fleet/Fleet.module.css";
 import {
@@ -47,6 +48,7 @@ export function MachinePage() {
         <AlertsPanel machineId={machineId} />
         <ThrowsPanel machineId={machineId} />
         <GapPanel machineId={machineId} />
+        <CommissioningPanel machineId={machineId} />
       </div>
     </div>
   );

@@ -8,6 +8,7 @@ import { IntervalBar } from "./IntervalBar";
 export function ChainFlow({ chain }: { chain: Chain }) {
   return (
     <>
+      {chain.isMetric && <p className={classes.miss}>{SENTENCES.which_miss}</p>}
       <p className={classes.note}>
         {chain.isMetric ? SENTENCES.where : SENTENCES.where_single_stage}
       </p>
@@ -41,7 +42,7 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
         <br />
         {crossrangeWords(link.crossrange_m)}
       </p>
-      <div className={classes.terms}>
+      <JointByJoint link={link}>
         {link.terms.map((term) => (
           <div key={term.joint ?? ""} className={classes.term}>
             {term.joint && (
@@ -69,8 +70,20 @@ function Terms({ link, limit_m }: { link: Link; limit_m: number }) {
             {!term.joint && <p className={classes.dim}>{shareWords(term.share_ratio)}</p>}
           </div>
         ))}
-      </div>
+      </JointByJoint>
     </>
+  );
+}
+
+/** The terms of a stage: of several joints folded, but where the verdict points. */
+function JointByJoint({ link, children }: { link: Link; children: React.ReactNode }) {
+  const terms = <div className={classes.terms}>{children}</div>;
+  if (link.terms.length < 2) return terms;
+  return (
+    <details className={classes.joints} open={link.here !== ""}>
+      <summary>joint by joint</summary>
+      {terms}
+    </details>
   );
 }
 

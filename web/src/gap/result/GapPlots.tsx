@@ -1,9 +1,11 @@
 import { Select } from "@mantine/core";
+import { Link } from "@tanstack/react-router";
 import { useMemo, useState } from "react";
 import { TimeSeries } from "../../charts/TimeSeries";
+import { zonedStamp } from "../../words/time";
 import { SENTENCES } from "../words";
 import classes from "./GapPlots.module.css";
-import { overlaysOf } from "./plots";
+import { type Overlay, overlaysOf } from "./plots";
 
 const NO_BANDS: readonly never[] = [];
 
@@ -40,6 +42,7 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
           .filter((overlay) => overlay.group === group)
           .flatMap((overlay) => [
             <div key={overlay.name} className={classes.cell}>
+              <Source overlay={overlay} />
               <TimeSeries
                 title={titleOf(overlay.name, overlay.unit)}
                 unit=""
@@ -52,6 +55,7 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
             </div>,
             overlay.left.length > 0 && (
               <div key={`${overlay.name} left`} className={classes.cell}>
+                <Source overlay={overlay} />
                 <TimeSeries
                   title={titleOf(`${overlay.name}: ${SENTENCES.measured_minus_twin}`, overlay.unit)}
                   unit=""
@@ -66,6 +70,19 @@ export function GapPlots({ plots }: { plots: Record<string, unknown> }) {
           ])}
       </div>
     </>
+  );
+}
+
+/** Which throw a chart shows, with the way to it. */
+function Source({ overlay: { throwId, thrownUtc } }: { overlay: Overlay }) {
+  if (throwId === null) return null;
+  return (
+    <p className={classes.source}>
+      <Link to="/throws/$throwId" params={{ throwId }}>
+        {thrownUtc === null ? "Throw" : `Throw of ${zonedStamp(thrownUtc)}`}
+      </Link>{" "}
+      <code>{throwId}</code>
+    </p>
   );
 }
 

@@ -2,22 +2,30 @@ import { Button, Progress } from "@mantine/core";
 import type { Schema } from "../../session/client";
 import { useMay } from "../../session/useSession";
 import { errorWords } from "../../words/errors";
-import { count, metres, percent, unbroken } from "../../words/format";
+import { count, percent, unbroken } from "../../words/format";
 import { zonedStamp } from "../../words/time";
 import { reportHref, useGapActions } from "../useGap";
-import { type Diagnosis, isLook, isOpen, type Run, runTitle, SENTENCES } from "../words";
+import {
+  type DiagnosisWords,
+  isLook,
+  isOpen,
+  type Run,
+  runTitle,
+  SENTENCES,
+  usualWords,
+} from "../words";
 import classes from "./RunHead.module.css";
 
 type Props = {
   run: Run;
-  found: Diagnosis | null;
+  words: DiagnosisWords | null;
   /** The same throws once more. */
   again: Schema["GapRunRequest"];
   onStarted: (runId: string) => void;
 };
 
 /** What a run says: its verdict as a sentence, or how far it is and a way to stop it. */
-export function RunHead({ run, found, again, onStarted }: Props) {
+export function RunHead({ run, words, again, onStarted }: Props) {
   const { cancel, start } = useGapActions(run.machine_id);
   const mayRun = useMay("gap.run");
   return (
@@ -80,6 +88,7 @@ export function RunHead({ run, found, again, onStarted }: Props) {
             {run.state === "queued" ? "Waiting for its turn" : run.step},{" "}
             {percent(run.progress_ratio)}
           </span>
+          <span className={classes.dim}>{usualWords(run)}</span>
           <Button
             variant="default"
             disabled={!mayRun}
@@ -95,27 +104,30 @@ export function RunHead({ run, found, again, onStarted }: Props) {
           )}
         </div>
       )}
-      {found && <Facts found={found} />}
+      {words && <Outcome words={words} />}
     </header>
   );
 }
 
-function Facts({ found }: { found: Diagnosis }) {
-  const { gap } = found;
-  const facts: [string, string][] = [];
-  if (typeof gap.impact_rms_m === "number")
-    facts.push([SENTENCES.impact_rms, metres(gap.impact_rms_m)]);
-  if (typeof gap.trajectory_rms_ratio === "number")
-    facts.push([SENTENCES.residual, gap.trajectory_rms_ratio.toFixed(2)]);
-  if (facts.length === 0) return null;
+/** What to do next, and the numbers under the verdict: the same as in the report. */
+function Outcome({ words }: { words: DiagnosisWords }) {
   return (
-    <dl className={classes.facts}>
-      {facts.map(([name, value]) => (
-        <div key={name}>
-          <dt>{name}</dt>
-          <dd>{value}</dd>
-        </div>
-      ))}
-    </dl>
+    <>
+      {words.action && (
+        <p className={classes.action}>
+          <strong>{SENTENCES.section_action}:</strong> {unbroken(words.action)}
+        </p>
+      )}
+      {words.facts.length > 0 && (
+        <dl className={classes.facts}>
+          {words.facts.map(({ name, value }) => (
+            <div key={name}>
+              <dt>{name}</dt>
+              <dd>{value}</dd>
+            </div>
+          ))}
+        </dl>
+      )}
+    </>
   );
 }

@@ -12,6 +12,9 @@ export type Overlay = {
   lines: readonly Line[];
   /** Measured minus twin, before and after. */
   left: readonly Line[];
+  /** Which throw it shows, and when that was; null where the diagnosis did not keep it. */
+  throwId: string | null;
+  thrownUtc: string | null;
 };
 
 type Values = (number | null)[];
@@ -52,6 +55,8 @@ function overlayOf(name: string, plot: unknown): Overlay | null {
       ...line("before", minus(measured, before), "--chart-2", true),
       ...line("after", minus(measured, after), "--chart-1"),
     ],
+    throwId: typeof fields.throw_id === "string" ? fields.throw_id : null,
+    thrownUtc: typeof fields.thrown_utc === "string" ? fields.thrown_utc : null,
   };
 }
 

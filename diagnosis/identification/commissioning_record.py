@@ -6,10 +6,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from diagnosis.identification.free_swing import AxisSwing
-from diagnosis.identification.quantity import Quantity
+from diagnosis.identification.quantity import AxisSwing, Quantity
 from diagnosis.identification.release_delay import ReleaseDelay
 from machine.errors import UsageError
+from reports.number_format import percent
 from sim_twin.commissioning.drive_identification import JointExplanation
 from sim_twin.twin.oil_spring import OilSpringDrive
 
@@ -95,9 +95,10 @@ class Commissioning(_Model):
                 phase = max(
                     fit.unexplained_by_phase_ratio, key=fit.unexplained_by_phase_ratio.__getitem__
                 )
-                share = fit.unexplained_by_phase_ratio[phase]
+                share = percent(fit.unexplained_by_phase_ratio[phase])
+                explained = percent(fit.explained_ratio, 1)
                 found.append(
-                    f"{fit.joint}: the twin explains {fit.explained_ratio:.1%} of its speed; {share:.0%} of "
+                    f"{fit.joint}: the twin explains {explained} of its speed; {share} of "
                     f"what is left lies in {PHASE_WORDS[phase]}."
                 )
             found += [f"{fit.joint}: {name} is at a bound of the search." for name in fit.at_bound]
