@@ -23,7 +23,7 @@ from diagnosis.linearisation.parameters import ReplayKind, library
 from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
 from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.linearisation.unmodelled_effects import unmodelled_names
-from diagnosis.tuning import CLEAR_RATIO, LEAST_GAP_RATIO
+from diagnosis.tuning import CLEAR_RATIO
 from diagnosis.verdict import Shrink
 from machine.conventions import Array, IntArray
 from sim_twin.effects.effect import Effect, acting_effect
@@ -34,6 +34,8 @@ PART_COUNT = 3
 """Folds of the cross-validation."""
 BOOTSTRAP_COUNT = 400
 """Bootstrap draws of the interval."""
+LEAST_GAP_RATIO = 0.02
+"""The removable gap counts as at least this share of the gap: a share of nothing has no size."""
 
 
 class Gaps(NamedTuple):

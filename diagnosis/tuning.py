@@ -14,19 +14,14 @@ MOST_SIDE_RATIO = 0.4
 PARTNER_LOG_PRIOR = -1.0
 """Log prior odds per pair of effects in a set: what an effect of the library does not model resembles
 another."""
-THIRD_LOG_PRIOR = -8.0
-"""Additional log prior odds per library effect beyond the second."""
 GROUP_LOG_PRIOR = -6.0
 """Prior log odds of an effect: one effect in six data sets, among about seventy."""
-NONSMOOTH_LOG_PRIOR = -8.0
-"""Prior log odds of a nonsmooth effect. The position where a sticking joint rests is fitted to the
-throws (`replay_drives`), a degree of freedom that other effects lack."""
+RARE_LOG_PRIOR = -8.0
+"""Prior log odds of what is rarer than a constant effect of the library: a drift, of which there are as many;
+an unmodelled effect; a nonsmooth one, since the position where a sticking joint rests is fitted to the throws
+(`replay_drives`), a degree of freedom that other effects lack."""
 SPIKE_WIDENING_RATIO = 1.1
 """Factor on the scatter, which was measured on a finite number of machines."""
-DRIFT_LOG_PRIOR = -8.0
-"""Prior log odds of a drift: rarer than a constant effect, and there are as many."""
-UNMODELLED_LOG_PRIOR = -8.0
-"""Prior log odds of an unmodelled effect: rarer than an effect of the library."""
 JITTER_LOG_PRIOR = -5.0
 """Prior log odds of jitter."""
 FOLLOWS_LOG_PRIOR = -3.0
@@ -42,9 +37,6 @@ SIZE_ERROR_RATIO = 0.09
 intervals hold at their nominal rate."""
 
 # Machines of another type
-LEAST_MISFIT_RATIO = 0.5
-"""Least factor: no twin is closer to a machine, however quiet its sensors. Simulation steps of 10 ms
-limit it."""
 CLEAR_LOG_POWER = 0.7
 """Excess log power from which a misfit is significant; levels of healthy sets of the type scatter by 0.1
 to 0.2."""
@@ -78,10 +70,6 @@ EXTENSION_COUNT = 8
 """Further effects that are tried beside a set, by their slopes."""
 FINAL_COUNT = 6
 """Sets that are compared with their healthy deviations simulated; the parts of the best two beside them."""
-HEALTHY_ROUNDS = 2
-"""Rounds in which healthy deviations are simulated at their posterior mean."""
-REFINE_ROUNDS = 3
-"""Rounds of Gauss and Newton's method."""
 BEAM = ((4, 8), (3, 6))
 """For pairs, then triples: number of smaller sets to extend, and of extended sets to refine."""
 SINGLE_COUNT = 12
@@ -102,10 +90,9 @@ FORM_LEFT_RATIO = 0.1
 """Share of the excess power without effect that a set may leave: the form error of its effects."""
 SURE_PROBABILITY = 0.8
 """Probability from which a cause is claimed alone."""
-RIVAL_PROBABILITY = 0.15
-"""Probability from which another cause is not ruled out."""
-DOUBT_PROBABILITY = 0.15
-"""Probability of "none" from which no effect is claimed."""
+OPEN_PROBABILITY = 0.15
+"""Probability from which an answer is not ruled out: another cause, or "none", beside which no effect is
+claimed."""
 LEAST_GAIN_RATIO = 0.05
 """Least share of the removable gap that an explanation closes."""
 PLAIN_PROBABILITY = 0.01
@@ -116,7 +103,5 @@ MOST_LOSS_RATIO = 0.1
 """Where "none" has at least `SOME_PROBABILITY`, an effect is not claimed if the interval of its gain
 ends below `LEAST_GAIN_RATIO` or begins below minus this share. Where "none" has at least
 `PLAIN_PROBABILITY`, an effect is not claimed if its mean gain is below `LEAST_GAIN_RATIO`."""
-LEAST_GAP_RATIO = 0.02
-"""The removable gap counts as at least this share of the gap."""
 CLEAR_RATIO = 1.6
 """An impact gap of more than this multiple of a healthy machine's is a measure of an effect."""

@@ -21,7 +21,7 @@ from diagnosis.hypotheses.unknown_check import (
 from diagnosis.inference.evidence import Set
 from diagnosis.linearisation.parameters import Group
 from diagnosis.linearisation.unmodelled_effects import group_of
-from diagnosis.tuning import DOUBT_PROBABILITY, RIVAL_PROBABILITY, SURE_PROBABILITY
+from diagnosis.tuning import OPEN_PROBABILITY, SURE_PROBABILITY
 from machine.conventions import Array
 from sim_twin.effects.effect import Effect
 
@@ -78,7 +78,7 @@ class Ranked:
     @property
     def is_doubtful(self) -> bool:
         """Whether "no effect" is too probable for a claim."""
-        return self.none_probability >= DOUBT_PROBABILITY
+        return self.none_probability >= OPEN_PROBABILITY
 
     @property
     def is_unknown(self) -> bool:
@@ -154,4 +154,4 @@ def _rival(hypotheses: Sequence[Hypothesis], probability: Array) -> Hypothesis |
     if not hypotheses[0].members or probability[0] >= SURE_PROBABILITY:
         return None
     others = zip(hypotheses[1:], probability[1:], strict=True)
-    return next((h for h, p in others if h.members and p >= RIVAL_PROBABILITY), None)
+    return next((h for h, p in others if h.members and p >= OPEN_PROBABILITY), None)

@@ -31,13 +31,16 @@ from diagnosis.tuning import (
     EXTENSION_COUNT,
     FINAL_COUNT,
     GRID_RATIO,
-    HEALTHY_ROUNDS,
-    REFINE_ROUNDS,
     SINGLE_COUNT,
 )
 from machine.conventions import Array
 from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import EFFECTS
+
+HEALTHY_ROUNDS = 2
+"""Rounds in which healthy deviations are simulated at their posterior mean."""
+REFINE_ROUNDS = 3
+"""Rounds of Gauss and Newton's method."""
 
 
 def search(throws: Throws, tick: Callable[[float], None]) -> list[CandidateSet]:

@@ -25,7 +25,6 @@ from diagnosis.tuning import (
     MOST_SIDE_RATIO,
     PARTNER_LOG_PRIOR,
     SLAB_SCALES_RATIO,
-    THIRD_LOG_PRIOR,
 )
 from machine.conventions import Array, IntArray
 
@@ -233,10 +232,7 @@ def _moved_by(priors: Priors, index: IntArray) -> Array:
 def set_log_prior(priors: Priors, members: Set) -> float:
     """Prior log odds of a set against "no effect"."""
     alone = float(sum(priors.log_prior[group] for group in members))
-    first_shape = priors.slab_sd.size - priors.looks_like.shape[1]
-    named = sum(int(priors.groups[group][0]) < first_shape for group in members)
-    partners = PARTNER_LOG_PRIOR * comb(len(members), 2)
-    return alone + partners + THIRD_LOG_PRIOR * max(named - 2, 0)
+    return alone + PARTNER_LOG_PRIOR * comb(len(members), 2)
 
 
 def _slabs(priors: Priors, index: IntArray, precision: Array, gradient: Array) -> list[Array]:

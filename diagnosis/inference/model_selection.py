@@ -19,27 +19,17 @@ def search(
     groups: Sequence[int],
     *,
     width: int = 12,
-    largest: int = 3,
     candidates: int = 40,
 ) -> list[SetEvidence]:
     """The best hypotheses of these groups, best first; "no effect" is always among them.
 
-    All singles; all pairs that contain one of the best `width` singles; triples that extend the best pairs.
+    All singles, and all pairs that contain one of the best `width` singles.
     """
     singles = sorted((weigh(base, priors, (g,)) for g in groups), key=_best_first)
     leaders = [single.members[0] for single in singles[:width]]
     found = {evidence.members: evidence for evidence in singles}
-    if largest >= 2:
-        pairs = {tuple(sorted((a, b))) for a in leaders for b in groups if a != b}
-        found |= {members: weigh(base, priors, members) for members in sorted(pairs)}
-    if largest >= 3:
-        best_pairs = sorted((e for e in found.values() if len(e.members) == 2), key=_best_first)
-        triples = {tuple(sorted({*pair.members, g})) for pair in best_pairs[:8] for g in leaders}
-        found |= {
-            members: weigh(base, priors, members)
-            for members in sorted(triples)
-            if len(members) == 3
-        }
+    pairs = {tuple(sorted((a, b))) for a in leaders for b in groups if a != b}
+    found |= {members: weigh(base, priors, members) for members in sorted(pairs)}
     ranked = sorted(found.values(), key=_best_first)[:candidates]
     return sorted([*ranked, weigh(base, priors, ())], key=_best_first)
 

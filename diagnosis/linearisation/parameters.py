@@ -16,11 +16,9 @@ from diagnosis.linearisation.unmodelled_effects import (
     unmodelled_slab_sd,
 )
 from diagnosis.tuning import (
-    DRIFT_LOG_PRIOR,
     GROUP_LOG_PRIOR,
-    NONSMOOTH_LOG_PRIOR,
+    RARE_LOG_PRIOR,
     SPIKE_WIDENING_RATIO,
-    UNMODELLED_LOG_PRIOR,
 )
 from machine.conventions import ACTIVE_JOINTS, Array
 from sim_twin.effects.effect import Effect
@@ -169,18 +167,18 @@ def layout(model: NoiseModel) -> ParameterLayout:
     groups: dict[Group, list[int]] = {}
     for i, p in enumerate(constants):
         groups.setdefault(p.group, []).append(i)
-    logs = [NONSMOOTH_LOG_PRIOR if e in NONSMOOTH_EFFECTS else GROUP_LOG_PRIOR for e, _ in groups]
+    logs = [RARE_LOG_PRIOR if e in NONSMOOTH_EFFECTS else GROUP_LOG_PRIOR for e, _ in groups]
     for i, p in enumerate(constants):
         if not EFFECTS[p.effect].can_drift:
             continue
         groups[(f"{DRIFT}:{p.effect}.{p.name}", p.joint)] = [len(constants) + i]
-        logs.append(DRIFT_LOG_PRIOR)
+        logs.append(RARE_LOG_PRIOR)
     slab = np.array([p.prior_sd for p in constants])
     low, high = np.array([p.low for p in constants]), np.array([p.high for p in constants])
     first = 2 * len(constants) + len(SET_NUISANCES)
     for group, places in unmodelled_groups().items():
         groups[group] = [first + place for place in places]
-        logs.append(UNMODELLED_LOG_PRIOR)
+        logs.append(RARE_LOG_PRIOR)
     nuisances = np.concatenate([np.ones(len(SET_NUISANCES)), unmodelled_slab_sd()])
     free = np.full(nuisances.size, np.inf)
     # A drift has half the size of its effect, in either direction.

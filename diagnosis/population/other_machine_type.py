@@ -101,7 +101,7 @@ def _log_evidence(data: Information, model: NoiseModel) -> float:
     """Of throws of a machine with any set of up to two effects."""
     priors = layout(model).priors
     base = screen(data, priors)
-    sets = search(base, priors, range(len(priors.groups)), largest=2)
+    sets = search(base, priors, range(len(priors.groups)))
     return base.log_evidence + float(np.logaddexp.reduce([one.log_odds for one in sets]))
 
 

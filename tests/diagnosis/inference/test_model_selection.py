@@ -20,7 +20,6 @@ from diagnosis.inference.model_selection import search
 from diagnosis.tuning import (
     MIN_SLAB_OVER_SPIKE_RATIO,
     PARTNER_LOG_PRIOR,
-    THIRD_LOG_PRIOR,
 )
 from machine.conventions import Array
 
@@ -152,15 +151,11 @@ def test_one_sided_effect_of_the_wrong_sign_is_refused() -> None:
     assert weigh(base, prior, (1,)).log_odds < 0.0
 
 
-def test_a_third_effect_is_rarer_than_an_unmodelled_one_beside_two() -> None:
+def test_each_pair_of_effects_in_a_set_is_rarer() -> None:
     plain = priors(4)
-    unmodelled = plain._replace(looks_like=np.zeros((3, 1)))
     alone = set_log_prior(plain, (0,))
     assert set_log_prior(plain, (0, 1)) == 2.0 * alone + PARTNER_LOG_PRIOR
-    beside = 3.0 * alone + 3.0 * PARTNER_LOG_PRIOR
-    assert set_log_prior(plain, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
-    assert set_log_prior(unmodelled, (0, 1, 3)) == beside
-    assert set_log_prior(unmodelled, (0, 1, 2)) == beside + THIRD_LOG_PRIOR
+    assert set_log_prior(plain, (0, 1, 3)) == 3.0 * alone + 3.0 * PARTNER_LOG_PRIOR
 
 
 def test_a_slab_is_no_wider_than_its_bound_allows_to_either_side() -> None:
