@@ -95,8 +95,8 @@ def test_the_report_is_one_page_with_data_and_logs_of_what_failed(
 ):
     def report(policies: Path, out: Path, *more: str) -> int:
         return main(
-            ["evaluate", "--mode", "2d", "--policies", str(policies), "--throws", "3",
-             "--report", str(out), *more]
+            ["evaluate", "--mode", "2d", "--policies", str(policies), "--plant", "twin",
+             "--throws", "3", "--report", str(out), *more]
         )  # fmt: skip
 
     good = tmp_path / "good"
