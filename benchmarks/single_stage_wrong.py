@@ -103,7 +103,7 @@ def servo(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
 
 
 def resonance(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
-    """A drive on an oil spring; only an oscillating lag explains it."""
+    """A drive on an oil spring."""
     lever = _lever(rng, 45.0)
     pulsation, damping = 2.0 * np.pi * rng.uniform(0.8, 2.0), rng.uniform(0.1, 0.3)
     speed, slope, speeds = 0.0, 0.0, np.zeros(len(lever))
@@ -112,18 +112,38 @@ def resonance(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
         speed += TICK_S * slope
         speeds[k] = speed
     position = np.cumsum(rng.uniform(0.2, 0.6) * speeds) * TICK_S
-    return _diagnose_joint(rng, path, lever, position), frozenset({"valve_lag"})
+    return _diagnose_joint(rng, path, lever, position), frozenset({"resonance"})
+
+
+def kinked(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
+    """A valve whose speed grows more steeply, or less, beyond a part of its command; with a dead time."""
+    lever = _lever(rng, 45.0)
+    kink = rng.uniform(0.3, 0.6)
+    height = kink * (rng.uniform(0.2, 0.6) if rng.random() < 0.7 else rng.uniform(1.3, 1.6))
+    steady = np.sign(lever) * np.interp(np.abs(lever), (0.0, kink, 1.0), (0.0, height, 1.0))
+    position = np.cumsum(rng.uniform(0.2, 0.6) * _delay(steady, rng.uniform(0.1, 0.3))) * TICK_S
+    truth = frozenset({"valve_curve", "valve_dead_time"})
+    return _diagnose_joint(rng, path, lever, position), truth
+
+
+def loaded(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
+    """A drive that slows down by 20 to 50 % from one time on, as with a load; with a lag."""
+    lever = _lever(rng, 45.0)
+    at = rng.uniform(0.3, 0.7) * len(lever)
+    gain = np.where(np.arange(len(lever)) < at, 1.0, 1.0 - rng.uniform(0.2, 0.5))
+    position = np.cumsum(rng.uniform(0.2, 0.6) * _lag(gain * lever, rng.uniform(0.1, 0.4))) * TICK_S
+    return _diagnose_joint(rng, path, lever, position), frozenset({"speed_drift", "valve_lag"})
 
 
 def by_position(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
-    """A drive whose speed depends on the position by 30 to 60 %: no effect of the library."""
+    """A drive whose speed depends on the position by up to 30 to 60 %."""
     lever = _lever(rng, 45.0)
     gain, change = rng.uniform(0.2, 0.5), rng.uniform(0.3, 0.6)
     position = np.zeros(len(lever))
     for k in range(1, len(lever)):
         speed = gain * lever[k] * (1.0 + change * np.tanh(position[k - 1]))
         position[k] = position[k - 1] + TICK_S * speed
-    return _diagnose_joint(rng, path, lever, position), frozenset({"unknown"})
+    return _diagnose_joint(rng, path, lever, position), frozenset({"speed_by_position"})
 
 
 def swing(rng: Draw, path: Path) -> tuple[Diagnosis, frozenset[str]]:
@@ -148,6 +168,8 @@ KINDS: Final[Mapping[str, Kind]] = {
     "servo": servo,
     "resonance": resonance,
     "by_position": by_position,
+    "kinked": kinked,
+    "loaded": loaded,
     "swing": swing,
     "film": film,
 }

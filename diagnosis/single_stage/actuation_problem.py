@@ -79,6 +79,8 @@ class ActuationProblem:
     """(ticks,) -1..1, rest at 0."""
     measured: Array
     """(samples,) speed after the differentiator, or position for a position command."""
+    place: Array
+    """(ticks,) measured position, -1 and 1 at the ends of its range; a measured speed is integrated."""
     sample: IntArray
     """(samples,) tick of each residual."""
     window: Array
@@ -153,10 +155,14 @@ class ActuationProblem:
         """(ticks,) output after the same differentiator as the measured one."""
         gap = values.get("backlash.gap_rad_m", 0.0)
         if self.kind == "position" or self.window.size == 0:
-            output = simulate_speed(self.command, self.step_s, values, self.starts_at_rest)
+            output = simulate_speed(
+                self.command, self.step_s, values, self.starts_at_rest, self.place
+            )
             output = output + values["offset"]
             return apply_play(output, 0.5 * gap) if gap > 0.0 else output
-        position = simulate_position(self.command, self.step_s, values, self.starts_at_rest)
+        position = simulate_position(
+            self.command, self.step_s, values, self.starts_at_rest, self.place
+        )
         if gap > 0.0:
             position = apply_play(position, 0.5 * gap)
         return np.convolve(np.pad(position, len(self.window) // 2, "edge"), self.window, "valid")
@@ -215,6 +221,7 @@ def make_actuation_problem(
     return ActuationProblem(
         command=command,
         measured=measured[sample],
+        place=_scale_place(np.cumsum(output) if record.is_speed else output),
         sample=sample,
         window=window,
         step_s=step_s,
@@ -236,6 +243,12 @@ def make_actuation_problem(
         starts_at_rest=starts_at_rest,
         notes=notes,
     )
+
+
+def _scale_place(position: Array) -> Array:
+    """(ticks,) positions from -1 to 1 over their range."""
+    low, high = float(np.min(position)), float(np.max(position))
+    return (2.0 * position - low - high) / max(high - low, 1e-300)
 
 
 def _list_nuisance(

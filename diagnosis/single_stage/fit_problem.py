@@ -30,7 +30,7 @@ class FreeParameter(NamedTuple):
 
 
 class EffectOption(NamedTuple):
-    """One way to model an effect; options of the same effect exclude each other."""
+    """One way to model an effect."""
 
     key: str
     """Unique name."""
@@ -40,6 +40,13 @@ class EffectOption(NamedTuple):
     """Smallest magnitude worth naming; the effect is insignificant if all its parameters are smaller."""
     least_difference: float = 0.0
     """Smallest difference of the first two parameters worth two of them; 0 for any."""
+    stands_for: str = ""
+    """Effect whose place it takes, and which it therefore excludes; empty for its own."""
+
+    @property
+    def place(self) -> str:
+        """Options of the same place exclude each other."""
+        return self.stands_for or self.effect
 
 
 class FitProblem(Protocol):

@@ -1,7 +1,8 @@
 """Response of a joint to its valve command, with one simulation step per effect.
 
 Order: hysteresis, dead band, curve, gain per direction, stiction, speed limit, dead time, lag, acceleration
-limit; then position and backlash. An effect whose parameter is absent is not simulated.
+limit, dependence on position and time; then position and backlash. An effect whose parameter is absent is not
+simulated.
 """
 
 import math
@@ -18,6 +19,12 @@ MIN_TIME_PERIODS: Final = 0.5
 """Smallest dead time or lag worth naming, in sample periods."""
 MIN_BAND_RATIO: Final = 0.005
 """Smallest dead band worth naming, as a share of full command."""
+MIN_SLOPE_RATIO: Final = 0.03
+"""Smallest change of the speed over half the range of positions worth naming."""
+MIN_DRIFT_RATIO: Final = 0.1
+"""Smallest change of the speed from one time on worth naming."""
+PLACES: Final = {"low_end": -1.0, "lower_half": -0.5, "upper_half": 0.5, "high_end": 1.0}
+"""Places in the range of positions whose speed relative to the middle's is fitted; lines join them."""
 
 
 def list_actuation_options(
@@ -59,11 +66,7 @@ def list_actuation_options(
         EffectOption("valve_dead_time", "valve_dead_time", (dead_time,)),
         *((_two_sided_dead_time_option(dead_time, period_s),) if is_speed else ()),
         EffectOption("valve_lag", "valve_lag", (lag,)),
-        EffectOption(
-            "valve_lag_second",
-            "valve_lag",
-            (lag, FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3, 0.3, 0.2), True)),
-        ),
+        *(() if sine_s is not None else (_resonance_option(period_s),)),
         EffectOption(
             "valve_lag_two_sided",
             "valve_lag",
@@ -72,7 +75,7 @@ def list_actuation_options(
         ),
         *_list_static_options(),
         *(
-            _list_limit_options(period_s, top_speed, unit)
+            (*_list_limit_options(period_s, top_speed, unit), *_list_drive_options())
             if is_speed
             else (_servo_speed_option(top_speed, unit),)
         ),
@@ -92,6 +95,48 @@ def _two_sided_dead_time_option(dead_time: FreeParameter, period_s: float) -> Ef
     )
     return EffectOption(
         "valve_dead_time_two_sided", "valve_dead_time", ways, MIN_TIME_PERIODS * period_s, period_s
+    )
+
+
+def _resonance_option(period_s: float) -> EffectOption:
+    """An oscillating response, as of a load on an oil spring, in place of a lag."""
+    frequency = FreeParameter("frequency_hz", "Hz", 0.05, 0.25 / period_s, (0.5, 1.0, 2.0))
+    damping = FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3, 0.3, 0.2), True)
+    return EffectOption("resonance", "resonance", (frequency, damping), stands_for="valve_lag")
+
+
+def _list_drive_options() -> tuple[EffectOption, ...]:
+    """A kinked valve; speed at equal commands that depends on the position or changes, as with a load."""
+    starts = (0.1, -0.3, 0.3)
+    ways = tuple(
+        FreeParameter(f"{way}_slope_ratio", "1", -0.95, 0.95, starts)
+        for way in ("positive", "negative")
+    )
+    places = tuple(
+        FreeParameter(f"{name}_ratio", "1", -0.95, 3.0, (0.2 * place,))
+        for name, place in PLACES.items()
+    )
+    change = FreeParameter("change_ratio", "1", -0.95, 2.0, (-0.2, -0.2, -0.2))
+    middle = FreeParameter("middle_ratio", "1", 0.02, 0.98, (0.5, 0.25, 0.75))
+    duration = FreeParameter("duration_ratio", "1", 0.01, 1.0, (0.2,))
+    return (
+        EffectOption(
+            "valve_curve_kink",
+            "valve_curve",
+            (
+                FreeParameter("kink_ratio", "1", 0.1, 0.9, (0.4, 0.4, 0.6)),
+                FreeParameter("kink_speed_ratio", "1", 0.01, 0.99, (0.2, 0.6, 0.4)),
+            ),
+        ),
+        EffectOption("speed_by_position", "speed_by_position", places, MIN_SLOPE_RATIO),
+        EffectOption(
+            "speed_by_position_two_sided",
+            "speed_by_position",
+            ways,
+            MIN_SLOPE_RATIO,
+            least_difference=2.0 * MIN_SLOPE_RATIO,
+        ),
+        EffectOption("speed_drift", "speed_drift", (change, middle, duration), MIN_DRIFT_RATIO),
     )
 
 
@@ -187,7 +232,11 @@ def _servo_speed_option(largest: float, unit: str) -> EffectOption:
 
 
 def simulate_speed(
-    command: Array, step_s: float, values: Mapping[str, float], starts_at_rest: bool = False
+    command: Array,
+    step_s: float,
+    values: Mapping[str, float],
+    starts_at_rest: bool = False,
+    place: Array | None = None,
 ) -> Array:
     """Speed of the joint, (ticks,) unit/s.
 
@@ -196,6 +245,7 @@ def simulate_speed(
         step_s: tick.
         values: parameters by ``option.parameter``; ``speed_per_command`` is the gain.
         starts_at_rest: whether the command was at rest before the first tick; else its first value is held.
+        place: (ticks,) measured position, -1 and 1 at the ends of its range; None where it plays no part.
     """
     u = command
     if (width := values.get("valve_hysteresis.half_width_ratio", 0.0)) > 0.0:
@@ -222,15 +272,42 @@ def simulate_speed(
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
         speed = _limit_rate(speed, limit * step_s)
     # Lag and limits give the speed at the end of a tick, which is the start of the next.
-    return steady[1:] if speed is steady else speed[:-1]
+    speed = steady[1:] if speed is steady else speed[:-1]
+    return speed * _slope_factor(speed, values, place)
+
+
+def _slope_factor(speed: Array, values: Mapping[str, float], place: Array | None) -> Array | float:
+    """(ticks,) speed relative to that in the middle of the range of positions, and of the record."""
+    factor: Array | float = 1.0
+    if place is not None:
+        if "speed_by_position.low_end_ratio" in values:
+            low, lower, upper, high = (values[f"speed_by_position.{name}_ratio"] for name in PLACES)
+            knots = (-1.0, -0.5, 0.0, 0.5, 1.0)
+            factor = 1.0 + np.interp(place, knots, (low, lower, 0.0, upper, high))
+        elif (
+            positive := values.get("speed_by_position_two_sided.positive_slope_ratio")
+        ) is not None:
+            negative = values["speed_by_position_two_sided.negative_slope_ratio"]
+            factor = 1.0 + np.where(speed > 0.0, positive, negative) * place
+    if (change := values.get("speed_drift.change_ratio")) is not None:
+        since = np.linspace(0.0, 1.0, len(speed)) - values["speed_drift.middle_ratio"]
+        passed = np.clip(0.5 + since / values["speed_drift.duration_ratio"], 0.0, 1.0)
+        factor = factor * (1.0 + change * passed)
+    return factor
 
 
 def simulate_position(
-    command: Array, step_s: float, values: Mapping[str, float], starts_at_rest: bool = False
+    command: Array,
+    step_s: float,
+    values: Mapping[str, float],
+    starts_at_rest: bool = False,
+    place: Array | None = None,
 ) -> Array:
     """Position of the joint from 0, (ticks,), before backlash; ``offset`` in `values` is a constant speed."""
-    speed = simulate_speed(command, step_s, values, starts_at_rest) + values["offset"]
-    has_inertia = any(key.startswith(("valve_lag", "acceleration_limit")) for key in values)
+    speed = simulate_speed(command, step_s, values, starts_at_rest, place) + values["offset"]
+    has_inertia = any(
+        key.startswith(("valve_lag", "resonance", "acceleration_limit")) for key in values
+    )
     # Without inertia the speed is constant over a tick; with it the speed is continuous.
     moved = 0.5 * (speed[1:] + speed[:-1]) if has_inertia else speed[:-1]
     return np.concatenate([[0.0], np.cumsum(moved) * step_s])
@@ -271,7 +348,7 @@ def _apply_delay(signal: Array, ticks: float, before: float) -> Array:
 
 
 def _apply_static_curve(u: Array, values: Mapping[str, float]) -> Array:
-    """Dead band per direction, then a power law.
+    """Dead band per direction, then a power law or two straight pieces.
 
     With compensation full command stays full: the rest is stretched. Without compensation (``plain``) both
     directions lose the dead band and keep the slope; two equal bands differ from that only in the gain.
@@ -285,6 +362,10 @@ def _apply_static_curve(u: Array, values: Mapping[str, float]) -> Array:
     x = np.maximum(np.abs(u) - band, 0.0)
     if not is_uncompensated:
         x = x / (1.0 - band)
+    if (kink := values.get("valve_curve_kink.kink_ratio")) is not None:
+        height = values["valve_curve_kink.kink_speed_ratio"]
+        beyond = height + (x - kink) * (1.0 - height) / (1.0 - kink)
+        return np.sign(u) * np.where(x < kink, x * height / kink, beyond)
     exponent = values.get("valve_curve.exponent_ratio", 1.0)
     return np.sign(u) * (x if exponent == 1.0 else np.power(x, exponent))
 
@@ -304,10 +385,10 @@ def _apply_lag(steady: Array, step_s: float, values: Mapping[str, float]) -> Arr
     first = values.get("valve_lag.extra_lag_s", 0.0)
     if first > 0.0:
         return _lag_first_order(steady, step_s, first)
-    second = values.get("valve_lag_second.extra_lag_s", 0.0)
-    if second > 0.0:
-        damping = values["valve_lag_second.damping_ratio"]
-        return _lag_second_order(steady, step_s, 2.0 * damping / second, damping)
+    frequency_hz = values.get("resonance.frequency_hz", 0.0)
+    if frequency_hz > 0.0:
+        damping = values["resonance.damping_ratio"]
+        return _lag_second_order(steady, step_s, 2.0 * math.pi * frequency_hz, damping)
     rise = values.get("valve_lag_two_sided.extra_lag_s", 0.0)
     if rise > 0.0:
         return _lag_two_sided(steady, step_s, rise, values["valve_lag_two_sided.stopping_lag_s"])

@@ -76,12 +76,12 @@ class UpperLimit(NamedTuple):
 def find_upper_limits(problem: FitProblem, selection: Selection) -> tuple[UpperLimit, ...]:
     """Upper limits of the effects that are not in the best structure, one per parameter."""
     best = selection.best.fit
-    taken = {option.effect for option in best.options}
+    taken = {option.place for option in best.options}
     limits: list[UpperLimit] = []
     for option in problem.options:
-        if option.effect in taken or option.effect in REFINEMENT_EFFECTS:
+        if option.place in taken or option.effect in REFINEMENT_EFFECTS:
             continue
-        taken.add(option.effect)
+        taken.add(option.place)
         found = fit_structure(problem, (*best.options, option), best.as_mapping())
         ranges = parameter_intervals(problem, selection.correlation_samples, found)
         for p in option.parameters:

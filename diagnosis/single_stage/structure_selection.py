@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import softmax
 
+from diagnosis.hypotheses.unknown_check import Left, unknown_probability
 from diagnosis.single_stage.fit import QUICK_ITERATIONS, StructureFit, fit_structure
 from diagnosis.single_stage.fit_problem import EffectOption, FitProblem
 from diagnosis.single_stage.held_out import estimate_held_out_mean_square
@@ -27,7 +29,9 @@ MAX_EFFECTS_COUNT: Final = 6
 """Most effects of a structure."""
 EFFECT_LOG_PRIOR: Final = math.log(0.25)
 """Log prior per effect; most effects are absent from most machines."""
-REFINEMENT_EFFECTS: Final = frozenset({"valve_curve", "acceleration_limit", "drag_crisis"})
+REFINEMENT_EFFECTS: Final = frozenset(
+    {"valve_curve", "acceleration_limit", "speed_by_position", "speed_drift", "drag_crisis"}
+)
 """Effects that refine another one; the twin's library does not have them."""
 REFINEMENT_LOG_PRIOR: Final = math.log(0.1)
 """Log prior per refinement."""
@@ -51,8 +55,6 @@ MIN_GAIN_RATIO: Final = 0.01
 """Smallest relative reduction of the mean square that continues the beam search."""
 UNKNOWN_RATIO: Final = 0.1
 """Unexplained share of the response above which no set of effects counts as an explanation."""
-UNKNOWN_WIDTH_RATIO: Final = 0.02
-"""Width of the logistic function about it."""
 
 Progress = Callable[[str], None]
 
@@ -131,11 +133,11 @@ def select_structure(
     for level in range(1, MAX_EFFECTS_COUNT + 1):
         grown: dict[frozenset[str], StructureFit] = {}
         for parent in beam:
-            taken = {option.effect for option in parent.options}
+            taken = {option.place for option in parent.options}
             for option in problem.options:
                 options = (*parent.options, option)
                 key = frozenset(o.key for o in options)
-                if option.effect in taken or key in visited or key in grown:
+                if option.place in taken or key in visited or key in grown:
                     continue
                 grown[key] = fit_structure(problem, options, parent.as_mapping(), QUICK_ITERATIONS)
         if not grown:
@@ -161,7 +163,7 @@ def select_structure(
     )
     # On held-out data: what is fitted but not reproduced there is not explained.
     unexplained = math.sqrt(max(ranked[0].held_out - noise**2, 0.0)) / max(signal, 1e-12)
-    unknown = 1.0 / (1.0 + math.exp(-(unexplained - UNKNOWN_RATIO) / UNKNOWN_WIDTH_RATIO))
+    unknown = unknown_probability({"response": Left(0.0, unexplained / UNKNOWN_RATIO)})
     return Selection(tuple(ranked), base_scored, correlation, signal, noise, unknown)
 
 
@@ -191,7 +193,7 @@ def _visit_neighbours(problem: FitProblem, visited: dict[frozenset[str], Structu
             rest = tuple(o for o in best.options if o.key != option.key)
             shorter.append(_fit_visited(problem, visited, best, rest))
             for variant in problem.options:
-                if variant.effect == option.effect and variant.key != option.key:
+                if variant.place == option.place and variant.key != option.key:
                     _fit_visited(problem, visited, best, (*rest, variant))
         best = min(shorter, key=lambda found: found.mean_square)
 
@@ -264,12 +266,10 @@ def _rank_structures(
                 if _is_at_lower_bound(found, option) or gain < relevant**2:
                     score = min(score, simpler.score + INSIGNIFICANT_LOG_PRIOR)
         scored[key] = ScoredStructure(found, held_out, score)
-    top = max(item.score for item in scored.values())
-    weights = {key: math.exp(item.score - top) for key, item in scored.items()}
-    total = sum(weights.values())
+    items = sorted(scored.values(), key=lambda item: -item.score)
+    probabilities = softmax([item.score for item in items])
     ranked = [
-        replace(item, probability=weights[key] / total)
-        for key, item in sorted(scored.items(), key=lambda pair: -pair[1].score)
+        replace(item, probability=float(p)) for item, p in zip(items, probabilities, strict=True)
     ]
     return _merge_variants(ranked), scored[frozenset()], correlation
 

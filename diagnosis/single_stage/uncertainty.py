@@ -23,7 +23,7 @@ DEAD_TIME_PARAMETERS: Final = frozenset(
     }
 )
 LAG_PARAMETERS: Final = frozenset(
-    f"{key}.extra_lag_s" for key in ("valve_lag", "valve_lag_second", "valve_lag_two_sided")
+    f"{key}.extra_lag_s" for key in ("valve_lag", "valve_lag_two_sided")
 )
 PROFILE_POINTS_COUNT: Final = 81
 """Points of the profile likelihood of a threshold parameter."""
