@@ -20,6 +20,15 @@ MAX_IMPORT_CHAIN = 12
 LONG_CHAINS = {"diagnosis"}
 """Packages whose longest import chain may be longer than `MAX_IMPORT_CHAIN`."""
 
+STARTED_OFTEN = (
+    "server.app",
+    "server.plans.preview_worker",
+    "server.validation.validation_worker",
+    "runtime.process.control_process",
+)
+SLOW_TO_LOAD = ("scipy.stats", "scipy.signal", "jax", "matplotlib")
+"""Each takes seconds of processor time; scipy.special has the quantiles."""
+
 Edges = dict[str, set[str]]
 
 
@@ -134,6 +143,34 @@ def test_public_classes_have_names_of_their_own():
                 places[node.name].append(shown(path))
     same = {name: files for name, files in places.items() if len(files) > 1}
     assert same == {}
+
+
+def top_level_imports(path: Path) -> set[str]:
+    """Modules, and names that may be modules, that a file imports whenever it is loaded."""
+    found: set[str] = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            found |= {item.name for item in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{item.name}" for item in node.names)}
+    return found
+
+
+def test_processes_that_start_often_load_nothing_slow():
+    imported = {module_name(path): top_level_imports(path) for path in python_files()}
+    reached: set[str] = set()
+    waiting = set(STARTED_OFTEN)
+    assert waiting <= imported.keys()
+    while waiting:
+        reached |= waiting
+        waiting = {n for m in waiting for n in imported[m] if n in imported} - reached
+    slow = [
+        f"{module}: {name}"
+        for module in sorted(reached)
+        for name in sorted(imported[module])
+        if any(name == one or name.startswith(f"{one}.") for one in SLOW_TO_LOAD)
+    ]
+    assert slow == []
 
 
 def test_importing_a_module_does_nothing_else():
