@@ -19,7 +19,7 @@ from diagnosis.verdict import Diagnosis, StageGap, VerdictKind
 from reports.html import render_page
 from reports.number_format import crossrange, downrange, metres, percent
 
-OPEN_FIGURES_COUNT: Final = 6
+OPEN_FIGURES_COUNT: Final = 3
 """Figures that are shown; the others are folded."""
 _SECTIONS: Final = {"ruled_out", "where", "parts", "unknown", "refused"}
 """Evidence that has a section of its own."""

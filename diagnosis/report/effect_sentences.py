@@ -207,28 +207,29 @@ BOUND_RATIO: Final = 1e-3
 
 def effect_sentence(effect: FittedEffect) -> str:
     """What an effect does, with sizes and intervals; what is at a bound of the search is said."""
-    clauses: list[str] = []
-    for name, (_, value, interval) in zip(effect.parameters, size_words(effect), strict=True):
-        parameter = effect.parameters[name]
-        kind, _, drifting = name.rpartition(".")
-        does = DOES.get(kind or effect.effect, {}).get(drifting)
-        clause = (
-            f"{name} is {value}"
-            if does is None
-            else _clause(does, value, effect.joint, is_negative=parameter.value < 0.0)
-        )
-        if kind:
-            clause = sentence("drifts", clause=clause)
-        interval = sentence("interval_is", interval=interval)
-        at_end = f", {SENTENCES['at_bound']}" if is_at_bound(effect, name, parameter) else ""
-        clauses.append(f"{clause} ({interval}{at_end})")
-    return ", and ".join(clauses)
+    return ", and ".join(_clause(effect, name, p) for name, p in effect.parameters.items())
 
 
-def _clause(does: Does, value: str, joint: str | None, *, is_negative: bool) -> str:
-    if is_negative and does.less:
-        return does.less.format(joint=joint, size=value.lstrip("−"))
-    return does.more.format(joint=joint, size=value)
+def _clause(effect: FittedEffect, name: str, parameter: FittedParameter) -> str:
+    kind, _, drifting = name.rpartition(".")
+    does = DOES.get(kind or effect.effect, {}).get(drifting)
+    if does is None:
+        does = Does(f"{name} is {{size}}")
+    shown = _reversed(parameter) if parameter.value < 0.0 and does.less else parameter
+    ((_, value, interval),) = size_words(effect.model_copy(update={"parameters": {name: shown}}))
+    words = does.more if shown is parameter else does.less
+    clause = words.format(joint=effect.joint, size=value)
+    if kind:
+        clause = sentence("drifts", clause=clause)
+    interval = sentence("interval_is", interval=interval)
+    at_end = f", {SENTENCES['at_bound']}" if is_at_bound(effect, name, parameter) else ""
+    return f"{clause} ({interval}{at_end})"
+
+
+def _reversed(parameter: FittedParameter) -> FittedParameter:
+    """A size in the opposite direction: "20 % slower", not "-20 % faster"."""
+    low, high = parameter.ci90
+    return parameter.model_copy(update={"value": -parameter.value, "ci90": (-high, -low)})
 
 
 def is_at_bound(effect: FittedEffect, name: str, parameter: FittedParameter) -> bool:

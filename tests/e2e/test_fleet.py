@@ -105,7 +105,7 @@ def test_a_machine_has_a_page_a_name_and_a_stop(
     expect(page).to_have_url(f"{demo.url}/machines/m001")
     expect(page.get_by_role("heading", name="m001", exact=True)).to_be_visible()
     expect(page.get_by_role("region", name="On board", exact=True)).to_contain_text("m545-2d-v7")
-    for name in ("Machine", "Alerts", "Throws", "Diagnoses"):
+    for name in ("Machine", "Alerts", "Throws", "Diagnoses", "Commissioning"):
         expect(page.get_by_role("region", name=name, exact=True)).to_be_visible()
     _call_it(page, "North digger")
     expect(page.get_by_role("heading", name="North digger")).to_be_visible()

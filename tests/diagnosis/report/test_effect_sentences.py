@@ -43,13 +43,17 @@ def test_a_size_is_a_sentence_with_unit_interval_and_bound() -> None:
     assert faster == (
         "the slew moves 24.0 % faster than in the twin where its command is positive (90 % interval 23.0 to "
         "25.0 %), and the slew moves 20.0 % slower than in the twin where its command is negative (90 % "
-        "interval −21.0 to −19.0 %)"
+        "interval 19.0 to 21.0 %)"
     )
     at_end = effect_sentence(fitted("valve_dead_time", "boom", extra_dead_time_s=0.3))
     assert "starts 300 ms later than in the twin" in at_end
     assert "at the end of the range that is searched: it may be more" in at_end
     assert "at the end" not in effect_sentence(
         fitted("valve_dead_band", "boom", positive_ratio=0.0)
+    )
+    unsure = effect_sentence(fitted("valve_lag", "boom", extra_lag_s=-0.005))
+    assert unsure == (
+        "the boom takes 5.0 ms less to come up to speed than in the twin (90 % interval −5.0 to 15.0 ms)"
     )
     drift = effect_sentence(fitted(DRIFT, "boom", valve_lag__extra_lag_s=0.05))
     assert drift.startswith("from the first throw to the last, the boom takes 50.0 ms longer")
