@@ -36,6 +36,7 @@ VERBS: dict[str, Verb] = {
         "cli.evaluate", "measure accuracy over many throws, by the paper's protocol", "twin"
     ),
     "units": Verb("cli.units", "measure accuracy on machines outside training", "twin"),
+    "job": Verb("cli.job", "plan, simulate and report a job with bulk material", "twin"),
     "record": Verb("cli.record", "write the throw logs of a campaign", "twin"),
     "diagnose": Verb(
         "cli.diagnose",

@@ -1,0 +1,112 @@
+"""What the planner knows of the throws: reach, scatter of landings and footprints by range."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from bulk.footprint import Footprint, GripRelease, footprint, release_towards, turned
+from bulk.material import Material
+from machine.conventions import Array, BoolArray
+from machine.errors import UsageError
+from machine.policy_card import PolicyCard
+from machine.reach import MIN_RANGE_M, reach_m
+from machine.spec import MachineSpec
+
+
+class LandingScatter(NamedTuple):
+    """Scatter of landings at a range; downrange and crossrange are taken as independent."""
+
+    range_m: float
+    sd_downrange_m: float
+    sd_crossrange_m: float
+
+
+@dataclass(frozen=True)
+class ThrowModel:
+    """Throws of one policy with one material."""
+
+    card: PolicyCard
+    material: Material
+    range_m: Array
+    """(N) increasing."""
+    landing_variance_m2: Array
+    """(N, 2) downrange and crossrange."""
+    footprints: tuple[Footprint, ...]
+    """One at each range."""
+
+    def reachable(self, range_m: Array, height_m: Array) -> BoolArray:
+        """Whether targets at ranges and heights (...) can be thrown at."""
+        card = self.card
+        farthest = np.full(np.shape(range_m), card.target_range_max_m)
+        if card.reach_at_height_m:
+            heights, ranges = zip(*card.reach_at_height_m, strict=True)
+            farthest = np.minimum(farthest, np.interp(height_m, heights, ranges))
+        is_level = (height_m >= card.target_height_min_m) & (height_m <= card.target_height_max_m)
+        return (range_m >= self.nearest_m) & (range_m <= farthest) & is_level
+
+    @property
+    def nearest_m(self) -> float:
+        """Smallest target range."""
+        return max(self.card.target_range_min_m, MIN_RANGE_M[self.card.mode])
+
+    def farthest_m(self, height_m: float) -> float:
+        """Largest target range at a height."""
+        return reach_m(self.card, height_m)
+
+    def covariance_m2(self, x_m: Array, y_m: Array) -> Array:
+        """(N, 2, 2) of grains about targets (N): landing scatter and footprint together, frame `machine`."""
+        ranges, bearing = np.hypot(x_m, y_m), np.arctan2(y_m, x_m)
+        total = np.stack([mark.covariance_m2 for mark in self.footprints])
+        total = total + self.landing_variance_m2[:, :, None] * np.eye(2)
+        local = np.empty((len(ranges), 2, 2))
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            local[:, i, j] = np.interp(ranges, self.range_m, total[:, i, j])
+        turns = np.stack([turned(angle) for angle in bearing.tolist()])
+        return turns @ local @ turns.transpose(0, 2, 1)
+
+    def landing_sd_m(self, range_m: float) -> tuple[float, float]:
+        """Standard deviations of landings downrange and crossrange."""
+        down, cross = (
+            np.interp(range_m, self.range_m, self.landing_variance_m2[:, i]) for i in (0, 1)
+        )
+        return math.sqrt(float(down)), math.sqrt(float(cross))
+
+    def footprint_near(self, range_m: float) -> Footprint:
+        """Footprint at the nearest range that was simulated."""
+        return self.footprints[int(np.abs(self.range_m - range_m).argmin())]
+
+
+def measured_model(
+    card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
+    height_m: float,
+) -> ThrowModel:  # fmt: skip
+    """Model from measured scatter, with typical releases.
+
+    Raises:
+        UsageError: no scatter, or ranges that do not increase.
+    """
+    ranges = np.array([item.range_m for item in scatter], dtype=np.float64)
+    if not ranges.size or (np.diff(ranges) <= 0.0).any():
+        raise UsageError("the landing scatter needs one range or more, increasing")
+    releases = [release_towards(max(item.range_m, 5.0), height_m) for item in scatter]
+    return make_model(card, spec, material, scatter, releases, height_m)
+
+
+def make_model(
+    card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
+    releases: Sequence[GripRelease], height_m: float,
+) -> ThrowModel:  # fmt: skip
+    """Model from scatter and releases at the same ranges, increasing."""
+    rng = np.random.default_rng(0)
+    return ThrowModel(
+        card=card,
+        material=material,
+        range_m=np.array([item.range_m for item in scatter], dtype=np.float64),
+        landing_variance_m2=np.array(
+            [(item.sd_downrange_m**2, item.sd_crossrange_m**2) for item in scatter]
+        ),
+        footprints=tuple(footprint(item, height_m, material, spec, rng) for item in releases),
+    )

@@ -1,0 +1,152 @@
+"""`downrange job`: plan the loads of a job with bulk material, simulate it, write its report."""
+
+import json as json_text
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from bulk.goal import progress
+from bulk.job_file import BulkJob, read_job
+from bulk.job_report import job_html, job_json, load_json, progress_json, run_json
+from bulk.planner import LoadPlanner
+from bulk.previewed_throws import open_card, previewed_model
+from bulk.simulation import Truth, planned_rule, simulate_job
+from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from machine.conventions import Mode
+from machine.errors import UsageError
+from machine.spec import load_spec
+
+JobPath = tyro.conf.Positional[Path]
+
+
+def plan(
+    file: JobPath, /, *, policies: Path = Path("policies"), policy: Path | None = None, json: bool = False,
+) -> int:  # fmt: skip
+    """Choose the next three loads of a job, with the reason for each. Nothing is thrown.
+
+    Example: downrange job plan truck.json
+
+    Exit code 0 with loads, 2 where no load would bring the surface nearer to the goal, 1 on an error.
+
+    Args:
+        file: the job (docs/bulk.md).
+        policies: folder of policy versions; its active.json names the one of each mode.
+        policy: folder of one policy version, instead of the active one.
+        json: print the plan as JSON.
+    """
+    job = read_job(file)
+    throws = _throws(job, policies, policy)
+    loads = _planner(job, throws).next_loads(job.field)
+    state = progress(job.goal, job.field, job.field)
+    if json:
+        content = {
+            "job": job_json(job, throws),
+            "progress": progress_json(state),
+            "loads": [load_json(load) for load in loads],
+        }
+        print(json_text.dumps(content, indent=2, allow_nan=False))
+    else:
+        grab = f"{job.file.grab_m3:.2f} m3 ({job.material.mass_kg(job.file.grab_m3):.0f} kg)"
+        print(
+            f"{job.file.name}: {state.missing_m3:.2f} m3 {job.material.name} missing, full grab {grab}"
+        )
+        for number, load in enumerate(loads, start=1):
+            print(f"{number}. {load.sentence}")
+        if not loads:
+            print("no load would bring the surface nearer to the goal")
+    return 0 if loads else 2
+
+
+def simulate(
+    file: JobPath, /, *, output: Path, seed: int = 0, loads: int = 200, repose_ratio: float = 1.0,
+    bias: tuple[float, float] = (0.0, 0.0), policies: Path = Path("policies"), policy: Path | None = None,
+) -> int:  # fmt: skip
+    """Throw a whole job in simulation and write its course as JSON, for `downrange job report`.
+
+    The material piles up as it would; the truth may differ from what the planner knows.
+
+    Example: downrange job simulate truck.json --output run.json --repose-ratio 0.9 --bias 0.1 0.0
+
+    Args:
+        file: the job (docs/bulk.md).
+        output: the JSON file to write.
+        seed: of scatter and grains.
+        loads: most loads of the job.
+        repose_ratio: tangent of the true angle of repose over the known one.
+        bias: mean landing error downrange and crossrange, metres.
+        policies: folder of policy versions; its active.json names the one of each mode.
+        policy: folder of one policy version, instead of the active one.
+    """
+    if seed < 0 or loads < 1 or not 0.3 <= repose_ratio <= 2.0 or not np.abs(bias).max() <= 2.0:
+        raise UsageError(
+            f"--seed {seed} --loads {loads} --repose-ratio {repose_ratio:g} --bias {bias[0]:g} {bias[1]:g}: "
+            "0 or more, 1 or more, 0.3 to 2, at most 2 m"
+        )
+    if not output.resolve().parent.is_dir():
+        raise UsageError(f"cannot write {output}: the folder {output.parent} does not exist")
+    job = read_job(file)
+    throws = _throws(job, policies, policy)
+    run = simulate_job(
+        job.goal,
+        job.field,
+        throws,
+        planned_rule(_planner(job, throws)),
+        Truth(repose_ratio * job.material.slope_ratio, bias),
+        np.random.default_rng(seed),
+        loads,
+    )
+    content = run_json(job, throws, run, seed)
+    output.write_text(json_text.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+    if not run.loads:
+        print("no load was thrown: none would bring the surface nearer to the goal")
+        return 2
+    end = run.loads[-1].after
+    print(
+        f"{len(run.loads)} loads, {run.thrown_m3:.2f} m3: {100.0 * end.filled_ratio:.1f} % in place, "
+        f"{100.0 * end.spill_ratio:.2f} % spilled, unevenness {end.unevenness_m:.2f} m; written to {output}"
+    )
+    return 0
+
+
+def report(run: JobPath, /, *, output: Path) -> int:
+    """Write the HTML report of a simulated job.
+
+    Example: downrange job report run.json --output report.html
+
+    Args:
+        run: JSON file of `downrange job simulate`.
+        output: the HTML file to write.
+    """
+    if not output.resolve().parent.is_dir():
+        raise UsageError(f"cannot write {output}: the folder {output.parent} does not exist")
+    try:
+        content: dict[str, Any] = json_text.loads(run.read_text(encoding="utf-8"))
+        page = job_html(content)
+    except OSError as error:
+        raise UsageError(f"{run} cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise UsageError(f"{run} is not the result of `downrange job simulate`: {error}") from error
+    output.write_text(page, encoding="utf-8")
+    print(f"written to {output}")
+    return 0
+
+
+def _planner(job: BulkJob, throws: ThrowModel) -> LoadPlanner:
+    return LoadPlanner(job.goal, job.field, throws, job.file.grab_m3, job.file.zones)
+
+
+def _throws(job: BulkJob, policies: Path, policy: Path | None) -> ThrowModel:
+    """The machine's throws: measured scatter of the job file, or previews in the twin."""
+    spec = load_spec()
+    folder, card = open_card(policies, policy, Mode(job.file.mode))
+    region = job.goal.region
+    height_m = float(np.median(0.5 * (job.goal.wanted_m + job.field.height_m)[region]))
+    if job.file.landing:
+        scatter = [LandingScatter(**item.model_dump()) for item in job.file.landing]
+        return measured_model(card, spec, job.material, scatter, height_m)
+    return previewed_model(folder, card, spec, job.material, height_m)
+
+
+ACTIONS = {"plan": plan, "simulate": simulate, "report": report}

@@ -1,0 +1,130 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bulk.job_file import read_job
+from bulk.survey import read_survey
+from cli.main import main
+from machine.errors import UsageError
+from tests.cases import each
+
+POLICIES = str(Path(__file__).parents[2] / "policies")
+JOB: dict[str, Any] = {
+    "name": "small <truck>",
+    "material": "gravel",
+    "grab_m3": 0.3,
+    "area": {"x_min_m": 6.0, "x_max_m": 10.0, "y_min_m": -2.0, "y_max_m": 2.0},
+    "containers": [
+        {
+            "name": "truck",
+            "x_m": 8,
+            "y_m": 0,
+            "length_m": 2,
+            "width_m": 1.6,
+            "floor_m": 1,
+            "wall_m": 0.6,
+        }
+    ],
+    "work": {"kind": "truck", "container": "truck"},
+    "landing": [{"range_m": 8.0, "sd_downrange_m": 0.06, "sd_crossrange_m": 0.04}],
+}
+
+
+def written(folder: Path, **changes: Any) -> Path:
+    path = folder / "job.json"
+    path.write_text(json.dumps({**JOB, **changes}), encoding="utf-8")
+    return path
+
+
+def grid_csv(folder: Path, z: str = "0.0", skip: int | None = None, scale: float = 1.0) -> Path:
+    path = folder / "survey.csv"
+    lines = [
+        f"{scale * (6.0 + 0.5 * i)},{scale * (0.5 * j)},{z}" for j in range(-4, 5) for i in range(9)
+    ]
+    if skip is not None:
+        del lines[skip]
+    path.write_text("x_m,y_m,z_m\n" + "\n".join(lines), encoding="utf-8")
+    return path
+
+
+def test_a_job_is_planned_simulated_and_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    job, run, page = written(tmp_path), tmp_path / "run.json", tmp_path / "report.html"
+    assert main(["job", "plan", str(job), "--json", "--policies", POLICIES]) == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert len(planned["loads"]) == 3
+    assert "spill risk" in planned["loads"][0]["sentence"]
+    options = ["--loads", "3", "--repose-ratio", "0.9", "--policies", POLICIES]
+    assert main(["job", "simulate", str(job), "--output", str(run), *options]) == 0
+    content = json.loads(run.read_text(encoding="utf-8"))
+    assert len(content["loads"]) == 3
+    assert abs(content["balance_m3"]) < 1e-9
+    assert main(["job", "report", str(run), "--output", str(page)]) == 0
+    html = page.read_text(encoding="utf-8")
+    assert "small &lt;truck&gt;" in html and html.count("<svg") == 4
+    run.write_text("{}", encoding="utf-8")
+    assert main(["job", "report", str(run), "--output", str(page)]) == 1
+    assert "not the result" in capsys.readouterr().err
+
+
+@each(
+    "changes, words",
+    [
+        ({"material": "cheese"}, "there are basketball"),
+        ({"grab_m3": 0.0}, "grab_m3"),
+        ({"area": None}, "either area or survey"),
+        ({"work": {"kind": "truck", "container": "box"}}, "there are: truck"),
+        ({"work": {"kind": "truck", "container": "truck", "fill_ratio": 1e-6}}, "m3 only"),
+        (
+            {"work": {"kind": "pile", "height_m": 1,
+                      "foot": {"x_m": 9.5, "y_m": 0, "length_m": 2, "width_m": 1}}},
+            r"x 10\.5 m, y -0\.5 m",
+        ),
+        (
+            {"work": {"kind": "clear", "container": "truck",
+                      "heap": {"x_m": 6.5, "y_m": 0, "length_m": 0.5, "width_m": 1}}},
+            r"holds 0\.000 m3",
+        ),
+        ({"survey": "none.csv", "area": None}, "cannot be read"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_refused(changes: dict[str, Any], words: str, tmp_path: Path):
+    with pytest.raises(UsageError, match=words):
+        read_job(written(tmp_path, **changes))
+
+
+def test_a_truck_out_of_reach_ends_with_its_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    high = [{**JOB["containers"][0], "floor_m": 3.5}]
+    job = written(tmp_path, containers=high)
+    assert main(["job", "plan", str(job), "--policies", POLICIES]) == 1
+    assert "heights of -1.0 to 3.0 m" in capsys.readouterr().err
+
+
+def test_a_survey_is_a_grid_or_a_cloud(tmp_path: Path):
+    grid, height = read_survey(grid_csv(tmp_path, "0.25"), 0.5)
+    assert height.shape == (9, 9) and (height == 0.25).all()
+    path = grid_csv(tmp_path, "0.25")
+    path.write_text(path.read_text() + "\n6.1,-2.1,0.35\n6.0,-2.0,9.0\n", encoding="utf-8")
+    grid, height = read_survey(path, 0.5)
+    assert grid.y0_m == pytest.approx(-2.1)
+    assert height[0, 0] == pytest.approx(0.35), "the median of a cell's points"
+
+
+@each(
+    "options, words",
+    [
+        ({"skip": 10}, r"no point in 1 of 81 cells of 0\.5 m, the first at x 6\.50 m, y -1\.50 m"),
+        ({"scale": 1000.0}, "millimetres"),
+        ({"z": "400.0"}, "at most 50 m"),
+        ({"z": "high"}, "line 2"),
+        ({"z": "nan"}, "not finite"),
+    ],
+)
+def test_bad_surveys_are_refused(options: dict[str, Any], words: str, tmp_path: Path):
+    with pytest.raises(UsageError, match=words):
+        read_survey(grid_csv(tmp_path, **options), 0.5)

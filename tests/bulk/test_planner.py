@@ -1,0 +1,123 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bulk.footprint import footprint, release_towards
+from bulk.goal import pile_goal, progress, truck_goal
+from bulk.height_field import Container, Rectangle, level_field, make_grid
+from bulk.material import material
+from bulk.planner import LoadPlanner
+from bulk.simulation import Truth, planned_rule, simulate_job
+from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from machine.errors import UsageError
+from machine.policy_card import load_card
+from machine.site.zones import Zone
+from machine.spec import load_spec
+
+CARD = load_card(Path(__file__).parents[2] / "policies" / "m545-2d-v7")
+GRID = make_grid((4.0, 12.0), (-3.0, 3.0), 0.1)
+BED = Container("truck", Rectangle(8.0, 0.0, 2.0, 2.0), 1.0, 0.6)
+GRAVEL = material("gravel")
+
+
+def throws(sd_m: float = 0.05) -> ThrowModel:
+    scatter = [LandingScatter(7.0, sd_m, sd_m), LandingScatter(10.0, 2.0 * sd_m, sd_m)]
+    return measured_model(CARD, load_spec(), GRAVEL, scatter, 1.2)
+
+
+def test_the_next_load_goes_where_most_is_missing_and_says_so():
+    start = level_field(GRID, [BED])
+    goal = truck_goal(start, 0, 1.0)
+    front = np.argwhere(goal.region & (GRID.x_m[None, :] > 8.0))
+    filled = start.height_m.copy()
+    filled[front[:, 0], front[:, 1]] = 1.6
+    planner = LoadPlanner(goal, start, throws(), 0.25)
+    load = planner.next_loads(replace(start, height_m=filled))[0]
+    assert load.x_m < 8.0
+    assert load.part.endswith("rear")
+    assert load.sentence.startswith(f"{load.part}: {load.missing_m3:.2f} m3 missing")
+    assert load.z_m == pytest.approx(1.0)
+
+
+def test_a_full_truck_needs_no_load():
+    start = level_field(GRID, [BED])
+    goal = truck_goal(start, 0, 1.0)
+    full = replace(start, height_m=np.where(goal.region, 1.6, start.height_m))
+    assert LoadPlanner(goal, start, throws(), 0.25).next_loads(full) == ()
+
+
+def test_wider_scatter_keeps_targets_away_from_the_walls():
+    start = level_field(GRID, [BED])
+    goal = truck_goal(start, 0, 1.0)
+    exact, wild = (
+        LoadPlanner(goal, start, throws(sd_m), 0.25).next_loads(start)[0] for sd_m in (0.01, 0.5)
+    )
+    assert wild.spill_ratio > exact.spill_ratio + 0.05
+
+
+def test_out_of_reach_and_zones_are_refused_with_numbers():
+    far = Container("truck", Rectangle(8.0, 0.0, 2.0, 2.0), 3.5, 0.8)
+    start = level_field(GRID, [far])
+    with pytest.raises(UsageError, match=r"heights up to 4\.\d+ m.*heights of -1\.0 to 3\.0 m"):
+        LoadPlanner(truck_goal(start, 0, 1.0), start, throws(), 0.25)
+    start = level_field(GRID, [BED])
+    fence = Zone(
+        name="path", reason="people walk", corners_m=((5.0, -3.0), (6.0, -3.0), (6.0, 3.0), (5.0, 3.0)),
+        top_m=3.0,
+    )  # fmt: skip
+    with pytest.raises(UsageError, match="exclusion zone"):
+        LoadPlanner(truck_goal(start, 0, 1.0), start, throws(), 0.25, [fence])
+
+
+def test_a_simulated_truck_is_filled_and_its_volume_closes():
+    start = level_field(GRID, [BED])
+    goal = truck_goal(start, 0, 0.95)
+    planner = LoadPlanner(goal, start, throws(), 0.3)
+    truth = Truth(0.9 * GRAVEL.slope_ratio, (0.05, 0.0))
+    run = simulate_job(
+        goal, start, throws(), planned_rule(planner), truth, np.random.default_rng(1)
+    )
+    end = run.loads[-1].after
+    assert end.filled_ratio > 0.8
+    assert end.spill_ratio < 0.03
+    assert run.final.volume_m3() == pytest.approx(run.thrown_m3, rel=1e-9)
+    assert len(run.versions) == len(run.loads)
+    assert (run.versions[0] == start.height_m).all()
+
+
+def test_a_heap_is_cleared_into_a_box():
+    heap = Rectangle(5.0, 0.0, 1.6, 1.6)
+    start = level_field(GRID, [BED]).pour(np.array([[5.0, 0.0]]), 0.3, GRAVEL.slope_ratio)
+    goal = truck_goal(start, 0, 0.9, heap)
+    planner = LoadPlanner(goal, start, throws(), 0.2)
+    truth = Truth(GRAVEL.slope_ratio)
+    run = simulate_job(
+        goal, start, throws(), planned_rule(planner), truth, np.random.default_rng(1)
+    )
+    assert run.final.volume_m3(goal.heap) < 0.05
+    assert run.final.volume_m3() == pytest.approx(start.volume_m3(), rel=1e-9)
+
+
+def test_a_pile_goal_has_sides_at_the_angle_of_repose():
+    start = level_field(GRID)
+    goal = pile_goal(start, Rectangle(8.0, 0.0, 4.0, 3.0), 5.0, 0.7)
+    assert goal.wanted_m.max() == pytest.approx(0.7 * 1.5, abs=0.08)
+    state = progress(goal, start, start)
+    assert state.filled_ratio == 0.0 and state.missing_m3 == pytest.approx(state.wanted_m3)
+
+
+def test_grains_spread_more_on_longer_throws_and_start_from_the_aim():
+    spec, rng = load_spec(), np.random.default_rng(0)
+    near, far = (
+        footprint(release_towards(r, 0.0), 0.0, GRAVEL, spec, rng).covariance_m2
+        for r in (6.5, 10.0)
+    )
+    assert far[0, 0] > near[0, 0] > 0.0
+    mark = footprint(release_towards(8.0, 0.0), 0.0, GRAVEL, spec, rng)
+    assert np.abs(mark.grains_m.mean(axis=0)).max() < 1e-9
+    turned = throws().covariance_m2(np.array([8.0, 0.0]), np.array([0.0, 8.0]))
+    assert turned[1] == pytest.approx(turned[0][::-1, ::-1] * np.array([[1, -1], [-1, 1]]))
+    assert math.isfinite(turned.sum())
