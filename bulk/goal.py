@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulk.height_field import OPEN, Grid, HeightField, Rectangle
-from machine.conventions import Array, BoolArray
+from machine.conventions import Array, BoolArray, IntArray
 
 ALONG_WORDS = ("rear", "middle", "front")
 ACROSS_WORDS = ("right", "centre", "left")
@@ -128,7 +128,7 @@ def part_missing_m3(goal: Goal, grid: Grid, height_m: Array, x_m: float, y_m: fl
     return float((goal.wanted_m - height_m)[mask].clip(0.0).sum()) * grid.cell_area_m2
 
 
-def candidate_cells(goal: Goal, field: HeightField, count: int) -> tuple[Array, Array]:
+def candidate_cells(goal: Goal, field: HeightField, count: int) -> tuple[IntArray, IntArray]:
     """Rows and columns (N <= count) of cells spread evenly over the region."""
     rows, columns = np.nonzero(goal.region)
     spacing = max(1, math.ceil(math.sqrt(rows.size / max(count, 1))))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bulk.height_field import Grid, make_grid
-from machine.conventions import Array
+from machine.conventions import Array, IntArray
 from machine.errors import UsageError
 
 COLUMNS = ("x_m", "y_m", "z_m")
@@ -100,7 +100,7 @@ def _point(path: Path, number: int, cells: list[str]) -> tuple[float, float, flo
     return x, y, z
 
 
-def _medians(cell: Array, z_m: Array, count: int) -> Array:
+def _medians(cell: IntArray, z_m: Array, count: int) -> Array:
     """Median of the values of each cell (count); NaN for cells without any."""
     order = np.lexsort((z_m, cell))
     cells, z = cell[order], z_m[order]
