@@ -28,20 +28,6 @@ def throws(sd_m: float = 0.05) -> ThrowModel:
     return measured_model(CARD, load_spec(), GRAVEL, scatter, 1.2)
 
 
-def test_the_next_load_goes_where_most_is_missing_and_says_so():
-    start = level_field(GRID, [BED])
-    goal = truck_goal(start, 0, 1.0)
-    front = np.argwhere(goal.region & (GRID.x_m[None, :] > 7.65))
-    filled = start.height_m.copy()
-    filled[front[:, 0], front[:, 1]] = 1.6
-    planner = LoadPlanner(goal, start, throws(), 0.25)
-    load = planner.next_loads(replace(start, height_m=filled))[0]
-    assert load.x_m < 8.0
-    assert load.part.endswith("rear")
-    assert load.sentence.startswith(f"{load.part}: {load.missing_m3:.2f} m3 missing")
-    assert load.z_m == pytest.approx(1.0)
-
-
 def test_a_full_truck_needs_no_load():
     start = level_field(GRID, [BED])
     goal = truck_goal(start, 0, 1.0)
