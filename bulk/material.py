@@ -1,7 +1,7 @@
 """Kinds of bulk material, and the volume and mass of a grab.
 
-Values are typical of loose, dry material. A site that weighs and surveys its own material gives its own
-numbers in the job file.
+Values are assumed, as is typical of loose, dry material. A site that weighs and surveys its own material
+gives its own numbers in the job file.
 """
 
 import math
@@ -96,9 +96,7 @@ def _material(
     )
 
 
-_CEMA = "densities and angles: CEMA 550 material tables"
-_SWELL = "swell: Caterpillar Performance Handbook"
-_DRAG = "drag of irregular grains: Haider and Levenspiel 1989"
+_ASSUMED = "assumed: typical of loose, dry material"
 
 MATERIALS: dict[str, Material] = {
     item.name: item
@@ -106,15 +104,15 @@ MATERIALS: dict[str, Material] = {
         _material("basketball", 48.0, 25.0, (0.2436, 0.0, 80.5, 0.5), 0.0, 0.0,
                   "machine/spec.json; spheres packed at random fill 0.6 of their space"),
         _material("gravel", 1520.0, 38.0, (0.016, 0.4, 2650.0, 1.0), 0.0, 0.12,
-                  f"{_CEMA}; {_SWELL}; {_DRAG}"),
+                  _ASSUMED),
         _material("sand", 1500.0, 34.0, (0.0006, 0.4, 2650.0, 1.2), 0.0, 0.12,
-                  f"{_CEMA}; {_SWELL}; {_DRAG}"),
+                  _ASSUMED),
         _material("scrap", 1000.0, 40.0, (0.10, 0.5, 2500.0, 1.2), 0.0, 0.0,
-                  "shredded steel: EU-27 scrap specification, class E40; angle and grains assumed"),
+                  _ASSUMED),
         _material("wood chips", 300.0, 45.0, (0.03, 0.4, 550.0, 1.1), 0.0, 0.0,
-                  f"{_CEMA}; {_DRAG}"),
+                  _ASSUMED),
         _material("soil", 1200.0, 37.0, (0.004, 0.6, 2600.0, 1.1), 2000.0, 0.25,
-                  f"{_CEMA}; {_SWELL}; cohesion of loosened topsoil assumed"),
+                  _ASSUMED),
     )
 }  # fmt: skip
 """Known kinds by name."""
