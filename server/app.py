@@ -25,7 +25,15 @@ from server.deployments.policy_uploads import UPLOAD_LIMIT_BYTES
 from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
-from server.management_routes import alerts, enrolment, fleet, gap, policies, validations
+from server.management_routes import (
+    alerts,
+    enrolment,
+    fleet,
+    gap,
+    policies,
+    rollouts,
+    validations,
+)
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
 from server.routes import (
     audit,
@@ -78,6 +86,7 @@ def _api_router() -> APIRouter:
         # Before policies: its paths name what else would be read as a version.
         validations,
         policies,
+        rollouts,
         gap,
         alerts,
         audit,

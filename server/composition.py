@@ -48,6 +48,7 @@ from server.plans.policy_store import PolicyStore
 from server.plans.preview_pool import PreviewPool
 from server.plans.site_store import SiteStore
 from server.plans.zone_store import ZoneStore
+from server.rollouts.rollouts import Rollouts
 from server.settings import Settings
 from server.store.database import Database, DatabaseStanding, upgrade
 from server.throws.event_ingest import EventIngest
@@ -98,6 +99,7 @@ class Parts:
     approvals: SiteApprovals
     validations: ValidationService
     deployments: Deployments
+    rollouts: Rollouts
     throws: ThrowStore
     stops: StopService
     plans: PlanStore
@@ -224,6 +226,8 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         stack.callback(renewal.close)
         parts.alerting.start()
         stack.callback(parts.alerting.close)
+        parts.rollouts.begin()
+        stack.callback(parts.rollouts.close)
         parts.stops.start()
         stack.callback(parts.stops.close)
         yield parts
@@ -239,6 +243,7 @@ def assemble(
     registry = MachineRegistry(database, audit, settings.site, settings.data_dir)
     policies, uploads, approvals = _policy_parts(settings, database, audit, spec)
     machine_policies = MachinePolicies(database, registry, policies)
+    deployments = Deployments(database, audit, registry, policies, approvals, spec)
     throws = ThrowStore(database, audit, registry, policies, hub)
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
@@ -251,15 +256,13 @@ def assemble(
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)
-    zones = ZoneStore(database, audit, registry, hub)
+    zones, impacts = ZoneStore(database, audit, registry, hub), ImpactDisplay(database, scene)
     planner = Planner(
         plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
     logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
     gap = GapService(database, audit, registry, logs, twins, hub)
     twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
-    impacts = ImpactDisplay(database, scene)
-    throws.on_change.append(impacts.refresh)
     targets = TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec)
     parts = Parts(
         settings=settings,
@@ -283,7 +286,8 @@ def assemble(
         summaries=MachineSummaries(database, registry, machine_policies, policies),
         approvals=approvals,
         validations=_validations(settings, database, audit, policies),
-        deployments=Deployments(database, audit, registry, policies, approvals, spec),
+        deployments=deployments,
+        rollouts=Rollouts(database, audit, registry, policies, deployments, hub),
         throws=throws,
         stops=stops,
         plans=plans,
@@ -307,7 +311,7 @@ def assemble(
         targets=targets,
         scene=scene,
     )
-    _connect(parts, ingest)
+    _connect(parts, ingest, impacts)
     return parts, notices
 
 
@@ -337,14 +341,22 @@ def _validations(
     )
 
 
-def _connect(parts: Parts, ingest: EventIngest) -> None:
+def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     """Tell the parts of each other's news."""
     ingest.on_store += [parts.machine_policies.record, parts.deployments.record]
     parts.deployments.on_change.append(parts.alerting.notifications.add_deployment)
+    parts.rollouts.on_change.append(
+        lambda session, data: parts.alerting.notifications.add(session, "rollout.changed", data)
+    )
+    parts.throws.on_change += [impacts.refresh, parts.rollouts.note]
     drift = DriftWatch(parts.database, parts.registry, parts.machine_policies)
     parts.throws.on_change.append(drift.note)
-    parts.alerting.watch.sources.append(drift.verdicts)
-    ingest.on_event += [parts.alerting.watch.take_event, drift.take_event]
+    parts.alerting.watch.sources += [drift.verdicts, parts.rollouts.verdicts]
+    ingest.on_event += [
+        parts.alerting.watch.take_event,
+        drift.take_event,
+        parts.rollouts.take_event,
+    ]
     ingest.on_throw_end.append(parts.holds.end)
     parts.sites.on_change.append(parts.targets.show_site)
     parts.zones.on_change.append(parts.zone_notices.changed)

@@ -41,6 +41,7 @@ from server.plans.policy_store import PolicyStore
 from server.plans.preview_pool import PreviewPool
 from server.plans.site_store import SiteStore
 from server.plans.zone_store import ZoneStore
+from server.rollouts.rollouts import Rollouts
 from server.schemas.console import Permission
 from server.settings import Settings
 from server.store.database import Database
@@ -96,6 +97,7 @@ PreviewPoolDep = Annotated[PreviewPool, Depends(_get(PreviewPool))]
 UploadsDep = Annotated[PolicyUploads, Depends(_get(PolicyUploads))]
 RegistryDep = Annotated[MachineRegistry, Depends(_get(MachineRegistry))]
 ReplaysDep = Annotated[ReplayControl, Depends(_get(ReplayControl))]
+RolloutsDep = Annotated[Rollouts, Depends(_get(Rollouts))]
 SettingsDep = Annotated[Settings, Depends(_get(Settings))]
 SitesDep = Annotated[SiteStore, Depends(_get(SiteStore))]
 StatisticsDep = Annotated[ThrowStatistics, Depends(_get(ThrowStatistics))]

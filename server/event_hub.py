@@ -21,6 +21,7 @@ from server.schemas.events import (
     MachineStateEvent,
     PlanUpdatedEvent,
     PointPickedEvent,
+    RolloutUpdatedEvent,
     SiteUpdatedEvent,
     TargetProposedEvent,
     ThrowUpdatedEvent,
@@ -42,6 +43,7 @@ DiscreteEvent = (
     | ZonesUpdatedEvent
     | AlertEvent
     | AlertUpdatedEvent
+    | RolloutUpdatedEvent
 )
 
 QUEUE_LENGTH = 512

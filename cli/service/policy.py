@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from cli.service.policy_choice import choose_policy
+from cli.service.policy_rollout import rollout
 from cli.service.policy_validation import validate
 from cli.service.throw_client import USUAL_LOGIN, Login, ThrowClient
 from machine.errors import UsageError
@@ -314,6 +315,7 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "validate": validate,
     "deploy": deploy,
     "rollback": rollback,
+    "rollout": rollout,
     "history": history,
     "keys": keys,
     "compare": compare,

@@ -42,6 +42,7 @@ RULES: Final = MappingProxyType(
         AlertRule.CERTIFICATE: Rule("warning", 0.0),
         AlertRule.EXPIRED: Rule("error", 0.0),
         AlertRule.DRIFT: Rule("warning", 0.0),
+        AlertRule.ROLLOUT: Rule("warning", 0.0),
     }
 )
 

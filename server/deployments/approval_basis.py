@@ -120,7 +120,7 @@ def approval_basis(database: DatabaseSession, files: PolicyFiles, gates: Gates) 
     count = result.candidate.throw_count
     return ApprovalBasis(
         is_validated=True,
-        sentence=f"{name} passed all {len(checks)} gates in force with {count} throws in the twin.",
+        sentence=f"{name} passed all {len(checks)} gates in force with {count} throws in virtual machines.",
         evidence={
             "validation_id": row.validation_id,
             "throw_count": count,

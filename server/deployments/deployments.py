@@ -20,6 +20,7 @@ from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import AuditChain, Entry
 from server.clock import utc_now
+from server.deployments.asker import Asker
 from server.deployments.machine_policies import version_before
 from server.deployments.site_approvals import SiteApprovals
 from server.errors import ConflictError, NotFoundError
@@ -77,8 +78,9 @@ class Deployments:
             ConflictError: the version is for another mode or machine type, or not approved.
         """
         self._registry.get(machine_id)
-        policy = self._require_usable(mode, body.policy_sha256)
-        return self._add(machine_id, mode, policy, body.reason, session, is_rollback=False)
+        policy = self.require_usable(mode, body.policy_sha256)
+        asker = Asker(session.actor, session.username, body.reason)
+        return self._add(machine_id, mode, policy, asker, is_rollback=False)
 
     def roll_back(
         self, machine_id: str, mode: Mode, reason: str, session: Session
@@ -96,8 +98,36 @@ class Deployments:
             raise ConflictError(
                 "no_version_before", f"{machine_id} has had no other version in {mode.value}."
             )
-        policy = self._require_usable(mode, before)
-        return self._add(machine_id, mode, policy, reason, session, is_rollback=True)
+        policy = self.require_usable(mode, before)
+        asker = Asker(session.actor, session.username, reason)
+        return self._add(machine_id, mode, policy, asker, is_rollback=True)
+
+    def ask(
+        self,
+        machine_id: str,
+        mode: Mode,
+        policy_sha256: str,
+        asker: Asker,
+        *,
+        is_rollback: bool,
+        on_add: Callable[[DatabaseSession, Deployment], None],
+    ) -> DeploymentView:
+        """Ask a machine for a part of the server, for example a rollout.
+
+        Args:
+            machine_id: machine.
+            mode: mode.
+            policy_sha256: version.
+            asker: for whom, and why.
+            is_rollback: it goes back to what it had.
+            on_add: called inside the transaction that stores the deployment.
+
+        Raises:
+            NotFoundError: no files of such a version.
+            ConflictError: the version is for another mode or machine type, or not approved.
+        """
+        policy = self.require_usable(mode, policy_sha256)
+        return self._add(machine_id, mode, policy, asker, is_rollback=is_rollback, on_add=on_add)
 
     def list(self, machine_id: str) -> list[DeploymentView]:
         """The newest hundred of a machine, newest first.
@@ -171,7 +201,13 @@ class Deployments:
 
     # Parts ----------------------------------------------------------------------------------------
 
-    def _require_usable(self, mode: Mode, policy_sha256: str) -> StoredPolicy:
+    def require_usable(self, mode: Mode, policy_sha256: str) -> StoredPolicy:
+        """A version that machines may be asked to switch to.
+
+        Raises:
+            NotFoundError: no files of such a version.
+            ConflictError: the version is for another mode or machine type, or not approved.
+        """
         policy = self._policies.find(policy_sha256)
         if policy is None:
             raise NotFoundError(
@@ -202,10 +238,10 @@ class Deployments:
         machine_id: str,
         mode: Mode,
         policy: StoredPolicy,
-        reason: str,
-        session: Session,
+        asker: Asker,
         *,
         is_rollback: bool,
+        on_add: Callable[[DatabaseSession, Deployment], None] = lambda _database, _row: None,
     ) -> DeploymentView:
         with self._lock, self._database.write() as database:
             _require_approved(database, policy)
@@ -219,8 +255,8 @@ class Deployments:
                 deployment_count=1 + (0 if newest is None else newest.deployment_count),
                 policy_sha256=policy.card.policy_sha256,
                 is_rollback=is_rollback,
-                reason=reason,
-                created_by=session.username,
+                reason=asker.reason[:300],
+                created_by=asker.name[:64],
                 created_utc=utc_now(),
                 outcome=DeploymentOutcome.PENDING.value,
                 detail="",
@@ -231,11 +267,12 @@ class Deployments:
                 "mode": row.mode,
                 "deployment_count": row.deployment_count,
                 "policy_sha256": row.policy_sha256,
-                "reason": reason,
+                "reason": asker.reason,
             }
             action = "policy.roll_back" if is_rollback else "policy.deploy"
-            entry = Entry(session.actor, action, "fact", machine_id=machine_id, detail=detail)
+            entry = Entry(asker.actor, action, "fact", machine_id=machine_id, detail=detail)
             self._audit.append(database, entry)
+            on_add(database, row)
             self._tell(database, row)
         return self._view(row)
 

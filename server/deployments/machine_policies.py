@@ -99,6 +99,12 @@ class MachinePolicies:
         return None if policy_sha256 is None else self._policies.name_of(policy_sha256)
 
 
+def policy_aboard(database: DatabaseSession, machine_id: str, mode: Mode) -> str | None:
+    """sha256 of the version that a machine has in a mode, by its own events; None where it has none."""
+    newest = _newest(database, machine_id, mode)
+    return None if newest is None else newest.policy_sha256
+
+
 def version_before(database: DatabaseSession, machine_id: str, mode: Mode) -> str | None:
     """sha256 of the newest version that a machine has had beside the one it has; None if there was none."""
     query = (

@@ -25,6 +25,8 @@ class AlertRule(StrEnum):
     EXPIRED = "expired"
     """The certificate has run out."""
     DRIFT = "drift"
+    ROLLOUT = "rollout"
+    """A rollout is paused."""
 
 
 AlertSeverity = Literal["warning", "error"]

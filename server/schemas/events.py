@@ -130,6 +130,13 @@ class AlertUpdatedEvent(View):
     alert: AlertView
 
 
+class RolloutUpdatedEvent(View):
+    """A rollout has news; its numbers are read anew."""
+
+    kind: Literal["rollout.updated"] = "rollout.updated"
+    rollout_id: str
+
+
 class ServerEvent(
     RootModel[
         Annotated[
@@ -146,7 +153,8 @@ class ServerEvent(
             | SiteUpdatedEvent
             | ZonesUpdatedEvent
             | AlertEvent
-            | AlertUpdatedEvent,
+            | AlertUpdatedEvent
+            | RolloutUpdatedEvent,
             Field(discriminator="kind"),
         ]
     ]

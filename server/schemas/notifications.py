@@ -13,6 +13,7 @@ Topic = Literal[
     "alert.acknowledged",
     "deployment.changed",
     "policy.changed",
+    "rollout.changed",
     "webhook.test",
 ]
 

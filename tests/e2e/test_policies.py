@@ -60,6 +60,41 @@ def test_a_version_is_deployed_and_rolled_back(demo: Stack, open_page: Callable[
     until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
 
 
+def test_a_rollout_asks_the_machine_and_an_abort_takes_it_back(
+    demo: Stack, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(demo)
+    without_view(page)
+    sign_in(page, demo, "admin", path="/policies")
+    panel = page.get_by_role("region", name="Rollouts", exact=True)
+    expect(panel).to_contain_text("No rollout is open")
+    panel.get_by_role("button", name="Start a rollout").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Version").select_option(label=f"{OLDER} (2D)")
+    dialog.get_by_label("Why").fill("a canary")
+    expect(dialog.get_by_role("button", name="Start the rollout")).to_be_disabled()
+    dialog.get_by_label("Stages").fill("m001")
+    dialog.get_by_role("button", name="Start the rollout").click()
+    rollout = panel.get_by_role("article", name=f"Rollout of {OLDER} in 2D")
+    expect(rollout).to_contain_text("Running, stage 1 of 1")
+    row = rollout.get_by_role("row", name="m001")
+    expect(row).to_contain_text("throws are counted")
+    expect(row).to_contain_text("0 of 12")
+    until(lambda: _on_board(demo) == OLDER, f"m001 throws with {OLDER}")
+    assert findings_of_both_schemes(page) == []
+
+    abort = rollout.get_by_role("button", name=f"Abort: rollout of {OLDER} in 2D")
+    abort.focus()
+    page.keyboard.press("Enter")
+    expect(dialog).to_contain_text("goes back to the version before")
+    dialog.get_by_label("Why").fill("end of the trial")
+    dialog.get_by_role("button", name="Abort", exact=True).press("Enter")
+    expect(panel).to_contain_text("No rollout is open")
+    panel.get_by_text("Earlier rollouts").click()
+    expect(rollout).to_contain_text("Aborted")
+    until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
+
+
 ROOT = Path(__file__).parents[2]
 RETRAINED = "m545-2d-retrained"
 

@@ -17,6 +17,7 @@ LEAST = {
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
         list_policy_approvals read_policy_history list_policy_keys
         compare_policies read_validation read_validation_log list_gates read_approval_basis
+        list_rollouts read_rollout list_channels read_commissioning read_commissioning_report
         list_alerts list_fleet read_machine_life list_retired
         read_enrolment""",
     Role.OPERATOR: """
@@ -27,7 +28,7 @@ LEAST = {
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
         upload_policy retire_policy rotate_policy_key revoke_policy_key
-        validate_policy cancel_validation set_gates""",
+        validate_policy cancel_validation set_gates start_rollout change_rollout""",
     Role.ADMIN: """
         enrol_machine renew_enrolment retire_machine list_webhooks create_webhook remove_webhook
         test_webhook list_notifications replay_notification""",
@@ -70,6 +71,8 @@ def answer(client, operation):
         "notification_id",
         "policy_sha256",
         "key_id",
+        "rollout_id",
+        "change",
         "mode",
         "name",
     ):

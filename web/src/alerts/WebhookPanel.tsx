@@ -17,6 +17,7 @@ const TOPICS: readonly [Topic, string][] = [
   ["alert.cleared", "Alert cleared"],
   ["alert.acknowledged", "Alert acknowledged"],
   ["deployment.changed", "Deployment changed"],
+  ["rollout.changed", "Rollout changed"],
   ["policy.changed", "Policy version changed"],
 ];
 const FIRST: Topic[] = ["alert.opened", "alert.cleared", "deployment.changed"];

@@ -18,6 +18,7 @@ export const RULE_WORDS: Record<Rule, string> = {
   certificate: "Certificate",
   expired: "Certificate expired",
   drift: "Drift",
+  rollout: "Rollout paused",
 };
 
 export const RULES = Object.keys(RULE_WORDS) as Rule[];

@@ -1392,6 +1392,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policy-channels": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Channels
+         * @description Candidate and stable version of each mode.
+         */
+        get: operations["list_channels"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/policy-gates": {
         parameters: {
             query?: never;
@@ -1486,6 +1506,86 @@ export interface paths {
          * @description Revoke a key that signs no more: what it has signed counts no more.
          */
         post: operations["revoke_policy_key"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-rollouts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Rollouts
+         * @description The newest twenty, newest first, with their machines.
+         */
+        get: operations["list_rollouts"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-rollouts/{mode}/start": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Start Rollout
+         * @description Bring a version to machines in stages; each ends by a test on real throws.
+         */
+        post: operations["start_rollout"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-rollouts/{rollout_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Rollout
+         * @description One rollout: stages, machines, throws before and since, and what happened.
+         */
+        get: operations["read_rollout"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-rollouts/{rollout_id}/change/{change}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Change Rollout
+         * @description Pause; resume; promote, which ends the stage; or abort, which takes every machine back.
+         */
+        post: operations["change_rollout"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1848,7 +1948,7 @@ export interface components {
          * @description What an alert is about (server/alerts/alert_rules.py).
          * @enum {string}
          */
-        AlertRule: "lost" | "stopped" | "fault" | "arm_refused" | "records" | "clock" | "disk" | "certificate" | "expired" | "drift";
+        AlertRule: "lost" | "stopped" | "fault" | "arm_refused" | "records" | "clock" | "disk" | "certificate" | "expired" | "drift" | "rollout";
         /**
          * AlertUpdatedEvent
          * @description An alert was opened, cleared, acknowledged or silenced.
@@ -2076,6 +2176,17 @@ export interface components {
             probability: string;
             /** Title */
             title: string;
+        };
+        /**
+         * ChannelsView
+         * @description Versions of a mode by channel.
+         */
+        ChannelsView: {
+            /** Candidate Policy Id */
+            candidate_policy_id: string | null;
+            mode: components["schemas"]["Mode"];
+            /** Stable Policy Id */
+            stable_policy_id: string | null;
         };
         /**
          * CheckResult
@@ -3453,7 +3564,7 @@ export interface components {
              * Topic
              * @enum {string}
              */
-            topic: "alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "webhook.test";
+            topic: "alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "rollout.changed" | "webhook.test";
             /** Webhook Id */
             webhook_id: string | null;
         };
@@ -3904,6 +4015,133 @@ export interface components {
             reason: string;
         };
         /**
+         * RolloutChangeRequest
+         * @description Pauses, resumes, promotes or aborts a rollout.
+         */
+        RolloutChangeRequest: {
+            /** Reason */
+            reason: string;
+        };
+        /**
+         * RolloutMachineView
+         * @description A machine of a rollout.
+         */
+        RolloutMachineView: {
+            before: components["schemas"]["ThrowFigures"] | null;
+            /** Before Policy Id */
+            before_policy_id: string | null;
+            /** Failed Count */
+            failed_count: number;
+            /** Machine Id */
+            machine_id: string;
+            /** Sentence */
+            sentence: string;
+            since: components["schemas"]["ThrowFigures"] | null;
+            /** Stage Count */
+            stage_count: number;
+            /**
+             * State
+             * @enum {string}
+             */
+            state: "waiting" | "asked" | "testing" | "passed" | "worse" | "error";
+        };
+        /**
+         * RolloutRequest
+         * @description Brings a version to machines in stages.
+         */
+        RolloutRequest: {
+            /**
+             * Deadline S
+             * @default 600
+             */
+            deadline_s: number;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Reason */
+            reason: string;
+            /** Stages */
+            stages: components["schemas"]["StageRequest"][];
+            /**
+             * Throws Count
+             * @default 12
+             */
+            throws_count: number;
+        };
+        /**
+         * RolloutState
+         * @description Where a rollout stands.
+         * @enum {string}
+         */
+        RolloutState: "running" | "paused" | "completed" | "aborted" | "rolled_back";
+        /**
+         * RolloutStepView
+         * @description What happened, when and by whom.
+         */
+        RolloutStepView: {
+            /** Actor */
+            actor: string;
+            /**
+             * At Utc
+             * Format: date-time
+             */
+            at_utc: string;
+            /** Sentence */
+            sentence: string;
+            /** Stage Count */
+            stage_count: number;
+            state: components["schemas"]["RolloutState"];
+        };
+        /**
+         * RolloutUpdatedEvent
+         * @description A rollout has news; its numbers are read anew.
+         */
+        RolloutUpdatedEvent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "rollout.updated";
+            /** Rollout Id */
+            rollout_id: string;
+        };
+        /**
+         * RolloutView
+         * @description A rollout with its machines.
+         */
+        RolloutView: {
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Deadline S */
+            deadline_s: number;
+            /** False Alarm Ratio */
+            false_alarm_ratio: number;
+            /** Machines */
+            machines: components["schemas"]["RolloutMachineView"][];
+            mode: components["schemas"]["Mode"];
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Reason */
+            reason: string;
+            /** Rollout Id */
+            rollout_id: string;
+            /** Stage Count */
+            stage_count: number;
+            /** Stages */
+            stages: components["schemas"]["StagePlan"][];
+            state: components["schemas"]["RolloutState"];
+            /** Steps */
+            steps: components["schemas"]["RolloutStepView"][];
+            /** Throws Count */
+            throws_count: number;
+        };
+        /**
          * ScatterPoint
          * @description One landing in throw coordinates.
          */
@@ -3950,7 +4188,7 @@ export interface components {
          * ServerEvent
          * @description Payload of every server-sent event; `kind` is also the event's name.
          */
-        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["MachineRetiredEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PointPickedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["ZonesUpdatedEvent"] | components["schemas"]["AlertEvent"] | components["schemas"]["AlertUpdatedEvent"];
+        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["MachineRetiredEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PointPickedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["ZonesUpdatedEvent"] | components["schemas"]["AlertEvent"] | components["schemas"]["AlertUpdatedEvent"] | components["schemas"]["RolloutUpdatedEvent"];
         /**
          * SessionView
          * @description Who is signed in.
@@ -4181,6 +4419,32 @@ export interface components {
             stage: components["schemas"]["Stage"];
         };
         /**
+         * StagePlan
+         * @description A stage as it was resolved when the rollout began.
+         */
+        StagePlan: {
+            /** Machine Ids */
+            machine_ids: string[];
+            /** Name */
+            name: string;
+        };
+        /**
+         * StageRequest
+         * @description Machines that get the version together: by name, by tag, or both.
+         */
+        StageRequest: {
+            /**
+             * Machine Ids
+             * @default []
+             */
+            machine_ids: string[];
+            /**
+             * Tags
+             * @default []
+             */
+            tags: string[];
+        };
+        /**
          * StopClearBody
          * @description What a person says who clears a stop or fault; who it is comes from the session.
          */
@@ -4327,6 +4591,18 @@ export interface components {
             t_mono_ns: number;
             /** T Utc */
             t_utc: string;
+        };
+        /**
+         * ThrowFigures
+         * @description Misses of throws, m, with 95 % intervals.
+         */
+        ThrowFigures: {
+            mean_crossrange_error_m: components["schemas"]["Estimate"];
+            mean_downrange_error_m: components["schemas"]["Estimate"];
+            sd_crossrange_m: components["schemas"]["Estimate"];
+            sd_downrange_m: components["schemas"]["Estimate"];
+            /** Throw Count */
+            throw_count: number;
         };
         /**
          * ThrowLogView
@@ -4811,7 +5087,7 @@ export interface components {
              *       "deployment.changed"
              *     ]
              */
-            topics: ("alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "webhook.test")[];
+            topics: ("alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "rollout.changed" | "webhook.test")[];
             /** Url */
             url: string;
         };
@@ -4828,7 +5104,7 @@ export interface components {
              */
             created_utc: string;
             /** Topics */
-            topics: ("alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "webhook.test")[];
+            topics: ("alert.opened" | "alert.cleared" | "alert.acknowledged" | "deployment.changed" | "policy.changed" | "rollout.changed" | "webhook.test")[];
             /** Url */
             url: string;
             /** Webhook Id */
@@ -13920,6 +14196,116 @@ export interface operations {
             };
         };
     };
+    list_channels: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ChannelsView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
     list_gates: {
         parameters: {
             query?: never;
@@ -14392,6 +14778,461 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["SiteKeyView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    list_rollouts: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RolloutView"][];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    start_rollout: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                mode: components["schemas"]["Mode"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RolloutRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RolloutView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_rollout: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                rollout_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RolloutView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    change_rollout: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                rollout_id: string;
+                change: "pause" | "resume" | "promote" | "abort";
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RolloutChangeRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RolloutView"];
                 };
             };
             /** @description Bad Request */

@@ -3,6 +3,7 @@ import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
 import { OnBoard } from "../policies/OnBoard";
 import { PolicyCard } from "../policies/PolicyCard";
+import { RolloutPanel } from "../policies/RolloutPanel";
 import { UploadPanel } from "../policies/UploadPanel";
 import { usePolicies } from "../throws/useThrows";
 import { GatesPanel } from "../validation/GatesPanel";
@@ -31,6 +32,7 @@ export function PoliciesPage() {
         <GateSentence sentence="No policy version is known yet." />
       )}
       {machine && <OnBoard machineId={machine.machine_id} />}
+      <RolloutPanel policies={sorted} />
       <ComparePanel policies={sorted} />
       <div className={classes.cards}>
         {sorted.map((policy) => (

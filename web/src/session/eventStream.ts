@@ -22,6 +22,7 @@ const EVENT_KINDS: Record<ServerEvent["kind"], true> = {
   "zones.updated": true,
   alert: true,
   "alert.updated": true,
+  "rollout.updated": true,
 };
 
 const FIRST_RETRY_MS = 500;

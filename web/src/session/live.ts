@@ -23,7 +23,8 @@ export type ServerEvent =
   | Schema["SiteUpdatedEvent"]
   | Schema["ZonesUpdatedEvent"]
   | Schema["AlertEvent"]
-  | Schema["AlertUpdatedEvent"];
+  | Schema["AlertUpdatedEvent"]
+  | Schema["RolloutUpdatedEvent"];
 
 export type Live = {
   machines: Readonly<Record<string, Machine>>;
@@ -167,6 +168,7 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
     case "gap.updated":
       return { ...live, gapRuns: put(live.gapRuns, event.run.gap_run_id, event.run) };
     case "twin.updated":
+    case "rollout.updated":
       return live;
     case "site.updated":
       return { ...live, sites: { ...live.sites, [event.site.machine_id]: event.site } };

@@ -41,6 +41,10 @@ export function useLiveConnection(sessionId: string | null, machineId: string | 
       if (event.kind === "twin.updated" || (event.kind === "gap.updated" && isTurn(event.run))) {
         void client.invalidateQueries({ queryKey: ["gap"] });
       }
+      if (event.kind === "rollout.updated") {
+        for (const key of ["policy-rollouts", "machine-policies", "deployments"])
+          void client.invalidateQueries({ queryKey: [key] });
+      }
       if (event.kind === "alert.updated") {
         void client.invalidateQueries({ queryKey: [ALERTS] });
       }

@@ -1,0 +1,1 @@
+"""Rollouts of a policy version, stage by stage, each ended by a sequential test on real throws."""
