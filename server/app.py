@@ -135,7 +135,9 @@ def create_app(settings: Settings) -> FastAPI:
         assert isinstance(session, Session)
         return parts.streams.take(StreamKind.VIEW, session.username, websocket)
 
-    scene = ViewerScene(load_spec(), pick, on_pick_refused=refused_pick)
+    scene = ViewerScene(
+        load_spec(), pick, on_pick_refused=refused_pick, shadows=settings.view_shadows
+    )
     proxy = ViewerProxy(scene, session_of, allowed_origins=settings.allowed_origins, admit=admit)
     app = FastAPI(
         title="Downrange",

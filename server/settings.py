@@ -58,6 +58,8 @@ class Settings(BaseSettings):
     """Whoever uploaded a policy version may not approve it."""
     web_dir: Path = CHECKOUT / "web" / "dist"
     preview_worker_count: int = Field(default=2, ge=1, le=16)
+    view_shadows: bool = True
+    """Shadows in the 3D view; without them a browser without graphics hardware draws twice as fast."""
     campaign_process_count: int = Field(default=1, ge=1, le=256)
     """Processes that throw in validations, at low priority; one leaves a small computer to the console."""
     campaign_scheduler: str | None = None

@@ -89,7 +89,12 @@ class Demo:
 
     def __init__(self, data: Path) -> None:
         self._data = data
-        self._command = Command(data / "demo.log", "demo", "--port", "0", "--data", str(data))
+        self._command = Command(
+            data / "demo.log",
+            *("demo", "--port", "0", "--data", str(data)),
+            # The browser of these tests draws without graphics hardware.
+            DOWNRANGE_VIEW_SHADOWS="0",
+        )
 
     def ready(self) -> Stack:
         """Wait until it can be used."""

@@ -2,6 +2,8 @@ import httpx
 import pytest
 
 from server.accounts.accounts import COOKIE
+from server.app import create_app
+from server.viewer.scene import ViewerScene
 from tests.cases import each
 from tests.server.server_bench import add_people, make_settings, running_server
 
@@ -67,3 +69,17 @@ def test_large_answers_are_compressed(with_console):
     with with_console.client("vic") as client:
         reply = client.get("/openapi.json")
     assert reply.headers["content-encoding"] == "gzip"
+
+
+@pytest.mark.parametrize("view_shadows", [True, False])
+def test_the_view_draws_shadows_as_the_settings_say(tmp_path, monkeypatch, view_shadows):
+    told = []
+
+    class Scene(ViewerScene):
+        def __init__(self, *args, shadows, **kwargs):
+            told.append(shadows)
+            super().__init__(*args, shadows=shadows, **kwargs)
+
+    monkeypatch.setattr("server.app.ViewerScene", Scene)
+    create_app(make_settings(tmp_path, tmp_path, view_shadows=view_shadows))
+    assert told == [view_shadows]
