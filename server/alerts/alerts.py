@@ -24,7 +24,7 @@ from server.store.database import Database
 logger = logging.getLogger(__name__)
 
 SEEN_PERIOD_S: Final = 30.0
-"""How often `seen_utc` of open alerts is written."""
+"""How often `seen_utc` of open alerts is written, and the text of one that goes on changing."""
 _ANNOUNCED_BY_EVENTS: Final = frozenset({AlertRule.STOPPED, AlertRule.FAULT})
 """The machine's own event is news to all browsers already (server/throws/event_ingest.py)."""
 
@@ -42,6 +42,7 @@ class Alerts:
         self._lock = threading.RLock()
         self._open: dict[Subject, AlertView] = {}
         self._gone_since_s: dict[Subject, float] = {}
+        self._renewed_s: dict[Subject, float] = {}
         self._seen_s = time.monotonic()
         self.on_change: list[AlertListener] = []
         """Called inside the transaction that stores the change."""
@@ -83,9 +84,12 @@ class Alerts:
         is_open = subject in self._open
         if verdict.text is not None:
             self._gone_since_s.pop(subject, None)
+            # PostgreSQL stores no NUL.
+            text = verdict.text.replace("\x00", "")[:2000]
             if not is_open:
-                # PostgreSQL stores no NUL.
-                self._add(subject, verdict.text.replace("\x00", "")[:2000])
+                self._add(subject, text)
+            elif text != self._open[subject].text:
+                self._renew(subject, text, now_s)
         elif is_open:
             since_s = self._gone_since_s.setdefault(subject, now_s)
             if now_s - since_s >= RULES[subject.rule].clear_after_s:
@@ -116,7 +120,24 @@ class Alerts:
         self._publish(view)
         is_news = view.severity == "error" and subject.rule not in _ANNOUNCED_BY_EVENTS
         if is_news and silence is None:
-            self._hub.alert(f"alert.{view.rule.value}", text, machine_id=subject.machine_id)
+            self._hub.alert(
+                f"alert.{view.rule.value}",
+                text,
+                severity=view.severity,
+                machine_id=subject.machine_id,
+            )
+
+    def _renew(self, subject: Subject, text: str, now_s: float) -> None:
+        """Say what is wrong now: at once the first time, then at most once a `SEEN_PERIOD_S`."""
+        if now_s - self._renewed_s.get(subject, -1e9) < SEEN_PERIOD_S:
+            return
+        with self._database.write() as database:
+            row = self._row(database, self._open[subject].alert_id)
+            row.text, row.seen_utc = text, utc_now()
+            database.flush()
+            view = _view(row)
+        self._renewed_s[subject] = now_s
+        self._publish(view)
 
     @staticmethod
     def _silence_of(
@@ -141,6 +162,7 @@ class Alerts:
             row.cleared_utc = row.seen_utc = now_utc
             view = self._store(database, "alert.cleared", row)
         self._gone_since_s.pop(subject, None)
+        self._renewed_s.pop(subject, None)
         self._publish(view)
 
     def _write_seen(self) -> None:

@@ -43,6 +43,16 @@ def retry_delay_s(attempts_count: int) -> float | None:
     return min(FIRST_RETRY_S * 2.0 ** min(attempts_count - 1, 20), LAST_RETRY_S)
 
 
+def _was_sent(database: DatabaseSession, alert: AlertView) -> bool:
+    """Whether anybody was sent the beginning of an alert."""
+    query = select(Notification.notification_id).where(
+        Notification.topic == "alert.opened",
+        Notification.created_utc >= alert.opened_utc,
+        Notification.body.contains(alert.alert_id),
+    )
+    return database.scalar(query.limit(1)) is not None
+
+
 class NotificationOutbox:
     """Keeps webhooks and the messages to them; thread-safe."""
 
@@ -54,9 +64,14 @@ class NotificationOutbox:
     # What happens ---------------------------------------------------------------------------------
 
     def add_alert(self, database: DatabaseSession, topic: Topic, alert: AlertView) -> None:
-        """Tell of an alert; inside the transaction that changes it. A silenced one is kept back."""
+        """Tell of an alert; inside the transaction that changes it.
+
+        One that is silent from its beginning is kept back. The end of one whose beginning was sent is sent
+        as well: the other system would take it for open for ever.
+        """
         until_utc = alert.silenced_until_utc
-        if until_utc is not None and until_utc > utc_now():
+        is_silent = until_utc is not None and until_utc > utc_now()
+        if is_silent and (topic == "alert.opened" or not _was_sent(database, alert)):
             return
         self.add(database, topic, alert.model_dump(mode="json"))
 

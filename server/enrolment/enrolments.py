@@ -31,6 +31,9 @@ from server.store.enrolment_models import Enrolment
 
 TOKEN_S: Final = 3600.0
 """A walk to the machine and its setup; a token that lies about is void soon."""
+_VOID: Final = (
+    "This token is unknown, used, replaced or expired. Make a new one on the machine's page."
+)
 _ITEMS: Final = TypeAdapter(tuple[SelfTestItem, ...])
 _WILDCARDS: Final = frozenset({"0.0.0.0", "[::]", ""})
 
@@ -129,10 +132,14 @@ class Enrolments:
         Raises:
             NotSignedInError: no such token, or it was used, replaced or has expired.
         """
+        query = select(Enrolment).where(Enrolment.token_sha256 == _digest(token))
+        with self._database.read() as session:
+            # Guesses never wait for, or hold up, those who write.
+            is_known = session.scalars(query).first() is not None
+        if not is_known:
+            raise NotSignedInError("wrong_token", _VOID)
         with self._database.write() as session:
-            row = session.scalars(
-                select(Enrolment).where(Enrolment.token_sha256 == _digest(token)).with_for_update()
-            ).first()
+            row = session.scalars(query.with_for_update()).first()
             newest = None if row is None else session.scalars(_newest(row.machine_id)).first()
             known = None if row is None else self._registry.get(row.machine_id)
             is_void = (
@@ -143,10 +150,7 @@ class Enrolments:
                 or known.retired_utc is not None
             )
             if row is None or is_void:
-                raise NotSignedInError(
-                    "wrong_token",
-                    "This token is unknown, used, replaced or expired. Make a new one on page Fleet.",
-                )
+                raise NotSignedInError("wrong_token", _VOID)
             row.claimed_utc, row.claimed_from = utc_now(), address[:64]
             detail: dict[str, JsonValue] = {"address": address[:64], "token_by": row.created_by}
             entry = Entry(

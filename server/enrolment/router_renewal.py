@@ -1,4 +1,4 @@
-"""Opens the router anew when there are accounts that it does not know, at a moment that disturbs no throw.
+"""Opens the router anew when a machine was added or retired, at a moment that disturbs no throw.
 
 Zenoh reads passwords and access rules once, when its session opens. Machines reconnect by themselves.
 """
@@ -34,8 +34,8 @@ class RouterRenewal:
         self._thread = threading.Thread(target=self._run, name="router-renewal", daemon=True)
 
     def start(self) -> None:
-        """Begin to listen for new accounts."""
-        self._registry.on_new_account.append(lambda _: self._asked.set())
+        """Begin to listen for changed accounts."""
+        self._registry.on_account_change.append(lambda _: self._asked.set())
         self._thread.start()
 
     def close(self) -> None:

@@ -87,8 +87,8 @@ class MachineRegistry:
         self.on_joints: list[Callable[[JointStream], None]] = []
         self.on_found: list[LinkListener] = []
         self.on_lost: list[LinkListener] = []
-        self.on_new_account: list[LinkListener] = []
-        """Called when there is an account that the router does not know yet."""
+        self.on_account_change: list[LinkListener] = []
+        """Called when the router knows an account too few, or one too many."""
         self._load()
 
     def _load(self) -> None:
@@ -126,7 +126,7 @@ class MachineRegistry:
             actor: who adds it.
 
         Raises:
-            ConflictError: the machine of this id is retired.
+            ConflictError: the machine of this id is retired, or in service.
         """
         with self._lock:
             if machine_id is None:
@@ -135,11 +135,18 @@ class MachineRegistry:
             if is_new:
                 self._create(machine_id)
             known = self._known[machine_id]
-        if known.retired_utc is not None:
-            raise ConflictError(
-                "retired",
-                f"{machine_id} is retired; its id stays with its history. Choose another.",
-            )
+            if known.retired_utc is not None:
+                raise ConflictError(
+                    "retired",
+                    f"{machine_id} is retired; its id stays with its history. Choose another.",
+                )
+            if known.last_seen_utc is not None:
+                raise ConflictError(
+                    "machine_exists",
+                    f"{machine_id} is in service. Its page makes a new token for another computer.",
+                )
+            # Nobody else is given it meanwhile.
+            known.is_listed = True
         with self._database.write() as session:
             session.execute(
                 update(Machine)
@@ -151,9 +158,9 @@ class MachineRegistry:
                 Entry(actor, "machine.enrol", "fact", machine_id=machine_id, detail={"name": name}),
             )
         with self._lock:
-            known.is_listed, known.name = True, name
+            known.name = name
         if is_new:
-            for listener in self.on_new_account:
+            for listener in self.on_account_change:
                 listener(machine_id)
         return machine_id
 
@@ -199,6 +206,8 @@ class MachineRegistry:
             known.retired_utc, known.is_listed, known.has_token = now, False, False
             self._tokens[machine_id] = ""
         self.secret_path(machine_id).unlink(missing_ok=True)
+        for listener in self.on_account_change:
+            listener(machine_id)
 
     def password(self, machine_id: str) -> str:
         """Password of a machine, to hand it over to it."""

@@ -8,7 +8,8 @@ from pydantic import Field
 
 from server.schemas.console import Request, View
 
-MAX_SILENCE_S = 7 * 86_400.0
+MAX_SILENCE_S = 86_400.0
+"""A silence outlasts no day: whoever comes on shift decides anew."""
 
 
 class AlertRule(StrEnum):

@@ -145,6 +145,18 @@ class ServerAlone:
             *("--server-url", f"http://127.0.0.1:{self.port}"),
         )
 
+    def enrolled(self, command: str) -> Command:
+        """A computer that is set up by the command of the page; the caller ends it."""
+        words = command.split()
+        folder = words[words.index("--data") + 1]
+        words[-1] = str(self.data / folder)
+        return Command(self.data / f"{folder}-enrol.log", *words[1:])
+
+    def started(self, folder: str) -> Command:
+        """The machine that was set up in a folder; the caller ends it."""
+        data = self.data / folder
+        return Command(self.data / f"{folder}.log", "machine", "--data", str(data))
+
     def kill(self) -> None:
         if self._command is not None:
             self._command.kill()

@@ -71,6 +71,51 @@ def test_a_lost_machine_is_told_and_acknowledged(
     expect(page).to_have_url(f"{stack.url}/alerts?state=cleared")
 
 
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1024, 768)])
+def test_a_machine_is_added_lost_acknowledged_and_retired(
+    server: ServerAlone,
+    machines: list[Command],
+    open_page: Callable[..., Page],
+    width: int,
+    height: int,
+) -> None:
+    stack = server.start()
+    page = open_page(stack, width, height)
+    without_view(page)
+    sign_in(page, stack, "admin", path="/fleet")
+    page.get_by_role("button", name="Add machine").click()
+    page.get_by_label("Name", exact=True).fill("South pile")
+    page.get_by_role("button", name="Make a token").click()
+    machines.append(server.enrolled(page.get_by_test_id("enrol-command").inner_text()))
+    tests = page.get_by_role("list", name="Self-test")
+    expect(tests).to_contain_text("takes the password", timeout=60_000)
+    expect(tests.get_by_role("listitem")).to_have_count(6)
+    page.get_by_role("dialog").get_by_text("Close", exact=True).click()
+
+    machines.append(server.started("m001"))
+    row = page.get_by_test_id("fleet-m001")
+    expect(row).to_contain_text("South pile")
+    expect(row).to_contain_text("Disarmed", timeout=60_000)
+    assert _is_as_wide_as_the_screen(page)
+    machines[-1].kill()
+    page.get_by_role("link", name="Alerts").first.click()
+    lost = page.get_by_label("Open alerts").get_by_role("listitem", name="Machine lost m001")
+    lost.get_by_role("button", name="Acknowledge").click()
+    page.get_by_label("Note").fill("sold")
+    page.get_by_role("button", name="I have seen it").click()
+    expect(lost).to_contain_text("Seen by admin")
+
+    page.goto(f"{stack.url}/machines/m001")
+    expect(page.get_by_role("region", name="Set-up")).to_contain_text("Added by admin")
+    page.get_by_role("button", name="Retire", exact=True).click()
+    page.get_by_label("Reason").fill("sold to the quarry")
+    page.get_by_role("button", name="Retire m001").click()
+    expect(page).to_have_url(f"{stack.url}/fleet")
+    expect(row).to_have_count(0)
+    page.get_by_text("Retired (1)").click()
+    expect(page.get_by_label("Retired machines")).to_contain_text("South pile")
+
+
 def _is_as_wide_as_the_screen(page: Page) -> bool:
     return page.evaluate(
         "[...document.querySelectorAll('main, main > div')]"

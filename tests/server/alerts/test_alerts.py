@@ -45,6 +45,19 @@ def test_a_condition_is_one_alert_until_it_is_gone(alerts):
     assert [row.text for row in alerts.page().rows] == ["Stopped: b.", "Stopped: a."]
 
 
+def test_an_open_alert_says_what_is_wrong_now(alerts, assembled):
+    alerts.judge([Judgement(STOPPED, "Stopped: a.")])
+    (row,) = open_rows(alerts)
+    alerts.acknowledge(row.alert_id, "seen", assembled.session())
+    alerts.judge([Judgement(STOPPED, "Stopped: b.")])
+    (renewed,) = open_rows(alerts)
+    assert (renewed.alert_id, renewed.text) == (row.alert_id, "Stopped: b.")
+    assert renewed.note == "seen"
+    # A number that goes on changing is not written at every look.
+    alerts.judge([Judgement(STOPPED, "Stopped: c.")])
+    assert open_rows(alerts)[0].text == "Stopped: b."
+
+
 def test_a_condition_that_comes_and_goes_is_one_alert(alerts):
     assert RULES[AlertRule.DISK].clear_after_s > 10.0
     alerts.judge([Judgement(DISK, "full")])

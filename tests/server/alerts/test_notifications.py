@@ -115,6 +115,18 @@ def test_a_silenced_alert_is_told_to_nobody(outbox, receiver):
     assert len(outbox.rows()) == 1
 
 
+def test_the_end_of_an_alert_is_sent_where_its_beginning_was(outbox, receiver):
+    outbox.hook(receiver.url, "alert.opened", "alert.cleared")
+    outbox.alerts.judge([Judgement(STOPPED, "Stopped: a.")])
+    (alert,) = outbox.alerts.page().rows
+    outbox.alerts.silence(alert.alert_id, 600.0, outbox.session)
+    outbox.alerts.judge([Judgement(STOPPED, None)])
+    # The next one is silent from its beginning: neither is sent.
+    outbox.alerts.judge([Judgement(STOPPED, "Stopped: b.")])
+    outbox.alerts.judge([Judgement(STOPPED, None)])
+    assert [row.topic for row in outbox.rows()] == ["alert.cleared", "alert.opened"]
+
+
 def test_the_secret_is_said_once_and_written_into_no_audit(outbox, receiver):
     new = outbox.box.create(WebhookRequest(url=receiver.url), outbox.session)
     assert new.secret.startswith("whsec_")

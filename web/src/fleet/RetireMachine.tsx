@@ -11,10 +11,10 @@ type Props = { machineId: string; onClose: () => void; onDone: () => void };
 /** Out of service for good; the history stays. */
 export function RetireMachine({ machineId, onClose, onDone }: Props) {
   const [reason, setReason] = useState("");
-  const retire = useRetire(machineId);
+  const retire = useRetire(machineId, onDone);
   const submit = (event: React.FormEvent) => {
     event.preventDefault();
-    retire.mutate(reason.trim(), { onSuccess: onDone });
+    retire.mutate(reason.trim());
   };
   return (
     <Modal opened onClose={onClose} title={`Retire ${machineId}`} centered>

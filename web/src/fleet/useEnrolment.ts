@@ -40,14 +40,18 @@ export function useNewToken(machineId: string) {
   });
 }
 
-export function useRetire(machineId: string) {
+/** The page of a retired machine is gone before the answer comes: what follows is a duty of the mutation. */
+export function useRetire(machineId: string, onDone: () => void) {
   const client = useQueryClient();
   return useMutation({
     mutationFn: (reason: string) =>
       take(
         api.POST("/api/v1/machines/{machine_id}/retire", { ...of(machineId), body: { reason } }),
       ),
-    onSuccess: () => client.invalidateQueries({ queryKey: [FLEET] }),
+    onSuccess: () => {
+      onDone();
+      return client.invalidateQueries({ queryKey: [FLEET] });
+    },
   });
 }
 
