@@ -111,6 +111,18 @@ describe("machine.lost", () => {
   });
 });
 
+describe("machine.retired", () => {
+  it("takes the machine, and no other, out of the fleet", () => {
+    const next = event(loaded, { kind: "machine.retired", machine_id: "m001" });
+    expect(Object.keys(next.machines)).toEqual(
+      Object.keys(loaded.machines).filter((id) => id !== "m001"),
+    );
+    expect(event(next, { kind: "machine.retired", machine_id: "m001" }).machines).toEqual(
+      next.machines,
+    );
+  });
+});
+
 describe("target.proposed", () => {
   it("an echo of an older target does not take back what is typed meanwhile", () => {
     const typed = { ...target, range_m: 14 };
