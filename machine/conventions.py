@@ -48,6 +48,7 @@ UNIT_SUFFIXES: Final = (
     "_per_s2",
     "_m3_per_rad",
     "_m3_per_s",
+    "_m3",
     "_m2",
     "_m_per_s2",
     "_m_per_s",

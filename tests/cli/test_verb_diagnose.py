@@ -57,6 +57,7 @@ def test_reference_throws_come_from_all_folders_given(
         "throws_count": 8,
         "throw_ids": [f"{week}-twin-{i:04d}" for week in ("week1", "week2") for i in range(4)],
         "refused": [],
+        "kept_utc": None,
     }
     assert "<dt>Compared with</dt><dd>8 healthy throws of this machine</dd>" in page.read_text()
 
