@@ -83,8 +83,26 @@ describe("EventStream", () => {
     expect(sources).toHaveLength(2);
   });
 
-  it("delivers events, and pings as signs of life only", () => {
+  it("delivers what comes while the present state is read after it, since it may be newer", async () => {
+    let end = () => {};
+    const { last, callbacks } = setup(() => new Promise((resolve) => void (end = resolve)));
+    last().emit("open");
+    last().say({ kind: "alert.updated" });
+    await settle();
+    expect(callbacks.onData).toHaveBeenCalled();
+    expect(callbacks.onEvent).not.toHaveBeenCalled();
+    end();
+    await settle();
+    last().say({ kind: "machine.state" });
+    const kinds = callbacks.onEvent.mock.calls.map(([event]) => event.kind);
+    expect(kinds).toEqual(["alert.updated", "machine.state"]);
+  });
+
+  it("delivers events, and pings as signs of life only", async () => {
     const { last, callbacks } = setup();
+    last().emit("open");
+    await settle();
+    callbacks.onData.mockClear();
     last().say({ kind: "machine.state" }, { kind: "of.a.newer.server" }, { kind: "alert" });
     last().say();
     expect(callbacks.onEvent.mock.calls).toEqual([

@@ -49,6 +49,8 @@ export class EventStream {
   private timer: ReturnType<typeof setTimeout> | null = null;
   private retryMs = FIRST_RETRY_MS;
   private isClosed = false;
+  /** Messages that came while the present state was read, which they may be newer than; null afterwards. */
+  private early: string[] | null = null;
 
   constructor(
     private readonly open: () => Source,
@@ -59,6 +61,7 @@ export class EventStream {
     if (this.isClosed || this.source) return;
     const source = this.open();
     this.source = source;
+    this.early = [];
     const isCurrent = () => this.source === source;
     source.addEventListener("open", () => {
       if (isCurrent()) this.onOpen(isCurrent);
@@ -69,7 +72,10 @@ export class EventStream {
       this.retry();
     });
     source.addEventListener("message", ({ data }) => {
-      if (isCurrent()) this.deliver(data as string);
+      if (!isCurrent()) return;
+      this.callbacks.onData();
+      if (this.early) this.early.push(data as string);
+      else this.deliver(data as string);
     });
   }
 
@@ -94,13 +100,15 @@ export class EventStream {
     }
     if (!isCurrent()) return;
     this.retryMs = FIRST_RETRY_MS;
+    const early = this.early ?? [];
+    this.early = null;
+    for (const text of early) this.deliver(text);
     this.callbacks.onData();
     this.callbacks.onOpen(true);
   }
 
   /** A list of events; an empty one is a sign of life only. */
   private deliver(text: string): void {
-    this.callbacks.onData();
     for (const event of JSON.parse(text) as ServerEvent[]) {
       if (Object.hasOwn(EVENT_KINDS, event.kind)) this.callbacks.onEvent(event);
     }

@@ -57,7 +57,7 @@ export function useLiveConnection(sessionId: string | null, machineId: string | 
     const stream = new EventStream(() => new WebSocket(eventsUrl(machineId)), {
       resync: async () => {
         await resync();
-        await client.invalidateQueries({ predicate: (query) => query.queryKey[0] !== ME[0] });
+        void client.invalidateQueries({ predicate: (query) => query.queryKey[0] !== ME[0] });
       },
       onEvent,
       onData: () => markData(Date.now()),
