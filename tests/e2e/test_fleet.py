@@ -27,7 +27,10 @@ def test_a_lost_machine_is_told_and_acknowledged(
     machines.append(server.machine())
     page = open_page(stack, 1280, 800)
     without_view(page)
-    sign_in(page, stack, path="/alerts")
+    # News on the bar is for those who listen: the console opens its stream anew for the shown machine.
+    with page.expect_websocket(lambda socket: "machine_id=m001" in socket.url) as stream:
+        sign_in(page, stack, path="/alerts")
+    stream.value.wait_for_event("framereceived")
     lamp = page.locator('header [data-testid="lamp"]')
     expect(lamp).to_have_attribute("data-phase", "disarmed")
     badge = page.get_by_test_id("alert-badge")
