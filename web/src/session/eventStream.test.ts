@@ -85,7 +85,10 @@ describe("EventStream", () => {
 
   it("delivers what comes while the present state is read after it, since it may be newer", async () => {
     let end = () => {};
-    const { last, callbacks } = setup(() => new Promise((resolve) => void (end = resolve)));
+    const isRead = new Promise<void>((resolve) => {
+      end = resolve;
+    });
+    const { last, callbacks } = setup(() => isRead);
     last().emit("open");
     last().say({ kind: "alert.updated" });
     await settle();
