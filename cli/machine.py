@@ -1,10 +1,12 @@
 """Verb `machine`: run on a machine's computer, or stand in for a machine."""
 
 import logging
+import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
+from urllib.parse import urlsplit
 
 import tyro
 from pydantic import ValidationError
@@ -25,6 +27,7 @@ from runtime.process.machine_process import machine_lock, run_machine
 from runtime.process.machine_settings import MachineSettings
 
 VIRTUAL_DRIVER = "sim_twin.virtual_machine:VirtualMachine"
+LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def run(
@@ -167,7 +170,13 @@ def enrol(
         raise UsageError(f"--server {server!r} is no address; as in https://console.example")
     if read_enrolment(data) is not None:
         raise UsageError(f"{data} belongs to an enrolled machine; name another --data")
-    options = driver_options(driver_option)
+    for path in (root_ca_file, calibration, policies):
+        if path is not None and not path.exists():
+            raise UsageError(f"{path} does not exist")
+    # A token works once: whatever can be wrong here is found before it is used.
+    options, driver = driver_options(driver_option), driver_name(driver)
+    data.mkdir(parents=True, exist_ok=True)
+    warn_in_the_clear(server)
     credentials = claim(server, token)
     offset_s = (datetime.now(UTC) - credentials.server_utc).total_seconds()
     print(f"{credentials.machine_id} of site {credentials.site}; its credentials lie in {data}")
@@ -181,7 +190,7 @@ def enrol(
         site=credentials.site,
         connect=credentials.connect,
         server_url=server,
-        driver=driver_name(driver),
+        driver=driver,
         driver_options=options,
         unit_seed_count=unit_seed,
         root_ca_file=authority,
@@ -191,6 +200,16 @@ def enrol(
     write_private(data / ENROLMENT_FILE, enrolment.model_dump_json(indent=2) + "\n")
     PolicySlots(enrolment.settings(data).policy_slots_dir).keep_trust(credentials.trust)
     return _test(enrolment, data, offset_s)
+
+
+def warn_in_the_clear(server: str) -> None:
+    """Warn where the password would travel over a network unencrypted."""
+    if server.startswith("http://") and urlsplit(server).hostname not in LOOPBACK:
+        print(
+            f"{server} is not encrypted: who listens on the network learns this machine's password. "
+            "Use https:// (docs/operations.md, Encryption).",
+            file=sys.stderr,
+        )
 
 
 def repeat_self_test(*, data: Path) -> int:

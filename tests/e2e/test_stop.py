@@ -51,6 +51,12 @@ def test_one_press_on_every_page(demo: Stack, open_page: Callable[..., Page]) ->
         lamp(page, "stopped").wait_for()
         expect(page.get_by_role("dialog")).to_have_count(0)
         clear(demo)
+    # A dialog and its backdrop do not cover it.
+    lamp(page, "disarmed").wait_for()
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog")).to_be_visible()
+    page.get_by_test_id("stop").click()
+    lamp(page, "stopped").wait_for()
 
 
 def test_key_stops_and_only_the_right_person_clears(

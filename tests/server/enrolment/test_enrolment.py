@@ -5,6 +5,8 @@ from datetime import timedelta
 import pytest
 import zenoh
 
+from cli.machine import warn_in_the_clear
+from cli.main import main
 from machine.messages import ThrowState
 from runtime.link.zenoh_config import client_config
 from server.clock import utc_now
@@ -117,6 +119,25 @@ def service(assembled):
     parts = assembled.parts
     parts.approvals.start()
     return parts.enrolments, assembled.session().actor
+
+
+def test_a_mistake_at_the_machine_does_not_use_the_token_up(running, tmp_path, capsys):
+    with running.client("root") as root:
+        added = add(root, machine_id="crane-8")
+        words = ["machine", "enrol", "--server", running.url, "--token", added["token"]]
+        missing = str(tmp_path / "missing.json")
+        assert main([*words, "--data", str(tmp_path / "data"), "--calibration", missing]) == 1
+        assert "missing.json does not exist" in capsys.readouterr().err
+        assert root.get("/machines/crane-8/enrolment").json()["stage"] == "waiting"
+
+
+@each(
+    ("server", "is_warned"),
+    [("http://127.0.0.1:8000", False), ("https://yard", False), ("http://yard:8000", True)],
+)
+def test_a_password_over_an_open_network_is_warned_of(capsys, server, is_warned):
+    warn_in_the_clear(server)
+    assert ("not encrypted" in capsys.readouterr().err) == is_warned
 
 
 def test_a_token_is_void_when_it_is_used_replaced_late_or_its_machine_retired(

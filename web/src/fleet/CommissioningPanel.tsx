@@ -22,14 +22,13 @@ type Props = { machineId: string; found: Commissioning };
 /** What was measured, what the twin does not explain, and what to do next. */
 export function Measured({ machineId, found }: Props) {
   return (
-    <>
+    <div className={styles.body}>
       {found.problem ? (
         <p role="alert">{found.problem}</p>
       ) : (
         found.steps.length === 0 && (
           <p className={classes.dim}>
-            Not commissioned yet: previews use the nominal twin, and diagnoses see large effects
-            only.
+            Not commissioned yet: a diagnosis compares it with its type and sees large effects only.
           </p>
         )
       )}
@@ -78,7 +77,7 @@ export function Measured({ machineId, found }: Props) {
         PLANT is the driver of what is measured. A stopped command goes on where it was; on another
         day it adds reference throws of that day.
       </p>
-    </>
+    </div>
   );
 }
 
