@@ -420,7 +420,9 @@ def main() -> None:
             "Safety gate: time until a fault is noticed, motion until then, collisions after it",
             fault_rows(of_faults),
             seed=SEED,
-            notes="Bar: within 150 ms, or before 0.1 rad of motion beside the same throw without it.",
+            notes="Bar: within 150 ms, or before 0.1 rad of motion beside the same throw without it. "
+            "Collided by stop: of those, the throws that collide without the fault too, when they are "
+            "stopped at that moment.",
         )
         print(write_result(result))
     rows = [trip_row("healthy", of_healthy)] if of_healthy else []
