@@ -1,3 +1,4 @@
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -352,9 +353,10 @@ def test_a_lost_machine_says_since_when_and_turns_grey(
     app.scene.show_machine(session, "m404")
     app.scene.mark_lost("m404", 14.2)
     client.until(lambda: "/lost" in client.nodes, "the words")
-    assert client.nodes["/lost"]["text"] == "Lost: last seen 14 s ago"
+    first = client.nodes["/lost"]["text"]
+    assert re.fullmatch(r"Lost: last seen 1[45] s ago", first)
     client.until(lambda: client.nodes["/live/chassis/skin"].get("opacity"), "the grey machine")
-    client.until(lambda: client.nodes["/lost"]["text"].endswith("15 s ago"), "the next second")
+    client.until(lambda: client.nodes["/lost"]["text"] != first, "a later second")
     app.scene.update_machine("m404", POSE)
     client.until(lambda: "/lost" not in client.nodes, "the words to go")
     client.until(lambda: client.nodes["/live/chassis/skin"]["type"] == "GlbMessage", "its colours")
