@@ -58,6 +58,7 @@ from server.throws.throw_logs import LogStore
 from server.throws.throw_service import ThrowService
 from server.throws.throw_statistics import ThrowStatistics
 from server.throws.throw_store import ThrowStore
+from server.validation.shadow_runs import ShadowRuns
 from server.validation.validation_service import ValidationService
 from server.validation.validation_worker import CampaignProcesses, ValidationProcess
 from server.viewer.scene import ViewerScene
@@ -98,6 +99,7 @@ class Parts:
     summaries: MachineSummaries
     approvals: SiteApprovals
     validations: ValidationService
+    shadows: ShadowRuns
     deployments: Deployments
     rollouts: Rollouts
     throws: ThrowStore
@@ -260,9 +262,7 @@ def assemble(
     planner = Planner(
         plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
-    logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
-    gap = GapService(database, audit, registry, logs, twins, hub)
-    twin_versions = TwinVersions(database, audit, registry, twins, gap.store, hub)
+    logs, gap, twin_versions = _gap_parts(settings, database, audit, registry, twins, hub)
     targets = TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec)
     parts = Parts(
         settings=settings,
@@ -286,6 +286,7 @@ def assemble(
         summaries=MachineSummaries(database, registry, machine_policies, policies),
         approvals=approvals,
         validations=_validations(settings, database, audit, policies),
+        shadows=ShadowRuns(database, policies, logs, spec),
         deployments=deployments,
         rollouts=Rollouts(database, audit, registry, policies, deployments, hub),
         throws=throws,
@@ -313,6 +314,19 @@ def assemble(
     )
     _connect(parts, ingest, impacts)
     return parts, notices
+
+
+def _gap_parts(
+    settings: Settings,
+    database: Database,
+    audit: AuditChain,
+    registry: MachineRegistry,
+    twins: TwinFiles,
+    hub: EventHub,
+) -> tuple[LogStore, GapService, TwinVersions]:
+    logs = LogStore(database, audit, settings.data_dir, settings.log_max_bytes)
+    gap = GapService(database, audit, registry, logs, twins, hub)
+    return logs, gap, TwinVersions(database, audit, registry, twins, gap.store, hub)
 
 
 def _policy_parts(

@@ -51,6 +51,7 @@ from server.throws.throw_logs import LogStore
 from server.throws.throw_service import ThrowService
 from server.throws.throw_statistics import ThrowStatistics
 from server.throws.throw_store import ThrowStore
+from server.validation.shadow_runs import ShadowRuns
 from server.validation.validation_service import ValidationService
 
 PartT = TypeVar("PartT")
@@ -99,6 +100,7 @@ RegistryDep = Annotated[MachineRegistry, Depends(_get(MachineRegistry))]
 ReplaysDep = Annotated[ReplayControl, Depends(_get(ReplayControl))]
 RolloutsDep = Annotated[Rollouts, Depends(_get(Rollouts))]
 SettingsDep = Annotated[Settings, Depends(_get(Settings))]
+ShadowsDep = Annotated[ShadowRuns, Depends(_get(ShadowRuns))]
 SitesDep = Annotated[SiteStore, Depends(_get(SiteStore))]
 StatisticsDep = Annotated[ThrowStatistics, Depends(_get(ThrowStatistics))]
 StopsDep = Annotated[StopService, Depends(_get(StopService))]

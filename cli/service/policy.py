@@ -304,6 +304,35 @@ def compare(*, a: Path, b: Path) -> int:
     return 0
 
 
+def shadow(
+    folder: Annotated[Path, tyro.conf.Positional],
+    logs: Annotated[list[Path], tyro.conf.Positional],
+    /,
+    *,
+    policies: Path = Path("policies"),
+    json: bool = False,
+) -> int:
+    """Show what a version would have done in throws that were recorded; nothing moves.
+
+    It is shown what the network saw in each throw: how its velocities differ, and when it would have let go.
+    And it throws in the machine's twin from the same start at the same target, beside the version that flew.
+
+    Example: downrange policy shadow policies/m545-2d-v6 throws
+
+    Args:
+        folder: the version: network and card.
+        logs: throw logs (MCAP) of one machine, or folders of them.
+        policies: folder of policy versions, where those that flew are looked for.
+        json: print the result as JSON.
+    """
+    from cli.service.policy_shadow import shadow_lines, shadow_of  # it needs the twin
+
+    report = shadow_of(folder, logs, policies)
+    lines = [report.model_dump_json(indent=2)] if json else shadow_lines(report)
+    print("\n".join(lines))
+    return 0
+
+
 ACTIONS: dict[str, Callable[..., int]] = {
     "list": listed,
     "add": add,
@@ -319,6 +348,7 @@ ACTIONS: dict[str, Callable[..., int]] = {
     "history": history,
     "keys": keys,
     "compare": compare,
+    "shadow": shadow,
 }
 
 

@@ -1,13 +1,15 @@
-"""Validations of policy versions, their gates, and comparisons of two versions."""
+"""Validations of policy versions, their gates, comparisons of two versions, and shadows."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
+from evaluation.shadow.results import ShadowReport
 from machine.conventions import Mode
 from server.dependencies import (
     Approver,
+    ShadowsDep,
     ValidationsDep,
     Validator,
     Viewer,
@@ -16,6 +18,7 @@ from server.schemas.validation import (
     GatesRequest,
     GatesView,
     PolicyComparisonView,
+    ShadowRequest,
     ValidationRequest,
     ValidationView,
 )
@@ -55,6 +58,14 @@ def cancel_validation(
 ) -> ValidationView:
     """Stop the validation that waits or runs; its row stays."""
     return validations.cancel(policy_sha256, session)
+
+
+@router.post("/policies/{policy_sha256}/shadow")
+def shadow_policy(
+    policy_sha256: str, body: ShadowRequest, session: Validator, shadows: ShadowsDep
+) -> ShadowReport:
+    """What the version would have done in a machine's newest throws; some seconds. Nothing moves."""
+    return shadows.run(policy_sha256, body)
 
 
 @router.get("/policy-validations/{validation_id}/logs/{name}", response_class=FileResponse)

@@ -17,6 +17,7 @@ from sim_twin.throws.accuracy_comparison import Verdict
 
 MAX_THROWS_PER_TARGET = 1000
 MAX_UNSEEN_UNITS = 50
+MAX_SHADOW_THROWS = 48
 
 
 class ValidationState(StrEnum):
@@ -37,6 +38,14 @@ class ValidationRequest(Request):
     """Instead of the protocol's."""
     unseen_unit_count: int | None = Field(default=None, ge=0, le=MAX_UNSEEN_UNITS)
     """Instead of the protocol's."""
+
+
+class ShadowRequest(Request):
+    """Run a version over recorded throws of a machine."""
+
+    machine_id: str = Field(min_length=1, max_length=32)
+    throws_count: int = Field(default=12, ge=1, le=MAX_SHADOW_THROWS)
+    """Newest throws of the version's mode."""
 
 
 class ValidationView(View):

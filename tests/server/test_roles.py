@@ -28,7 +28,7 @@ LEAST = {
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
         upload_policy retire_policy rotate_policy_key revoke_policy_key
-        validate_policy cancel_validation set_gates start_rollout change_rollout""",
+        validate_policy cancel_validation shadow_policy set_gates start_rollout change_rollout""",
     Role.ADMIN: """
         enrol_machine renew_enrolment retire_machine list_webhooks create_webhook remove_webhook
         test_webhook list_notifications replay_notification""",

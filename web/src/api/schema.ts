@@ -1324,6 +1324,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policies/{policy_sha256}/shadow": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Shadow Policy
+         * @description What the version would have done in a machine's newest throws; some seconds. Nothing moves.
+         */
+        post: operations["shadow_policy"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/policies/{policy_sha256}/validation": {
         parameters: {
             query?: never;
@@ -3853,6 +3873,27 @@ export interface components {
             throw_count: number;
         };
         /**
+         * PredictedThrow
+         * @description One throw in the twin without scatter; None where it does not land.
+         */
+        PredictedThrow: {
+            /** Crossrange Error M */
+            crossrange_error_m: number | null;
+            /** Downrange Error M */
+            downrange_error_m: number | null;
+            outcome: components["schemas"]["ThrowOutcome"];
+            /** Release M */
+            release_m: [
+                number,
+                number,
+                number
+            ] | null;
+            /** Release S */
+            release_s: number | null;
+            /** Release Speed M Per S */
+            release_speed_m_per_s: number | null;
+        };
+        /**
          * PredictionView
          * @description What the twin says a throw will do.
          */
@@ -4208,6 +4249,66 @@ export interface components {
             username: string;
         };
         /**
+         * ShadowReport
+         * @description A version beside recorded throws of one machine.
+         */
+        ShadowReport: {
+            /** Is Registered */
+            is_registered: boolean;
+            /** Left Out */
+            left_out: [
+                string,
+                string
+            ][];
+            /** Machine Id */
+            machine_id: string;
+            mode: components["schemas"]["Mode"];
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Throws */
+            throws: components["schemas"]["ShadowThrow"][];
+        };
+        /**
+         * ShadowRequest
+         * @description Run a version over recorded throws of a machine.
+         */
+        ShadowRequest: {
+            /** Machine Id */
+            machine_id: string;
+            /**
+             * Throws Count
+             * @default 12
+             */
+            throws_count: number;
+        };
+        /**
+         * ShadowThrow
+         * @description One recorded throw, and what the version would have done.
+         */
+        ShadowThrow: {
+            /** Action Difference Rms Ratio */
+            action_difference_rms_ratio: number;
+            candidate: components["schemas"]["PredictedThrow"];
+            flown: components["schemas"]["PredictedThrow"] | null;
+            /** Flown Release S */
+            flown_release_s: number | null;
+            /** Measured Crossrange Error M */
+            measured_crossrange_error_m: number | null;
+            /** Measured Downrange Error M */
+            measured_downrange_error_m: number | null;
+            /** Pace Ratio */
+            pace_ratio: number;
+            /** Shown Release S */
+            shown_release_s: number | null;
+            /** Step Count */
+            step_count: number;
+            target: components["schemas"]["Target"];
+            /** Throw Id */
+            throw_id: string;
+        };
+        /**
          * Shrink
          * @description Reduction of the gap on throws that were not used to estimate the cause.
          */
@@ -4482,6 +4583,22 @@ export interface components {
             reason: string;
         };
         /**
+         * Target
+         * @description A point to hit, frame `machine` of the machine that throws.
+         */
+        Target: {
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+            /**
+             * Z M
+             * @description height of the target surface above ground
+             * @default 0
+             */
+            z_m: number;
+        };
+        /**
          * TargetProposedEvent
          * @description This session's target, from a click in the 3D view or from the fields; null when removed.
          */
@@ -4619,6 +4736,12 @@ export interface components {
             /** Size Bytes */
             size_bytes: number;
         };
+        /**
+         * ThrowOutcome
+         * @description How a throw ended.
+         * @enum {string}
+         */
+        ThrowOutcome: "landed" | "no_release" | "collision" | "limit" | "timeout";
         /**
          * ThrowPage
          * @description A page, newest first; pass `next_cursor` to go on.
@@ -13539,6 +13662,122 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    shadow_policy: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ShadowRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ShadowReport"];
+                };
             };
             /** @description Bad Request */
             400: {

@@ -1,4 +1,5 @@
 import { ComparePanel } from "../compare/ComparePanel";
+import { ShadowPanel } from "../compare/ShadowPanel";
 import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
 import { OnBoard } from "../policies/OnBoard";
@@ -34,6 +35,7 @@ export function PoliciesPage() {
       {machine && <OnBoard machineId={machine.machine_id} />}
       <RolloutPanel policies={sorted} />
       <ComparePanel policies={sorted} />
+      {machine && <ShadowPanel policies={sorted} machineId={machine.machine_id} />}
       <div className={classes.cards}>
         {sorted.map((policy) => (
           <PolicyCard

@@ -1,0 +1,1 @@
+"""What another policy version would have done in recorded throws."""
