@@ -31,6 +31,11 @@ VERBS: dict[str, Verb] = {
     ),
     "policy": Verb("cli.service.policy", "show policy versions, deploy them, roll back", "server"),
     "throw": Verb("cli.service.throw", "throw once through a running server", "server"),
+    "dossier": Verb(
+        "cli.service.dossier",
+        "export throws with all that belongs to them, signed; verify it",
+        "server",
+    ),
     "preview": Verb("cli.preview", "predict one throw in the twin", "twin"),
     "evaluate": Verb(
         "cli.evaluate", "measure accuracy over many throws, by the paper's protocol", "twin"

@@ -227,7 +227,7 @@ def approve(
         approved_by=approved_by,
         key_id=public_key(private_key).key_id,
     )
-    return approval.model_copy(update={"signature": _sign(private_key, approval.signed_bytes())})
+    return approval.model_copy(update={"signature": sign(private_key, approval.signed_bytes())})
 
 
 def sign_list(trust: SiteTrust, private_key: bytes) -> SiteTrust:
@@ -239,7 +239,7 @@ def sign_list(trust: SiteTrust, private_key: bytes) -> SiteTrust:
             "signature": "",
         }
     )
-    return numbered.model_copy(update={"signature": _sign(private_key, numbered.signed_bytes())})
+    return numbered.model_copy(update={"signature": sign(private_key, numbered.signed_bytes())})
 
 
 def rotate_key(trust: SiteTrust, old_key: bytes, new_key: bytes, *, rotated_utc: str) -> SiteTrust:
@@ -258,12 +258,12 @@ def rotate_key(trust: SiteTrust, old_key: bytes, new_key: bytes, *, rotated_utc:
         new_key=added,
         rotated_utc=rotated_utc,
     )
-    signature = _sign(old_key, rotation.signed_bytes())
+    signature = sign(old_key, rotation.signed_bytes())
     approvals: list[Approval] = []
     for one in trust.approvals:
         again = one.model_copy(update={"key_id": added.key_id})
         approvals.append(
-            again.model_copy(update={"signature": _sign(new_key, again.signed_bytes())})
+            again.model_copy(update={"signature": sign(new_key, again.signed_bytes())})
         )
     changed = trust.model_copy(
         update={
@@ -293,7 +293,8 @@ def revoke_key(trust: SiteTrust, key_id: str, private_key: bytes) -> SiteTrust:
     return sign_list(trust.model_copy(update={"keys": keys}), private_key)
 
 
-def _sign(private_key: bytes, message: bytes) -> str:
+def sign(private_key: bytes, message: bytes) -> str:
+    """Signature of a message, base64."""
     return base64.b64encode(
         Ed25519PrivateKey.from_private_bytes(private_key).sign(message)
     ).decode()

@@ -27,6 +27,7 @@ from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
 from server.management_routes import (
     alerts,
+    dossiers,
     enrolment,
     fleet,
     gap,
@@ -82,6 +83,7 @@ def _api_router() -> APIRouter:
         plans,
         hold,
         history,
+        dossiers,
         sites,
         # Before policies: its paths name what else would be read as a version.
         validations,

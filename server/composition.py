@@ -24,6 +24,7 @@ from server.display.impact_display import ImpactDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
+from server.dossier.dossier_service import Dossiers
 from server.drift.drift_watch import DriftWatch
 from server.enrolment.enrolments import Enrolments
 from server.enrolment.router_renewal import RouterRenewal
@@ -112,6 +113,7 @@ class Parts:
     history: ThrowHistory
     statistics: ThrowStatistics
     logs: LogStore
+    dossiers: Dossiers
     replays: ReplayControl
     gap: GapService
     twin_versions: TwinVersions
@@ -263,7 +265,6 @@ def assemble(
         plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
     )
     logs, gap, twin_versions = _gap_parts(settings, database, audit, registry, twins, hub)
-    targets = TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec)
     parts = Parts(
         settings=settings,
         database=database,
@@ -301,6 +302,7 @@ def assemble(
         history=ThrowHistory(database),
         statistics=ThrowStatistics(database),
         logs=logs,
+        dossiers=Dossiers(database, audit, logs, policies, approvals, settings),
         replays=ReplayControl(logs, plans, scene),
         gap=gap,
         twin_versions=twin_versions,
@@ -309,7 +311,7 @@ def assemble(
         sites=sites,
         zones=zones,
         zone_notices=ZoneNotices(zones.active, registry, commands),
-        targets=targets,
+        targets=TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec),
         scene=scene,
     )
     _connect(parts, ingest, impacts)

@@ -279,7 +279,10 @@ def keys(
     for row in rows:
         state = "revoked" if row["is_revoked"] else "signs" if row["is_signing"] else "trusted"
         since = row["since_utc"] or "first start"
-        print(f"{row['key_id']}  {state:<7}  {row['approval_count']:>4} approvals  since {since}")
+        print(
+            f"{row['key_id']}  {state:<7}  {row['approval_count']:>4} approvals  since {since}  "
+            f"public {row['public_key']}"
+        )
     return 0
 
 

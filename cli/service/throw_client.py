@@ -27,6 +27,8 @@ REPLY_LIMIT_S = 5.0
 RENEW_PERIOD_S = 5.0
 POLL_PERIOD_S = 0.1
 PREVIEW_TIMEOUT_S = 30.0
+DOWNLOAD_TIMEOUT_S = 180.0
+"""The server collects a dossier before it sends the first byte."""
 IMPACT_GRACE_S = 3.0
 """A survey may reach the server a little after the end of the throw."""
 
@@ -154,6 +156,39 @@ class ThrowClient:
         parts = [("files", (name, content)) for name, content in files.items()]
         return self._send("POST", path, files=parts, data=fields)
 
+    def download(self, path: str, query: dict[str, str], file: Path) -> int:
+        """Write an answer to a file, which appears only when it is whole; returns its size in bytes.
+
+        Args:
+            path: of the interface.
+            query: of the address.
+            file: to be written.
+
+        Raises:
+            ServerError: it refuses, cannot be reached, or the answer breaks off.
+            UsageError: the file cannot be written.
+        """
+        part = file.with_name(f"{file.name}.part")
+        try:
+            with (
+                self._http.stream("GET", path, params=query, timeout=DOWNLOAD_TIMEOUT_S) as reply,
+                part.open("wb") as out,
+            ):
+                if not reply.is_success:
+                    reply.read()
+                    raise _refusal(reply)
+                for chunk in reply.iter_bytes():
+                    out.write(chunk)
+                size_bytes = out.tell()
+            part.replace(file)
+        except httpx.HTTPError as error:
+            raise ServerError(f"{self._server} cannot be reached ({error})") from error
+        except OSError as error:
+            raise UsageError(f"{file} cannot be written: {error.strerror}") from error
+        finally:
+            part.unlink(missing_ok=True)
+        return size_bytes
+
     def _send(self, method: str, path: str, **content: Any) -> Any:
         try:
             reply = self._http.request(method, path, **content)
@@ -164,12 +199,7 @@ class ThrowClient:
             ) from error
         if reply.is_success:
             return reply.json() if reply.content else None
-        try:
-            error_body = reply.json()["error"]
-            text = f"{error_body['message']} [{error_body['code']}]"
-        except (ValueError, KeyError, TypeError):
-            text = f"HTTP {reply.status_code}; is this a Downrange server?"
-        raise ServerError(text)
+        raise _refusal(reply)
 
     def throw(
         self,
@@ -280,6 +310,14 @@ class ThrowClient:
             f"throw {throw_id} did not end within {timeout_s:.0f} s (phase {row.get('phase')}); "
             "it was let go; look at the machine"
         )
+
+
+def _refusal(reply: httpx.Response) -> ServerError:
+    try:
+        error_body = reply.json()["error"]
+        return ServerError(f"{error_body['message']} [{error_body['code']}]")
+    except (ValueError, KeyError, TypeError):
+        return ServerError(f"HTTP {reply.status_code}; is this a Downrange server?")
 
 
 class Renewal:

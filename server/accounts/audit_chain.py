@@ -4,11 +4,9 @@ A command's `intent` row is committed before the command is sent. The chain's en
 file at start and end of the service, so that a truncated chain is detected.
 """
 
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +15,7 @@ from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 
 from machine.messages import Command
+from server.accounts.audit_seal import FIRST_SHA256, SEALED_FIELDS, seal_of
 from server.clock import utc_now
 from server.schemas.audit import AuditVerdict
 from server.secret_files import make_private
@@ -24,7 +23,6 @@ from server.store.database import Database
 from server.store.models import Audit
 
 Phase = Literal["intent", "outcome", "denied", "fact"]
-FIRST_SHA256 = "0" * 64
 _POSTGRES_LOCK = 0x41554449
 """Key of the advisory lock that makes appends wait for each other ("AUDI")."""
 _VERIFY_CHUNK = 5000
@@ -171,27 +169,15 @@ class AuditChain:
         return anchors
 
 
+def sealed_values(row: Audit) -> dict[str, str | int | None]:
+    """What the seal of a row covers, by name."""
+    values = {name: getattr(row, name) for name in SEALED_FIELDS}
+    return values | {"t_utc": row.t_utc.isoformat(timespec="microseconds")}
+
+
 def row_hash(row: Audit) -> str:
-    """Seal of a row: sha256 of the previous seal and the row's canonical JSON."""
-    content = json.dumps(
-        [
-            row.sequence_count,
-            _time_text(row.t_utc),
-            row.actor,
-            row.session_id,
-            row.machine_id,
-            row.throw_id,
-            row.action,
-            row.phase,
-            row.detail_json,
-        ],
-        separators=(",", ":"),
-    )
-    return hashlib.sha256(f"{row.previous_sha256}\n{content}".encode()).hexdigest()
-
-
-def _time_text(moment: datetime) -> str:
-    return moment.isoformat(timespec="microseconds")
+    """Seal of a row."""
+    return seal_of(row.previous_sha256, list(sealed_values(row).values()))
 
 
 def _problem(row: Audit, expected_count: int, previous: str) -> str | None:

@@ -18,12 +18,14 @@ from pydantic import JsonValue
 from machine.errors import DownrangeError, PolicyError
 from machine.policy_approval import (
     Approval,
+    SiteKey,
     SiteTrust,
     approve,
     new_private_key,
     public_key,
     revoke_key,
     rotate_key,
+    sign,
     sign_list,
 )
 from machine.policy_card import PolicyFiles, read_policy
@@ -267,8 +269,6 @@ class SiteApprovals:
             step = _Step("policy.retire", policy_sha256, PolicyState.RETIRED, reason)
             self._change(step, session.actor, kept)
 
-    # Keys -----------------------------------------------------------------------------------------
-
     def keys(self) -> list[SiteKeyView]:
         """The site's keys, the newest first."""
         trust = self._trust
@@ -278,6 +278,7 @@ class SiteApprovals:
         return [
             SiteKeyView(
                 key_id=key.key_id,
+                public_key=key.public_key,
                 is_signing=key.key_id == trust.signed_by,
                 is_revoked=key.is_revoked,
                 since_utc=made.get(key.key_id),
@@ -285,6 +286,12 @@ class SiteApprovals:
             )
             for key in reversed(trust.keys)
         ]
+
+    def sign(self, message: bytes) -> tuple[SiteKey, str]:
+        """Sign something other than an approval by the site's key; returns key and signature."""
+        with self._lock:
+            key = self._private_key()
+        return public_key(key), sign(key, message)
 
     def rotate(self, reason: str, session: Session) -> list[SiteKeyView]:
         """Make a new key and sign everything by it; machines follow by what the old key says.
@@ -351,8 +358,6 @@ class SiteApprovals:
             self._next_key_file.replace(self._folder / KEY_FILE)
         else:
             self._next_key_file.unlink()
-
-    # Parts ----------------------------------------------------------------------------------------
 
     def _require_other_person(self, policy: StoredPolicy, session: Session) -> None:
         if not self._is_four_eyes:

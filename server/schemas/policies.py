@@ -46,6 +46,8 @@ class SiteKeyView(View):
     """A key by which the site approves versions."""
 
     key_id: str
+    public_key: str
+    """Base64 of the 32 bytes."""
     is_signing: bool
     """It signs approvals and the list of them."""
     is_revoked: bool

@@ -155,6 +155,13 @@ def test_a_machine_has_a_page_a_name_and_a_stop(
     expect(page.get_by_role("region", name="On board", exact=True)).to_contain_text("m545-2d-v7")
     for name in ("Machine", "Alerts", "Throws", "Diagnoses", "Commissioning"):
         expect(page.get_by_role("region", name=name, exact=True)).to_be_visible()
+    dossier = page.get_by_role("region", name="Dossier", exact=True)
+    dossier.get_by_label("First day").fill("2020-01-02")
+    dossier.get_by_label("Last day").fill("2020-01-01")
+    expect(dossier).to_contain_text("lies before the first")
+    dossier.get_by_label("Last day").fill("2020-01-02")
+    expect(dossier).to_contain_text("has no ended throw in this time")
+    expect(dossier.get_by_role("link", name="Export")).to_have_count(0)
     _call_it(page, "North digger")
     expect(page.get_by_role("heading", name="North digger")).to_be_visible()
     _call_it(page, "")

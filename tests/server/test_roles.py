@@ -24,7 +24,9 @@ LEAST = {
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
         undo_zones acknowledge_alert silence_alert create_gap_run cancel_gap_run preview_gap_run""",
-    Role.SUPERVISOR: "clear_stop take_lease edit_machine list_audit verify_audit approve_zones",
+    Role.SUPERVISOR: """
+        clear_stop take_lease edit_machine list_audit verify_audit approve_zones
+        export_throw_dossier export_machine_dossier read_dossier_extent""",
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
         upload_policy retire_policy rotate_policy_key revoke_policy_key

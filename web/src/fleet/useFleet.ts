@@ -46,6 +46,25 @@ export function useCommissioning(machineId: string) {
 export const commissioningReportHref = (machineId: string) =>
   `/api/v1/machines/${encodeURIComponent(machineId)}/commissioning/report.html`;
 
+type Period = { since: string; until: string };
+
+/** How much a dossier of a period would hold. */
+export function useDossierExtent(machineId: string, period: Period | null) {
+  return useQuery({
+    queryKey: [FLEET, "dossier", machineId, period],
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/machines/{machine_id}/dossier/extent", {
+          params: { path: { machine_id: machineId }, query: period ?? { since: "", until: "" } },
+        }),
+      ),
+    enabled: period !== null,
+  });
+}
+
+export const dossierHref = (machineId: string, period: Period) =>
+  `/api/v1/machines/${encodeURIComponent(machineId)}/dossier?${new URLSearchParams(period)}`;
+
 export function useEditMachine(machineId: string) {
   const client = useQueryClient();
   return useMutation({

@@ -2,6 +2,7 @@ import { Anchor, Button } from "@mantine/core";
 import { IconDownload } from "@tabler/icons-react";
 import { paceWords } from "../operate/target/pace";
 import type { Schema } from "../session/client";
+import { useMay } from "../session/useSession";
 import { outcomeSentence } from "../throws/outcome";
 import {
   bearingWords,
@@ -51,8 +52,39 @@ export function Facts({ detail }: { detail: Detail }) {
   );
 }
 
-/** The machine's own recording, to keep or to open elsewhere. */
+/** The machine's own recording, and all that belongs to the throw in one signed file. */
 export function Files({ detail }: { detail: Detail }) {
+  return (
+    <>
+      <LogFiles detail={detail} />
+      <DossierFile row={detail.row} />
+    </>
+  );
+}
+
+function DossierFile({ row }: { row: Detail["row"] }) {
+  const may = useMay("audit.read");
+  if (!may || row.phase !== "ended") return null;
+  return (
+    <>
+      <Button
+        variant="default"
+        fullWidth
+        component="a"
+        href={`/api/v1/throws/${encodeURIComponent(row.throw_id)}/dossier`}
+        download
+        leftSection={<IconDownload size={16} aria-hidden />}
+      >
+        Dossier, signed
+      </Button>
+      <p className={classes.note}>
+        Plan, preview, policy, log, impacts and audit in one file, with a page to read.
+      </p>
+    </>
+  );
+}
+
+function LogFiles({ detail }: { detail: Detail }) {
   const { log, row } = detail;
   if (!log) return <p className={classes.note}>The machine has not sent its log yet.</p>;
   return (

@@ -2,6 +2,7 @@ import { Button, SegmentedControl, Select } from "@mantine/core";
 import { useNavigate, useParams } from "@tanstack/react-router";
 import { useMemo, useState } from "react";
 import { CommissioningPanel } from "../fleet/CommissioningPanel";
+import { DossierPanel } from "../fleet/DossierPanel";
 import { EditMachine } from "../fleet/EditMachine";
 import classes from "../fleet/Fleet.module.css";
 import {
@@ -49,6 +50,7 @@ export function MachinePage() {
         <ThrowsPanel machineId={machineId} />
         <GapPanel machineId={machineId} />
         <CommissioningPanel machineId={machineId} />
+        <DossierPanel machineId={machineId} />
       </div>
     </div>
   );
