@@ -33,6 +33,7 @@ from server.management_routes import (
     gap,
     policies,
     rollouts,
+    telematics,
     validations,
 )
 from server.middleware import JsonErrors, RequestTimes, SecurityHeaders
@@ -152,6 +153,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.include_router(_api_router())
     app.include_router(health.metrics_router)
+    app.include_router(telematics.router)
     app.add_api_route(f"{API_PREFIX}/openapi.json", _read_openapi, include_in_schema=False)
     app.include_router(proxy.router)
     app.add_api_route(

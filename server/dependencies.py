@@ -3,10 +3,12 @@
 Those that hand out a part are coroutines: a plain function would wait for one of the framework's threads.
 """
 
+import hmac
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Protocol, TypeVar
 
 from fastapi import Depends, Header
+from pydantic import SecretStr
 from starlette.requests import HTTPConnection
 
 from server.accounts.access_control import AccessControl
@@ -164,6 +166,36 @@ Auditor = Annotated[Session, Depends(requires(Permission.AUDIT_READ))]
 Administrator = Annotated[Session, Depends(requires(Permission.ADMIN))]
 MachineEditor = Annotated[Session, Depends(requires(Permission.MACHINE_EDIT))]
 Enroller = Annotated[Session, Depends(requires(Permission.MACHINE_ENROL))]
+
+
+def admit_reader(
+    connection: HTTPConnection,
+    access: AccessControl,
+    token: SecretStr | None,
+    variable: str,
+    permission: Permission,
+) -> None:
+    """Admit a program by a bearer token of the settings, or a session with a permission.
+
+    Args:
+        connection: of the caller.
+        access: checks sessions.
+        token: of the settings; None: no token counts.
+        variable: of the environment that sets it, for the refusal.
+        permission: of a session.
+
+    Raises:
+        NotSignedInError: neither.
+        ForbiddenError: a session without the permission.
+    """
+    scheme, _, given = connection.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        if token is not None and hmac.compare_digest(
+            given.encode(), token.get_secret_value().encode()
+        ):
+            return
+        raise NotSignedInError("wrong_token", f"This is not the token of {variable}.")
+    access.require(connection, access.session_of(connection), permission)
 
 
 def require_machine(

@@ -72,6 +72,8 @@ class Settings(BaseSettings):
     """Addresses or networks of reverse proxies, comma separated. Only their X-Forwarded-* headers count."""
     metrics_token: SecretStr | None = None
     """Bearer token with which Prometheus reads /metrics; without it a signed-in auditor may."""
+    telematics_token: SecretStr | None = None
+    """Bearer token with which other systems read the fleet by ISO 15143-3; a signed-in person may, too."""
     webhook_private: bool = False
     """Allow webhooks to addresses inside a network, and http; else they could reach what only we reach."""
     smtp_url: SecretStr | None = None

@@ -1,7 +1,5 @@
 """Health for people and load balancers, metrics for Prometheus."""
 
-import hmac
-
 from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -14,8 +12,8 @@ from server.dependencies import (
     PreviewPoolDep,
     RegistryDep,
     SettingsDep,
+    admit_reader,
 )
-from server.errors import NotSignedInError
 from server.limits.disk_space import disk_standing
 from server.schemas.console import HealthView, Permission
 from server.version import SOFTWARE
@@ -59,21 +57,10 @@ def read_health(
 
 
 def check_metrics_reader(request: Request, access: AccessDep, settings: SettingsDep) -> None:
-    """Admit the bearer token of the settings, or a session that may read the audit.
-
-    Raises:
-        NotSignedInError: neither.
-        ForbiddenError: a session without the permission.
-    """
-    scheme, _, token = request.headers.get("authorization", "").partition(" ")
-    expected = settings.metrics_token
-    if scheme.lower() == "bearer":
-        if expected is not None and hmac.compare_digest(
-            token.encode(), expected.get_secret_value().encode()
-        ):
-            return
-        raise NotSignedInError("wrong_token", "This is not the token of DOWNRANGE_METRICS_TOKEN.")
-    access.require(request, access.session_of(request), Permission.AUDIT_READ)
+    """Admit the bearer token of the settings, or a session that may read the audit."""
+    admit_reader(
+        request, access, settings.metrics_token, "DOWNRANGE_METRICS_TOKEN", Permission.AUDIT_READ
+    )
 
 
 @metrics_router.get("/metrics", dependencies=[Depends(check_metrics_reader)])
