@@ -12,13 +12,15 @@ To add an effect:
    tests/sim_twin/faults; one there fails for a row without physics.
 4. What it is easily taken for: rows in pairs.py.
 5. Where a record of one stage shows it: an option in diagnosis/single_stage (joint_response.py,
-   swing_problem.py or flight_problem.py), and what tells it from others (actuation_diagnosis.py).
-6. The data that lists all parameters: ``python -m diagnosis.population.estimation FOLDER...`` writes
+   swing_problem.py or flight_problem.py), and what tells it from others (SEPARATING_RECORDS in
+   the *_diagnosis.py beside them).
+6. What it does and where to look for it, for people: diagnosis/report/effect_sentences.py.
+7. The data that lists all parameters: ``python -m diagnosis.population.estimation FOLDER...`` writes
    diagnosis/healthy/noise.json and filters.json from healthy sets of many machines
    (``downrange challenge make --tiers null``), ``python -m challenge.limit_measurement`` writes
    challenge/detection_limits.json. Until then the diagnosis ends with the missing parameter's name.
-7. Where benchmarks/plants has it among the unknown effects: move it to the known ones.
-8. ``make tables`` writes docs/effects.md. Special meanings, and the order of effects on a drive
+8. Where benchmarks/plants has it among the unknown effects: move it to the known ones.
+9. ``make tables`` writes docs/effects.md. Special meanings, and the order of effects on a drive
    (docs/plants.md), are written by hand.
 
 This module only describes: it imports no physics.

@@ -130,6 +130,15 @@ describe("what can fail", () => {
     expect(state).toMatchObject({ phase: "idle" });
   });
 
+  it("never fires when the hold signal broke before", () => {
+    const early = play([press, { kind: "link_lost" }, ring]);
+    expect(early.actions).toEqual(["start_ring", "stop_ring"]);
+    const arming = play([press, ring, { kind: "link_lost" }, armed]);
+    expect(arming.actions.at(-1)).toBe("disarm");
+    expect(arming.state).toMatchObject({ phase: "idle" });
+    expect(play([press, ring, armed, { kind: "link_lost" }]).actions.slice(-1)).toEqual(["abort"]);
+  });
+
   it("ends at once on STOP, in every phase after arming", () => {
     for (const events of [HELD, [...HELD, letGo], [...HELD, machine("committed")]]) {
       const { state, actions } = play([...events, machine("stopped")]);

@@ -11,7 +11,7 @@ import type { MachinePhase } from "../../machine/phase";
 export const ARM_RING_MS = 1000;
 export const HEARTBEAT_MS = 50;
 
-export type ReleaseCause = "released" | "blur" | "hidden" | "cancelled" | "disabled";
+export type ReleaseCause = "released" | "blur" | "hidden" | "cancelled" | "disabled" | "link";
 
 export type Hold =
   | { phase: "idle"; note: string | null }
@@ -51,6 +51,7 @@ const CAUSE_WORDS: Record<ReleaseCause, string> = {
   hidden: "The page was hidden: the throw was aborted.",
   cancelled: "The touch was interrupted: the throw was aborted.",
   disabled: "Control was lost: the throw was aborted.",
+  link: "The link for the hold signal broke: nothing was thrown.",
 };
 
 type Step = [Hold, Action[]];
@@ -130,7 +131,8 @@ function onFailed(state: Hold, text: string): Step {
 }
 
 function onLinkLost(state: Hold): Step {
-  if (state.phase === "ring") return idle("The link for the hold signal broke.", ["stop_ring"]);
+  if (state.phase === "ring") return idle(CAUSE_WORDS.link, ["stop_ring"]);
+  if (state.phase === "arm_sent") return letGo(state, "link");
   if (state.phase === "holding" || state.phase === "fire_sent")
     return idle("The hold signal was lost: the machine aborts by itself.", ["rest", "abort"]);
   return [state, []];

@@ -81,16 +81,24 @@ describe("HoldLink", () => {
     expect(socket.sent).toHaveLength(1);
   });
 
-  it("reports a break once, and only while it matters", () => {
+  it("reports a break once, also before the first beat", () => {
+    for (const isBeating of [false, true]) {
+      const onLost = vi.fn();
+      const socket = new FakeSocket();
+      const link = new HoldLink(() => socket, onLost);
+      if (isBeating) link.beat("t1");
+      socket.listeners.error?.();
+      socket.listeners.close?.();
+      expect(onLost).toHaveBeenCalledTimes(1);
+    }
+  });
+
+  it("reports no break that it made itself", () => {
     const onLost = vi.fn();
     const socket = new FakeSocket();
-    const link = new HoldLink(() => socket, onLost);
+    new HoldLink(() => socket, onLost).close();
     socket.listeners.close?.();
     expect(onLost).not.toHaveBeenCalled();
-    link.beat("t1");
-    socket.listeners.error?.();
-    socket.listeners.close?.();
-    expect(onLost).toHaveBeenCalledTimes(1);
   });
 
   it("says that it let go before it closes", () => {

@@ -24,6 +24,7 @@ export class HoldLink {
   private timer: ReturnType<typeof setInterval> | null = null;
   private throwId: string | null = null;
   private freshMs = 0;
+  private isOver = false;
   /** The machine's time in the newest reply; each message carries it, so that its time on the way shows. */
   private machineTime: number | null = null;
 
@@ -62,6 +63,7 @@ export class HoldLink {
 
   close(): void {
     this.rest();
+    this.isOver = true;
     this.socket.close();
   }
 
@@ -86,10 +88,11 @@ export class HoldLink {
     if (isFirst && this.timer !== null) this.sayIfFresh();
   }
 
+  /** Reported once, also before the first beat: without a link no throw may be asked for. */
   private lost(): void {
-    const wasBeating = this.timer !== null;
     this.stopTimer();
-    if (wasBeating) this.onLost();
+    if (!this.isOver) this.onLost();
+    this.isOver = true;
   }
 
   private stopTimer(): void {
