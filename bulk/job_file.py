@@ -172,8 +172,18 @@ def make_job(file: JobFile, folder: Path) -> BulkJob:
     Raises:
         UsageError: it cannot be done; with numbers and reason.
     """
-    stuff = material(file.material) if isinstance(file.material, str) else file.material
-    grid, ground = _ground(file, folder)
+    survey = None if file.survey is None else read_survey(folder / file.survey, file.cell_m)
+    return surveyed_job(file, survey)
+
+
+def surveyed_job(file: JobFile, survey: tuple[Grid, Array] | None) -> BulkJob:
+    """Set up a job on surveyed ground, or on level ground without a survey.
+
+    Raises:
+        UsageError: it cannot be done; with numbers and reason.
+    """
+    stuff = material_of(file)
+    grid, ground = _level_ground(file) if survey is None else survey
     surface = ground.copy()
     if file.loose is not None:
         movable = file.loose.rectangle.mask(grid) & (ground > 0.0)
@@ -197,9 +207,16 @@ def make_job(file: JobFile, folder: Path) -> BulkJob:
     return BulkJob(file, stuff, start, goal)
 
 
-def _ground(file: JobFile, folder: Path) -> tuple[Grid, Array]:
-    if file.survey is not None:
-        return read_survey(folder / file.survey, file.cell_m)
+def material_of(file: JobFile) -> Material:
+    """The material of a job.
+
+    Raises:
+        UsageError: no such kind, with those that there are.
+    """
+    return material(file.material) if isinstance(file.material, str) else file.material
+
+
+def _level_ground(file: JobFile) -> tuple[Grid, Array]:
     area = file.area
     if area is None:
         raise UsageError("give either area or survey")

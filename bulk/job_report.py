@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from bulk.goal import Progress
+from bulk.height_field import HeightField
 from bulk.job_file import BulkJob
 from bulk.planner import PlannedLoad
 from bulk.simulation import JobRun
@@ -70,17 +71,24 @@ def run_json(job: BulkJob, throws: ThrowModel, run: JobRun, seed: int) -> dict[s
             }
             for item in run.loads
         ],
-        "grid": run.final.grid._asdict(),
-        "base_m": np.round(run.final.base_m, 4).tolist(),
-        "start_m": np.round(run.start.height_m, 4).tolist(),
+        **surfaces_json(job, run.final),
+    }
+
+
+def surfaces_json(job: BulkJob, final: HeightField) -> dict[str, Any]:
+    """Grid and surfaces of a job, heights (rows, columns) to 0.1 mm."""
+    return {
+        "grid": final.grid._asdict(),
+        "base_m": np.round(final.base_m, 4).tolist(),
+        "start_m": np.round(job.field.height_m, 4).tolist(),
         "wanted_m": np.round(job.goal.wanted_m, 4).tolist(),
-        "height_m": np.round(run.final.height_m, 4).tolist(),
+        "height_m": np.round(final.height_m, 4).tolist(),
         "region": job.goal.region.astype(int).tolist(),
     }
 
 
 def job_html(content: dict[str, Any]) -> str:
-    """The page of a simulated job, from its JSON (`run_json`).
+    """The page of a job, from its JSON: simulated (`run_json`), or thrown, which has no `seed`.
 
     Raises:
         KeyError, TypeError, ValueError: not such content.

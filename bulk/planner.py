@@ -15,7 +15,7 @@ from bulk.goal import Goal, candidate_cells, part_missing_m3, part_name
 from bulk.height_field import HeightField
 from bulk.predicted_loads import Prediction, make_candidates
 from bulk.throw_model import ThrowModel
-from machine.conventions import Array, BoolArray
+from machine.conventions import Array, BoolArray, IntArray
 from machine.errors import UsageError
 from machine.site.zones import Zone
 
@@ -30,6 +30,8 @@ SPILL_WEIGHT_M = 6.0
 3 m everywhere. `benchmarks/bulk_jobs.py` measures what follows from it."""
 ZONE_MARGIN_M = 0.5
 ZONE_SIGMAS = 3.0
+PASSED_OVER_M = 0.4
+"""Places nearer than this to one that is passed over are passed over too: half the foot of a usual grab."""
 
 
 class PlannedLoad(NamedTuple):
@@ -101,22 +103,24 @@ class LoadPlanner:
             UsageError: no place of the goal can be thrown at, with the numbers.
         """
         self.goal, self._throws, self._depth, self._grab_m3 = goal, throws, depth, grab_m3
-        self._grid = field.grid
+        self._start, self._grid, self._zones = field, field.grid, tuple(zones)
         place_count = max(1, candidate_count // len(VOLUME_RATIOS))
         row, column = candidate_cells(goal, field, place_count)
         x_m, y_m = field.grid.x_m[column], field.grid.y_m[row]
         covariance = throws.covariance_m2(x_m, y_m)
         is_free = _free_of_zones(x_m, y_m, covariance, zones)
         height = goal.wanted_m[row, column]
-        _refuse_unreachable(goal, throws, np.hypot(x_m, y_m), height, is_free)
+        name = f"the {goal.kind.value}"
+        _refuse_unreachable(name, throws, np.hypot(x_m, y_m), height, is_free)
         self._row, self._column = row[is_free], column[is_free]
         self._x_m, self._y_m = x_m[is_free], y_m[is_free]
         self._range_m = np.hypot(self._x_m, self._y_m)
-        among = make_candidates(
-            goal, field, (self._row, self._column), covariance[is_free],
-            throws.material.slope_ratio, grab_m3,
-        )  # fmt: skip
-        self._prediction = Prediction(goal, field, among, SPILL_WEIGHT_M)
+        self._prediction = self._predict((self._row, self._column), covariance[is_free])
+
+    def _predict(self, cells: tuple[IntArray, IntArray], covariance_m2: Array) -> Prediction:
+        slope, largest_m3 = self._throws.material.slope_ratio, self._grab_m3
+        among = make_candidates(self.goal, self._start, cells, covariance_m2, slope, largest_m3)
+        return Prediction(self.goal, self._start, among, SPILL_WEIGHT_M)
 
     @property
     def places_m(self) -> Array:
@@ -127,23 +131,67 @@ class LoadPlanner:
         """(N) which candidates can be thrown at on a surface."""
         return self._throws.reachable(self._range_m, height_m[self._row, self._column])
 
-    def next_loads(self, field: HeightField) -> tuple[PlannedLoad, ...]:
-        """The best next loads, at most as many as the search is deep; none where all make it worse."""
+    def next_loads(
+        self, field: HeightField, passed_m: Sequence[tuple[float, float]] = ()
+    ) -> tuple[PlannedLoad, ...]:
+        """The best next loads, at most as many as the search is deep; none where all make it worse.
+
+        Args:
+            field: the surface that is there.
+            passed_m: places that are passed over, with what is near them.
+        """
         beam = [_Node(field.height_m, 0.0, ())]
         best = beam[0]
+        allowed = np.ones(self._x_m.shape, dtype=np.bool_)
+        for x_m, y_m in passed_m:
+            allowed &= np.hypot(self._x_m - x_m, self._y_m - y_m) > PASSED_OVER_M
         for _ in range(self._depth):
-            children = [child for node in beam for child in self._children(node)]
+            children = [child for node in beam for child in self._children(node, allowed)]
             beam = _distinct(children)
             if not beam:
                 break
             best = min([best, *beam], key=lambda node: node.cost)
         return tuple(self._load(step) for step in best.steps)
 
-    def _children(self, node: _Node) -> list[_Node]:
-        """A node's best loads that improve it."""
+    def load_at(self, field: HeightField, x_m: float, y_m: float, volume_m3: float) -> PlannedLoad:
+        """A load at a place that a person chose.
+
+        Raises:
+            UsageError: beside the goal, out of reach, or in or behind a zone; with the numbers.
+        """
+        row, column = self._grid.cell_of(x_m, y_m)
+        if not self._grid.holds(x_m, y_m) or not self.goal.region[row, column]:
+            raise UsageError(
+                f"x {x_m:.2f} m, y {y_m:.2f} m lies beside the {self.goal.kind.value}; choose a place on it"
+            )
+        x, y = np.array([x_m]), np.array([y_m])
+        covariance = self._throws.covariance_m2(x, y)
+        is_free = _free_of_zones(x, y, covariance, self._zones)
+        height = np.array([field.height_m[row, column]])
+        if not is_free.any():
+            raise UsageError(
+                f"x {x_m:.2f} m, y {y_m:.2f} m lies in an exclusion zone, behind one, or within "
+                f"{ZONE_MARGIN_M:.1f} m and 3 standard deviations of it; choose another place"
+            )
+        _refuse_unreachable("the place", self._throws, np.hypot(x, y), height, is_free)
+        prediction = self._predict((np.array([row]), np.array([column])), covariance)
+        effects = prediction.effects(field.height_m, np.array([volume_m3]))
+        return PlannedLoad(
+            x_m=x_m,
+            y_m=y_m,
+            z_m=float(height[0]),
+            volume_m3=volume_m3,
+            spill_ratio=float(effects.spill_ratio[0, 0]),
+            missing_m3=part_missing_m3(self.goal, self._grid, field.height_m, x_m, y_m),
+            part=part_name(self.goal, x_m, y_m),
+            cost=float(effects.cost[0, 0]),
+        )
+
+    def _children(self, node: _Node, allowed: BoolArray) -> list[_Node]:
+        """A node's best loads that improve it, at places that are allowed (N)."""
         volumes = self._grab_m3 * np.asarray(VOLUME_RATIOS)
         effects = self._prediction.effects(node.height_m, volumes)
-        possible = self.reachable(node.height_m)
+        possible = allowed & self.reachable(node.height_m)
         cost = np.where(possible[:, None], effects.cost, np.inf)
         found: list[_Node] = []
         for index in np.argsort(cost, axis=None)[:BEAM_COUNT].tolist():
@@ -197,12 +245,12 @@ def _free_of_zones(
 
 
 def _refuse_unreachable(
-    goal: Goal, throws: ThrowModel, range_m: Array, height_m: Array, is_free: BoolArray
+    name: str, throws: ThrowModel, range_m: Array, height_m: Array, is_free: BoolArray
 ) -> None:
     card = throws.card
     if not is_free.any():
         raise UsageError(
-            f"every place of the {goal.kind.value} lies in an exclusion zone, behind one, or within "
+            f"every place of {name} lies in an exclusion zone, behind one, or within "
             f"{ZONE_MARGIN_M:.1f} m and 3 standard deviations of it; move the goal or the zone"
         )
     can = throws.reachable(range_m, height_m)
@@ -210,7 +258,7 @@ def _refuse_unreachable(
         level = float(np.median(height_m))
         farthest = throws.farthest_m(level)
         raise UsageError(
-            f"the {goal.kind.value} lies {range_m.min():.1f} to {range_m.max():.1f} m from the slew axis "
+            f"{name} lies {range_m.min():.1f} to {range_m.max():.1f} m from the slew axis "
             f"at heights up to {height_m.max():.2f} m; {card.policy_id} throws {throws.nearest_m:.1f} to "
             f"{farthest:.1f} m far there, at heights of {card.target_height_min_m:.1f} to "
             f"{card.target_height_max_m:.1f} m. Move the goal or the machine"

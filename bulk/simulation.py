@@ -14,6 +14,7 @@ import numpy as np
 from bulk.footprint import pour_points
 from bulk.goal import Goal, Progress, progress
 from bulk.height_field import HeightField
+from bulk.material import Material
 from bulk.planner import LoadPlanner, PlannedLoad
 from bulk.throw_model import ThrowModel
 from machine.conventions import Array
@@ -81,7 +82,7 @@ def simulate_job(
         asked = load.volume_m3 * max(0.2, 1.0 + truth.grab_spread_ratio * float(rng.normal()))
         surface, volume = run.final, asked
         if goal.heap is not None:
-            dug = dig_heap(surface, goal, asked, throws)
+            dug = dig_heap(surface, goal, asked, throws.material)
             if dug is None:
                 break
             surface, volume = dug
@@ -112,7 +113,7 @@ def scattered_landing(
 
 
 def dig_heap(
-    surface: HeightField, goal: Goal, volume_m3: float, throws: ThrowModel
+    surface: HeightField, goal: Goal, volume_m3: float, material: Material
 ) -> tuple[HeightField, float] | None:
     """Grab at the heap's highest place within reach of the arm; None where the heap is gone."""
     if goal.heap is None:
@@ -124,7 +125,7 @@ def dig_heap(
     deepest = float(depth[row, column])
     if deepest <= MIN_HEAP_DEPTH_M:
         return None
-    slope = throws.material.cut_slope_ratio(deepest)
+    slope = material.cut_slope_ratio(deepest)
     x_m, y_m = float(surface.grid.x_m[column]), float(surface.grid.y_m[row])
     dug = surface.dig(x_m, y_m, volume_m3, slope)
     return dug.field, dug.volume_m3

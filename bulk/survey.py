@@ -6,6 +6,7 @@ which the median counts.
 
 import csv
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,25 @@ def read_survey(path: Path, cell_m: float) -> tuple[Grid, Array]:
     Raises:
         UsageError: not such a file, other units, too large, or holes; with numbers.
     """
-    points = _read_points(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return parse_survey(file, str(path), cell_m)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def parse_survey(lines: Iterable[str], path: str, cell_m: float) -> tuple[Grid, Array]:
+    """Grid and heights (rows, columns) of a survey's lines, frame `machine`.
+
+    Args:
+        lines: of the CSV text.
+        path: what people call it.
+        cell_m: size of the cells.
+
+    Raises:
+        UsageError: no such text, other units, too large, or holes; with numbers.
+    """
+    points = _read_points(lines, path)
     for axis, name in enumerate("xy"):
         extent = float(np.ptp(points[:, axis]))
         if extent > MAX_EXTENT_M:
@@ -64,23 +83,20 @@ def read_survey(path: Path, cell_m: float) -> tuple[Grid, Array]:
     return grid, heights.reshape(grid.row_count, grid.column_count)
 
 
-def _read_points(path: Path) -> Array:
+def _read_points(text: Iterable[str], path: str) -> Array:
+    points: list[tuple[float, float, float]] = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = csv.reader(file)
-            header = [name.strip() for name in next(lines, [])]
-            if tuple(header) != COLUMNS:
-                raise UsageError(
-                    f"{path}: its first line is {','.join(header)[:60]!r}, not {','.join(COLUMNS)}; the "
-                    "columns are metres, frame machine"
-                )
-            points: list[tuple[float, float, float]] = []
-            for number, cells in enumerate(lines, start=2):
-                points.append(_point(path, number, cells))
-                if len(points) > MAX_POINT_COUNT:
-                    raise UsageError(f"{path} has more than {MAX_POINT_COUNT} points; thin it out")
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror}") from error
+        lines = csv.reader(text)
+        header = [name.strip() for name in next(lines, [])]
+        if tuple(header) != COLUMNS:
+            raise UsageError(
+                f"{path}: its first line is {','.join(header)[:60]!r}, not {','.join(COLUMNS)}; the "
+                "columns are metres, frame machine"
+            )
+        for number, cells in enumerate(lines, start=2):
+            points.append(_point(path, number, cells))
+            if len(points) > MAX_POINT_COUNT:
+                raise UsageError(f"{path} has more than {MAX_POINT_COUNT} points; thin it out")
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path} is no CSV text: {error}") from error
     if len(points) < 4:
@@ -88,7 +104,7 @@ def _read_points(path: Path) -> Array:
     return np.array(points, dtype=np.float64)
 
 
-def _point(path: Path, number: int, cells: list[str]) -> tuple[float, float, float]:
+def _point(path: str, number: int, cells: list[str]) -> tuple[float, float, float]:
     try:
         x, y, z = (float(cell) for cell in cells)
     except ValueError:

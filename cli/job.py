@@ -10,6 +10,7 @@ import tyro
 from bulk.goal import progress
 from bulk.job_file import BulkJob, read_job
 from bulk.job_report import job_html, job_json, load_json, progress_json, run_json
+from bulk.placement import middle_height_m
 from bulk.planner import LoadPlanner
 from bulk.previewed_throws import open_card, previewed_model
 from bulk.simulation import Truth, planned_rule, simulate_job
@@ -141,8 +142,7 @@ def _throws(job: BulkJob, policies: Path, policy: Path | None) -> ThrowModel:
     """The machine's throws: measured scatter of the job file, or previews in the twin."""
     spec = load_spec()
     folder, card = open_card(policies, policy, Mode(job.file.mode))
-    region = job.goal.region
-    height_m = float(np.median(0.5 * (job.goal.wanted_m + job.field.height_m)[region]))
+    height_m = middle_height_m(job)
     if job.file.landing:
         scatter = [LandingScatter(**item.model_dump()) for item in job.file.landing]
         return measured_model(card, spec, job.material, scatter, height_m)

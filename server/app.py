@@ -31,6 +31,7 @@ from server.management_routes import (
     enrolment,
     fleet,
     gap,
+    jobs,
     policies,
     rollouts,
     telematics,
@@ -90,6 +91,7 @@ def _api_router() -> APIRouter:
         validations,
         policies,
         rollouts,
+        jobs,
         gap,
         alerts,
         audit,
@@ -99,6 +101,7 @@ def _api_router() -> APIRouter:
         api.include_router(module.router)
     api.include_router(sites.zones_router)
     api.include_router(policies.upload_router, max_body_size=UPLOAD_LIMIT_BYTES)
+    api.include_router(jobs.surveys_router, max_body_size=jobs.MAX_SURVEY_BODY_BYTES)
     api.include_router(history.logs_router, max_body_size=history.MAX_LOG_BODY_BYTES)
     api.include_router(machines.leases_router)
     api.include_router(plans.view_router)

@@ -33,6 +33,7 @@ from server.fleet.machine_summaries import MachineSummaries
 from server.gap.gap_previews import GapPreviews
 from server.gap.gap_service import GapService
 from server.gap.twin_versions import TwinVersions
+from server.jobs.jobs import Jobs
 from server.limits.streams import StreamLimiter
 from server.machines.lease_notices import LeaseNotices
 from server.machines.lease_service import LeaseService
@@ -103,6 +104,7 @@ class Parts:
     shadows: ShadowRuns
     deployments: Deployments
     rollouts: Rollouts
+    jobs: Jobs
     throws: ThrowStore
     stops: StopService
     plans: PlanStore
@@ -212,6 +214,8 @@ def open_parts(settings: Settings, scene: ViewerScene) -> Generator[Parts]:
         stack.callback(parts.gap.close)
         parts.validations.start()
         stack.callback(parts.validations.close)
+        parts.jobs.start()
+        stack.callback(parts.jobs.close)
         stack.callback(parts.hub.close)
         stack.callback(notices.close)
         stack.callback(parts.zone_notices.close)
@@ -290,6 +294,7 @@ def assemble(
         shadows=ShadowRuns(database, policies, logs, spec),
         deployments=deployments,
         rollouts=Rollouts(database, audit, registry, policies, deployments, hub),
+        jobs=Jobs(database, audit, registry, policies, sites, zones, hub, spec),
         throws=throws,
         stops=stops,
         plans=plans,
@@ -364,7 +369,7 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     parts.rollouts.on_change.append(
         lambda session, data: parts.alerting.notifications.add(session, "rollout.changed", data)
     )
-    parts.throws.on_change += [impacts.refresh, parts.rollouts.note]
+    parts.throws.on_change += [impacts.refresh, parts.rollouts.note, parts.jobs.note_throw]
     drift = DriftWatch(parts.database, parts.registry, parts.machine_policies)
     parts.throws.on_change.append(drift.note)
     parts.alerting.watch.sources += [drift.verdicts, parts.rollouts.verdicts]
@@ -377,6 +382,7 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     parts.sites.on_change.append(parts.targets.show_site)
     parts.zones.on_change.append(parts.zone_notices.changed)
     parts.zones.on_change.append(parts.targets.show_zones)
+    parts.zones.on_change.append(parts.jobs.note_zones)
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.holds.revoke(machine_id))
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.views.publish(machine_id))
     parts.stops.on_stop.append(parts.throw_service.forget)

@@ -31,6 +31,7 @@ from server.fleet.machine_summaries import MachineSummaries
 from server.gap.gap_previews import GapPreviews
 from server.gap.gap_service import GapService
 from server.gap.twin_versions import TwinVersions
+from server.jobs.jobs import Jobs
 from server.limits.streams import StreamLimiter
 from server.machines.lease_service import LeaseService
 from server.machines.machine_commands import MachineCommands
@@ -90,6 +91,7 @@ GapPreviewsDep = Annotated[GapPreviews, Depends(_get(GapPreviews))]
 HistoryDep = Annotated[ThrowHistory, Depends(_get(ThrowHistory))]
 HoldsDep = Annotated[HoldRelay, Depends(_get(HoldRelay))]
 HubDep = Annotated[EventHub, Depends(_get(EventHub))]
+JobsDep = Annotated[Jobs, Depends(_get(Jobs))]
 LeasesDep = Annotated[LeaseService, Depends(_get(LeaseService))]
 LinkDep = Annotated[MachineLink, Depends(_get(MachineLink))]
 LogsDep = Annotated[LogStore, Depends(_get(LogStore))]

@@ -5,6 +5,7 @@ ApiError (machine.errors.DownrangeError)
 ├── ForbiddenError      403
 ├── NotSignedInError    401
 ├── ConflictError       409  the machine's or the lease's state does not allow it
+├── InfeasibleError     422  well formed, and cannot be done
 ├── UnavailableError    503  lost machine, preview workers or database away
 └── UnknownOutcomeError 504  a command whose answer was lost; never repeated by us
 """
@@ -55,6 +56,12 @@ class ConflictError(ApiError):
     """The present state does not allow it."""
 
     status_code = 409
+
+
+class InfeasibleError(ApiError):
+    """What is asked is well formed and cannot be done."""
+
+    status_code = 422
 
 
 class UnavailableError(ApiError):

@@ -15,6 +15,7 @@ from server.schemas.events import (
     AlertEvent,
     AlertUpdatedEvent,
     GapUpdatedEvent,
+    JobUpdatedEvent,
     LeaseChangedEvent,
     MachineLostEvent,
     MachineRetiredEvent,
@@ -44,6 +45,7 @@ DiscreteEvent = (
     | AlertEvent
     | AlertUpdatedEvent
     | RolloutUpdatedEvent
+    | JobUpdatedEvent
 )
 
 QUEUE_LENGTH = 512

@@ -137,6 +137,15 @@ class RolloutUpdatedEvent(View):
     rollout_id: str
 
 
+class JobUpdatedEvent(View):
+    """A bulk job has news: a load, a change, or its next loads are planned; it is read anew."""
+
+    kind: Literal["job.updated"] = "job.updated"
+    job_id: str
+    machine_id: str
+    version_count: int
+
+
 class ServerEvent(
     RootModel[
         Annotated[
@@ -154,7 +163,8 @@ class ServerEvent(
             | ZonesUpdatedEvent
             | AlertEvent
             | AlertUpdatedEvent
-            | RolloutUpdatedEvent,
+            | RolloutUpdatedEvent
+            | JobUpdatedEvent,
             Field(discriminator="kind"),
         ]
     ]

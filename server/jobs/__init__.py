@@ -1,0 +1,1 @@
+"""Bulk jobs: loads are proposed, thrown by people in Operate, and recorded; no machine is commanded."""

@@ -1,0 +1,182 @@
+"""Jobs as they are read and stored: their ground, their versions, and the plans that follow a change."""
+
+import threading
+from collections.abc import Callable
+
+from pydantic import JsonValue
+
+from machine.spec import MachineSpec
+from server.accounts.audit_chain import Actor, AuditChain, Entry
+from server.event_hub import EventHub
+from server.jobs.job_ground import JobGround, JobGrounds, Surface
+from server.jobs.job_plans import JobPlans, Planned
+from server.jobs.job_store import JobRecord, open_job_ids, progress_of, read_record
+from server.jobs.job_views import JobChange, PlanningState
+from server.schemas.events import JobUpdatedEvent
+from server.store.database import Database
+from server.store.job_tables import JobLoad, JobRow, JobSurvey
+
+OFFERED_COUNT = 12
+"""Proposals of the last plans, which a throw may have been aimed at."""
+
+
+class JobBook:
+    """All jobs in the database.
+
+    Surfaces are computed outside of transactions: who changes a job holds `lock` from reading to `commit`.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        audit: AuditChain,
+        hub: EventHub,
+        plans: JobPlans,
+        spec: MachineSpec,
+    ) -> None:
+        self.database = database
+        self.audit = audit
+        self.grounds = JobGrounds(spec)
+        self.lock = threading.RLock()
+        self._hub = hub
+        self._plans = plans
+        self.on_change: list[Callable[[str], None]] = []
+        """Called with the machine's id after a job of it has changed."""
+        plans.on_planned.append(self._take_plan)
+
+    def read(self, job_id: str) -> JobRecord:
+        """A job.
+
+        Raises:
+            NotFoundError: there is none.
+        """
+        with self.database.read() as database:
+            return read_record(database, job_id)
+
+    def for_change(self, job_id: str, body: JobChange) -> JobRecord:
+        """A job that is changed; under `lock`.
+
+        Raises:
+            NotFoundError: there is none.
+            ConflictError: it has changed, or has ended.
+        """
+        record = self.read(job_id)
+        record.require_version(body.version_count)
+        return record
+
+    def ground(self, record: JobRecord) -> JobGround:
+        """The ground of a job."""
+        found = self.grounds.find(record.row.job_id)
+        if found is None:
+            found = self.grounds.make(record.file, record.ground)
+            self.grounds.keep(record.row.job_id, found)
+        return found
+
+    def surface(self, record: JobRecord) -> Surface:
+        """The present surface of a job."""
+        return self.ground(record).surfaces(record.surveyed, record.steps)[0]
+
+    def commit_loads(
+        self, record: JobRecord, actor: Actor, action: str, loads: list[JobLoad]
+    ) -> None:
+        """Store a job with changed loads, and plan anew; under `lock`."""
+        record.row.passed_m = []
+        numbers = list[JsonValue](load.load_count for load in loads)
+        throws = list[JsonValue](load.throw_id for load in loads)
+        self.commit(record, actor, action, {"load_counts": numbers, "throw_ids": throws})
+
+    def commit(
+        self,
+        record: JobRecord,
+        actor: Actor,
+        action: str,
+        detail: dict[str, JsonValue],
+        *,
+        survey: JobSurvey | None = None,
+        is_planned: bool = False,
+    ) -> None:
+        """Store a changed job as its next version, and tell it; under `lock`.
+
+        Args:
+            record: changed.
+            actor: who changed it.
+            action: for the audit.
+            detail: likewise.
+            survey: the new one among its surveys.
+            is_planned: what is planned holds; else it is planned anew.
+        """
+        row = record.row
+        row.version_count += 1
+        surface, after = self.ground(record).surfaces(record.surveyed, record.steps)
+        for load in record.loads:
+            state = after.get(load.load_count)
+            if load.is_withdrawn:
+                load.filled_ratio = load.spill_ratio = None
+            elif state is not None:
+                load.filled_ratio, load.spill_ratio = state.filled_ratio, state.spill_ratio
+        row.progress = progress_of(surface.progress).model_dump()
+        if not is_planned:
+            row.plan_state, row.plan_error = PlanningState.PLANNING.value, ""
+            row.proposals = []
+        with self.database.write() as database:
+            database.merge(row)
+            for load in record.loads:
+                database.merge(load)
+            if survey is not None:
+                database.add(survey)
+            self.audit.append(database, job_entry(actor, action, row, detail))
+        if is_planned:
+            self._tell(row)
+        else:
+            self.submit(record)
+
+    def submit(self, record: JobRecord) -> None:
+        """Plan a stored job, and tell it."""
+        self._plans.submit(record, self.ground(record), self.surface(record).field)
+        self._tell(record.row)
+
+    def _tell(self, row: JobRow) -> None:
+        self._hub.publish(
+            JobUpdatedEvent(
+                job_id=row.job_id, machine_id=row.machine_id, version_count=row.version_count
+            )
+        )
+        for listener in self.on_change:
+            listener(row.machine_id)
+
+    def plan_again(self, machine_id: str | None = None) -> None:
+        """Plan open jobs anew: of a machine, or all."""
+        with self.lock:
+            with self.database.read() as database:
+                records = [read_record(database, job_id) for job_id in open_job_ids(database)]
+            for record in records:
+                if machine_id in (None, record.row.machine_id):
+                    record.row.plan_state, record.row.proposals = PlanningState.PLANNING.value, []
+                    with self.database.write() as database:
+                        database.merge(record.row)
+                    self.submit(record)
+
+    def _take_plan(self, job_id: str, version_count: int, planned: Planned) -> None:
+        with self.lock:
+            record = self.read(job_id)
+            row = record.row
+            if row.ended_utc is not None or row.version_count != version_count:
+                return
+            proposals = [item.model_dump(mode="json") for item in planned.proposals]
+            row.plan_state, row.plan_error = planned.state.value, planned.error
+            row.landing_by = planned.landing_by or row.landing_by
+            row.proposals = proposals
+            row.offered = [*proposals, *row.offered][:OFFERED_COUNT]
+            with self.database.write() as database:
+                database.merge(row)
+        self._tell(row)
+
+
+def job_entry(actor: Actor, action: str, row: JobRow, detail: dict[str, JsonValue]) -> Entry:
+    """A change of a job for the audit."""
+    content: dict[str, JsonValue] = {
+        "job_id": row.job_id,
+        "version_count": row.version_count,
+        **detail,
+    }
+    return Entry(actor, action, "fact", machine_id=row.machine_id, detail=content)
