@@ -264,6 +264,210 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/jobs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Jobs
+         * @description A page of jobs, newest first.
+         */
+        get: operations["list_jobs"];
+        put?: never;
+        /**
+         * Create Job
+         * @description Begin a job; a machine has one at a time.
+         */
+        post: operations["create_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Job
+         * @description One job: progress, next loads, loads so far.
+         */
+        get: operations["read_job"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/end": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * End Job
+         * @description End a job.
+         */
+        post: operations["end_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/loads": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Add Job Load
+         * @description Record a throw, or a load by hand.
+         */
+        post: operations["add_job_load"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/move": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Move Job Load
+         * @description Move a proposal.
+         */
+        post: operations["move_job_load"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/report": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Job Report
+         * @description Its report so far, as one HTML page.
+         */
+        get: operations["read_job_report"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/skip": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Skip Job Load
+         * @description Pass a proposal over until the next load.
+         */
+        post: operations["skip_job_load"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/surface": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Job Surface
+         * @description Its ground: start, now, wanted.
+         */
+        get: operations["read_job_surface"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/survey": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Survey Job
+         * @description Put a surveyed surface in place of the computed one.
+         */
+        post: operations["survey_job"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/jobs/{job_id}/undo": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Undo Job Load
+         * @description Withdraw the last load.
+         */
+        post: operations["undo_job_load"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines": {
         parameters: {
             query?: never;
@@ -2150,6 +2354,20 @@ export interface components {
             reason: string;
         };
         /**
+         * Area
+         * @description Level ground without a survey.
+         */
+        Area: {
+            /** X Max M */
+            x_max_m: number;
+            /** X Min M */
+            x_min_m: number;
+            /** Y Max M */
+            y_max_m: number;
+            /** Y Min M */
+            y_min_m: number;
+        };
+        /**
          * ArmBody
          * @description Arm a plan; with the hash that was shown, a plan that changed since is refused.
          */
@@ -2299,6 +2517,25 @@ export interface components {
             token: string;
         };
         /**
+         * ClearWork
+         * @description Dig a heap and throw it into a container.
+         */
+        ClearWork: {
+            /** Container */
+            container: string;
+            /**
+             * Fill Ratio
+             * @default 0.95
+             */
+            fill_ratio: number;
+            heap: components["schemas"]["RectanglePlace"];
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "clear";
+        };
+        /**
          * ClearanceView
          * @description Distance to a limit at the nearest moment; metres or radians, the other pair is null.
          */
@@ -2400,6 +2637,31 @@ export interface components {
             differences: components["schemas"]["DifferenceView"][];
             source: components["schemas"]["ComparisonSource"];
             stats: components["schemas"]["ThrowStats"] | null;
+        };
+        /**
+         * ContainerPlace
+         * @description A truck bed or box; its place is its inside.
+         */
+        ContainerPlace: {
+            /** Floor M */
+            floor_m: number;
+            /** Length M */
+            length_m: number;
+            /** Name */
+            name: string;
+            /**
+             * Turn Rad
+             * @default 0
+             */
+            turn_rad: number;
+            /** Wall M */
+            wall_m: number;
+            /** Width M */
+            width_m: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
         };
         /**
          * CredentialsView
@@ -3141,6 +3403,353 @@ export interface components {
             /** Z M */
             z_m: number;
         };
+        /**
+         * JobChange
+         * @description Changes a job as it was shown.
+         */
+        JobChange: {
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobEndRequest
+         * @description End a job.
+         */
+        JobEndRequest: {
+            /**
+             * Reason
+             * @default
+             */
+            reason: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobFile
+         * @description Content of a job file.
+         */
+        JobFile: {
+            area?: components["schemas"]["Area"] | null;
+            /**
+             * Cell M
+             * @default 0.1
+             */
+            cell_m: number;
+            /**
+             * Containers
+             * @default []
+             */
+            containers: components["schemas"]["ContainerPlace"][];
+            /** Grab M3 */
+            grab_m3: number;
+            /**
+             * Landing
+             * @default []
+             */
+            landing: components["schemas"]["ScatterEntry"][];
+            loose?: components["schemas"]["RectanglePlace"] | null;
+            /** Material */
+            material: string | components["schemas"]["Material"];
+            /**
+             * Mode
+             * @default 2d
+             * @enum {string}
+             */
+            mode: "2d" | "3d";
+            /** Name */
+            name: string;
+            /**
+             * Objects
+             * @default []
+             */
+            objects: components["schemas"]["SiteObject"][];
+            /** Survey */
+            survey?: string | null;
+            /** Work */
+            work: components["schemas"]["TruckWork"] | components["schemas"]["ClearWork"] | components["schemas"]["PileWork"] | components["schemas"]["TrenchWork"];
+            /**
+             * Zones
+             * @default []
+             */
+            zones: components["schemas"]["Zone"][];
+        };
+        /**
+         * JobLoadRequest
+         * @description Record a throw, or a load that was placed otherwise, as a load of the job.
+         */
+        JobLoadRequest: {
+            /** Throw Id */
+            throw_id?: string | null;
+            /** Version Count */
+            version_count: number;
+            /** Volume M3 */
+            volume_m3?: number | null;
+            /** X M */
+            x_m?: number | null;
+            /** Y M */
+            y_m?: number | null;
+        };
+        /**
+         * JobLoadView
+         * @description A load that was thrown, or entered.
+         */
+        JobLoadView: {
+            /**
+             * At Utc
+             * Format: date-time
+             */
+            at_utc: string;
+            /** Filled Ratio */
+            filled_ratio: number | null;
+            /** Is Withdrawn */
+            is_withdrawn: boolean;
+            /**
+             * Landed By
+             * @enum {string}
+             */
+            landed_by: "measured" | "predicted" | "entered";
+            /** Load Count */
+            load_count: number;
+            /** Recorded By */
+            recorded_by: string;
+            /** Spill Ratio */
+            spill_ratio: number | null;
+            /** Throw Id */
+            throw_id: string | null;
+            /** Volume M3 */
+            volume_m3: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+        };
+        /**
+         * JobMoveRequest
+         * @description Move a proposal.
+         */
+        JobMoveRequest: {
+            /** Proposal Count */
+            proposal_count: number;
+            /** Version Count */
+            version_count: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+        };
+        /**
+         * JobPage
+         * @description Jobs, newest first; pass `next_cursor` to go on.
+         */
+        JobPage: {
+            /** Items */
+            items: components["schemas"]["JobSummary"][];
+            /** Next Cursor */
+            next_cursor: string | null;
+        };
+        /**
+         * JobProgress
+         * @description How far a job is.
+         */
+        JobProgress: {
+            /** Filled Ratio */
+            filled_ratio: number;
+            /** Missing M3 */
+            missing_m3: number;
+            /** Placed M3 */
+            placed_m3: number;
+            /** Spill Ratio */
+            spill_ratio: number;
+            /** Spilled M3 */
+            spilled_m3: number;
+            /** Unevenness M */
+            unevenness_m: number;
+            /** Wanted M3 */
+            wanted_m3: number;
+        };
+        /**
+         * JobProposal
+         * @description A load that is proposed; a person aims and holds it in Operate.
+         */
+        JobProposal: {
+            mode: components["schemas"]["Mode"];
+            /** Proposal Count */
+            proposal_count: number;
+            /** Sentence */
+            sentence: string;
+            /** Spill Ratio */
+            spill_ratio: number;
+            /** Surface M */
+            surface_m: number;
+            /** Volume M3 */
+            volume_m3: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+            /** Z M */
+            z_m: number;
+        };
+        /**
+         * JobRequest
+         * @description Begin a job.
+         */
+        JobRequest: {
+            file: components["schemas"]["JobFile"];
+            /** Machine Id */
+            machine_id: string;
+            /** Survey Csv */
+            survey_csv?: string | null;
+        };
+        /**
+         * JobSkipRequest
+         * @description Pass a proposal over until the next load.
+         */
+        JobSkipRequest: {
+            /** Proposal Count */
+            proposal_count: number;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobSummary
+         * @description One line of the list of jobs.
+         */
+        JobSummary: {
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** Ended By */
+            ended_by: string | null;
+            /** Ended Utc */
+            ended_utc: string | null;
+            /** Filled Ratio */
+            filled_ratio: number;
+            /** Job Id */
+            job_id: string;
+            /** Load Count */
+            load_count: number;
+            /** Machine Id */
+            machine_id: string;
+            /** Name */
+            name: string;
+            /**
+             * Status
+             * @enum {string}
+             */
+            status: "open" | "ended";
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobSurface
+         * @description A job's ground; heights (rows along y, columns along x), to the millimetre.
+         */
+        JobSurface: {
+            /** Containers */
+            containers: components["schemas"]["ContainerPlace"][];
+            /** Height M */
+            height_m: number[][];
+            /** Region */
+            region: boolean[][];
+            /** Start M */
+            start_m: number[][];
+            /** Version Count */
+            version_count: number;
+            /** Wanted M */
+            wanted_m: number[][];
+            /** X M */
+            x_m: number[];
+            /** Y M */
+            y_m: number[];
+        };
+        /**
+         * JobSurveyRequest
+         * @description Put a surveyed surface in place of the computed one.
+         */
+        JobSurveyRequest: {
+            /** Survey Csv */
+            survey_csv: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobUpdatedEvent
+         * @description A bulk job has news: a load, a change, or its next loads are planned; it is read anew.
+         */
+        JobUpdatedEvent: {
+            /** Job Id */
+            job_id: string;
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "job.updated";
+            /** Machine Id */
+            machine_id: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * JobView
+         * @description A job with its progress, what is proposed next, and its loads, oldest first.
+         */
+        JobView: {
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** End Reason */
+            end_reason: string;
+            /** Ended By */
+            ended_by: string | null;
+            /** Ended Utc */
+            ended_utc: string | null;
+            file: components["schemas"]["JobFile"];
+            /** Filled Ratio */
+            filled_ratio: number;
+            /** Grab Kg */
+            grab_kg: number;
+            /** Job Id */
+            job_id: string;
+            /** Landing By */
+            landing_by: ("measured" | "predicted") | null;
+            /** Load Count */
+            load_count: number;
+            /** Loads */
+            loads: components["schemas"]["JobLoadView"][];
+            /** Loads Per S */
+            loads_per_s: number | null;
+            /** Machine Id */
+            machine_id: string;
+            material: components["schemas"]["Material"];
+            /** Name */
+            name: string;
+            /** Next */
+            next: components["schemas"]["JobProposal"][];
+            /** Plan Error */
+            plan_error: string | null;
+            plan_state: components["schemas"]["PlanningState"];
+            progress: components["schemas"]["JobProgress"];
+            /**
+             * Status
+             * @enum {string}
+             */
+            status: "open" | "ended";
+            /** Thrown M3 */
+            thrown_m3: number;
+            /** Time Left S */
+            time_left_s: number | null;
+            /** Version Count */
+            version_count: number;
+        };
         JsonValue: unknown;
         /**
          * KeptReferenceView
@@ -3542,6 +4151,35 @@ export interface components {
             unknown_throw_id: string | null;
         };
         /**
+         * Material
+         * @description A loose material.
+         */
+        Material: {
+            /** Cohesion Pa */
+            cohesion_pa: number;
+            /** Drag Coefficient Ratio */
+            drag_coefficient_ratio: number;
+            /** Grain Density Kg Per M3 */
+            grain_density_kg_per_m3: number;
+            /** Grain Diameter M */
+            grain_diameter_m: number;
+            /** Grain Spread Ratio */
+            grain_spread_ratio: number;
+            /** Loose Density Kg Per M3 */
+            loose_density_kg_per_m3: number;
+            /** Name */
+            name: string;
+            /** Repose Rad */
+            repose_rad: number;
+            /**
+             * Source
+             * @default
+             */
+            source: string;
+            /** Swell Ratio */
+            swell_ratio: number;
+        };
+        /**
          * Miss
          * @description A horizontal displacement in frame `throw`.
          */
@@ -3685,6 +4323,20 @@ export interface components {
             start_s: number;
         };
         /**
+         * PileWork
+         * @description Build a pile.
+         */
+        PileWork: {
+            foot: components["schemas"]["RectanglePlace"];
+            /** Height M */
+            height_m: number;
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "pile";
+        };
+        /**
          * PlanFrames
          * @description The predicted motion, for an animation.
          */
@@ -3784,6 +4436,12 @@ export interface components {
             /** Twin Profile Version */
             twin_profile_version: number;
         };
+        /**
+         * PlanningState
+         * @description Where the plan of the next loads stands.
+         * @enum {string}
+         */
+        PlanningState: "planning" | "ready" | "nothing_left" | "failed";
         /**
          * PointPickedEvent
          * @description A click in this session's 3D view that is no target; m, frame `machine`.
@@ -4046,6 +4704,25 @@ export interface components {
             why: string;
         };
         /**
+         * RectanglePlace
+         * @description A rectangle on the ground, frame `machine`.
+         */
+        RectanglePlace: {
+            /** Length M */
+            length_m: number;
+            /**
+             * Turn Rad
+             * @default 0
+             */
+            turn_rad: number;
+            /** Width M */
+            width_m: number;
+            /** X M */
+            x_m: number;
+            /** Y M */
+            y_m: number;
+        };
+        /**
          * RefusalView
          * @description Why a plan may not be thrown, with numbers and remedy.
          */
@@ -4255,6 +4932,18 @@ export interface components {
             throws_count: number;
         };
         /**
+         * ScatterEntry
+         * @description Measured scatter of the machine's landings at a range.
+         */
+        ScatterEntry: {
+            /** Range M */
+            range_m: number;
+            /** Sd Crossrange M */
+            sd_crossrange_m: number;
+            /** Sd Downrange M */
+            sd_downrange_m: number;
+        };
+        /**
          * ScatterPoint
          * @description One landing in throw coordinates.
          */
@@ -4301,7 +4990,7 @@ export interface components {
          * ServerEvent
          * @description Payload of every server-sent event; `kind` is also the event's name.
          */
-        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["MachineRetiredEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PointPickedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["ZonesUpdatedEvent"] | components["schemas"]["AlertEvent"] | components["schemas"]["AlertUpdatedEvent"] | components["schemas"]["RolloutUpdatedEvent"];
+        ServerEvent: components["schemas"]["MachineStateEvent"] | components["schemas"]["MachineLostEvent"] | components["schemas"]["MachineRetiredEvent"] | components["schemas"]["LeaseChangedEvent"] | components["schemas"]["TargetProposedEvent"] | components["schemas"]["PointPickedEvent"] | components["schemas"]["PlanUpdatedEvent"] | components["schemas"]["ThrowUpdatedEvent"] | components["schemas"]["GapUpdatedEvent"] | components["schemas"]["TwinUpdatedEvent"] | components["schemas"]["SiteUpdatedEvent"] | components["schemas"]["ZonesUpdatedEvent"] | components["schemas"]["AlertEvent"] | components["schemas"]["AlertUpdatedEvent"] | components["schemas"]["RolloutUpdatedEvent"] | components["schemas"]["JobUpdatedEvent"];
         /**
          * SessionView
          * @description Who is signed in.
@@ -4977,6 +5666,23 @@ export interface components {
             reason: string;
         };
         /**
+         * TrenchWork
+         * @description Fill a trench.
+         */
+        TrenchWork: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "trench";
+            place: components["schemas"]["RectanglePlace"];
+            /**
+             * Top M
+             * @default 0
+             */
+            top_m: number;
+        };
+        /**
          * TrendPoint
          * @description A measured throw.
          */
@@ -4997,6 +5703,24 @@ export interface components {
             range_m: number;
             /** Throw Id */
             throw_id: string;
+        };
+        /**
+         * TruckWork
+         * @description Fill a container evenly.
+         */
+        TruckWork: {
+            /** Container */
+            container: string;
+            /**
+             * Fill Ratio
+             * @default 0.95
+             */
+            fill_ratio: number;
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "truck";
         };
         /**
          * TwinProfileView
@@ -6817,6 +7541,1267 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["HealthView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    list_jobs: {
+        parameters: {
+            query?: {
+                machine_id?: string | null;
+                status?: ("open" | "ended") | null;
+                cursor?: string | null;
+                limit?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobPage"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    create_job: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_job: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    end_job: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobEndRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    add_job_load: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobLoadRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    move_job_load: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobMoveRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_job_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": string;
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/html": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    skip_job_load: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobSkipRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_job_surface: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobSurface"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    survey_job: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobSurveyRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    undo_job_load: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                job_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["JobChange"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["JobView"];
                 };
             };
             /** @description Bad Request */
