@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 from pydantic import JsonValue
 
+from bulk.height_field import HeightField
 from machine.spec import MachineSpec
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.event_hub import EventHub
 from server.jobs.job_ground import JobGround, JobGrounds, Surface
-from server.jobs.job_plans import JobPlans, Planned
-from server.jobs.job_store import JobRecord, open_job_ids, progress_of, read_record
+from server.jobs.job_store import JobRecord, Planned, open_job_ids, progress_of, read_record
 from server.jobs.job_views import JobChange, PlanningState
 from server.schemas.events import JobUpdatedEvent
 from server.store.database import Database
@@ -20,6 +20,10 @@ OFFERED_COUNT = 12
 """Proposals of the last plans, which a throw may have been aimed at."""
 
 
+Submit = Callable[[JobRecord, JobGround, HeightField], None]
+"""Plans the next loads of a job on its present surface."""
+
+
 class JobBook:
     """All jobs in the database.
 
@@ -27,22 +31,16 @@ class JobBook:
     """
 
     def __init__(
-        self,
-        database: Database,
-        audit: AuditChain,
-        hub: EventHub,
-        plans: JobPlans,
-        spec: MachineSpec,
+        self, database: Database, audit: AuditChain, hub: EventHub, spec: MachineSpec, plan: Submit
     ) -> None:
         self.database = database
         self.audit = audit
         self.grounds = JobGrounds(spec)
         self.lock = threading.RLock()
         self._hub = hub
-        self._plans = plans
+        self._plan = plan
         self.on_change: list[Callable[[str], None]] = []
         """Called with the machine's id after a job of it has changed."""
-        plans.on_planned.append(self._take_plan)
 
     def read(self, job_id: str) -> JobRecord:
         """A job.
@@ -132,7 +130,7 @@ class JobBook:
 
     def submit(self, record: JobRecord) -> None:
         """Plan a stored job, and tell it."""
-        self._plans.submit(record, self.ground(record), self.surface(record).field)
+        self._plan(record, self.ground(record), self.surface(record).field)
         self._tell(record.row)
 
     def _tell(self, row: JobRow) -> None:
@@ -156,7 +154,8 @@ class JobBook:
                         database.merge(record.row)
                     self.submit(record)
 
-    def _take_plan(self, job_id: str, version_count: int, planned: Planned) -> None:
+    def take_plan(self, job_id: str, version_count: int, planned: Planned) -> None:
+        """Store what a plan gave, if the job has not changed since."""
         with self.lock:
             record = self.read(job_id)
             row = record.row

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from typing import Final
 
 from bulk.height_field import HeightField
 from bulk.job_file import JobFile
@@ -21,7 +21,7 @@ from server.errors import ConflictError
 from server.job_queue import Job, JobQueue
 from server.jobs.job_ground import JobGround
 from server.jobs.job_planning import PlanLoads, PlanTask
-from server.jobs.job_store import JobRecord
+from server.jobs.job_store import JobRecord, Planned
 from server.jobs.job_views import JobProposal, PlanningState
 from server.jobs.throw_loads import measured_scatter
 from server.machines.machine_registry import MachineRegistry
@@ -36,15 +36,6 @@ logger = logging.getLogger(__name__)
 USUAL_SCATTER: Final = LandingScatter(8.0, 0.15, 0.1)
 """For the check of a new job, before the scatter of its throws is known; assumed."""
 MODEL_COUNT: Final = 16
-
-
-class Planned(NamedTuple):
-    """What a plan gave."""
-
-    state: PlanningState
-    error: str = ""
-    landing_by: Literal["measured", "predicted"] | None = None
-    proposals: tuple[JobProposal, ...] = ()
 
 
 @dataclass(slots=True, kw_only=True)

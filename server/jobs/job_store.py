@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session as DatabaseSession
@@ -33,6 +33,15 @@ from server.store.job_tables import JobLoad, JobRow, JobSurvey
 FIRST_VERSION: Final = 1
 RATE_COUNT: Final = 10
 """Newest loads that say how many there are in a time."""
+
+
+class Planned(NamedTuple):
+    """What a plan gave."""
+
+    state: PlanningState
+    error: str = ""
+    landing_by: Literal["measured", "predicted"] | None = None
+    proposals: tuple[JobProposal, ...] = ()
 
 
 @dataclass(slots=True)

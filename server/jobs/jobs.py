@@ -87,7 +87,8 @@ class Jobs:
         self._registry = registry
         self._sites = sites
         self.plans = JobPlans(database, registry, policies, sites, zones, spec, plan)
-        self._book = JobBook(database, audit, hub, self.plans, spec)
+        self._book = JobBook(database, audit, hub, spec, self.plans.submit)
+        self.plans.on_planned.append(self._book.take_plan)
         self._news = threading.Condition()
         self._with_throws: set[str] = set()
         self._with_zones: set[str] = set()

@@ -23,6 +23,7 @@ const EVENT_KINDS: Record<ServerEvent["kind"], true> = {
   alert: true,
   "alert.updated": true,
   "rollout.updated": true,
+  "job.updated": true,
 };
 
 const FIRST_RETRY_MS = 500;

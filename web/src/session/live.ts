@@ -169,6 +169,7 @@ function onEvent(live: Live, event: ServerEvent, sessionId: string | null): Live
       return { ...live, gapRuns: put(live.gapRuns, event.run.gap_run_id, event.run) };
     case "twin.updated":
     case "rollout.updated":
+    case "job.updated":
       return live;
     case "site.updated":
       return { ...live, sites: { ...live.sites, [event.site.machine_id]: event.site } };
