@@ -216,11 +216,20 @@ def material_of(file: JobFile) -> Material:
     return material(file.material) if isinstance(file.material, str) else file.material
 
 
-def _level_ground(file: JobFile) -> tuple[Grid, Array]:
+def area_grid(file: JobFile) -> Grid:
+    """Grid of a job without a survey.
+
+    Raises:
+        UsageError: it has no area, or one that is empty or too large.
+    """
     area = file.area
     if area is None:
         raise UsageError("give either area or survey")
-    grid = make_grid((area.x_min_m, area.x_max_m), (area.y_min_m, area.y_max_m), file.cell_m)
+    return make_grid((area.x_min_m, area.x_max_m), (area.y_min_m, area.y_max_m), file.cell_m)
+
+
+def _level_ground(file: JobFile) -> tuple[Grid, Array]:
+    grid = area_grid(file)
     return grid, np.zeros((grid.row_count, grid.column_count))
 
 

@@ -21,6 +21,7 @@ from server.deployments.machine_policies import MachinePolicies
 from server.deployments.policy_uploads import PolicyUploads
 from server.deployments.site_approvals import SiteApprovals
 from server.display.impact_display import ImpactDisplay
+from server.display.job_display import JobDisplay
 from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
@@ -386,8 +387,11 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.holds.revoke(machine_id))
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.views.publish(machine_id))
     parts.stops.on_stop.append(parts.throw_service.forget)
+    material = JobDisplay(parts.scene, parts.jobs.material)
+    parts.targets.on_watch.append(material.watch)
+    parts.jobs.on_change.append(material.refresh)
     parts.accounts.on_session_end(parts.leases.end_session)
-    for part in (parts.hub, parts.targets, parts.replays):
+    for part in (parts.hub, parts.targets, parts.replays, material):
         parts.accounts.on_session_end(
             lambda session, part=part: part.end_session(session.session_id)
         )

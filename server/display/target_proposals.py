@@ -1,7 +1,7 @@
 """Proposed targets: each session's target point, from a click in the 3D view or from the fields."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -62,6 +62,8 @@ class TargetProposals:
         self._impacts = impacts
         self._policies = policies
         self._hub = hub
+        self.on_watch: list[Callable[[str, str], None]] = []
+        """Called with session and machine when a session chooses what it watches."""
         self._lock = threading.Lock()
         self._contexts: dict[str, ViewContext] = {}
         self._aboard: dict[str, Mapping[str, str]] = {}
@@ -138,6 +140,8 @@ class TargetProposals:
             self._impacts.watch(session_id, request.machine_id)
             self._scene.set_site(session_id, self._sites.objects(request.machine_id))
             self._show_zones(session_id, request.machine_id)
+            for listener in self.on_watch:
+                listener(session_id, request.machine_id)
         if request.mode is not None:
             context.mode = request.mode
         if request.machine_id is not None or request.mode is not None:

@@ -9,7 +9,7 @@ from bulk.height_field import HeightField
 from machine.spec import MachineSpec
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.event_hub import EventHub
-from server.jobs.job_ground import JobGround, JobGrounds, Surface
+from server.jobs.job_ground import JobGround, JobGrounds, JobState
 from server.jobs.job_store import JobRecord, Planned, open_job_ids, progress_of, read_record
 from server.jobs.job_views import JobChange, PlanningState
 from server.schemas.events import JobUpdatedEvent
@@ -70,7 +70,7 @@ class JobBook:
             self.grounds.keep(record.row.job_id, found)
         return found
 
-    def surface(self, record: JobRecord) -> Surface:
+    def surface(self, record: JobRecord) -> JobState:
         """The present surface of a job."""
         return self.ground(record).surfaces(record.surveyed, record.steps)[0]
 

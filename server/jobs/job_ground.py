@@ -15,7 +15,7 @@ import numpy as np
 
 from bulk.goal import Progress, progress
 from bulk.height_field import WALL, Grid, HeightField
-from bulk.job_file import BulkJob, JobFile, surveyed_job
+from bulk.job_file import BulkJob, JobFile, area_grid, surveyed_job
 from bulk.placement import LandedLoad, LoadPlacement
 from bulk.survey import parse_survey
 from machine.conventions import Array
@@ -41,14 +41,14 @@ class NumberedLoad(NamedTuple):
     load: LandedLoad
 
 
-class Surveyed(NamedTuple):
+class SurveyedSurface(NamedTuple):
     """Heights (rows, columns) on the job's grid at a version of the job."""
 
     version_count: int
     height_m: Array
 
 
-class Surface(NamedTuple):
+class JobState(NamedTuple):
     """A surface, and how far the job is with it."""
 
     field: HeightField
@@ -69,17 +69,16 @@ class JobGround:
         Raises:
             UsageError: it cannot be done; with numbers and reason.
         """
-        if ground is not None:
-            _require_size(ground[0])
+        # Before anything is computed on it.
+        _require_size(area_grid(file) if ground is None else ground[0])
         self.job: BulkJob = surveyed_job(file, ground)
-        _require_size(self.job.field.grid)
         self._placement = LoadPlacement(self.job, spec)
         self._lock = Lock()
-        self._kept: OrderedDict[tuple[Any, ...], Surface] = OrderedDict()
+        self._kept: OrderedDict[tuple[Any, ...], JobState] = OrderedDict()
 
     def surfaces(
-        self, surveyed: Surveyed | None, loads: Sequence[NumberedLoad]
-    ) -> tuple[Surface, dict[int, Progress]]:
+        self, surveyed: SurveyedSurface | None, loads: Sequence[NumberedLoad]
+    ) -> tuple[JobState, dict[int, Progress]]:
         """The surface after loads, and the progress after each one by its number; no longer kept ones miss.
 
         Args:
@@ -103,14 +102,14 @@ class JobGround:
                 after[load.number] = surface.progress
             return surface, after
 
-    def _keep(self, key: tuple[Any, ...], surveyed: Surveyed | None) -> Surface:
+    def _keep(self, key: tuple[Any, ...], surveyed: SurveyedSurface | None) -> JobState:
         field = self.job.field
         if surveyed is not None:
             field = replace(field, height_m=np.maximum(surveyed.height_m, field.base_m))
         return self._put(key, field)
 
-    def _put(self, key: tuple[Any, ...], field: HeightField) -> Surface:
-        surface = Surface(field, progress(self.job.goal, self.job.field, field))
+    def _put(self, key: tuple[Any, ...], field: HeightField) -> JobState:
+        surface = JobState(field, progress(self.job.goal, self.job.field, field))
         self._kept[key] = surface
         while len(self._kept) > KEPT_COUNT:
             self._kept.popitem(last=False)

@@ -5,7 +5,7 @@ import numpy as np
 from bulk.height_field import HeightField
 from bulk.job_report import job_html, progress_json, surfaces_json
 from machine.conventions import Array
-from server.jobs.job_ground import JobGround, Surface
+from server.jobs.job_ground import JobGround, JobState
 from server.jobs.job_store import JobRecord
 from server.jobs.job_views import JobSurface
 from server.store.job_tables import JobLoad
@@ -26,7 +26,7 @@ def job_surface(record: JobRecord, ground: JobGround, field: HeightField) -> Job
     )
 
 
-def thrown_job_html(record: JobRecord, ground: JobGround, surface: Surface, policy_id: str) -> str:
+def thrown_job_html(record: JobRecord, ground: JobGround, surface: JobState, policy_id: str) -> str:
     """The page of a job so far.
 
     Args:

@@ -16,7 +16,7 @@ from bulk.job_report import progress_json
 from bulk.material import Material
 from bulk.placement import LandedLoad
 from server.errors import ConflictError, NotFoundError
-from server.jobs.job_ground import Ground, NumberedLoad, Surveyed, pack, unpacked
+from server.jobs.job_ground import Ground, NumberedLoad, SurveyedSurface, pack, unpacked
 from server.jobs.job_views import (
     JobLoadView,
     JobPage,
@@ -76,10 +76,10 @@ class JobRecord:
         return max(since, key=lambda survey: survey.version_count, default=None)
 
     @property
-    def surveyed(self) -> Surveyed | None:
+    def surveyed(self) -> SurveyedSurface | None:
         """Surface of the last survey since the job began."""
         last = self.last_survey
-        return None if last is None else Surveyed(last.version_count, _ground_of(last)[1])
+        return None if last is None else SurveyedSurface(last.version_count, _ground_of(last)[1])
 
     @property
     def steps(self) -> list[NumberedLoad]:

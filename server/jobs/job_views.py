@@ -40,6 +40,8 @@ class JobRequest(Request):
     def _check_file(self) -> Self:
         if self.file.objects or self.file.zones or self.file.landing:
             raise ValueError("objects, zones and landing are the machine's own; leave them out")
+        if "\x00" in self.file.name:
+            raise ValueError("the name has a NUL character")
         if (self.file.survey is None) != (self.survey_csv is None):
             raise ValueError("a survey is sent as survey_csv, and file.survey names it")
         return self
@@ -68,7 +70,7 @@ class JobMoveRequest(JobSkipRequest):
 class JobLoadRequest(JobChange):
     """Record a throw, or a load that was placed otherwise, as a load of the job."""
 
-    throw_id: str | None = Field(default=None, max_length=64)
+    throw_id: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_-]{1,64}$")
     x_m: float | None = Field(default=None, ge=-60.0, le=60.0)
     y_m: float | None = Field(default=None, ge=-60.0, le=60.0)
     volume_m3: float | None = Field(default=None, gt=0.0, le=3.0)

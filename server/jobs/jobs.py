@@ -50,7 +50,8 @@ from server.jobs.job_views import (
     JobView,
     PlanningState,
 )
-from server.jobs.throw_loads import Landing, aimed_at, counted_ids, landed_throws, landing_of
+from server.jobs.laid_material import laid_material
+from server.jobs.throw_loads import ThrowLanding, aimed_at, counted_ids, landed_throws, landing_of
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
@@ -59,6 +60,7 @@ from server.schemas.history import Outcome
 from server.store.database import Database
 from server.store.job_tables import JobLoad, JobRow
 from server.store.models import Throw
+from server.viewer.shapes import LaidMaterial
 
 logger = logging.getLogger(__name__)
 
@@ -164,6 +166,15 @@ class Jobs:
         return thrown_job_html(
             record, self._book.ground(record), self._book.surface(record), policy_id
         )
+
+    def material(self, machine_id: str) -> LaidMaterial | None:
+        """What lies on the ground of a machine's open job; None without one."""
+        with self._database.read() as database:
+            job_id = open_job_id(database, machine_id)
+            if job_id is None:
+                return None
+            record = read_record(database, job_id)
+        return laid_material(self._book.surface(record).field)
 
     # People ---------------------------------------------------------------------------------------
 
@@ -284,7 +295,7 @@ class Jobs:
                 if volume_m3 is None and aimed is not None:
                     volume_m3 = aimed.volume_m3
             else:
-                landing = Landing(body.x_m or 0.0, body.y_m or 0.0, "entered")
+                landing = ThrowLanding(body.x_m or 0.0, body.y_m or 0.0, "entered")
                 grid = self._book.ground(record).job.field.grid
                 if not grid.holds(landing.x_m, landing.y_m):
                     raise InfeasibleError(
@@ -432,7 +443,7 @@ class Jobs:
 
 
 def _add(
-    record: JobRecord, throw: Throw | None, landing: Landing, volume_m3: float, actor: Actor
+    record: JobRecord, throw: Throw | None, landing: ThrowLanding, volume_m3: float, actor: Actor
 ) -> JobLoad:
     """A new last load of a job."""
     load = JobLoad(
@@ -454,7 +465,7 @@ def _add(
     return load
 
 
-def _follow(load: JobLoad, landing: Landing) -> bool:
+def _follow(load: JobLoad, landing: ThrowLanding) -> bool:
     """Move a load to where its throw landed by what is known now; whether it moved."""
     away_m = max(abs(load.x_m - landing.x_m), abs(load.y_m - landing.y_m))
     if away_m <= SAME_LANDING_M and load.landed_by == landing.landed_by:

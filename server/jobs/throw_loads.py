@@ -27,7 +27,7 @@ BIN_M: Final = 1.0
 LEAST_SD_M: Final = 0.01
 
 
-class Landing(NamedTuple):
+class ThrowLanding(NamedTuple):
     """Where a throw came down, frame `machine`."""
 
     x_m: float
@@ -35,7 +35,7 @@ class Landing(NamedTuple):
     landed_by: LandedBy
 
 
-def landing_of(throw: Throw) -> Landing:
+def landing_of(throw: Throw) -> ThrowLanding:
     """The measured impact that counts; without one the predicted one, without that the target."""
     along_m, across_m = throw.measured_downrange_error_m, throw.measured_crossrange_error_m
     landed_by: LandedBy = "measured"
@@ -43,7 +43,7 @@ def landing_of(throw: Throw) -> Landing:
         landed_by = "predicted"
         along_m = throw.predicted_downrange_error_m or 0.0
         across_m = throw.predicted_crossrange_error_m or 0.0
-    return Landing(*point_of(target_of(throw), along_m, across_m), landed_by)
+    return ThrowLanding(*point_of(target_of(throw), along_m, across_m), landed_by)
 
 
 def landed_throws(database: DatabaseSession, job: JobRow) -> Sequence[Throw]:

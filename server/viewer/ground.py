@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import viser
 
 from machine.site.objects import SiteKind, SiteObject
@@ -32,6 +33,7 @@ class GroundNodes:
         scene.configure_fog(HAZE_NEAR_M, HAZE_FAR_M, color=theme.haze)
         self._shadows = shadows
         self._site: list[viser.SceneNodeHandle] = []
+        self._material: list[viser.SceneNodeHandle] = []
         self._ground = self._lay(())
         self._nodes: list[viser.SceneNodeHandle] = [
             scene.add_light_directional(
@@ -115,6 +117,35 @@ class GroundNodes:
             ),
         ]
 
+    def draw_material(self, material: shapes.LaidMaterial | None) -> None:
+        """Bulk material with its contour lines, in place of what was drawn of it before."""
+        for node in reversed(self._material):
+            node.remove()
+        self._material.clear()
+        if material is None or not len(material.faces):
+            return
+        self._material.append(
+            self._scene.add_mesh_simple(
+                "/material",
+                material.vertices_m.astype(np.float32),
+                material.faces.astype(np.uint32),
+                color=self._theme.material,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        )
+        if len(material.contours_m):
+            self._material.append(
+                self._scene.add_line_segments(
+                    "/material/contours",
+                    material.contours_m.astype(np.float32),
+                    self._theme.site_edge,
+                    thickness=1.2,
+                    thickness_units="screen",
+                )
+            )
+
     def dim_outside(self, inner_m: float, outer_m: float) -> list[viser.SceneNodeHandle]:
         """Dim the ground nearer than `inner_m` and beyond `outer_m`; returns the new nodes."""
         full = self._theme.dim_ratio
@@ -139,7 +170,8 @@ class GroundNodes:
 
     def remove(self) -> None:
         """Take everything out of the scene."""
-        for node in [*reversed(self._site), self._ground, *self._nodes]:
+        for node in [*reversed(self._site), *reversed(self._material), self._ground, *self._nodes]:
             node.remove()
         self._site.clear()
+        self._material.clear()
         self._nodes.clear()

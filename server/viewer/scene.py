@@ -15,6 +15,7 @@ from machine.site.objects import SiteObject
 from machine.site.zones import Corner, Zone
 from machine.spec import MJCF_PATH, MachineSpec
 from server.viewer.replay import Playback, ThrowMotion
+from server.viewer.shapes import LaidMaterial
 from server.viewer.stage import OnPick, OnPickRefused, ViewerStage
 from server.viewer.state import (
     ImpactMarks,
@@ -139,6 +140,14 @@ class ViewerScene:
             state.site = tuple(objects)
 
         self._stage.apply(session_id, change, lambda view, state: view.draw_site(state))
+
+    def set_material(self, session_id: str, material: LaidMaterial | None) -> None:
+        """Show the bulk material of the machine's open job; None takes it away."""
+        self._stage.apply(
+            session_id,
+            lambda state: setattr(state, "material", material),
+            lambda view, state: view.draw_material(state),
+        )
 
     def set_zones(self, session_id: str, active: Sequence[Zone], draft: Sequence[Zone]) -> None:
         """Show the approved exclusion zones, and those of a draft."""
@@ -294,6 +303,7 @@ class ViewerScene:
 
         def draw(view: ClientView, state: ShownSession) -> None:
             view.draw_site(state)
+            view.draw_material(state)
             view.draw_zones(state)
 
         self._stage.apply(session_id, change, draw)
@@ -326,6 +336,7 @@ class ViewerScene:
 
         def draw(view: ClientView, state: ShownSession) -> None:
             view.draw_site(state)
+            view.draw_material(state)
             view.draw_zones(state)
             view.show_replay(None)
             view.show_ghost(None, state)

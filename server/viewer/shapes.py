@@ -5,6 +5,7 @@ Line sets have shape (N, 2, 3); meshes are (vertices (V, 3), faces (F, 3)); metr
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,18 @@ RING_POINTS = 180
 ROUND_COUNT = 48
 GROUND_SECTORS = 96
 NEAR_GROUND_M = 20.0
+
+
+@dataclass(frozen=True)
+class LaidMaterial:
+    """Bulk material on the ground, frame `machine`."""
+
+    vertices_m: Array
+    """(N, 3)."""
+    faces: IntArray
+    """(M, 3)."""
+    contours_m: Array
+    """(L, 2, 3) lines of equal height."""
 
 
 def circle(radius_m: float, count: int = RING_POINTS) -> Array:

@@ -12,6 +12,7 @@ from machine.messages import LandingEllipse
 from machine.site.objects import SiteObject
 from machine.site.zones import Corner, Zone
 from server.viewer.replay import Playback, ThrowMotion
+from server.viewer.shapes import LaidMaterial
 from server.viewer.theme import CameraPreset, ThemeName
 
 Point = tuple[float, float, float]
@@ -125,6 +126,8 @@ class ShownSession:
     draft_zones: tuple[Zone, ...] = ()
     sketch: ZoneOutline = field(default_factory=lambda: ZoneOutline(()))
     """The zone that is being drawn."""
+    material: LaidMaterial | None = None
+    """Of the machine's open job."""
     reach: Reach | None = None
     plan: ShownPlan | None = None
     preview: Playback | None = None
@@ -151,6 +154,11 @@ class ShownSession:
             return
         self.plan, self.target_m = plan, plan.target_m
         self.preview = Playback(plan.motion) if play else None
+
+    @property
+    def drawn_material(self) -> LaidMaterial | None:
+        """Bulk material that lies there now; what lay there at a replayed throw nobody knows."""
+        return self.material if self.replay is None else None
 
     @property
     def drawn_site(self) -> tuple[SiteObject, ...]:

@@ -33,6 +33,7 @@ class Theme:
     site_edge: Rgb
     pit: Rgb
     zone: Rgb
+    material: Rgb
 
 
 THEMES: dict[ThemeName, Theme] = {
@@ -56,6 +57,7 @@ THEMES: dict[ThemeName, Theme] = {
         site_edge=(72, 80, 90),
         pit=(146, 138, 126),
         zone=(190, 90, 0),
+        material=(172, 146, 108),
     ),
     "dark": Theme(
         is_dark=True,
@@ -77,6 +79,7 @@ THEMES: dict[ThemeName, Theme] = {
         site_edge=(168, 176, 186),
         pit=(38, 36, 33),
         zone=(255, 170, 60),
+        material=(128, 108, 80),
     ),
 }
 

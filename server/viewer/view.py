@@ -64,6 +64,10 @@ class ClientView:
         """Draw what stands around the machine."""
         self.ground.draw_site(state.drawn_site)
 
+    def draw_material(self, state: ShownSession) -> None:
+        """Draw the bulk material of the open job."""
+        self.ground.draw_material(state.drawn_material)
+
     def draw_zones(self, state: ShownSession) -> None:
         """Draw the exclusion zones of today; a replay shows none, as nobody asks what they were then."""
         is_live = state.replay is None
@@ -77,6 +81,7 @@ class ClientView:
     def draw_all(self, state: ShownSession) -> None:
         """Draw all marks of the session and place the camera; the machine follows with its sample."""
         self.draw_site(state)
+        self.draw_material(state)
         self.draw_zones(state)
         self.draw_sketch(state)
         self.marks.draw_all(state, self.ground)

@@ -15,7 +15,7 @@ from machine.site.objects import SiteObject
 from machine.spec import load_spec
 from server.clock import new_id, utc_now
 from server.errors import ConflictError, InfeasibleError, NotFoundError
-from server.jobs.job_ground import JobGround, NumberedLoad, Surveyed
+from server.jobs.job_ground import JobGround, NumberedLoad, SurveyedSurface
 from server.jobs.job_planning import planned_loads
 from server.jobs.job_views import (
     JobChange,
@@ -145,7 +145,13 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
         pytest.approx(8.4), pytest.approx(0.3), "measured",
     )  # fmt: skip
     assert followed.version_count == thrown.version_count + 1, "what is known already is no change"
+    laid = yard.jobs.material("m001")
+    assert len(laid.faces) > 10 and len(laid.contours_m) > 4
+    middle = laid.vertices_m.mean(axis=0)
+    assert np.hypot(middle[0] - 8.4, middle[1] - 0.3) < 0.3, "drawn where it fell"
+    assert laid.vertices_m[:, 2].max() < 0.7, "no wall belongs to it"
     undone = yard.jobs.undo(begun.job_id, change(followed), yard.ada)
+    assert len(yard.jobs.material("m001").faces) == 0
     yard.jobs.take_throws("m001")
     assert undone.progress == begun.progress and undone.loads[0].is_withdrawn
     again = yard.planned(begun.job_id)
@@ -199,6 +205,7 @@ def test_what_cannot_be_done_is_refused_with_its_reason(yard):
         yard.jobs.add_load(begun.job_id, body, yard.ada)
     ended = yard.jobs.end(begun.job_id, JobEndRequest(version_count=1, reason="rain"), yard.ada)
     assert (ended.status, ended.ended_by, ended.next) == ("ended", "ada", ())
+    assert yard.jobs.material("m001") is None
     with pytest.raises(ConflictError, match="has ended"):
         yard.enter(ended)
     assert yard.create(name="truck 8").name == "truck 8"
@@ -272,7 +279,7 @@ def test_volume_closes_over_loads_undo_and_surveys_and_a_replay_is_the_same(step
             loads = loads[:-1]
         else:
             height = np.full_like(ground.job.field.height_m, step[1])
-            surveyed, loads = Surveyed(number, height), []
+            surveyed, loads = SurveyedSurface(number, height), []
             base_m3 = ground.surfaces(surveyed, ())[0].field.volume_m3()
         surface, after = ground.surfaces(surveyed, loads)
         thrown_m3 = sum(load.load.volume_m3 for load in loads)

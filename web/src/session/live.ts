@@ -24,7 +24,8 @@ export type ServerEvent =
   | Schema["ZonesUpdatedEvent"]
   | Schema["AlertEvent"]
   | Schema["AlertUpdatedEvent"]
-  | Schema["RolloutUpdatedEvent"];
+  | Schema["RolloutUpdatedEvent"]
+  | Schema["JobUpdatedEvent"];
 
 export type Live = {
   machines: Readonly<Record<string, Machine>>;

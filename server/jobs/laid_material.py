@@ -1,0 +1,53 @@
+"""The material of a job as a mesh with contour lines, for the 3D view."""
+
+import numpy as np
+
+from bulk.height_field import WALL, HeightField
+from bulk.job_report import contour_lines
+from machine.conventions import Array
+from server.viewer.shapes import LaidMaterial
+
+LEAST_M = 0.01
+"""Thinner layers are not drawn."""
+LIFT_M = 0.01
+"""Above the ground on which it lies, that neither shines through the other."""
+CONTOUR_M = 0.1
+MAX_CONTOUR_COUNT = 40
+
+
+def laid_material(field: HeightField) -> LaidMaterial:
+    """Mesh over the cells on which material lies; walls of containers are left out."""
+    grid = field.grid
+    is_wall = field.container_index == WALL
+    x_m, y_m = np.meshgrid(grid.x_m, grid.y_m)
+    vertices = np.stack([x_m, y_m, field.height_m + LIFT_M], axis=-1).reshape(-1, 3)
+    lies = (field.height_m - field.base_m > LEAST_M) & ~is_wall
+    number = np.arange(is_wall.size).reshape(is_wall.shape)
+    corners = [
+        (slice(None, -1), slice(None, -1)),
+        (slice(None, -1), slice(1, None)),
+        (slice(1, None), slice(1, None)),
+        (slice(1, None), slice(None, -1)),
+    ]
+    drawn = np.logical_or.reduce([lies[at] for at in corners])
+    drawn &= ~np.logical_or.reduce([is_wall[at] for at in corners])
+    a, b, c, d = (number[at][drawn] for at in corners)
+    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    used, faces = np.unique(faces, return_inverse=True)
+    return LaidMaterial(vertices[used], faces.reshape(-1, 3), _contours(field, lies))
+
+
+def _contours(field: HeightField, lies: Array) -> Array:
+    """(L, 2, 3) lines of equal height on the material."""
+    if not lies.any():
+        return np.zeros((0, 2, 3))
+    height = np.where(lies, field.height_m, np.nan)
+    low_m, high_m = float(np.nanmin(height)), float(np.nanmax(height))
+    step_m = CONTOUR_M * max(1.0, np.ceil((high_m - low_m) / CONTOUR_M / MAX_CONTOUR_COUNT))
+    lines: list[Array] = []
+    for level_m in np.arange(np.ceil(low_m / step_m), np.floor(high_m / step_m) + 1.0) * step_m:
+        flat = contour_lines(field.grid.x_m, field.grid.y_m, height, float(level_m) + 1e-6)
+        flat = flat[np.isfinite(flat).all(axis=(1, 2))]
+        up = np.full((*flat.shape[:2], 1), level_m + 1.5 * LIFT_M)
+        lines.append(np.concatenate([flat, up], axis=-1))
+    return np.concatenate(lines) if lines else np.zeros((0, 2, 3))
