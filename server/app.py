@@ -28,6 +28,7 @@ from server.limits.streams import Place, StreamKind
 from server.management_routes import (
     alerts,
     dossiers,
+    drifts,
     enrolment,
     fleet,
     gap,
@@ -93,6 +94,7 @@ def _api_router() -> APIRouter:
         rollouts,
         jobs,
         gap,
+        drifts,
         alerts,
         audit,
         events,

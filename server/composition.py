@@ -26,6 +26,7 @@ from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
 from server.dossier.dossier_service import Dossiers
+from server.drift.drift_diagnosis import DriftDiagnoses
 from server.drift.drift_watch import DriftWatch
 from server.enrolment.enrolments import Enrolments
 from server.enrolment.router_renewal import RouterRenewal
@@ -119,6 +120,7 @@ class Parts:
     dossiers: Dossiers
     replays: ReplayControl
     gap: GapService
+    drifts: DriftDiagnoses
     twin_versions: TwinVersions
     gap_previews: GapPreviews
     views: MachineViews
@@ -257,9 +259,7 @@ def assemble(
     ingest = EventIngest(database, throws, hub, metrics)
     link = MachineLink(settings.site, registry, ingest.take, metrics)
     commands = MachineCommands(database, audit, link, registry, metrics)
-    leases = LeaseService(
-        database, audit, registry, hub, ttl_s=settings.lease_ttl_s, idle_s=settings.lease_idle_s
-    )
+    leases = _leases(settings, database, audit, registry, hub)
     notices, holds = LeaseNotices(leases, registry, commands), HoldRelay(link, registry, metrics)
     stops = StopService(database, audit, link, registry, hub)
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
@@ -311,6 +311,7 @@ def assemble(
         dossiers=Dossiers(database, audit, logs, policies, approvals, settings),
         replays=ReplayControl(logs, plans, scene),
         gap=gap,
+        drifts=DriftDiagnoses(database, registry, machine_policies, gap, settings),
         twin_versions=twin_versions,
         gap_previews=GapPreviews(registry, policies, pool, twins, twin_versions, settings.data_dir),
         views=MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics),
@@ -322,6 +323,17 @@ def assemble(
     )
     _connect(parts, ingest, impacts)
     return parts, notices
+
+
+def _leases(
+    settings: Settings,
+    database: Database,
+    audit: AuditChain,
+    registry: MachineRegistry,
+    hub: EventHub,
+) -> LeaseService:
+    ttl_s, idle_s = settings.lease_ttl_s, settings.lease_idle_s
+    return LeaseService(database, audit, registry, hub, ttl_s=ttl_s, idle_s=idle_s)
 
 
 def _gap_parts(
@@ -372,6 +384,7 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     )
     parts.throws.on_change += [impacts.refresh, parts.rollouts.note, parts.jobs.note_throw]
     drift = DriftWatch(parts.database, parts.registry, parts.machine_policies)
+    drift.on_found.append(parts.drifts.start_due)
     parts.throws.on_change.append(drift.note)
     parts.alerting.watch.sources += [drift.verdicts, parts.rollouts.verdicts]
     ingest.on_event += [

@@ -24,6 +24,7 @@ from server.display.machine_views import MachineViews
 from server.display.replay_control import ReplayControl
 from server.display.target_proposals import TargetProposals
 from server.dossier.dossier_service import Dossiers
+from server.drift.drift_diagnosis import DriftDiagnoses
 from server.enrolment.enrolments import Enrolments
 from server.errors import NotSignedInError
 from server.event_hub import EventHub
@@ -84,6 +85,7 @@ CommandsDep = Annotated[MachineCommands, Depends(_get(MachineCommands))]
 DeploymentsDep = Annotated[Deployments, Depends(_get(Deployments))]
 DevicesDep = Annotated[KnownDevices, Depends(_get(KnownDevices))]
 DossiersDep = Annotated[Dossiers, Depends(_get(Dossiers))]
+DriftDiagnosesDep = Annotated[DriftDiagnoses, Depends(_get(DriftDiagnoses))]
 EnrolmentsDep = Annotated[Enrolments, Depends(_get(Enrolments))]
 DatabaseDep = Annotated[Database, Depends(_get(Database))]
 GapDep = Annotated[GapService, Depends(_get(GapService))]

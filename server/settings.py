@@ -81,6 +81,8 @@ class Settings(BaseSettings):
     mail_from: str = Field(default="", max_length=200)
     mail_to: Annotated[tuple[str, ...], NoDecode] = ()
     """Addresses that opened alerts are mailed to, comma separated."""
+    drift_diagnoses: bool = False
+    """A drift is diagnosed by itself once 12 throws since the change have a log; else a person starts it."""
     min_free_bytes: int = Field(default=256 * 1024 * 1024, ge=0)
     """Free space in the data folder below which /health reports a full disk."""
     log_max_bytes: int = Field(default=64 * 1024 * 1024, ge=1024)

@@ -33,10 +33,12 @@ class Cusum:
 
     def add(self, evidence: float, count: int) -> bool:
         """Take in the evidence of the score at position `count`; whether the threshold is reached."""
-        self.value = min(max(0.0, self.value + evidence), self.threshold)
-        if self.value == 0.0:
-            self.zero_count = count
-        return self.value >= self.threshold
+        value = self.value + evidence
+        if value <= 0.0:
+            self.value, self.zero_count = 0.0, count
+            return False
+        self.value = min(value, self.threshold)
+        return value >= self.threshold
 
 
 def mean_evidence(score: float, allowance: float) -> float:

@@ -3,35 +3,22 @@
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from sqlalchemy import select
-
-from machine.conventions import Mode
 from machine.messages import EventKind, MachineEvent
 from server.alerts.alert_rules import Judgement, Subject
 from server.deployments.machine_policies import MachinePolicies
-from server.drift.drift_test import FALSE_ALARM_THROWS, Change, Drift, DriftTest, ThrowMiss
+from server.drift.drift_test import FALSE_ALARM_THROWS
+from server.drift.found_drift import CHANGE_WORDS, FoundDrift, found_drifts
 from server.machines.machine_registry import MachineRegistry
 from server.schemas.alerts import AlertRule
 from server.store.database import Database
-from server.store.models import Throw
 
 logger = logging.getLogger(__name__)
 
 RETRY_S: Final = 30.0
 """From a failed test of a machine to the next."""
-CONSIDERED_COUNT: Final = 3000
-"""Newest measured throws of a mode and version."""
-_WORDS: Final = {
-    Change.LONG: "longer than predicted and than before",
-    Change.SHORT: "shorter than predicted and than before",
-    Change.LEFT: "further left than predicted and than before",
-    Change.RIGHT: "further right than predicted and than before",
-    Change.SPREAD_ALONG: "with more spread along than before",
-    Change.SPREAD_ACROSS: "with more spread across than before",
-}
 
 
 class DriftWatch:
@@ -46,6 +33,8 @@ class DriftWatch:
         self._lock = threading.Lock()
         self._due = {known.machine_id for known in registry.all()}
         self._retry_s: dict[str, float] = {}
+        self.on_found: list[Callable[[str, Sequence[FoundDrift]], None]] = []
+        """Called with the drifts of a machine that was judged, often with none."""
 
     def note(self, machine_id: str) -> None:
         """A throw of a machine has news."""
@@ -66,7 +55,7 @@ class DriftWatch:
         for machine_id in sorted(due):
             try:
                 is_listed = self._registry.get(machine_id).is_listed
-                text = " ".join(self._texts(machine_id)) if is_listed else ""
+                drifts = self._drifts(machine_id) if is_listed else []
             except Exception:
                 logger.exception("the throws of %s could not be tested for drift", machine_id)
                 with self._lock:
@@ -75,54 +64,17 @@ class DriftWatch:
             with self._lock:
                 self._retry_s.pop(machine_id, None)
             if is_listed:
+                text = " ".join(_text(drift) for drift in drifts)
                 yield Judgement(Subject(AlertRule.DRIFT, machine_id), text or None)
+                for listener in self.on_found:
+                    listener(machine_id, drifts)
 
-    def _texts(self, machine_id: str) -> Iterator[str]:
-        for entry in self._machine_policies.view(machine_id, None).policies:
-            if entry.policy_sha256 is None:
-                continue
-            misses = self._misses(machine_id, entry.mode, entry.policy_sha256)
-            test = DriftTest()
-            drift: Drift | None = None
-            for miss in misses:
-                drift = test.add(miss)
-            if drift is not None:
-                since = len(misses) - drift.change_count
-                yield (
-                    f"{entry.mode.value.upper()} throws land {_WORDS[drift.change]}, for about "
-                    f"{since} throws (false alarm: 1 in {FALSE_ALARM_THROWS:.0f} throws). "
-                    "Diagnose it on page Gap."
-                )
+    def _drifts(self, machine_id: str) -> list[FoundDrift]:
+        return list(found_drifts(self._database, self._machine_policies, machine_id))
 
-    def _misses(self, machine_id: str, mode: Mode, policy_sha256: str) -> list[ThrowMiss]:
-        """Measured minus predicted misses, oldest first; throws without a prediction are left out."""
-        columns = (
-            Throw.measured_downrange_error_m,
-            Throw.measured_crossrange_error_m,
-            Throw.predicted_downrange_error_m,
-            Throw.predicted_crossrange_error_m,
-            Throw.predicted_sd_downrange_m,
-            Throw.predicted_sd_crossrange_m,
-        )
-        query = (
-            select(*columns)
-            .where(
-                Throw.machine_id == machine_id,
-                Throw.mode == mode.value,
-                Throw.policy_sha256 == policy_sha256,
-                *(column.is_not(None) for column in columns),
-                Throw.predicted_sd_downrange_m > 0.0,
-                Throw.predicted_sd_crossrange_m > 0.0,
-            )
-            .order_by(Throw.throw_id.desc())
-            .limit(CONSIDERED_COUNT)
-        )
-        with self._database.read() as database:
-            rows = database.execute(query).all()
-        found: list[ThrowMiss] = []
-        for row in reversed(rows):
-            # None is left out by the query.
-            along, across, along_0, across_0, sd_along, sd_across = (value or 0.0 for value in row)
-            along_m, across_m = along - along_0, across - across_0
-            found.append(ThrowMiss(along_m / sd_along, across_m / sd_across, along_m, across_m))
-        return found
+
+def _text(drift: FoundDrift) -> str:
+    return (
+        f"{drift.mode.value.upper()} throws land {CHANGE_WORDS[drift.change]}, for about "
+        f"{len(drift.since)} throws (false alarm: 1 in {FALSE_ALARM_THROWS:.0f} throws)."
+    )

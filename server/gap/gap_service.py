@@ -88,7 +88,7 @@ class GapService:
 
     # Asked ----------------------------------------------------------------------------------------------
 
-    def create(self, machine_id: str, request: GapRunRequest, session: Session) -> GapRunRow:
+    def create(self, machine_id: str, request: GapRunRequest, actor: Actor) -> GapRunRow:
         """Queue a diagnosis.
 
         Raises:
@@ -98,16 +98,16 @@ class GapService:
         kept = self._twins.reference(machine_id)
         throws = choose_throws(self._database, machine_id, request, kept)
         profile = self._twins.profile(machine_id)
-        run = self.queue.add(lambda: self._add(machine_id, throws, profile, session))
+        run = self.queue.add(lambda: self._add(machine_id, throws, profile, actor))
         return self.publish(run.job_id)
 
     def _add(
-        self, machine_id: str, throws: ChosenThrows, profile: TwinProfile, session: Session
+        self, machine_id: str, throws: ChosenThrows, profile: TwinProfile, actor: Actor
     ) -> OpenRun:
         row = GapRun(
             gap_run_id=new_id(),
             machine_id=machine_id,
-            created_by=session.username,
+            created_by=actor.name,
             created_utc=utc_now(),
             started_utc=None,
             ended_utc=None,
@@ -127,7 +127,7 @@ class GapService:
         with self._database.write() as database:
             database.add(row)
             database.flush()
-            self._audit.append(database, self._entry(session.actor, "gap.run", row))
+            self._audit.append(database, self._entry(actor, "gap.run", row))
         usual_s = self.store.usual_s(has_reference=bool(throws.reference_throw_ids))
         return OpenRun(job_id=row.gap_run_id, machine_id=machine_id, throws=throws, usual_s=usual_s)
 

@@ -43,7 +43,7 @@ def create_gap_run(
     machine_id: str, body: GapRunRequest, session: GapRunner, gap: GapDep
 ) -> GapRunRow:
     """Queue a diagnosis; its progress comes as `gap.updated` events."""
-    return gap.create(machine_id, body, session)
+    return gap.create(machine_id, body, session.actor)
 
 
 @router.get("/kept-reference")

@@ -1,7 +1,8 @@
-"""The Gap page in one test: a diagnosis with progress, one cancelled, the verdict, previews, apply, undo.
+"""The Gap page in one test: one diagnosis cancelled, a drift's, the verdict, previews, apply, undo.
 
 The history holds throws of a machine whose load leaves 80 ms later than its twin believes, so that the gap is
-known, and before them throws from when it did not, to compare with. The demo is one of its own: other tests
+known, and before them throws from when it did not, to compare with. Those in between have no logs: they tell
+the drift test how the machine throws when it is well. The demo is one of its own: other tests
 find no throws and no twin versions of this one.
 """
 
@@ -9,15 +10,19 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
+from sqlalchemy import update
 
 from challenge.healthy_machines import HealthyMachine, healthy_machine
 from challenge.make import make_reference, make_set
 from challenge.sealed_truth import SetTruth, Tier, TrueEffect
+from machine.conventions import Mode
 from machine.spec import load_spec
-from server.composition import assemble, prepare_database
+from server.composition import Parts, assemble, prepare_database
 from server.settings import load_settings
+from server.store.models import Throw
 from server.viewer.scene import ViewerScene
 from sim_twin.twin.profile import save_profile
 from tests.e2e.operator_page import sign_in
@@ -27,6 +32,7 @@ from tests.server.gap_bench import add_throws
 LATE_S = 0.08
 THROWS_COUNT = 8
 HEALTHY_COUNT = 4
+WELL_COUNT = 40
 
 
 def thrown(folder: Path) -> tuple[HealthyMachine, list[Path]]:
@@ -64,10 +70,31 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
     database = prepare_database(settings)
     parts, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
     parts.registry.provision(settings.machine_slot_count)
-    add_throws(parts, len(logs), logs=logs)
+    rng = np.random.default_rng(1)
+    healthy = add_throws(parts, HEALTHY_COUNT, logs=logs[:HEALTHY_COUNT])
+    measure(parts, healthy + add_throws(parts, WELL_COUNT, has_log=False), 0.0, rng)
+    measure(parts, add_throws(parts, THROWS_COUNT, logs=logs[HEALTHY_COUNT:]), 0.8, rng)
     database.close()
     with running_demo(data) as stack:
         yield stack
+
+
+def measure(parts: Parts, throw_ids: list[str], bias_m: float, rng: np.random.Generator) -> None:
+    """Throws with the version on board, measured long by so much more than predicted."""
+    version = parts.policies.active(Mode.SPATIAL)
+    with parts.database.write() as database:
+        for throw_id in throw_ids:
+            along_m, across_m = rng.normal(0.0, 0.1, 2).tolist()
+            values = {
+                "policy_sha256": version.card.policy_sha256,
+                "predicted_downrange_error_m": 0.0,
+                "predicted_crossrange_error_m": 0.0,
+                "predicted_sd_downrange_m": 0.1,
+                "predicted_sd_crossrange_m": 0.1,
+                "measured_downrange_error_m": bias_m + along_m,
+                "measured_crossrange_error_m": across_m,
+            }
+            database.execute(update(Throw).where(Throw.throw_id == throw_id).values(**values))
 
 
 def open_gap(page: Page, stack: Stack) -> None:
@@ -108,8 +135,14 @@ def cancel_one(page: Page) -> None:
 
 
 def diagnose(page: Page) -> None:
-    """Start, see percentages go by, read the verdict."""
-    start(page)
+    """Start that of the drift, see percentages go by, read the verdict."""
+    drift = page.get_by_role("region", name="Drift", exact=True)
+    expect(drift).to_contain_text("3D throws land longer than predicted and than before")
+    expect(drift).to_contain_text(
+        f"{THROWS_COUNT} throws since the change against {HEALTHY_COUNT} of before"
+    )
+    drift.get_by_role("button", name="Diagnose the 3D drift").click()
+    expect(drift.get_by_role("link", name="Diagnosis of the 3D drift")).to_be_visible()
     main = page.locator("main")
     expect(main).to_contain_text(re.compile(r"[1-9]\d? %"))
     # A diagnosis has a low priority: beside browser and machine it takes minutes.

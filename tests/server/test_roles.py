@@ -20,12 +20,13 @@ LEAST = {
         list_rollouts read_rollout list_channels read_commissioning read_commissioning_report
         list_jobs read_job read_job_surface read_job_report
         list_alerts list_fleet read_machine_life list_retired
-        read_enrolment""",
+        read_enrolment list_drifts""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
         create_job skip_job_load move_job_load add_job_load undo_job_load survey_job end_job
-        undo_zones acknowledge_alert silence_alert create_gap_run cancel_gap_run preview_gap_run""",
+        undo_zones acknowledge_alert silence_alert create_gap_run create_drift_run
+        cancel_gap_run preview_gap_run""",
     Role.SUPERVISOR: """
         clear_stop take_lease edit_machine list_audit verify_audit approve_zones
         export_throw_dossier export_machine_dossier read_dossier_extent""",

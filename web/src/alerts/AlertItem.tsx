@@ -1,6 +1,7 @@
 import { Button, Menu, Modal, TextInput } from "@mantine/core";
 import { IconAlertTriangle, IconBellOff, IconCheck, IconCircleX } from "@tabler/icons-react";
 import { useState } from "react";
+import { DriftOffers } from "../gap/DriftOffers";
 import { useNow } from "../session/useNow";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
@@ -44,6 +45,7 @@ export function AlertItem({ alert }: { alert: Alert }) {
           </span>
         </p>
         <p>{alert.text}</p>
+        {alert.rule === "drift" && alert.cleared_utc === null && <DriftOffers alert={alert} />}
         <Standing alert={alert} now={now} />
       </div>
       {alert.cleared_utc === null && <Actions alert={alert} name={name} now={now} />}

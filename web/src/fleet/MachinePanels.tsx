@@ -4,6 +4,7 @@ import { inOrder } from "../alerts/attention";
 import { useClearedAlerts, useOpenAlerts } from "../alerts/useAlerts";
 import { useGapRuns } from "../gap/useGap";
 import { runWord } from "../gap/words";
+import { useMachineId } from "../machine/useMachine";
 import type { Machine } from "../session/live";
 import { useNow } from "../session/useNow";
 import { outcomeWord } from "../throws/outcome";
@@ -123,6 +124,7 @@ export function ThrowsPanel({ machineId }: OwnProps) {
 /** Diagnoses of the machine against its twin. */
 export function GapPanel({ machineId }: OwnProps) {
   const runs = useGapRuns(machineId);
+  const [, choose] = useMachineId();
   return (
     <section className={classes.panel} aria-label="Diagnoses">
       <h2>Diagnoses</h2>
@@ -130,7 +132,7 @@ export function GapPanel({ machineId }: OwnProps) {
       <ul className={classes.rows}>
         {runs.rows.slice(0, SHOWN).map((run) => (
           <li key={run.gap_run_id}>
-            <Link to="/gap" search={{ run: run.gap_run_id }}>
+            <Link to="/gap" search={{ run: run.gap_run_id }} onClick={() => choose(machineId)}>
               {localStamp(run.created_utc)}
             </Link>{" "}
             {runWord(run)}

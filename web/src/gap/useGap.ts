@@ -13,7 +13,7 @@ import { useLive } from "../session/liveStore";
 import { toQuery } from "../throws/filters";
 import { newest } from "./words";
 
-const GAP = "gap";
+export const GAP = "gap";
 const PAGE_ROWS = 30;
 const RECENT_THROWS = 60;
 

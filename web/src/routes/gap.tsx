@@ -1,5 +1,7 @@
 import { useNavigate, useSearch } from "@tanstack/react-router";
 import { useEffect, useState } from "react";
+import { useOpenAlerts } from "../alerts/useAlerts";
+import { DriftOffers } from "../gap/DriftOffers";
 import { RunList } from "../gap/RunList";
 import { RunHead } from "../gap/result/RunHead";
 import { RunResult } from "../gap/result/RunResult";
@@ -39,12 +41,21 @@ type GapOfProps = { machineId: string; wanted: string | undefined };
 function GapOf({ machineId, wanted }: GapOfProps) {
   const navigate = useNavigate({ from: "/gap" });
   const runs = useGapRuns(machineId);
+  const drift = useOpenAlerts().find(
+    (alert) => alert.rule === "drift" && alert.machine_id === machineId,
+  );
   const shown = wanted ?? firstShown(runs.rows)?.gap_run_id;
   const select = (run: string) => void navigate({ search: { run } });
   return (
     <div className={classes.page}>
       <h1 className="visually-hidden">Gap between machine and twin</h1>
       <div className={classes.side}>
+        {drift && (
+          <section className={classes.drift} aria-label="Drift">
+            <p>{drift.text}</p>
+            <DriftOffers alert={drift} />
+          </section>
+        )}
         <StartPanel machineId={machineId} onStarted={select} />
         {runs.isError ? (
           <GateSentence sentence={errorWords(runs.error)} />
