@@ -21,6 +21,7 @@ from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from machine.conventions import Mode
 from machine.spec import load_spec
 from server.composition import Parts, assemble, prepare_database
+from server.drift.drift_diagnosis import UNSURE_COUNT
 from server.settings import load_settings
 from server.store.models import Throw
 from server.viewer.scene import ViewerScene
@@ -32,7 +33,7 @@ from tests.server.gap_bench import add_throws
 LATE_S = 0.08
 THROWS_COUNT = 8
 HEALTHY_COUNT = 4
-WELL_COUNT = 40
+WELL_COUNT = 150
 
 
 def thrown(folder: Path) -> tuple[HealthyMachine, list[Path]]:
@@ -71,8 +72,11 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
     parts, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
     parts.registry.provision(settings.machine_slot_count)
     rng = np.random.default_rng(1)
-    healthy = add_throws(parts, HEALTHY_COUNT, logs=logs[:HEALTHY_COUNT])
-    measure(parts, healthy + add_throws(parts, WELL_COUNT, has_log=False), 0.0, rng)
+    well = add_throws(parts, WELL_COUNT, has_log=False)
+    well += add_throws(parts, HEALTHY_COUNT, logs=logs[:HEALTHY_COUNT])
+    # The newest of before the change are not compared with.
+    well += add_throws(parts, UNSURE_COUNT + 8, has_log=False)
+    measure(parts, well, 0.0, rng)
     measure(parts, add_throws(parts, THROWS_COUNT, logs=logs[HEALTHY_COUNT:]), 0.8, rng)
     database.close()
     with running_demo(data) as stack:
