@@ -1,11 +1,13 @@
 """Diagnoses of drifts: what they take, who starts them, and that a drift has one."""
 
+from collections.abc import Iterator
+
 import pytest
 from sqlalchemy import delete, select
 
 from server.accounts.audit_chain import SERVER
 from server.drift.drift_diagnosis import DIAGNOSED_COUNT
-from server.store.models import GapRun, Throw
+from server.store.models import GapRun, MachinePolicy, Throw
 from tests.server import gap_fakes
 from tests.server.drift.test_drift_watch import Yard
 from tests.server.gap_bench import diagnosing, ended, keep_log
@@ -25,12 +27,18 @@ def throw_logged(yard: Yard, count: int, bias_m: float = 0.0) -> None:
 
 
 @pytest.fixture(scope="module")
-def yard(running) -> Yard:
-    """A machine that has thrown well."""
+def yard(running) -> Iterator[Yard]:
+    """A machine that has thrown well; afterwards it has never thrown."""
     found = Yard(running)
     found.board("d")
     throw_logged(found, 40)
-    return found
+    yield found
+    with running.parts.database.write() as database:
+        database.execute(delete(GapRun))
+        for table in (Throw, MachinePolicy):
+            database.execute(delete(table).where(table.policy_sha256 == "d" * 64))
+    for listener in running.parts.throws.on_change:
+        listener("m001")
 
 
 def test_a_drift_is_offered_refused_without_logs_and_diagnosed_against_throws_of_before(
