@@ -1,7 +1,7 @@
 """Jobs as they are read and stored: their ground, their versions, and the plans that follow a change."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from pydantic import JsonValue
 
@@ -12,13 +12,10 @@ from server.event_hub import EventHub
 from server.jobs.job_ground import JobGround, JobGrounds, JobState
 from server.jobs.job_store import JobRecord, Planned, open_job_ids, progress_of, read_record
 from server.jobs.job_views import JobChange, PlanningState
+from server.jobs.throw_loads import offers
 from server.schemas.events import JobUpdatedEvent
 from server.store.database import Database
 from server.store.job_tables import JobLoad, JobRow, JobSurvey
-
-OFFERED_COUNT = 12
-"""Proposals of the last plans, which a throw may have been aimed at."""
-
 
 Submit = Callable[[JobRecord, JobGround, HeightField], None]
 """Plans the next loads of a job on its present surface."""
@@ -81,7 +78,8 @@ class JobBook:
         record.row.passed_m = []
         numbers = list[JsonValue](load.load_count for load in loads)
         throws = list[JsonValue](load.throw_id for load in loads)
-        self.commit(record, actor, action, {"load_counts": numbers, "throw_ids": throws})
+        detail: dict[str, JsonValue] = {"load_counts": numbers, "throw_ids": throws}
+        self.commit(record, actor, action, detail, loads=loads)
 
     def commit(
         self,
@@ -90,6 +88,7 @@ class JobBook:
         action: str,
         detail: dict[str, JsonValue],
         *,
+        loads: Sequence[JobLoad] = (),
         survey: JobSurvey | None = None,
         is_planned: bool = False,
     ) -> None:
@@ -100,25 +99,29 @@ class JobBook:
             actor: who changed it.
             action: for the audit.
             detail: likewise.
+            loads: new or changed ones among its loads.
             survey: the new one among its surveys.
             is_planned: what is planned holds; else it is planned anew.
         """
         row = record.row
         row.version_count += 1
         surface, after = self.ground(record).surfaces(record.surveyed, record.steps)
+        changed = {load.load_count: load for load in loads}
         for load in record.loads:
-            state = after.get(load.load_count)
+            before, state = (load.filled_ratio, load.spill_ratio), after.get(load.load_count)
             if load.is_withdrawn:
                 load.filled_ratio = load.spill_ratio = None
             elif state is not None:
                 load.filled_ratio, load.spill_ratio = state.filled_ratio, state.spill_ratio
+            if before != (load.filled_ratio, load.spill_ratio):
+                changed[load.load_count] = load
         row.progress = progress_of(surface.progress).model_dump()
         if not is_planned:
             row.plan_state, row.plan_error = PlanningState.PLANNING.value, ""
             row.proposals = []
         with self.database.write() as database:
             database.merge(row)
-            for load in record.loads:
+            for load in changed.values():
                 database.merge(load)
             if survey is not None:
                 database.add(survey)
@@ -165,7 +168,7 @@ class JobBook:
             row.plan_state, row.plan_error = planned.state.value, planned.error
             row.landing_by = planned.landing_by or row.landing_by
             row.proposals = proposals
-            row.offered = [*proposals, *row.offered][:OFFERED_COUNT]
+            row.offered = offers(planned.proposals, row.offered)
             with self.database.write() as database:
                 database.merge(row)
         self._tell(row)

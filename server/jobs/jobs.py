@@ -20,7 +20,7 @@ from server.accounts.audit_chain import SERVER, Actor, AuditChain
 from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.event_hub import EventHub
-from server.jobs.job_book import OFFERED_COUNT, JobBook, job_entry
+from server.jobs.job_book import JobBook, job_entry
 from server.jobs.job_ground import read_csv
 from server.jobs.job_planning import PlanLoads, plan_in_child
 from server.jobs.job_plans import JobPlans
@@ -51,7 +51,14 @@ from server.jobs.job_views import (
     PlanningState,
 )
 from server.jobs.laid_material import laid_material
-from server.jobs.throw_loads import ThrowLanding, aimed_at, counted_ids, landed_throws, landing_of
+from server.jobs.throw_loads import (
+    ThrowLanding,
+    aimed_at,
+    counted_ids,
+    landed_throws,
+    landing_of,
+    offers,
+)
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore
 from server.plans.site_store import SiteStore
@@ -93,7 +100,7 @@ class Jobs:
         self.plans.on_planned.append(self._book.take_plan)
         self._news = threading.Condition()
         self._with_throws: set[str] = set()
-        self._with_zones: set[str] = set()
+        self._with_changes: set[str] = set()
         self._is_closing = False
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
         self.on_change = self._book.on_change
@@ -119,10 +126,10 @@ class Jobs:
             self._with_throws.add(machine_id)
             self._news.notify_all()
 
-    def note_zones(self, machine_id: str) -> None:
-        """The zones of a machine have changed."""
+    def note_surroundings(self, machine_id: str) -> None:
+        """Site or zones of a machine have changed."""
         with self._news:
-            self._with_zones.add(machine_id)
+            self._with_changes.add(machine_id)
             self._news.notify_all()
 
     # Reading --------------------------------------------------------------------------------------
@@ -271,7 +278,7 @@ class Jobs:
                 dumped if item["proposal_count"] == body.proposal_count else item
                 for item in row.proposals
             ]
-            row.offered = [dumped, *row.offered][:OFFERED_COUNT]
+            row.offered = offers([moved], row.offered)
             detail: dict[str, JsonValue] = {"x_m": body.x_m, "y_m": body.y_m}
             self._book.commit(record, session.actor, "job.move", detail, is_planned=True)
         return self.view(job_id)
@@ -291,7 +298,7 @@ class Jobs:
             if body.throw_id is not None:
                 throw = self._landed_throw(record, body.throw_id)
                 landing = landing_of(throw)
-                aimed = aimed_at(throw, _offered(record))
+                aimed = aimed_at(throw, record.row.offered)
                 if volume_m3 is None and aimed is not None:
                     volume_m3 = aimed.volume_m3
             else:
@@ -392,7 +399,7 @@ class Jobs:
                 if throw is not None and _follow(load, landing_of(throw)):
                     changed.append(load)
             for throw_id, throw in throws.items():
-                aimed = aimed_at(throw, _offered(record))
+                aimed = aimed_at(throw, record.row.offered)
                 is_room = len(record.loads) < MAX_LOAD_COUNT
                 if throw_id not in counted and aimed is not None and is_room:
                     landing = landing_of(throw)
@@ -408,16 +415,16 @@ class Jobs:
         while True:
             with self._news:
                 self._news.wait_for(
-                    lambda: self._is_closing or self._with_throws or self._with_zones
+                    lambda: self._is_closing or self._with_throws or self._with_changes
                 )
                 if self._is_closing:
                     return
                 with_throws, self._with_throws = self._with_throws, set()
-                with_zones, self._with_zones = self._with_zones, set()
+                with_changes, self._with_changes = self._with_changes, set()
             try:
                 for machine_id in sorted(with_throws):
                     self.take_throws(machine_id)
-                for machine_id in sorted(with_zones):
+                for machine_id in sorted(with_changes):
                     self._book.plan_again(machine_id)
             except Exception:
                 logger.exception("jobs could not be brought up to date")
@@ -472,10 +479,6 @@ def _follow(load: JobLoad, landing: ThrowLanding) -> bool:
         return False
     load.x_m, load.y_m, load.landed_by = landing
     return True
-
-
-def _offered(record: JobRecord) -> list[JobProposal]:
-    return [JobProposal.model_validate(item) for item in record.row.offered]
 
 
 def _proposal(record: JobRecord, number: int) -> JobProposal:

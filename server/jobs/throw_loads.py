@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from datetime import datetime
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from sqlalchemy.orm import Session as DatabaseSession
 
 from bulk.throw_model import LandingScatter
 from machine.conventions import Array
-from server.clock import first_id_at
+from server.clock import first_id_at, utc_now
 from server.jobs.job_views import JobProposal, LandedBy
 from server.plans.landing_errors import point_of
 from server.schemas.history import Outcome
@@ -20,6 +21,8 @@ from server.throws.impacts import target_of
 
 SAME_TARGET_M: Final = 0.05
 """A throw at a target this near to a proposal is a load of the job, at whatever height."""
+OFFERED_COUNT: Final = 12
+"""Proposals of the last plans, which a throw may have been aimed at."""
 SCATTER_COUNT: Final = 20
 """Measured throws of about one range that give their scatter to a sixth."""
 NEWEST_COUNT: Final = 300
@@ -63,12 +66,31 @@ def counted_ids(database: DatabaseSession, throws: Iterable[Throw]) -> set[str]:
     return {throw_id for throw_id in found if throw_id is not None}
 
 
-def aimed_at(throw: Throw, offered: Iterable[JobProposal]) -> JobProposal | None:
-    """The proposal that a throw was aimed at; the first of several."""
-    for proposal in offered:
-        away_m = math.hypot(throw.target_x_m - proposal.x_m, throw.target_y_m - proposal.y_m)
-        if away_m <= SAME_TARGET_M and throw.mode == proposal.mode.value:
-            return proposal
+class JobOffer(JobProposal):
+    """A proposal since it was offered."""
+
+    offered_utc: datetime
+
+
+def offers(proposals: Iterable[JobProposal], before: Sequence[object]) -> list[object]:
+    """JSON of the newest offers: proposals that are offered now, and those before."""
+    now = utc_now()
+    new = [JobOffer(**item.model_dump(), offered_utc=now) for item in proposals]
+    return [*(item.model_dump(mode="json") for item in new), *before][:OFFERED_COUNT]
+
+
+def aimed_at(throw: Throw, offered: Sequence[object]) -> JobProposal | None:
+    """The proposal that a throw was aimed at, the newest of several.
+
+    Args:
+        throw: fired.
+        offered: JSON of `JobOffer`, newest first; what was offered after the throw does not count.
+    """
+    for item in offered:
+        offer = JobOffer.model_validate(item)
+        away_m = math.hypot(throw.target_x_m - offer.x_m, throw.target_y_m - offer.y_m)
+        if away_m <= SAME_TARGET_M and offer.offered_utc <= throw.created_utc:
+            return offer
     return None
 
 

@@ -75,13 +75,13 @@ class Yard:
         wait_for(lambda: self.jobs.view(job_id).plan_state != "planning")
         return self.jobs.view(job_id)
 
-    def throw(self, target, *, machine_id="m001", outcome="landed"):
+    def throw(self, target, *, machine_id="m001", outcome="landed", at_utc=None):
         throw_id = new_id()
         with self.parts.database.write() as database:
             database.add(
                 Throw(
                     throw_id=throw_id, machine_id=machine_id, plan_id="p", session_id="s",
-                    created_utc=utc_now(), operator="ada", epoch_count=1, mode="2d",
+                    created_utc=at_utc or utc_now(), operator="ada", epoch_count=1, mode="2d",
                     target_x_m=target[0], target_y_m=target[1], target_z_m=0.3,
                     range_m=float(np.hypot(*target)), policy_id="p", policy_sha256="0" * 64,
                     phase="ended", outcome=outcome, predicted_downrange_error_m=0.02,
@@ -124,7 +124,8 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     assert "missing" in first.sentence
     yard.throw((first.x_m + 0.3, first.y_m), machine_id="m001")
     yard.throw((first.x_m, first.y_m), outcome="stopped")
-    assert yard.jobs.view(begun.job_id).loads == (), "neither is a load of the job"
+    yard.throw((first.x_m, first.y_m), at_utc=begun.created_utc)  # before it was offered
+    assert yard.jobs.view(begun.job_id).loads == (), "none is a load of the job"
     throw_id = yard.throw((first.x_m + 0.03, first.y_m))
     thrown = yard.planned(begun.job_id)
     (load,) = thrown.loads
@@ -133,6 +134,14 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     assert thrown.progress.filled_ratio > begun.progress.filled_ratio
     assert any(item.z_m == pytest.approx(0.3) and item.surface_m > 0.31 for item in thrown.next), (
         "a preview takes the height of the truck that the site describes, not that of what lies on it"
+    )
+    yard.parts.sites.change("m001", SiteRequest(from_version_count=1, objects=()), yard.ada)
+    yard.jobs.note_surroundings("m001")
+    wait_for(
+        lambda: (
+            (shown := yard.jobs.view(begun.job_id).next)
+            and all(item.z_m == item.surface_m for item in shown)
+        )
     )
     with yard.parts.database.write() as database:
         throw = database.get(Throw, throw_id)
