@@ -8,7 +8,7 @@ from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.stack import Stack
 
-PAGES = ("operate", "throws", "site", "policies", "gap", "fleet", "alerts", "admin")
+PAGES = ("operate", "work", "throws", "site", "policies", "gap", "fleet", "alerts", "admin")
 
 
 def test_no_page_has_a_finding(demo: Stack, open_page: Callable[..., Page]) -> None:

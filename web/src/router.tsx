@@ -47,6 +47,14 @@ const operate = createRoute({
   component: OperatePage,
 });
 
+const work = createRoute({
+  getParentRoute: () => frame,
+  path: "/work",
+  validateSearch: (search: Record<string, unknown>): { job?: string } =>
+    typeof search.job === "string" ? { job: search.job } : {},
+  component: lazyRouteComponent(() => import("./routes/work"), "WorkPage"),
+});
+
 const throws = createRoute({
   getParentRoute: () => frame,
   path: "/throws",
@@ -111,6 +119,7 @@ const tree = root.addChildren([
   frame.addChildren([
     home,
     operate,
+    work,
     throws,
     oneThrow,
     site,

@@ -7,6 +7,7 @@ import {
   IconClipboardList,
   IconMap2,
   IconTable,
+  IconTruckLoading,
 } from "@tabler/icons-react";
 import { Link } from "@tanstack/react-router";
 import { attention } from "../alerts/attention";
@@ -17,6 +18,7 @@ import classes from "./Rail.module.css";
 
 const PAGES = [
   { to: "/operate", label: "Operate", icon: IconArrowBounce },
+  { to: "/work", label: "Work", icon: IconTruckLoading },
   { to: "/throws", label: "Throws", icon: IconTable },
   { to: "/site", label: "Site", icon: IconMap2 },
   { to: "/policies", label: "Policies", icon: IconBrain },

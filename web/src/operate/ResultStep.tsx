@@ -7,6 +7,7 @@ import { MarkImpact } from "../throws/MarkImpact";
 import { MissTable } from "../throws/MissTable";
 import { measuredOf, predictedOf } from "../throws/marking";
 import { hasLanded, outcomeSentence } from "../throws/outcome";
+import { useOpenJob } from "../work/useJobs";
 import classes from "./Panel.module.css";
 import { landingVerdict } from "./reason";
 
@@ -21,6 +22,7 @@ type Props = {
 /** How it came out: predicted and measured, a likely reason, and what to do next. */
 export function ResultStep({ thrown, plan, onAgain, isMarking, onMarking }: Props) {
   const verdict = landingVerdict(thrown, plan);
+  const job = useOpenJob(thrown.machine_id);
   const mayMark = useMay("impact.mark") && hasLanded(thrown);
   if (isMarking) return <MarkImpact thrown={thrown} plan={plan} onDone={() => onMarking(false)} />;
   return (
@@ -58,6 +60,16 @@ export function ResultStep({ thrown, plan, onAgain, isMarking, onMarking }: Prop
         >
           Open
         </Button>
+        {job.data && (
+          <Button
+            variant="default"
+            renderRoot={(props) => (
+              <Link to="/work" search={{ job: job.data?.job_id }} {...props} />
+            )}
+          >
+            Next load
+          </Button>
+        )}
       </div>
     </div>
   );

@@ -4,6 +4,7 @@ import { useQueryClient } from "@tanstack/react-query";
 import { useEffect } from "react";
 import { ALERTS } from "../alerts/useAlerts";
 import { FLEET } from "../fleet/useFleet";
+import { JOBS } from "../work/useJobs";
 import { api, take } from "./client";
 import { markData, markOpen, markRefused } from "./connection";
 import { EventStream } from "./eventStream";
@@ -44,6 +45,9 @@ export function useLiveConnection(sessionId: string | null, machineId: string | 
       if (event.kind === "rollout.updated") {
         for (const key of ["policy-rollouts", "machine-policies", "deployments"])
           void client.invalidateQueries({ queryKey: [key] });
+      }
+      if (event.kind === "job.updated") {
+        void client.invalidateQueries({ queryKey: [JOBS] });
       }
       if (event.kind === "alert.updated") {
         void client.invalidateQueries({ queryKey: [ALERTS] });
