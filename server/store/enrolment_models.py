@@ -1,4 +1,4 @@
-"""Table of one-time tokens by which machines are set up."""
+"""Tables of the one-time tokens by which machines are set up, and of their places in the yard."""
 
 from datetime import datetime
 from typing import Any
@@ -26,3 +26,15 @@ class Enrolment(Base):
     """JSON of server.schemas.enrolment.SelfTestItem."""
     tested_utc: Mapped[datetime | None]
     __table_args__ = (Index("ix_enrolments_machine_id_enrolment_id", "machine_id", "enrolment_id"),)
+
+
+class MachinePlace(Base):
+    """Where a machine stands, frame `yard` (server.fleet.yard_map); no row: nobody has placed it."""
+
+    __tablename__ = "machine_places"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    x_m: Mapped[float]
+    y_m: Mapped[float]
+    heading_rad: Mapped[float]
+    changed_by: Mapped[str] = mapped_column(String(64))
+    changed_utc: Mapped[datetime]

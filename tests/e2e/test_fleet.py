@@ -4,8 +4,9 @@ import re
 from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
+from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.stack import Command, ServerAlone, Stack
@@ -63,8 +64,13 @@ def test_a_lost_machine_is_told_and_acknowledged(
     expect(row).to_contain_text("last seen")
     expect(row).to_contain_text("1 seen")
     expect(row.get_by_role("button", name="STOP m001")).to_be_in_viewport()
+    mark = _placed_on_the_map(tablet)
+    expect(mark).to_contain_text("Lost since")
+    expect(mark).to_have_attribute("data-lost", "true")
 
     machines.append(server.machine())
+    expect(mark).to_contain_text("Disarmed")
+    expect(mark).not_to_have_attribute("data-lost", "true")
     expect(lamp).to_have_attribute("data-phase", "disarmed")
     expect(lost).to_have_count(0)
     page.get_by_text("Cleared", exact=True).click()
@@ -124,6 +130,44 @@ def _is_as_wide_as_the_screen(page: Page) -> bool:
         "[...document.querySelectorAll('main, main > div')]"
         ".every((box) => box.scrollWidth <= box.clientWidth + 1)"
     )
+
+
+def _placed_on_the_map(page: Page) -> Locator:
+    """Put m001 on the plan, by the keyboard; returns its mark."""
+    page.get_by_text("Map", exact=True).click()
+    plan = page.get_by_role("region", name="Yard map")
+    mark = plan.get_by_test_id("map-m001")
+    mark.focus()
+    page.keyboard.press("Enter")
+    form = plan.get_by_role("form", name="Place of m001")
+    form.get_by_label("Right, m").fill("12.5")
+    form.get_by_label("Up, m").fill("-3")
+    form.get_by_label("Heading").fill("90")
+    page.keyboard.press("Enter")
+    expect(form.get_by_role("button", name="Take off the plan")).to_be_visible()
+    expect(plan.get_by_role("group", name="Without a place")).to_have_count(0)
+    expect(mark).to_be_in_viewport()
+    expect(plan.get_by_role("button", name="STOP m001")).to_be_visible()
+    return mark
+
+
+@pytest.mark.parametrize(("width", "height"), [(1024, 768), (390, 844)])
+def test_the_yard_map_fits_a_tablet_and_a_phone(
+    demo: Stack, open_page: Callable[..., Page], width: int, height: int
+) -> None:
+    page = open_page(demo, width, height)
+    page.emulate_media(color_scheme="light")
+    without_view(page)
+    sign_in(page, demo, "admin", path="/fleet")
+    mark = _placed_on_the_map(page)
+    expect(mark).to_contain_text("Disarmed")
+    assert _is_as_wide_as_the_screen(page)
+    assert findings_of_both_schemes(page) == []
+    page.reload()
+    expect(mark).to_be_in_viewport()
+    mark.click()
+    page.get_by_role("button", name="Take off the plan").click()
+    expect(page.get_by_role("group", name="Without a place")).to_contain_text("m001")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1024, 768), (390, 844)])

@@ -19,7 +19,7 @@ LEAST = {
         compare_policies read_validation read_validation_log list_gates read_approval_basis
         list_rollouts read_rollout list_channels read_commissioning read_commissioning_report
         list_jobs read_job read_job_surface read_job_report
-        list_alerts list_fleet read_machine_life list_retired
+        list_alerts list_fleet read_yard_map read_machine_life list_retired
         read_enrolment list_drifts""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
@@ -28,7 +28,8 @@ LEAST = {
         undo_zones acknowledge_alert silence_alert create_gap_run create_drift_run
         cancel_gap_run preview_gap_run""",
     Role.SUPERVISOR: """
-        clear_stop take_lease edit_machine list_audit verify_audit approve_zones
+        clear_stop take_lease edit_machine place_machine unplace_machine
+        list_audit verify_audit approve_zones
         export_throw_dossier export_machine_dossier read_dossier_extent""",
     Role.ENGINEER: """
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy

@@ -14,7 +14,7 @@ export type FleetRow = {
 
 export type SortKey = "machine" | "state" | "throw" | "accuracy" | "alerts";
 export type Standing = "live" | "lost" | "stopped";
-export type FleetSearch = { find?: string; standing?: Standing; sort?: SortKey };
+export type FleetSearch = { find?: string; standing?: Standing; sort?: SortKey; view?: "map" };
 
 export const SORTS: Record<SortKey, string> = {
   machine: "By name",
@@ -41,6 +41,7 @@ export function parseFleetSearch(search: Record<string, unknown>): FleetSearch {
     ...(find && search.find !== "" && { find: String(search.find) }),
     ...(standing && { standing }),
     ...(sort && sort !== "machine" && { sort }),
+    ...(search.view === "map" && { view: search.view }),
   };
 }
 

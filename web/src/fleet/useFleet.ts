@@ -9,6 +9,7 @@ export type FleetRecord = Schema["FleetRowView"];
 export type ModeSummary = Schema["ModeSummary"];
 export type MissFigures = Schema["MissFigures"];
 export type Commissioning = Schema["CommissioningView"];
+export type MapMachine = Schema["MapMachineView"];
 export type MachineLife = Schema["MachineLifeView"];
 
 export function useFleet() {
@@ -28,6 +29,35 @@ export function useMachineLife(machineId: string) {
         }),
       ),
   });
+}
+
+const MAP_PERIOD_MS = 30_000;
+
+/** Machines with their places, objects, zones and last impacts. */
+export function useYardMap() {
+  return useQuery({
+    queryKey: [FLEET, "map"],
+    queryFn: () => take(api.GET("/api/v1/fleet/map")),
+    // A place that somebody else changes comes with no event.
+    refetchInterval: MAP_PERIOD_MS,
+  });
+}
+
+/** Changes a machine's place in the yard. */
+export function usePlace(machineId: string) {
+  const client = useQueryClient();
+  const params = { path: { machine_id: machineId } };
+  const onSuccess = () => client.invalidateQueries({ queryKey: [FLEET, "map"] });
+  const put = useMutation({
+    mutationFn: (body: Schema["PlaceRequest"]) =>
+      take(api.PUT("/api/v1/machines/{machine_id}/place", { params, body })),
+    onSuccess,
+  });
+  const remove = useMutation({
+    mutationFn: () => take(api.DELETE("/api/v1/machines/{machine_id}/place", { params })),
+    onSuccess,
+  });
+  return { put, remove };
 }
 
 /** What commissioning has measured of a machine. */

@@ -1,4 +1,4 @@
-import { Button, Select, TextInput } from "@mantine/core";
+import { Button, SegmentedControl, Select, TextInput } from "@mantine/core";
 import { useNavigate, useSearch } from "@tanstack/react-router";
 import { useState } from "react";
 import { useOpenAlerts } from "../alerts/useAlerts";
@@ -15,6 +15,7 @@ import {
   STANDINGS,
 } from "../fleet/rows";
 import { type FleetRecord, useFleet } from "../fleet/useFleet";
+import { YardMap } from "../fleet/YardMap";
 import { StopAllButton } from "../machine/StopAllButton";
 import { GateSentence } from "../operate/GateSentence";
 import { useLive } from "../session/liveStore";
@@ -60,7 +61,7 @@ export function FleetPage() {
       {all.length > 0 && rows.length === 0 && (
         <GateSentence sentence="No machine matches. Clear a filter." />
       )}
-      {rows.length > 0 && <FleetTable rows={rows} />}
+      {rows.length > 0 && (search.view ? <YardMap rows={rows} /> : <FleetTable rows={rows} />)}
       {all.length > 0 && <StopAllButton />}
       <RetiredMachines />
       {isAdding && <AddMachine onClose={() => setAdding(false)} />}
@@ -76,6 +77,15 @@ function Choice({ search, onChange }: ChoiceProps) {
     Object.entries(words).map(([value, label]) => ({ value, label }));
   return (
     <>
+      <SegmentedControl
+        aria-label="Shown as"
+        data={[
+          { value: "list", label: "List" },
+          { value: "map", label: "Map" },
+        ]}
+        value={search.view ?? "list"}
+        onChange={(value) => onChange({ view: value === "map" ? "map" : undefined })}
+      />
       <TextInput
         {...select}
         aria-label="Find a machine"
