@@ -21,6 +21,9 @@ from bulk.survey import parse_survey
 from machine.conventions import Array
 from machine.errors import UsageError
 from machine.spec import MachineSpec
+from server.jobs.job_views import JobProposal
+from server.jobs.laid_material import load_footprint
+from server.viewer.shapes import LoadFootprint
 
 MAX_CELL_COUNT: Final = 40_000
 """20 m x 20 m at 0.1 m: a surface of 0.3 MB, and a pour of some milliseconds."""
@@ -115,6 +118,21 @@ class JobGround:
             self._kept.popitem(last=False)
         return surface
 
+    def footprints(
+        self, field: HeightField, proposals: Sequence[JobProposal]
+    ) -> tuple[LoadFootprint, ...]:
+        """Where proposed loads would lie on a surface, each without the others."""
+        with self._lock:
+            return tuple(
+                load_footprint(
+                    field,
+                    self._placement.place(field, LandedLoad(load.x_m, load.y_m, load.volume_m3), 0),
+                    (load.x_m, load.y_m, load.surface_m),
+                    _footprint_text(load),
+                )
+                for load in proposals
+            )
+
     def resampled(self, present: HeightField, ground: Ground) -> Array:
         """Heights (rows, columns) of a survey on the job's grid; cells that it leaves out keep theirs.
 
@@ -194,6 +212,12 @@ def unpacked(stored: bytes, grid: Grid) -> Array:
     """Heights (rows, columns) as they were stored."""
     flat = np.frombuffer(zlib.decompress(stored), dtype="<f4").astype(np.float64)
     return flat.reshape(grid.row_count, grid.column_count)
+
+
+def _footprint_text(load: JobProposal) -> str:
+    # Of the first alone in full: labels of places so near to each other would hide what they name.
+    number = f"{load.proposal_count}"
+    return f"{number}: {load.volume_m3:.2f} m³" if load.proposal_count == 1 else number
 
 
 def _require_size(grid: Grid) -> None:

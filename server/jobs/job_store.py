@@ -221,6 +221,11 @@ def _summary(row: JobRow, load_count: int) -> JobSummary:
     )
 
 
+def proposals_of(record: JobRecord) -> tuple[JobProposal, ...]:
+    """Loads that are proposed now."""
+    return tuple(JobProposal.model_validate(item) for item in record.row.proposals)
+
+
 def progress_of(state: Progress) -> JobProgress:
     """Progress with its ratios."""
     return JobProgress(**progress_json(state))
@@ -255,7 +260,7 @@ def job_view(record: JobRecord, material: Material) -> JobView:
             if row.landing_by == "measured"
             else "predicted"
         ),
-        next=tuple(JobProposal.model_validate(item) for item in row.proposals),
+        next=proposals_of(record),
         loads=tuple(_load_view(load) for load in record.loads),
     )
 

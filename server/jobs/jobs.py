@@ -32,6 +32,7 @@ from server.jobs.job_store import (
     job_view,
     open_job_id,
     progress_of,
+    proposals_of,
     read_record,
     survey_row,
 )
@@ -175,13 +176,14 @@ class Jobs:
         )
 
     def material(self, machine_id: str) -> LaidMaterial | None:
-        """What lies on the ground of a machine's open job; None without one."""
+        """What lies on the ground of a machine's open job, and its next loads; None without one."""
         with self._database.read() as database:
             job_id = open_job_id(database, machine_id)
             if job_id is None:
                 return None
             record = read_record(database, job_id)
-        return laid_material(self._book.surface(record).field)
+        ground, field = self._book.ground(record), self._book.surface(record).field
+        return laid_material(field, ground.footprints(field, proposals_of(record)))
 
     # People ---------------------------------------------------------------------------------------
 
@@ -482,9 +484,9 @@ def _follow(load: JobLoad, landing: ThrowLanding) -> bool:
 
 
 def _proposal(record: JobRecord, number: int) -> JobProposal:
-    for item in record.row.proposals:
-        if item["proposal_count"] == number:
-            return JobProposal.model_validate(item)
+    for proposal in proposals_of(record):
+        if proposal.proposal_count == number:
+            return proposal
     raise ConflictError("no_proposal", f"There is no proposal {number} now.")
 
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from bulk.height_field import WALL, HeightField
 from bulk.job_report import contour_lines
-from machine.conventions import Array
-from server.viewer.shapes import LaidMaterial
+from machine.conventions import Array, BoolArray, IntArray
+from server.viewer.shapes import LaidMaterial, LoadFootprint
 
 LEAST_M = 0.01
 """Thinner layers are not drawn."""
@@ -15,29 +15,50 @@ CONTOUR_M = 0.1
 MAX_CONTOUR_COUNT = 40
 
 
-def laid_material(field: HeightField) -> LaidMaterial:
-    """Mesh over the cells on which material lies; walls of containers are left out."""
+def laid_material(field: HeightField, next_loads: tuple[LoadFootprint, ...] = ()) -> LaidMaterial:
+    """Mesh over the cells on which material lies; walls of containers are left out.
+
+    Args:
+        field: what lies there.
+        next_loads: that are proposed.
+    """
+    lies = (field.height_m - field.base_m > LEAST_M) & (field.container_index != WALL)
+    return LaidMaterial(*_mesh(field, lies, LIFT_M), _contours(field, lies), next_loads)
+
+
+def load_footprint(
+    before: HeightField, after: HeightField, at_m: tuple[float, float, float], text: str
+) -> LoadFootprint:
+    """Mesh over what a load adds.
+
+    Args:
+        before: surface without it.
+        after: surface with it.
+        at_m: its target.
+        text: its number and volume.
+    """
+    adds = (after.height_m - before.height_m > LEAST_M) & (before.container_index != WALL)
+    return LoadFootprint(*_mesh(after, adds, 2.0 * LIFT_M), at_m, text)
+
+
+def _mesh(field: HeightField, lies: BoolArray, lift_m: float) -> tuple[Array, IntArray]:
+    """Vertices (N, 3) and faces (M, 3) of the squares with a corner among some cells (rows, columns)."""
     grid = field.grid
     is_wall = field.container_index == WALL
     x_m, y_m = np.meshgrid(grid.x_m, grid.y_m)
-    vertices = np.stack([x_m, y_m, field.height_m + LIFT_M], axis=-1).reshape(-1, 3)
-    lies = (field.height_m - field.base_m > LEAST_M) & ~is_wall
+    vertices = np.stack([x_m, y_m, field.height_m + lift_m], axis=-1).reshape(-1, 3)
     number = np.arange(is_wall.size).reshape(is_wall.shape)
-    corners = [
-        (slice(None, -1), slice(None, -1)),
-        (slice(None, -1), slice(1, None)),
-        (slice(1, None), slice(1, None)),
-        (slice(1, None), slice(None, -1)),
-    ]
+    low, high = slice(None, -1), slice(1, None)
+    corners = [(low, low), (low, high), (high, high), (high, low)]
     drawn = np.logical_or.reduce([lies[at] for at in corners])
     drawn &= ~np.logical_or.reduce([is_wall[at] for at in corners])
     a, b, c, d = (number[at][drawn] for at in corners)
     faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
     used, faces = np.unique(faces, return_inverse=True)
-    return LaidMaterial(vertices[used], faces.reshape(-1, 3), _contours(field, lies))
+    return vertices[used], faces.reshape(-1, 3)
 
 
-def _contours(field: HeightField, lies: Array) -> Array:
+def _contours(field: HeightField, lies: BoolArray) -> Array:
     """(L, 2, 3) lines of equal height on the material."""
     if not lies.any():
         return np.zeros((0, 2, 3))

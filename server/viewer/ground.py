@@ -15,6 +15,8 @@ GRID_RADIUS_M = 60.0
 GROUND_LIFT_M = -0.02
 """The ground is drawn a little below its marks."""
 LABEL_AWAY_M = 0.5
+NEXT_LOAD_RATIO = 0.35
+"""Opacity of loads that are proposed."""
 DIM_SLOPE_RATIO = 0.005
 """The dimmed ground rises outwards: far away the depth buffer cannot tell 24 mm from nothing, and white
 spikes of the ground came through (24 bits for 0.01 to 1000 m: steps of 0.02 m at 60 m, 0.2 m at 190 m)."""
@@ -122,8 +124,33 @@ class GroundNodes:
         for node in reversed(self._material):
             node.remove()
         self._material.clear()
-        if material is None or not len(material.faces):
+        if material is None:
             return
+        if len(material.faces):
+            self._lay_material(material)
+        for index, load in enumerate(material.next_loads):
+            x_m, y_m, z_m = load.at_m
+            self._material += [
+                self._scene.add_mesh_simple(
+                    f"/next_loads/{index}",
+                    load.vertices_m.astype(np.float32),
+                    load.faces.astype(np.uint32),
+                    color=self._theme.accent,
+                    opacity=NEXT_LOAD_RATIO,
+                    side="double",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                ),
+                self._scene.add_label(
+                    f"/next_loads/{index}/label",
+                    load.text,
+                    position=(x_m, y_m, z_m + LABEL_AWAY_M),
+                    font_screen_scale=1.0,
+                    anchor="bottom-center",
+                ),
+            ]
+
+    def _lay_material(self, material: shapes.LaidMaterial) -> None:
         self._material.append(
             self._scene.add_mesh_simple(
                 "/material",

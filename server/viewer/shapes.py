@@ -22,6 +22,20 @@ NEAR_GROUND_M = 20.0
 
 
 @dataclass(frozen=True)
+class LoadFootprint:
+    """Where a load would lie, frame `machine`."""
+
+    vertices_m: Array
+    """(N, 3)."""
+    faces: IntArray
+    """(M, 3)."""
+    at_m: tuple[float, float, float]
+    """Its target."""
+    text: str
+    """Its number and volume."""
+
+
+@dataclass(frozen=True)
 class LaidMaterial:
     """Bulk material on the ground, frame `machine`."""
 
@@ -31,6 +45,8 @@ class LaidMaterial:
     """(M, 3)."""
     contours_m: Array
     """(L, 2, 3) lines of equal height."""
+    next_loads: tuple[LoadFootprint, ...] = ()
+    """Those that are proposed."""
 
 
 def circle(radius_m: float, count: int = RING_POINTS) -> Array:

@@ -155,6 +155,8 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     )  # fmt: skip
     assert followed.version_count == thrown.version_count + 1, "what is known already is no change"
     laid = yard.jobs.material("m001")
+    first_next = laid.next_loads[0]
+    assert len(first_next.faces) > 10 and first_next.text == "1: 0.20 m³"
     assert len(laid.faces) > 10 and len(laid.contours_m) > 4
     middle = laid.vertices_m.mean(axis=0)
     assert np.hypot(middle[0] - 8.4, middle[1] - 0.3) < 0.3, "drawn where it fell"

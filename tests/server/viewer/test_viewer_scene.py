@@ -11,7 +11,7 @@ from machine.site.objects import SiteObject
 from machine.starts import safe_pose
 from server.viewer.replay import ThrowMotion
 from server.viewer.scene import ViewerScene
-from server.viewer.shapes import LaidMaterial
+from server.viewer.shapes import LaidMaterial, LoadFootprint
 from server.viewer.stage import lost_text
 from server.viewer.state import Reach, ShownPlan
 from tests.cases import each
@@ -351,15 +351,20 @@ def test_bulk_material_is_drawn_with_its_lines_and_goes_at_a_replay(
     app: ViewerApp, session: str, client: ViewClient
 ) -> None:
     vertices = np.array([[8.0, 0.0, 0.3], [9.0, 0.0, 0.3], [8.5, 1.0, 0.8]])
-    material = LaidMaterial(vertices, np.array([[0, 1, 2]]), vertices[None, :2])
+    faces = np.array([[0, 1, 2]])
+    load = LoadFootprint(vertices, faces, (8.5, 0.5, 0.5), "1: 0.20 m³")
+    material = LaidMaterial(vertices, faces, vertices[None, :2], (load,))
     app.scene.set_material(session, material)
-    client.until(lambda: "/material/contours" in client.nodes, "the material")
+    client.until(lambda: "/next_loads/0/label" in client.nodes, "the material and what is next")
+    assert "/material/contours" in client.nodes
     app.scene.replay(session, motion(30.0), is_playing=False)
     client.until(lambda: "/material" not in client.nodes, "the material of today to go")
     app.scene.stop_replay(session)
     client.until(lambda: "/material" in client.nodes, "it again")
     app.scene.set_material(session, None)
-    client.until(lambda: "/material" not in client.nodes, "it to go with its job")
+    client.until(
+        lambda: not {"/material", "/next_loads/0"} & set(client.nodes), "it to go with its job"
+    )
 
 
 def test_a_lost_machine_says_since_when_and_turns_grey(
