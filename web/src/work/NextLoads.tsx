@@ -22,8 +22,7 @@ type Props = {
 /** The next three loads with their reasons: aim at one, pass it over, or put it elsewhere. */
 export function NextLoads({ job, mayEdit, change, moving, onMoving }: Props) {
   const why = noPlanWords(job);
-  const kind = change.variables?.kind;
-  const isOurs = kind === "skip" || kind === "move";
+  const failed = failedOf(change);
   return (
     <section className={classes.next} aria-label="Next loads">
       <h3>Next loads</h3>
@@ -47,6 +46,7 @@ export function NextLoads({ job, mayEdit, change, moving, onMoving }: Props) {
             mayEdit={mayEdit}
             isBusy={change.isPending}
             isMoving={moving === one.proposal_count}
+            problem={failed === one.proposal_count ? errorWords(change.error) : null}
             onSkip={() => {
               onMoving(null);
               change.mutate({ kind: "skip", body: { proposal_count: one.proposal_count } });
@@ -61,11 +61,6 @@ export function NextLoads({ job, mayEdit, change, moving, onMoving }: Props) {
           />
         ))}
       </ol>
-      {change.isError && isOurs && (
-        <p className={classes.refusal} role="alert">
-          {errorWords(change.error)}
-        </p>
-      )}
       {job.next.length > 0 && (
         <p className={classes.note}>
           {job.landing_by === "measured"
@@ -78,19 +73,26 @@ export function NextLoads({ job, mayEdit, change, moving, onMoving }: Props) {
   );
 }
 
+/** The proposal whose change was refused. */
+function failedOf({ isError, variables }: Props["change"]): number | null {
+  if (!isError || (variables?.kind !== "skip" && variables?.kind !== "move")) return null;
+  return variables.body.proposal_count;
+}
+
 type ItemProps = {
   job: Job;
   proposal: Proposal;
   mayEdit: boolean;
   isBusy: boolean;
   isMoving: boolean;
+  problem: string | null;
   onSkip: () => void;
   onMoving: (isMoving: boolean) => void;
   onPlace: (point: Point) => void;
 };
 
 function ProposalItem(props: ItemProps) {
-  const { job, proposal, mayEdit, isBusy, isMoving, onSkip, onMoving, onPlace } = props;
+  const { job, proposal, mayEdit, isBusy, isMoving, problem, onSkip, onMoving, onPlace } = props;
   const { proposal_count, mode, x_m, y_m, z_m, sentence } = proposal;
   const target = fromPoint(x_m, y_m, z_m);
   return (
@@ -136,6 +138,11 @@ function ProposalItem(props: ItemProps) {
               Move
             </Button>
           </div>
+        )}
+        {problem && (
+          <p className={classes.refusal} role="alert">
+            {problem}
+          </p>
         )}
         {isMoving && (
           <MoveForm first={[x_m, y_m]} onPlace={onPlace} onCancel={() => onMoving(false)} />

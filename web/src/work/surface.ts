@@ -11,7 +11,7 @@ export type Window = { x: readonly [number, number]; y: readonly [number, number
 
 const MARGIN_M = 1.2;
 const LEAST_STEP_M = 0.05;
-const LINE_COUNT = 8;
+const LINE_COUNT = 5;
 /** Rise over run from which on a side is a wall, which contour lines would only blacken. */
 const WALL_SLOPE = 2.2;
 /** Keeps lines off ground that is level at exactly their height. */

@@ -55,7 +55,8 @@ export function useJob(jobId: string) {
 /** The surface after a change; the one before is shown until it is there. */
 export function useSurface(job: Job) {
   return useQuery({
-    queryKey: [JOBS, "surface", job.job_id, job.version_count],
+    // Apart from the jobs: a plan that is ready changes a job, not its surface.
+    queryKey: ["job-surface", job.job_id, job.version_count],
     queryFn: () =>
       take(api.GET("/api/v1/jobs/{job_id}/surface", { params: { path: { job_id: job.job_id } } })),
     placeholderData: keepPreviousData,
