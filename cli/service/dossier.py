@@ -53,7 +53,7 @@ def export(
 def verify(file: Annotated[Path, tyro.conf.Positional], /, *, key: str | None = None) -> int:
     """Check every byte of a dossier, its signature, plans, audit rows and approvals; needs no server.
 
-    Exit 3 when anything was altered.
+    Exit 3 when anything was altered, or the key is not the given one.
 
     Args:
         file: the dossier.
@@ -69,7 +69,7 @@ def verify(file: Annotated[Path, tyro.conf.Positional], /, *, key: str | None = 
 def in_words(verdict: DossierVerdict) -> list[str]:
     """What was found, as lines."""
     if not verdict.is_whole:
-        return [f"ALTERED: {problem}" for problem in verdict.problems]
+        return [f"FAILED: {problem}" for problem in verdict.problems]
     manifest, key = verdict.manifest, verdict.key
     assert manifest is not None and key is not None, "a whole dossier has both"
     about = f"throw {manifest.throw_id}" if manifest.throw_id else f"{manifest.throw_count} throws"

@@ -42,6 +42,11 @@ AUDIT_FILE: Final = "audit.jsonl"
 KEYS_FILE: Final = "site_keys.json"
 PLAN_FILE: Final = "plan.json"
 THROW_FILE: Final = "throw.json"
+LOG_FILE: Final = "log.mcap"
+FIRED: Final = "fire"
+LOGGED: Final = "throw.log"
+HASH_NAMES: Final = {FIRED: "plan_hash", LOGGED: "log_sha256"}
+"""Actions of the audit, and where their rows hold a hash."""
 MAX_READ_BYTES: Final = 64 * 1024 * 1024
 """Largest member that is read as a whole, to check what it says."""
 
@@ -250,7 +255,7 @@ def check_contents(verdict: DossierVerdict, kept: dict[str, bytes]) -> None:
                 verdict, name, content, kept.get(name.replace(PLAN_FILE, THROW_FILE), b"{}")
             )
     if AUDIT_FILE in kept:
-        _check_audit(verdict, kept[AUDIT_FILE])
+        _check_against_audit(verdict, kept, _check_audit(verdict, kept[AUDIT_FILE]))
     trust = SiteTrust.model_validate_json(kept[KEYS_FILE]) if KEYS_FILE in kept else None
     if trust is not None:
         _check_keys(verdict, trust)
@@ -267,7 +272,26 @@ def _check_plan(verdict: DossierVerdict, name: str, content: bytes, throw: bytes
     verdict.checked_plan_count += 1
 
 
-def _check_audit(verdict: DossierVerdict, content: bytes) -> None:
+def _check_against_audit(
+    verdict: DossierVerdict, kept: dict[str, bytes], recorded: dict[tuple[str, str], str]
+) -> None:
+    """Plans and logs against the hashes that the audit's sealed rows hold of them."""
+    for name, content in kept.items():
+        if name.endswith(f"/{THROW_FILE}"):
+            plan_hash = recorded.get((name.split("/")[1], FIRED))
+            if plan_hash not in (None, json.loads(content).get("plan_hash")):
+                verdict.problems.append(f"{name} names another plan than the audit says was fired")
+    members = () if verdict.manifest is None else verdict.manifest.members
+    for member in members:
+        if member.name.endswith(f"/{LOG_FILE}"):
+            log_sha256 = recorded.get((member.name.split("/")[1], LOGGED))
+            if log_sha256 not in (None, member.sha256):
+                verdict.problems.append(f"{member.name} is not the log that the machine sent")
+
+
+def _check_audit(verdict: DossierVerdict, content: bytes) -> dict[tuple[str, str], str]:
+    """Check seals; returns the hashes that rows hold, by throw and action, the newest of each."""
+    recorded: dict[tuple[str, str], str] = {}
     before: dict[str, Any] | None = None
     for line in content.splitlines():
         row: dict[str, Any] = json.loads(line)
@@ -280,6 +304,11 @@ def _check_audit(verdict: DossierVerdict, content: bytes) -> None:
             verdict.problems.append(f"audit row {number} does not follow the one before")
         before = row
         verdict.checked_audit_count += 1
+        name = HASH_NAMES.get(row["action"]) if row["phase"] in ("intent", "fact") else None
+        found = None if name is None else json.loads(row["detail_json"]).get(name)
+        if found is not None:
+            recorded[row["throw_id"], row["action"]] = found
+    return recorded
 
 
 def _check_keys(verdict: DossierVerdict, trust: SiteTrust) -> None:

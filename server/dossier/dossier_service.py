@@ -19,7 +19,7 @@ from server.accounts.audit_chain import AuditChain, Entry
 from server.accounts.audit_seal import FIRST_SHA256
 from server.clock import first_id_at, utc_now
 from server.deployments.site_approvals import SiteApprovals
-from server.dossier.dossier_check import AUDIT_FILE, KEYS_FILE
+from server.dossier.dossier_check import AUDIT_FILE, KEYS_FILE, LOG_FILE
 from server.dossier.dossier_content import (
     DossierScope,
     audit_rows,
@@ -255,7 +255,7 @@ class Dossiers:
             body.add_bytes(f"{folder}/{name}", content)
         if throw.has_log:
             try:
-                body.add_file(f"{folder}/log.mcap", self._logs.path(throw.throw_id))
+                body.add_file(f"{folder}/{LOG_FILE}", self._logs.path(throw.throw_id))
             except (ApiError, OSError) as error:
                 raise ConflictError(
                     "log_gone", f"The log of throw {throw.throw_id} cannot be read: {error}."

@@ -36,10 +36,11 @@ from tests.server.server_bench import PASSWORD, wait_for
 KEY = new_private_key()
 
 
-def audit_line(**changes):
-    row = dict.fromkeys(SEALED_FIELDS) | {"sequence_count": 1, "detail_json": "{}"}
+def audit_line(altered=None, **values):
+    row = dict.fromkeys(SEALED_FIELDS) | {"sequence_count": 1, "detail_json": "{}"} | values
     seal = seal_of(FIRST_SHA256, list(row.values()))
-    return canonical_json({**row, "previous_sha256": FIRST_SHA256, "row_sha256": seal} | changes)
+    seals = {"previous_sha256": FIRST_SHA256, "row_sha256": seal}
+    return canonical_json({**row, **seals, **(altered or {})})
 
 
 def archive(members: dict[str, bytes], key: bytes = KEY) -> bytes:
@@ -121,8 +122,24 @@ def test_a_file_signed_by_somebody_else_needs_the_key_from_outside():
 
 
 def test_an_audit_row_that_was_changed_before_the_export_is_found():
-    changed = archive({"audit.jsonl": audit_line(actor="bob")})
+    changed = archive({"audit.jsonl": audit_line({"actor": "bob"})})
     assert problems(changed) == ["audit row 1 was changed before the dossier was made"]
+
+
+def test_what_the_audit_holds_the_hash_of_has_to_be_that():
+    throw = canonical_json({"plan_hash": "a" * 64})
+    for action, name, hash_name in (
+        ("fire", "throw.json", "plan_hash"),
+        ("throw.log", "log.mcap", "log_sha256"),
+    ):
+        right = "a" * 64 if name == "throw.json" else hashlib.sha256(throw).hexdigest()
+        for recorded in (right, "b" * 64):
+            row = {"action": action, "phase": "intent", "throw_id": "t"}
+            detail = json.dumps({hash_name: recorded})
+            line = audit_line(detail_json=detail, **row)
+            found = problems(archive({"audit.jsonl": line, f"throws/t/{name}": throw}))
+            assert len(found) == (recorded != right), found
+            assert all(name in problem for problem in found)
 
 
 def test_too_large_a_dossier_is_refused_while_it_is_made():
@@ -186,7 +203,7 @@ def test_a_throw_is_exported_and_verified_from_the_command_line(
     content[len(content) // 2] ^= 1
     one.write_bytes(content)
     assert main(["dossier", "verify", str(one)]) == 3
-    assert "ALTERED" in capsys.readouterr().out
+    assert "FAILED" in capsys.readouterr().out
     with running.client("sue") as sue:
         rows = sue.get("/audit", params={"action": "dossier.export"}).json()["rows"]
     assert [row["actor"] for row in rows] == ["sue", "sue"]
