@@ -55,7 +55,8 @@ def run_child(
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     # Not a daemon: those may have no processes of their own.
-    process = context.Process(target=_work, args=(work, args, theirs), name=name)
+    given = (work, args, theirs, NICENESS)
+    process = context.Process(target=_work, args=given, name=name)
     process.start()
     theirs.close()
     try:
@@ -93,9 +94,11 @@ def _end(process: Any) -> None:
     process.close()
 
 
-def _work(work: Callable[..., None], args: tuple[Any, ...], answers: Connection) -> None:
+def _work(
+    work: Callable[..., None], args: tuple[Any, ...], answers: Connection, niceness: int
+) -> None:
     """Entry point of the process."""
-    os.nice(NICENESS)
+    os.nice(niceness)
     end_with_parent()
     # Work that is cancelled ends its own worker processes.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

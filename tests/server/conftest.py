@@ -18,6 +18,7 @@ from argon2 import PasswordHasher
 from sqlalchemy import make_url
 
 from machine.spec import load_spec
+from server import child_process
 from server.accounts import accounts
 from server.accounts.accounts import FIRST_LOGIN_FILE, Session
 from server.clock import new_id, utc_now
@@ -35,6 +36,14 @@ def quick_passwords() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         quick = functools.partial(PasswordHasher, time_cost=1, memory_cost=8, parallelism=1)
         patch.setattr(accounts, "PasswordHasher", quick)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def willing_children() -> Iterator[None]:
+    """Children of the server work at once: at its low priority they would wait for all other tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(child_process, "NICENESS", 0)
         yield
 
 

@@ -10,6 +10,8 @@ import pytest
 from machine.conventions import Mode
 from machine.errors import LogError
 from machine.spec import load_spec
+from server import child_process
+from server.child_process import NICENESS
 from server.gap import gap_worker
 from server.gap.gap_worker import GapProcess
 from server.job_queue import WAITING_COUNT
@@ -128,7 +130,8 @@ def test_other_machines_and_runs_are_not_found(running, ada, throws):
     assert ada.delete(other).status_code == 404
 
 
-def test_one_at_a_time_at_low_priority_and_cancel_kills(running, ada, throws):
+def test_one_at_a_time_at_low_priority_and_cancel_kills(running, ada, throws, monkeypatch):
+    monkeypatch.setattr(child_process, "NICENESS", NICENESS)
     with diagnosing(running.parts, gap_fakes.patient, GapProcess):
         first, second = start(ada), start(ada)
         wait_for(
