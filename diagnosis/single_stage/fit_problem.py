@@ -23,6 +23,8 @@ class FreeParameter(NamedTuple):
     """Start values of the fit; the first is the prior mean."""
     is_absent_at_high: bool = False
     """Whether the effect is absent at `high`."""
+    is_absent_at_low: bool = True
+    """Whether the effect is absent, or small, at a `low` that is not negative."""
     prior_sd: float = math.inf
     """Standard deviation of the prior about the first start value; infinite without one."""
     is_threshold: bool = False

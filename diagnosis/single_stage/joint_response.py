@@ -100,7 +100,9 @@ def _two_sided_dead_time_option(dead_time: FreeParameter, period_s: float) -> Ef
 
 def _resonance_option(period_s: float) -> EffectOption:
     """An oscillating response, as of a load on an oil spring, in place of a lag."""
-    frequency = FreeParameter("frequency_hz", "Hz", 0.05, 0.25 / period_s, (0.5, 1.0, 2.0))
+    frequency = FreeParameter(
+        "frequency_hz", "Hz", 0.05, 0.25 / period_s, (0.5, 1.0, 2.0), is_absent_at_low=False
+    )
     damping = FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3, 0.3, 0.2), True)
     return EffectOption("resonance", "resonance", (frequency, damping), stands_for="valve_lag")
 
@@ -117,14 +119,16 @@ def _list_drive_options() -> tuple[EffectOption, ...]:
         for name, place in PLACES.items()
     )
     change = FreeParameter("change_ratio", "1", -0.95, 2.0, (-0.2, -0.2, -0.2))
-    middle = FreeParameter("middle_ratio", "1", 0.02, 0.98, (0.5, 0.25, 0.75))
+    middle = FreeParameter(
+        "middle_ratio", "1", 0.02, 0.98, (0.5, 0.25, 0.75), is_absent_at_low=False
+    )
     duration = FreeParameter("duration_ratio", "1", 0.01, 1.0, (0.2,))
     return (
         EffectOption(
             "valve_curve_kink",
             "valve_curve",
             (
-                FreeParameter("kink_ratio", "1", 0.1, 0.9, (0.4, 0.4, 0.6)),
+                FreeParameter("kink_ratio", "1", 0.1, 0.9, (0.4, 0.4, 0.6), is_absent_at_low=False),
                 FreeParameter("kink_speed_ratio", "1", 0.01, 0.99, (0.2, 0.6, 0.4)),
             ),
         ),
@@ -162,7 +166,11 @@ def _list_static_options() -> tuple[EffectOption, ...]:
         EffectOption(
             "valve_curve",
             "valve_curve",
-            (FreeParameter("exponent_ratio", "1", 0.3, 3.0, (1.05, 1.5, 0.7)),),
+            (
+                FreeParameter(
+                    "exponent_ratio", "1", 0.3, 3.0, (1.05, 1.5, 0.7), is_absent_at_low=False
+                ),
+            ),
         ),
         EffectOption(
             "valve_hysteresis",
@@ -186,6 +194,7 @@ def _list_limit_options(period_s: float, top_speed: float, unit: str) -> tuple[E
                     0.2 * top_speed,
                     1.1 * top_speed,
                     (0.95 * top_speed, 0.7 * top_speed),
+                    is_absent_at_low=False,
                 ),
             ),
         ),
@@ -199,6 +208,7 @@ def _list_limit_options(period_s: float, top_speed: float, unit: str) -> tuple[E
                     0.02 * top_speed,
                     top_speed / max(period_s, 0.01),
                     (4.0 * top_speed, top_speed, 0.4 * top_speed),
+                    is_absent_at_low=False,
                 ),
             ),
         ),
@@ -227,6 +237,7 @@ def _servo_speed_option(largest: float, unit: str) -> EffectOption:
         0.02 * largest,
         200.0 * largest,
         (10.0 * largest, 3.0 * largest, 0.5 * largest),
+        is_absent_at_low=False,
     )
     return EffectOption("servo_speed_limit", "speed_limit", (limit,))
 

@@ -110,7 +110,8 @@ def _size_within_residual(problem: FitProblem, found: StructureFit, name: str) -
 def find_parameters_at_bound(found: StructureFit) -> tuple[str, ...]:
     """Parameters of effects that end at a bound, as ``effect.parameter``: the fit wanted more.
 
-    A magnitude at its lower bound is no matter: the effect is then small, or acts in one direction only.
+    A magnitude at a lower bound where the effect is absent is no matter: the effect is then small, or acts in
+    one direction only.
     """
     values = found.as_mapping()
     at_bound: list[str] = []
@@ -118,7 +119,8 @@ def find_parameters_at_bound(found: StructureFit) -> tuple[str, ...]:
         for p in option.parameters:
             value, margin = values[f"{option.key}.{p.name}"], AT_BOUND_RATIO * (p.high - p.low)
             is_high = value > p.high - margin and not p.is_absent_at_high
-            if is_high or (p.low < 0.0 and value < p.low + margin):
+            counts_low = p.low < 0.0 or not p.is_absent_at_low
+            if is_high or (counts_low and value < p.low + margin):
                 at_bound.append(f"{option.effect}.{p.name}")
     return tuple(at_bound)
 

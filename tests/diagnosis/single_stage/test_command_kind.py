@@ -65,17 +65,20 @@ def test_a_parameter_at_its_bound_is_no_explanation() -> None:
     lag = FreeParameter("extra_lag_s", "s", 0.02, 5.0, (0.1,))
     damping = FreeParameter("damping_ratio", "1", 0.05, 0.4, (0.3,), is_absent_at_high=True)
     ratio = FreeParameter("positive_ratio", "1", -0.9, 0.9, (0.1,))
+    kink = FreeParameter("kink_ratio", "1", 0.1, 0.9, (0.4,), is_absent_at_low=False)
     options = (
         EffectOption("a", "valve_lag", (lag, damping)),
         EffectOption("b", "valve_gain", (ratio,)),
+        EffectOption("c", "valve_curve", (kink,)),
     )
-    names = ("a.extra_lag_s", "a.damping_ratio", "b.positive_ratio")
+    names = ("a.extra_lag_s", "a.damping_ratio", "b.positive_ratio", "c.kink_ratio")
     for values, expected in (
-        ((1.0, 0.4, 0.3), ()),
-        ((4.99, 0.2, 0.3), ("valve_lag.extra_lag_s",)),
-        ((0.02, 0.2, -0.9), ("valve_gain.positive_ratio",)),
+        ((1.0, 0.4, 0.3, 0.4), ()),
+        ((4.99, 0.2, 0.3, 0.4), ("valve_lag.extra_lag_s",)),
+        ((0.02, 0.2, -0.9, 0.4), ("valve_gain.positive_ratio",)),
+        ((0.02, 0.2, 0.3, 0.101), ("valve_curve.kink_ratio",)),
     ):
-        fit = StructureFit(options, names, np.array(values), np.zeros(3), np.zeros((3, 3)))
+        fit = StructureFit(options, names, np.array(values), np.zeros(4), np.zeros((4, 4)))
         assert find_parameters_at_bound(fit) == expected
 
 
