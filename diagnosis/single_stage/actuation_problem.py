@@ -20,7 +20,6 @@ from diagnosis.single_stage.fit_problem import (
     number_blocks,
 )
 from diagnosis.single_stage.joint_response import (
-    apply_play,
     list_actuation_options,
     simulate_position,
     simulate_speed,
@@ -29,6 +28,7 @@ from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import CommandScale, JointRecord
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
+from sim_twin.recurrences import apply_play
 
 OutputKind = Literal["speed", "position"]
 MAX_TICKS: Final = 5_000

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 
 from diagnosis.single_stage.fit_problem import EffectOption, FreeParameter
 from machine.conventions import Array
+from sim_twin.recurrences import apply_play, lag_two_sided, limit_rate
 
 MIN_TIME_PERIODS: Final = 0.5
 """Smallest dead time or lag worth naming, in sample periods."""
@@ -276,12 +277,12 @@ def simulate_speed(
     if speed_limit > 0.0 and "valve_lag.extra_lag_s" in values:
         # The loop of a servo commands a speed in proportion to its error; this speed is limited.
         rise = 1.0 - math.exp(-step_s / values["valve_lag.extra_lag_s"])
-        speed = _limit_rate(steady, speed_limit * step_s, rise)
+        speed = limit_rate(steady, speed_limit * step_s, rise)
     else:
         speed = _apply_lag(steady, step_s, values)
-        speed = _limit_rate(speed, speed_limit * step_s) if speed_limit > 0.0 else speed
+        speed = limit_rate(speed, speed_limit * step_s) if speed_limit > 0.0 else speed
     if (limit := values.get("acceleration_limit.limit_rad_m_per_s2", 0.0)) > 0.0:
-        speed = _limit_rate(speed, limit * step_s)
+        speed = limit_rate(speed, limit * step_s)
     # Lag and limits give the speed at the end of a tick, which is the start of the next.
     speed = steady[1:] if speed is steady else speed[:-1]
     return speed * _slope_factor(speed, values, place)
@@ -322,16 +323,6 @@ def simulate_position(
     # Without inertia the speed is constant over a tick; with it the speed is continuous.
     moved = 0.5 * (speed[1:] + speed[:-1]) if has_inertia else speed[:-1]
     return np.concatenate([[0.0], np.cumsum(moved) * step_s])
-
-
-def apply_play(signal: Array, half_width: float) -> Array:
-    """Play operator (backlash) with `half_width` to either side, (ticks,)."""
-    first = float(signal[0])
-    y = first - math.copysign(min(half_width, abs(first)), first)
-    h = half_width
-    return np.array(
-        [y := x - h if x - h > y else x + h if x + h < y else y for x in signal.tolist()]
-    )
 
 
 def _apply_dead_time(
@@ -402,7 +393,7 @@ def _apply_lag(steady: Array, step_s: float, values: Mapping[str, float]) -> Arr
         return _lag_second_order(steady, step_s, 2.0 * math.pi * frequency_hz, damping)
     rise = values.get("valve_lag_two_sided.extra_lag_s", 0.0)
     if rise > 0.0:
-        return _lag_two_sided(steady, step_s, rise, values["valve_lag_two_sided.stopping_lag_s"])
+        return lag_two_sided(steady, step_s, rise, values["valve_lag_two_sided.stopping_lag_s"])
     return steady
 
 
@@ -425,30 +416,3 @@ def _lag_second_order(steady: Array, step_s: float, frequency: float, damping: f
     zi = [y0 * (1.0 - b[0]), y0 * (-a2)]
     out, _ = lfilter(b, [1.0, a1, a2], steady, zi=zi)
     return np.asarray(out)
-
-
-def _lag_two_sided(steady: Array, step_s: float, rise_s: float, stop_s: float) -> Array:
-    """First-order lag with one time constant while the speed grows and another while it falls."""
-    rise, stop = 1.0 - math.exp(-step_s / rise_s), 1.0 - math.exp(-step_s / stop_s)
-    y = float(steady[0])
-    return np.array(
-        [y := y + (rise if (u - y) * y >= 0.0 else stop) * (u - y) for u in steady.tolist()]
-    )
-
-
-def _limit_rate(speed: Array, max_change: float, rise: float = 1.0) -> Array:
-    """Move `rise` of the way to each tick's value, by at most `max_change` per tick."""
-    y = float(speed[0])
-    return np.array(
-        [
-            y := y
-            + (
-                max_change
-                if (d := rise * (u - y)) > max_change
-                else -max_change
-                if d < -max_change
-                else d
-            )
-            for u in speed.tolist()
-        ]
-    )

@@ -27,7 +27,7 @@ THROWS_COUNT: Final = 12
 REFERENCE_COUNT: Final = 10
 """Throws with the version before that a comparison needs at least: of fewer the spread is known to no better
 than a quarter."""
-LOOKS: Final = ((0.5, 0.05), (0.75, 0.15), (1.0, 0.8))
+LOOKS: Final = ((0.5, 0.03), (0.75, 0.07), (1.0, 0.9))
 """Share of the throws, and of the false alarms that are spent by then: few early, for power at the end."""
 
 
@@ -46,8 +46,8 @@ class Regression(StrEnum):
 
 SHARES: Final[Mapping[Regression, float]] = MappingProxyType(
     {
-        Regression.SPREAD: 0.79,
-        **{kind: 0.03 for kind in Regression if kind is not Regression.SPREAD},
+        Regression.SPREAD: 0.93,
+        **{kind: 0.01 for kind in Regression if kind is not Regression.SPREAD},
     }
 )
 """Shares of the false alarms: of what a dozen throws are to show, a doubled spread is the hardest to find."""
