@@ -4,6 +4,8 @@ Speeds are actuator speeds: m/s of the cylinder for boom, dipper and telescope, 
 not depend on the varying lever arm of a cylinder.
 """
 
+import hashlib
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -46,6 +48,11 @@ class ValveCalibration(BaseModel):
     twin_registrations: tuple[Registration, ...] = ()
     """Registrations of the machine's twin from the same registration throws. The twin aims by them, so that a
     preview shows the error that remains after registration, and later changes."""
+
+    @cached_property
+    def sha256(self) -> str:
+        """Of everything that it says."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
     def aim(self, policy_sha256: str, target_m: Array, slew_rad: Array) -> Array:
         """Aim points (N, 3) with which this policy hits `target_m` (N, 3) on average; frame `machine`.

@@ -6,12 +6,14 @@ machine they are ignored (a fleet upgrades one machine at a time). Units stand i
 
 import hashlib
 import json
+import math
 from enum import StrEnum
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
+from machine.registration import MAX_CORRECTION_M
 from machine.site.objects import SiteObjects
 from machine.site.zones import ZoneSet
 
@@ -58,6 +60,8 @@ class RejectReason(StrEnum):
     TARGET_IN_ZONE = "target_in_zone"
     ZONES_MISMATCH = "zones_mismatch"
     """A plan was made with other exclusion zones than are approved, or than the machine has."""
+    AIM_MISMATCH = "aim_mismatch"
+    """A plan's aim correction is not in force, or not of the policy and calibration on board."""
     PREVIEW_REFUSED = "preview_refused"
     PLAN_EXPIRED = "plan_expired"
     CHECK_FAILED = "check_failed"
@@ -89,6 +93,31 @@ class Target(BaseModel):
     z_m: float = Field(
         default=0.0, ge=-5.0, le=10.0, description="height of the target surface above ground"
     )
+
+
+class AimShift(BaseModel):
+    """Correction of the aim of one plan: the miss that earlier throws lead to expect without it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    version_count: int = Field(ge=1)
+    """Of the aim corrections of the machine."""
+    downrange_m: float = Field(ge=-MAX_CORRECTION_M, le=MAX_CORRECTION_M)
+    crossrange_m: float = Field(ge=-MAX_CORRECTION_M, le=MAX_CORRECTION_M)
+    """Positive to the left."""
+    policy_sha256: str
+    calibration_sha256: str
+    """What the machine threw with when it missed so: with anything else the correction is void."""
+
+    def aimed(self, target: Target) -> Target:
+        """The point, frame `machine`, to aim at so that loads come down at the target on average."""
+        range_m = math.hypot(target.x_m, target.y_m)
+        cos, sin = (target.x_m / range_m, target.y_m / range_m) if range_m > 0.0 else (1.0, 0.0)
+        return target.model_copy(
+            update={
+                "x_m": target.x_m - cos * self.downrange_m + sin * self.crossrange_m,
+                "y_m": target.y_m - sin * self.downrange_m - cos * self.crossrange_m,
+            }
+        )
 
 
 class LandingEllipse(BaseModel):
@@ -125,12 +154,19 @@ class ThrowPlan(_ToMachine):
     own default."""
     zones_sha256: str | None = None
     """Set of exclusion zones that the preview was checked against (machine.site.zones); None = no zones."""
+    aim: AimShift | None = None
+    """None = the policy aims at the target; the machine's registration counts in any case."""
+
+    @property
+    def aim_target(self) -> Target:
+        """The point that the policy is given as its target."""
+        return self.target if self.aim is None else self.aim.aimed(self.target)
 
     @property
     def plan_hash(self) -> str:
         """sha256 of the canonical JSON: sorted keys, no spaces, full float precision."""
         content = self.model_dump(mode="json")
-        for name in ("allowed_radius_m", "zones_sha256"):
+        for name in ("allowed_radius_m", "zones_sha256", "aim"):
             if content[name] is None:
                 # As hashed by software that does not know the field.
                 del content[name]
@@ -316,6 +352,8 @@ class MachineState(_FromMachine):
     model_sha256: str
     policy_sha256: dict[str, str] = {}
     """Mode -> hash of the policy on board."""
+    calibration_sha256: str | None = None
+    """Of valve tables and registrations on board; null = older software, which takes no aim corrections."""
     zones_sha256: str | None = None
     """Set of exclusion zones on board; empty = none are approved, null = unreadable, or older software."""
     heartbeat_age_s: float | None = None

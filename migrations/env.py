@@ -4,7 +4,12 @@ from alembic import context
 from sqlalchemy import Connection
 
 from server.settings import load_settings
-from server.store import alert_models, enrolment_models, job_tables  # noqa: F401  their tables belong to Base
+from server.store import (  # noqa: F401  their tables belong to Base
+    aim_tables,
+    alert_models,
+    enrolment_models,
+    job_tables,
+)
 from server.store.database import Database
 from server.store.validation_tables import PolicyValidation
 

@@ -26,6 +26,7 @@ from server.error_handlers import add_error_handlers
 from server.errors import NotFoundError
 from server.limits.streams import Place, StreamKind
 from server.management_routes import (
+    aim,
     alerts,
     dossiers,
     drifts,
@@ -95,6 +96,7 @@ def _api_router() -> APIRouter:
         jobs,
         gap,
         drifts,
+        aim,
         alerts,
         audit,
         events,

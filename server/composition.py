@@ -15,6 +15,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.aim.aim_corrections import AimCorrections
 from server.alerts.alerting import Alerting
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
@@ -93,6 +94,7 @@ class Parts:
     streams: StreamLimiter
     registry: MachineRegistry
     enrolments: Enrolments
+    aim: AimCorrections
     alerting: Alerting
     link: MachineLink
     commands: MachineCommands
@@ -266,9 +268,9 @@ def assemble(
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)
     zones, impacts = ZoneStore(database, audit, registry, hub), ImpactDisplay(database, scene)
-    planner = Planner(
-        plans, registry, policies, pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s
-    )
+    aim = AimCorrections(database, audit, registry, policies, twins)
+    around = (pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s, aim.shift)
+    planner = Planner(plans, registry, policies, *around)
     logs, gap, twin_versions = _gap_parts(settings, database, audit, registry, twins, hub)
     parts = Parts(
         settings=settings,
@@ -282,6 +284,7 @@ def assemble(
         streams=StreamLimiter(metrics),
         registry=registry,
         enrolments=Enrolments(database, audit, registry, approvals, settings),
+        aim=aim,
         alerting=Alerting(database, audit, hub, registry, settings),
         link=link,
         commands=commands,
@@ -303,7 +306,7 @@ def assemble(
         planner=planner,
         holds=holds,
         throw_service=ThrowService(
-            database, registry, leases, plans, sites, zones, throws, commands, holds
+            database, registry, leases, plans, sites, zones, throws, commands, holds, aim
         ),
         history=ThrowHistory(database),
         statistics=ThrowStatistics(database),
@@ -390,6 +393,7 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     ingest.on_event += [
         parts.alerting.watch.take_event,
         drift.take_event,
+        parts.aim.take_event,
         parts.rollouts.take_event,
     ]
     ingest.on_throw_end.append(parts.holds.end)

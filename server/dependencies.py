@@ -15,6 +15,7 @@ from server.accounts.access_control import AccessControl
 from server.accounts.accounts import Accounts, Session
 from server.accounts.audit_chain import AuditChain
 from server.accounts.known_devices import KnownDevices
+from server.aim.aim_corrections import AimCorrections
 from server.alerts.alerting import Alerting
 from server.deployments.deployments import Deployments
 from server.deployments.machine_policies import MachinePolicies
@@ -78,6 +79,7 @@ def _get(kind: type[PartT]) -> Callable[[HTTPConnection], Awaitable[PartT]]:
 
 AccessDep = Annotated[AccessControl, Depends(_get(AccessControl))]
 AccountsDep = Annotated[Accounts, Depends(_get(Accounts))]
+AimDep = Annotated[AimCorrections, Depends(_get(AimCorrections))]
 AlertingDep = Annotated[Alerting, Depends(_get(Alerting))]
 ApprovalsDep = Annotated[SiteApprovals, Depends(_get(SiteApprovals))]
 AuditDep = Annotated[AuditChain, Depends(_get(AuditChain))]
@@ -160,6 +162,7 @@ LeaseTaker = Annotated[Session, Depends(requires(Permission.LEASE_TAKE))]
 StopClearer = Annotated[Session, Depends(requires(Permission.STOP_CLEAR))]
 GapRunner = Annotated[Session, Depends(requires(Permission.GAP_RUN))]
 TwinKeeper = Annotated[Session, Depends(requires(Permission.TWIN_APPLY))]
+AimKeeper = Annotated[Session, Depends(requires(Permission.AIM_APPLY))]
 SiteEditor = Annotated[Session, Depends(requires(Permission.SITE_EDIT))]
 ZoneApprover = Annotated[Session, Depends(requires(Permission.ZONES_APPROVE))]
 Uploader = Annotated[Session, Depends(requires(Permission.POLICY_UPLOAD))]

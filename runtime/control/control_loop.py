@@ -244,7 +244,7 @@ def _aim(
     """Aim points of the policies (N, 3), fixed when a motion begins: they depend on the slew angle."""
     if not sensed.any_begins:
         return state.aim_m
-    aim_m = params.aim(inputs.target_m, sensed.position[:, 0])
+    aim_m = params.aim(inputs.given_target_m, sensed.position[:, 0])
     return np.where(sensed.begins[:, None], aim_m, state.aim_m)
 
 
@@ -270,7 +270,7 @@ def _motions(
     if sensed.any_begins:
         turn = np.zeros(motion.shape)
         if params.mode is Mode.PLANAR:
-            target = np.where(aligning[:, None], inputs.target_m, (1.0, 0.0, 0.0))
+            target = np.where(aligning[:, None], inputs.given_target_m, (1.0, 0.0, 0.0))
             turn = wrap_angle_rad(aligned_slew_rad(spec, target) - active[:, 0])
         homing = aligning & ~is_valid_start(spec, sensed.position)
         swing = swing_control.begin(swing, sensed.begins, active[:, 0], turn, homing)

@@ -95,6 +95,14 @@ class ControlInputs:
     """Of the region around the target in which a load may come down; infinite = no plan says so."""
     zones: Prisms | None = None
     """Exclusion zones of the machine."""
+    aim_target_m: Array | None = None
+    """(N, 3) what the policy and the cabin are given instead of the target; None = the target. The region in
+    which a load may come down lies around the target."""
+
+    @property
+    def given_target_m(self) -> Array:
+        """(N, 3) point that policy and cabin are given."""
+        return self.target_m if self.aim_target_m is None else self.aim_target_m
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,6 +128,7 @@ class MachineControl:
         self._now_ns = driver.now_ns()
         self._sample: SensorSample = driver.read()
         self._target_m: Array = np.full((1, 3), np.nan)
+        self._aim_target_m = self._target_m
         self._pace_ratio = DEFAULT_PACE_RATIO
         self._allowed_radius_m = DEFAULT_RADIUS_M
         self._zones = MachineZones(setup.spec, None)
@@ -288,6 +289,8 @@ class MachineControl:
             return
         target = plan.target
         self._target_m = np.array([[target.x_m, target.y_m, target.z_m]])
+        aim = plan.aim_target
+        self._aim_target_m = np.array([[aim.x_m, aim.y_m, aim.z_m]])
         self._pace_ratio = plan.pace_ratio
         self._allowed_radius_m = plan.allowed_radius_m or DEFAULT_RADIUS_M
         if isinstance(self.driver, LandingDriver):
@@ -305,6 +308,7 @@ class MachineControl:
             self._pace_ratio,
             self._allowed_radius_m,
             self._zones.prisms,
+            self._aim_target_m,
         )
         try:
             self._state, outputs = step(self._params[self._mode], self._state, inputs, now_ns)
@@ -334,6 +338,7 @@ class MachineControl:
         facts = Facts(
             model_sha256=setup.spec.sha256,
             cards={mode: runner.card for mode, runner in setup.policies.items()},
+            calibration_sha256=setup.calibration.sha256,
             checks=self._checks,
             payload_held=bool(sample.payload_held[0]),
             local_enable=bool(sample.local_enable[0]),
@@ -353,7 +358,13 @@ class MachineControl:
         )
 
     def _zone_conflict(self, plan: ThrowPlan) -> str:
-        return self._zones.conflict(plan, np.nan_to_num(self._estimate()[0]))
+        pose = np.nan_to_num(self._estimate()[0])
+        found = self._zones.conflict(plan, pose)
+        if found or plan.aim is None:
+            return found
+        # The cabin turns to where the arm aims.
+        aimed = plan.model_copy(update={"target": plan.aim_target})
+        return self._zones.conflict(aimed, pose)
 
     def _run_checks(self) -> tuple[CheckResult, ...]:
         setup, sample, now_ns = self.setup, self._sample, self._now_ns
@@ -453,6 +464,7 @@ class MachineControl:
             policy_sha256={
                 mode.value: runner.card.policy_sha256 for mode, runner in setup.policies.items()
             },
+            calibration_sha256=setup.calibration.sha256,
             zones_sha256=self._zones.sha256,
             heartbeat_age_s=(self._now_ns - throw.heartbeat_ns) * 1e-9 if has_beat else None,
             late_tick_ratio=self.host.late_tick_ratio,

@@ -24,6 +24,7 @@ from machine.messages import (
     ThrowState,
     ZonesRequest,
 )
+from machine.policy_card import PolicyCard
 from machine.reach import check_target
 from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
@@ -278,7 +279,27 @@ def _plan_refusal(
         check_target(card, plan.target)
     except RefusedError as error:
         return CommandRefusal(error.reason, error.detail)
-    return _zone_refusal(plan, facts)
+    return _aim_refusal(plan, card, facts) or _zone_refusal(plan, facts)
+
+
+def _aim_refusal(plan: ThrowPlan, card: PolicyCard, facts: Facts) -> CommandRefusal | None:
+    """Whether the plan's aim correction belongs to the policy and the calibration on board."""
+    if plan.aim is None:
+        return None
+    given = (plan.aim.policy_sha256, plan.aim.calibration_sha256)
+    if given != (card.policy_sha256, facts.calibration_sha256):
+        return CommandRefusal(
+            RejectReason.AIM_MISMATCH,
+            f"Aim correction v{plan.aim.version_count} is of policy {given[0][:12]} and calibration "
+            f"{given[1][:12]}; on board are {card.policy_sha256[:12]} and "
+            f"{facts.calibration_sha256[:12]}. Preview again.",
+        )
+    try:
+        check_target(card, plan.aim_target)
+    except RefusedError as error:
+        detail = f"With aim correction v{plan.aim.version_count}: {error.detail}"
+        return CommandRefusal(error.reason, detail)
+    return None
 
 
 def _zone_refusal(plan: ThrowPlan, facts: Facts) -> CommandRefusal | None:

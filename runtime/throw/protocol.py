@@ -57,6 +57,8 @@ class Facts:
     emergency_stop: bool
     fresh_nonce: str
     """A secret that has never been given out; used if this message arms."""
+    calibration_sha256: str = ""
+    """Of valve tables and registrations on board."""
     zones_sha256: str | None = ""
     """Exclusion zones on board; empty = none, None = they cannot be read."""
     zone_conflict: Callable[[ThrowPlan], str] = lambda _: ""

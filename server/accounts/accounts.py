@@ -48,6 +48,7 @@ _SUPERVISOR = _OPERATOR | {
 }
 _ENGINEER = _SUPERVISOR | {
     Permission.TWIN_APPLY,
+    Permission.AIM_APPLY,
     Permission.POLICY_UPLOAD,
     Permission.POLICY_VALIDATE,
     Permission.POLICY_APPROVE,

@@ -6,11 +6,12 @@ from typing import Final, NamedTuple
 from sqlalchemy import select
 
 from machine.conventions import Mode
+from server.aim.surveyed_misses import corrected_m
 from server.deployments.machine_policies import MachinePolicies
 from server.drift.drift_test import Change, Drift, DriftTest, ThrowMiss
 from server.schemas.history import Outcome
 from server.store.database import Database
-from server.store.models import Throw
+from server.store.models import Plan, Throw
 
 CONSIDERED_COUNT: Final = 3000
 """Newest measured throws of a mode and version."""
@@ -72,7 +73,8 @@ def _tested_throws(
         Throw.predicted_sd_crossrange_m,
     )
     query = (
-        select(Throw.throw_id, Throw.has_log, Throw.outcome, *columns)
+        select(Throw.throw_id, Throw.has_log, Throw.outcome, Plan.aim, *columns)
+        .outerjoin(Plan, Plan.plan_id == Throw.plan_id)
         .where(
             Throw.machine_id == machine_id,
             Throw.mode == mode.value,
@@ -87,10 +89,16 @@ def _tested_throws(
     with database.read() as session:
         rows = session.execute(query).all()
     found: list[TestedThrow] = []
-    for throw_id, has_log, outcome, *values in reversed(rows):
+    for throw_id, has_log, outcome, aim, *values in reversed(rows):
         # None is left out by the query.
         along, across, along_0, across_0, sd_along, sd_across = (value or 0.0 for value in values)
-        along_m, across_m = along - along_0, across - across_0
+        # Without the aim correction: another version of it is no drift of the machine.
+        along_m, across_m = (
+            miss - predicted + corrected
+            for miss, predicted, corrected in zip(
+                (along, across), (along_0, across_0), corrected_m(aim), strict=True
+            )
+        )
         miss = ThrowMiss(along_m / sd_along, across_m / sd_across, along_m, across_m)
         found.append(TestedThrow(throw_id, has_log and outcome == Outcome.LANDED.value, miss))
     return found

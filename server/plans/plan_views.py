@@ -6,7 +6,7 @@ import zlib
 from typing import Any
 
 from machine.conventions import Mode
-from machine.messages import Target, ThrowPlan
+from machine.messages import AimShift, Target, ThrowPlan
 from machine.site.objects import GROUND, SiteObject
 from machine.site.zones import Zone, zones_sha256
 from server.clock import utc_now
@@ -39,6 +39,11 @@ def plan_site(row: Plan) -> tuple[SiteObject, ...]:
 def plan_zones(row: Plan) -> tuple[Zone, ...]:
     """Exclusion zones that a plan was checked against."""
     return tuple(Zone.model_validate(item) for item in row.zones)
+
+
+def plan_aim(row: Plan) -> AimShift | None:
+    """The aim correction of a plan."""
+    return None if row.aim is None else AimShift.model_validate(row.aim)
 
 
 def prediction_of(target: Target, preview: ThrowPreview) -> PredictionView | None:
@@ -141,6 +146,7 @@ def throw_plan(row: Plan) -> ThrowPlan | None:
         predicted_ellipse=prediction.ellipse,
         site=plan_site(row),
         zones_sha256=zones_sha256(plan_zones(row)) or None,
+        aim=plan_aim(row),
     )
 
 
@@ -159,6 +165,7 @@ def plan_view(row: Plan) -> PlanView:
         policy_sha256=row.policy_sha256,
         model_sha256=row.model_sha256,
         twin_profile_version=row.twin_profile_version,
+        aim=plan_aim(row),
         plan_hash=None if message is None else message.plan_hash,
         is_complete=row.is_complete,
         refusals=tuple(

@@ -5,14 +5,15 @@ The first numbers are answered at once, the ellipse follows by events. Nothing h
 
 import logging
 import threading
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from datetime import timedelta
 
 import numpy as np
 
-from machine.conventions import JOINT_COUNT
+from machine.conventions import JOINT_COUNT, Mode
 from machine.errors import RefusedError
-from machine.messages import ZONES_VERSION, MachineState, RejectReason, Target
+from machine.messages import ZONES_VERSION, AimShift, MachineState, RejectReason, Target
 from machine.reach import check_target
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
@@ -25,6 +26,7 @@ from server.plans.plan_store import PlanStore, Running
 from server.plans.plan_views import (
     frames_of,
     pack_frames,
+    plan_aim,
     plan_site,
     plan_view,
     plan_zones,
@@ -44,6 +46,9 @@ from server.viewer.scene import ViewerScene
 from sim_twin.throws.preview import ThrowPreview
 
 logger = logging.getLogger(__name__)
+
+AimOf = Callable[[str, Mode, Target], AimShift | None]
+"""Aim correction in force for a machine, a mode and a target."""
 
 FIRST_NUMBERS_WAIT_S = 1.0
 """A plan is answered after this time even if its first numbers are not there yet."""
@@ -65,6 +70,7 @@ class Planner:
         scene: ViewerScene,
         spec: MachineSpec,
         ttl_s: float,
+        aim_of: AimOf,
     ) -> None:
         self._store = store
         self._registry = registry
@@ -77,6 +83,7 @@ class Planner:
         self._scene = scene
         self._spec = spec
         self._ttl = timedelta(seconds=ttl_s)
+        self._aim_of = aim_of
         self._lock = threading.Lock()
         self._newest: dict[str, str] = {}
 
@@ -98,7 +105,7 @@ class Planner:
         policy = self._policies.on_machine(request.mode, aboard)
         row = self._new_row(machine_id, request, session, known.state, policy)
         target = request.target.target()
-        refusal = self._refusal(policy, known.state, target)
+        refusal = self._refusal(policy, known.state, target) or _aim_refusal(policy, row, target)
         if refusal is not None:
             row.state = PlanState.REFUSED.value
             row.refusals = [{"reason": refusal.reason.value, "detail": refusal.detail}]
@@ -120,6 +127,7 @@ class Planner:
         policy: StoredPolicy,
     ) -> Plan:
         target = request.target.target()
+        aim = self._aim_of(machine_id, request.mode, target)
         now = utc_now()
         return Plan(
             plan_id=new_id(),
@@ -143,6 +151,8 @@ class Planner:
             zones=dump_zones(self._zones.active(machine_id).zones),
             refusals=[],
             prediction=None,
+            aim=None if aim is None else aim.model_dump(mode="json"),
+            calibration_sha256=state.calibration_sha256,
             start_rad_m=list(state.joint_position_rad_m),
             plan_json=None,
             plan_hash=None,
@@ -295,3 +305,16 @@ class Planner:
             impact_m=preview.impact_m,
             ellipse=preview.ellipse,
         )
+
+
+def _aim_refusal(policy: StoredPolicy, row: Plan, target: Target) -> RefusedError | None:
+    """Refusal of a target whose corrected aim is out of the policy's reach."""
+    aim = plan_aim(row)
+    if aim is None:
+        return None
+    try:
+        check_target(policy.card, aim.aimed(target))
+    except RefusedError as error:
+        detail = f"With aim correction v{aim.version_count}: {error.detail}"
+        return RefusedError(error.reason, detail)
+    return None

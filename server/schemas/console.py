@@ -66,6 +66,7 @@ class Permission(StrEnum):
     AUDIT_READ = "audit.read"
     GAP_RUN = "gap.run"
     TWIN_APPLY = "twin.apply"
+    AIM_APPLY = "aim.apply"
     POLICY_UPLOAD = "policy.upload"
     POLICY_VALIDATE = "policy.validate"
     POLICY_APPROVE = "policy.approve"

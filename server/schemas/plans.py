@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
-from machine.messages import LandingEllipse
+from machine.messages import AimShift, LandingEllipse
 from machine.site.objects import GROUND
 from server.schemas.console import Request, TargetRequest, TargetView, View
 
@@ -85,6 +85,8 @@ class PlanView(View):
     policy_sha256: str | None
     model_sha256: str
     twin_profile_version: int
+    aim: AimShift | None
+    """Aim correction that the machine throws with."""
     plan_hash: str | None
     """Binds what is shown to what runs; changes until the preview is complete, fixed by arming."""
     is_complete: bool

@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.messages import ArmRequest, FireRequest, RejectReason, ThrowPlan
 from server.accounts.accounts import Session
+from server.aim.aim_corrections import AimCorrections
 from server.clock import new_id
 from server.errors import ApiError, UnavailableError, UnknownOutcomeError, from_reason
 from server.machines.lease_service import LeaseService
@@ -52,6 +53,7 @@ class ThrowService:
         throws: ThrowStore,
         commands: MachineCommands,
         holds: HoldRelay,
+        aim: AimCorrections,
     ) -> None:
         self._database = database
         self._registry = registry
@@ -62,6 +64,7 @@ class ThrowService:
         self._throws = throws
         self._commands = commands
         self._holds = holds
+        self._aim = aim
         self._lock = threading.Lock()
         self._armed: dict[str, ArmedPlan] = {}
         leases.on_new_epoch.append(lambda machine_id, _: self.forget(machine_id))
@@ -81,6 +84,7 @@ class ThrowService:
         plan = self._plans.freeze(plan_id, shown_hash, state)
         self._sites.require_unchanged(machine_id, plan.site)
         self._zones.require_active(machine_id, plan.zones_sha256)
+        self._aim.require_current(plan)
         self.forget(machine_id)
         request = ArmRequest(
             command_id=new_id(),

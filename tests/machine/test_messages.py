@@ -1,5 +1,8 @@
 """Messages: strict toward the machine, tolerant from it, and hashed so that nothing slips by."""
 
+import hashlib
+import json
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from machine.conventions import Mode
 from machine.messages import (
+    AimShift,
     ArmRequest,
     Command,
     CommandReply,
@@ -54,6 +58,21 @@ def test_plan_hash_survives_the_wire_to_the_last_bit(x, y, z):
 )
 def test_plan_hash_changes_with_any_field(change):
     assert plan(**change).plan_hash != plan().plan_hash
+
+
+def test_a_plan_without_an_aim_correction_has_the_hash_that_older_software_knows():
+    aim = AimShift(
+        version_count=1,
+        downrange_m=0.1,
+        crossrange_m=0.0,
+        policy_sha256="a" * 64,
+        calibration_sha256="b" * 64,
+    )
+    content = plan().model_dump(mode="json", exclude={"allowed_radius_m", "zones_sha256", "aim"})
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    assert plan().plan_hash == hashlib.sha256(text.encode()).hexdigest()
+    hashes = {plan(aim=aim.model_copy(update={"downrange_m": m})).plan_hash for m in (0.1, 0.2)}
+    assert len(hashes | {plan().plan_hash}) == 3
 
 
 @each("value", [float("nan"), float("inf"), 61.0, "far"])

@@ -66,6 +66,7 @@ class FakeMachine:
         self.stop_latched = False
         self.latch_id = ""
         self.zones_sha256: str | None = ""
+        self.calibration_sha256: str | None = "c" * 64
         self.payload_held = True
         self.joints = tuple(float(v) for v in safe_pose())
         self.impact_error_m = (0.12, -0.05)
@@ -132,6 +133,7 @@ class FakeMachine:
                 stop_latched=self.stop_latched,
                 latch_id=self.latch_id,
                 zones_sha256=self.zones_sha256,
+                calibration_sha256=self.calibration_sha256,
                 model_sha256=load_spec().sha256,
                 policy_sha256=self._policies,
                 outbox_count=len(self._outbox),

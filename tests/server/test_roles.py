@@ -20,7 +20,7 @@ LEAST = {
         list_rollouts read_rollout list_channels read_commissioning read_commissioning_report
         list_jobs read_job read_job_surface read_job_report
         list_alerts list_fleet read_yard_map read_machine_life list_retired
-        read_enrolment list_drifts""",
+        read_enrolment list_drifts read_aim""",
     Role.OPERATOR: """
         propose_target remove_target load abort disarm acquire_lease release_lease create_plan arm_plan
         fire_plan mark_impact change_site undo_site change_zones
@@ -32,6 +32,7 @@ LEAST = {
         list_audit verify_audit approve_zones
         export_throw_dossier export_machine_dossier read_dossier_extent""",
     Role.ENGINEER: """
+        apply_aim undo_aim
         apply_gap_run undo_twin_profile deploy_policy roll_back_policy approve_policy withdraw_policy
         upload_policy retire_policy rotate_policy_key revoke_policy_key
         validate_policy cancel_validation shadow_policy set_gates start_rollout change_rollout""",

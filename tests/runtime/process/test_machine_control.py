@@ -8,6 +8,7 @@ import pytest
 from machine.conventions import Mode, Motion
 from machine.errors import PolicyError
 from machine.messages import (
+    AimShift,
     ArmRequest,
     FireRequest,
     LeaseNotice,
@@ -19,6 +20,7 @@ from machine.messages import (
 )
 from machine.site.zones import ZoneSet
 from runtime.guard.zones import arm_points
+from runtime.process import machine_control
 from runtime.throw.protocol import Latch, LinkLost
 from tests.runtime.fake_driver import IMPACT_M
 from tests.runtime.guard.test_guard_zones import ELLIPSE, box
@@ -327,6 +329,51 @@ def test_zones_are_taken_checked_and_keep_the_arm_still(bench):
     assert bench.ask(make(ZonesRequest, zone_set=around, **bench.seen())).accepted
     (check,) = (c for c in bench.control.machine_state().checks if c.check_id == "exclusion_zones")
     assert not check.passed and "zone 'Office'" in check.text
+
+
+def test_an_aim_correction_moves_what_the_policy_is_given_and_not_the_region(bench, monkeypatch):
+    """Only with the policy and the calibration on board; the load may come down around the target alone."""
+    given = []
+
+    def spied(params, state, inputs, now_ns):
+        given.append(inputs)
+        return real(params, state, inputs, now_ns)
+
+    real = machine_control.step
+    monkeypatch.setattr(machine_control, "step", spied)
+    bench.ticks(5)
+    bench.ask(make(LeaseNotice, epoch_count=1))
+    bench.ask(make(LoadRequest, epoch_count=1, **bench.seen()))
+    bench.ticks(12)
+    plan, state = bench.plan(), bench.control.machine_state()
+    aim = AimShift(
+        version_count=2,
+        downrange_m=0.2,
+        crossrange_m=-0.1,
+        policy_sha256=plan.policy_sha256,
+        calibration_sha256=state.calibration_sha256,
+    )
+
+    def arm(target=plan.target, **changes):
+        held = plan.model_copy(update={"target": target, "aim": aim.model_copy(update=changes)})
+        return bench.ask(make(ArmRequest, epoch_count=1, plan=held, **bench.seen()))
+
+    for wrong in ({"calibration_sha256": "0" * 64}, {"policy_sha256": "0" * 64}):
+        refused = arm(**wrong)
+        assert (refused.accepted, refused.reason) == (False, "aim_mismatch")
+        assert "Aim correction v2 is of policy" in refused.detail
+    card = bench.runners[plan.mode].card
+    near = Target(x_m=card.target_range_min_m + 0.1, y_m=0.0, z_m=plan.target.z_m)
+    assert arm(near).detail.startswith("With aim correction v2: ")
+    assert arm().accepted
+    bench.ticks(2)
+    target = np.array([[plan.target.x_m, plan.target.y_m, plan.target.z_m]])
+    assert np.array_equal(given[-1].target_m, target)
+    moved = given[-1].given_target_m - target
+    along = target[0, :2] / np.hypot(*target[0, :2])
+    assert moved[0, :2] @ along == pytest.approx(-0.2)
+    assert moved[0, :2] @ (-along[1], along[0]) == pytest.approx(0.1)
+    assert moved[0, 2] == 0.0
 
 
 def test_a_machine_that_cannot_read_its_zones_does_not_arm(quick_policies):

@@ -556,6 +556,66 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/machines/{machine_id}/aim": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Aim
+         * @description Aim corrections of a machine by mode: in force, proposed from its throws, and earlier ones.
+         */
+        get: operations["read_aim"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/aim/{mode}/apply": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Apply Aim
+         * @description Put the proposal that was shown in force; plans hold it from now on.
+         */
+        post: operations["apply_aim"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/machines/{machine_id}/aim/{mode}/undo": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Undo Aim
+         * @description End the correction in force; the one before comes back if it still fits.
+         */
+        post: operations["undo_aim"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/machines/{machine_id}/commissioning": {
         parameters: {
             query?: never;
@@ -2278,6 +2338,112 @@ export interface components {
              * @default
              */
             note: string;
+        };
+        /**
+         * AimApplyRequest
+         * @description Put the proposal that was shown in force.
+         */
+        AimApplyRequest: {
+            /** Proposal Sha256 */
+            proposal_sha256: string;
+        };
+        /**
+         * AimModeView
+         * @description The aim of a machine in one mode.
+         */
+        AimModeView: {
+            in_force: components["schemas"]["AimVersionView"] | null;
+            mode: components["schemas"]["Mode"];
+            /** Problem */
+            problem: string;
+            proposal: components["schemas"]["AimProposal"] | null;
+            /** Proposal Sha256 */
+            proposal_sha256: string | null;
+            /** Throw Count */
+            throw_count: number;
+        };
+        /**
+         * AimProposal
+         * @description A correction, what it was made from, and what it is worth.
+         */
+        AimProposal: {
+            /** After M */
+            after_m: number;
+            /** Before M */
+            before_m: number;
+            /** Crossrange Sd M */
+            crossrange_sd_m: number[];
+            /** Downrange Sd M */
+            downrange_sd_m: number[];
+            /** Gain High M */
+            gain_high_m: number;
+            /** Gain Low M */
+            gain_low_m: number;
+            /** Newest Throw Id */
+            newest_throw_id: string;
+            table: components["schemas"]["Registration"];
+            /** Throw Count */
+            throw_count: number;
+        };
+        /**
+         * AimShift
+         * @description Correction of the aim of one plan: the miss that earlier throws lead to expect without it.
+         */
+        AimShift: {
+            /** Calibration Sha256 */
+            calibration_sha256: string;
+            /** Crossrange M */
+            crossrange_m: number;
+            /** Downrange M */
+            downrange_m: number;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * AimVersionView
+         * @description One version; in force where it has no end.
+         */
+        AimVersionView: {
+            /**
+             * Cause
+             * @enum {string}
+             */
+            cause: "applied" | "undone";
+            content: components["schemas"]["AimProposal"];
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            /** End Reason */
+            end_reason: string;
+            /** Ended By */
+            ended_by: string | null;
+            /** Ended Utc */
+            ended_utc: string | null;
+            mode: components["schemas"]["Mode"];
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Version Count */
+            version_count: number;
+        };
+        /**
+         * AimView
+         * @description Aim corrections of a machine.
+         */
+        AimView: {
+            /** History */
+            history: components["schemas"]["AimVersionView"][];
+            /** Machine Id */
+            machine_id: string;
+            /** Modes */
+            modes: components["schemas"]["AimModeView"][];
         };
         /**
          * AlertEvent
@@ -4135,6 +4301,8 @@ export interface components {
         MachineState: {
             /** Boot Id */
             boot_id: string;
+            /** Calibration Sha256 */
+            calibration_sha256?: string | null;
             /**
              * Checks
              * @default []
@@ -4451,7 +4619,7 @@ export interface components {
          * @description One right; roles are sets of these (server/accounts/accounts.py).
          * @enum {string}
          */
-        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "alert.acknowledge" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "policy.upload" | "policy.validate" | "policy.approve" | "policy.deploy" | "site.edit" | "zones.approve" | "machine.edit" | "machine.enrol" | "admin";
+        Permission: "view" | "stop" | "lease" | "throw" | "impact.mark" | "alert.acknowledge" | "lease.take" | "stop.clear" | "audit.read" | "gap.run" | "twin.apply" | "aim.apply" | "policy.upload" | "policy.validate" | "policy.approve" | "policy.deploy" | "site.edit" | "zones.approve" | "machine.edit" | "machine.enrol" | "admin";
         /**
          * PhaseBand
          * @description A phase of a throw on the time axis.
@@ -4575,6 +4743,7 @@ export interface components {
          * @description A plan: target, policy, and what the twin predicts.
          */
         PlanView: {
+            aim: components["schemas"]["AimShift"] | null;
             /** Created By */
             created_by: string;
             /**
@@ -4909,6 +5078,32 @@ export interface components {
             reason: string;
             /** Surface M */
             surface_m: number | null;
+        };
+        /**
+         * Registration
+         * @description Mean miss of one machine with one policy, frame `throw`: table over the range, and further terms.
+         */
+        Registration: {
+            /** Crossrange M */
+            crossrange_m: number[];
+            /** Downrange M */
+            downrange_m: number[];
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Range M */
+            range_m: number[];
+            /**
+             * Range Per Height Ratio
+             * @default 0
+             */
+            range_per_height_ratio: number;
+            /**
+             * Terms
+             * @default []
+             */
+            terms: components["schemas"]["Term"][];
+            /** Throw Count */
+            throw_count: number;
         };
         /**
          * ReplayRequest
@@ -5617,6 +5812,23 @@ export interface components {
             /** Z M */
             z_m: number;
         };
+        /**
+         * Term
+         * @description Mean miss per unit of its kind, at every range of the registration; frame `throw`.
+         */
+        Term: {
+            /** Crossrange M */
+            crossrange_m: number[];
+            /** Downrange M */
+            downrange_m: number[];
+            kind: components["schemas"]["TermKind"];
+        };
+        /**
+         * TermKind
+         * @description Dependence of the mean miss besides the range.
+         * @enum {string}
+         */
+        TermKind: "near" | "turn" | "height" | "height_squared";
         /**
          * ThrowDetail
          * @description Everything about one throw.
@@ -9652,6 +9864,348 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["CommandView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_aim: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AimView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    apply_aim: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                mode: components["schemas"]["Mode"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["AimApplyRequest"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AimView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    undo_aim: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                machine_id: string;
+                mode: components["schemas"]["Mode"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AimView"];
                 };
             };
             /** @description Bad Request */

@@ -1,6 +1,7 @@
 import { Button, SegmentedControl, Select } from "@mantine/core";
 import { useNavigate, useParams } from "@tanstack/react-router";
 import { useMemo, useState } from "react";
+import { AimPanel } from "../aim/AimPanel";
 import { CommissioningPanel } from "../fleet/CommissioningPanel";
 import { DossierPanel } from "../fleet/DossierPanel";
 import { EditMachine } from "../fleet/EditMachine";
@@ -42,6 +43,7 @@ export function MachinePage() {
     <div className={classes.page}>
       <Head machine={machine} life={life.data} />
       <Trend life={life.data} />
+      <AimPanel machineId={machineId} />
       <div className={classes.panels}>
         <OnBoardPanel machineId={machineId} />
         <LifePanel machine={machine} life={life.data} />

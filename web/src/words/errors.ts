@@ -13,6 +13,7 @@ const NEXT_STEP: Record<string, string> = {
   nonce_expired: "Hold again.",
   nonce_unknown: "Hold again.",
   plan_mismatch: "Preview again, then hold.",
+  aim_mismatch: "Preview again, then hold.",
   plan_expired: "Preview again, then hold.",
   policy_mismatch: "Preview again with the policy on board.",
   model_mismatch: "Update the machine or the server: their machine models differ.",

@@ -19,9 +19,11 @@ type Prediction = Schema["PredictionView"];
 export function PreviewNumbers({
   prediction,
   isComplete,
+  aim,
 }: {
   prediction: Prediction;
   isComplete: boolean;
+  aim: Schema["AimShift"] | null;
 }) {
   const { ellipse } = prediction;
   const nearest = nearestClearance(prediction.clearances);
@@ -35,6 +37,14 @@ export function PreviewNumbers({
       <dd>{downrangeWords(prediction.downrange_error_m)}</dd>
       <dt />
       <dd>{crossrangeWords(prediction.crossrange_error_m)}</dd>
+      {aim && (
+        <>
+          <dt>Aim correction v{aim.version_count}</dt>
+          <dd>
+            {signed(-aim.downrange_m)} m along, {signed(-aim.crossrange_m)} m across
+          </dd>
+        </>
+      )}
       <dt>Spread, 1σ</dt>
       <dd>
         {ellipse

@@ -49,7 +49,11 @@ export function PreviewStep({ machine, plan, estimate, gate }: Props) {
             }}
             measured={null}
           />
-          <PreviewNumbers prediction={prediction} isComplete={plan?.is_complete ?? false} />
+          <PreviewNumbers
+            prediction={prediction}
+            isComplete={plan?.is_complete ?? false}
+            aim={plan?.aim ?? null}
+          />
         </div>
       )}
       <CheckList checks={checks} isTold={(check) => isRepeatedCheck(check, gate)} />
