@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from hypothesis import strategies as st
 from bulk.job_file import JobFile
 from bulk.placement import LandedLoad
 from bulk.throw_model import LandingScatter
+from machine.policy_card import load_card
 from machine.site.objects import SiteObject
+from machine.site.zones import Zone
 from machine.spec import load_spec
+from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id, utc_now
 from server.errors import ConflictError, InfeasibleError, NotFoundError
 from server.jobs.job_ground import JobGround, NumberedLoad, SurveyedSurface
-from server.jobs.job_planning import planned_loads
+from server.jobs.job_planning import PlanTask, plan_in_child, planned_loads
 from server.jobs.job_views import (
     JobChange,
     JobEndRequest,
@@ -315,3 +319,28 @@ def test_scatter_is_measured_from_enough_throws_of_about_one_range():
     assert ranges == sorted(set(ranges))
     assert found[0].sd_downrange_m == pytest.approx(0.05, rel=0.5)
     assert found[-1].sd_downrange_m == pytest.approx(0.3, rel=0.5)
+
+
+def test_a_process_of_its_own_plans_alike_and_says_what_cannot_be_done():
+    folder = Path(__file__).parents[3] / "policies" / "m545-2d-v7"
+    file = JobFile.model_validate(FILE)
+    corners_m = ((4.0, -1.0), (5.0, -1.0), (5.0, 1.0), (4.0, 1.0))
+    zone = Zone(name="path", reason="people walk there", corners_m=corners_m, top_m=3.0)
+    task = PlanTask(
+        file=file,
+        ground=None,
+        height_m=JobGround(file, None, load_spec()).job.field.height_m,
+        passed_m=((8.0, 0.0),),
+        zones=(),
+        policy_dir=folder,
+        card=load_card(folder),
+        landing=(LandingScatter(8.0, 0.05, 0.05),),
+        model=None,
+    )
+    assert plan_in_child(task, lambda: False).loads == planned_loads(task).loads
+    with pytest.raises(
+        ChildFailedError, match="every place of the truck lies in an exclusion zone"
+    ):
+        plan_in_child(replace(task, zones=(zone,)), lambda: False)
+    with pytest.raises(ChildKilledError):
+        plan_in_child(task, lambda: True)
