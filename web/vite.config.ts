@@ -19,7 +19,13 @@ export default defineConfig({
     projects: [
       {
         extends: true,
-        test: { name: "dom", environment: "happy-dom", include: ["src/**/*.test.tsx"] },
+        test: {
+          name: "dom",
+          environment: "happy-dom",
+          include: ["src/**/*.test.tsx"],
+          setupFiles: ["src/testing.setup.ts"],
+          testTimeout: 60_000,
+        },
       },
       {
         extends: true,

@@ -320,7 +320,17 @@ def test_zones_are_taken_checked_and_keep_the_arm_still(bench):
     assert re.search(
         r"reaches 0\.\d\d m into zone 'Office', which is kept free up to 2.0 m", inside.detail
     )
-    beside = arm(**named, predicted_ellipse=ELLIPSE, target=Target(x_m=6.0, y_m=0.0, z_m=0.5))
+    near = {**named, "predicted_ellipse": ELLIPSE, "target": Target(x_m=6.3, y_m=0.0, z_m=0.5)}
+    # Beside the zone, but aimed into it.
+    shift = AimShift(
+        version_count=1,
+        downrange_m=-0.6,
+        crossrange_m=0.0,
+        policy_sha256=bench.plan().policy_sha256,
+        calibration_sha256=bench.control.machine_state().calibration_sha256,
+    )
+    assert arm(**near, aim=shift).reason == "target_in_zone"
+    beside = arm(**near)
     assert beside.accepted, beside.detail
     here = arm_points(
         SPEC, np.array([bench.control.machine_state().joint_position_rad_m])
