@@ -1,6 +1,7 @@
 """`downrange demo`: server, router, console and virtual machines on this computer, ready to throw."""
 
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -46,6 +47,8 @@ DEMO_SITE = (
 READY_TIMEOUT_S = 90.0
 STOP_TIMEOUT_S = 8.0
 RESTART_PAUSE_S = 1.0
+GIVEN_PORTS = range(20_000, 32_000)
+"""Free ports are taken from here: Linux gives ports from 32768 on to connections."""
 MOST_MACHINES = 9
 """Each takes about a third of a core."""
 
@@ -88,9 +91,15 @@ class Child:
 
 
 def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A free port below those that the system gives away: the server takes it a minute later."""
+    for port in random.sample(GIVEN_PORTS, 100):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    raise UsageError("100 ports between 20000 and 32000 are taken; name one with --port")
 
 
 def _child(name: str, data: Path, arguments: list[str], environment: dict[str, str]) -> Child:

@@ -1,4 +1,5 @@
 """The Gap page in one test: one diagnosis cancelled, a drift's, the verdict, previews, apply, undo.
+Before it the aim of the same machine: its 2D throws land 0.3 m long on average.
 
 The history holds throws of a machine whose load leaves 80 ms later than its twin believes, so that the gap is
 known, and before them throws from when it did not, to compare with. Those in between have no logs: they tell
@@ -13,17 +14,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
-from sqlalchemy import update
+from sqlalchemy import select, update
 
 from challenge.healthy_machines import HealthyMachine, healthy_machine
 from challenge.make import make_reference, make_set
 from challenge.sealed_truth import SetTruth, Tier, TrueEffect
+from machine.calibration import ValveCalibration
 from machine.conventions import Mode
 from machine.spec import load_spec
 from server.composition import Parts, assemble, prepare_database
 from server.drift.drift_diagnosis import UNSURE_COUNT
+from server.machines.twin_files import TwinFiles
 from server.settings import load_settings
-from server.store.models import Throw
+from server.store.models import Plan, Throw
 from server.viewer.scene import ViewerScene
 from sim_twin.twin.profile import save_profile
 from tests.e2e.operator_page import sign_in
@@ -33,6 +36,7 @@ from tests.server.gap_bench import add_throws
 LATE_S = 0.08
 THROWS_COUNT = 8
 HEALTHY_COUNT = 4
+AIMED_COUNT = 40
 WELL_COUNT = 150
 
 
@@ -72,6 +76,8 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
     parts, _ = assemble(settings, database, ViewerScene(spec, lambda *_: None))
     parts.registry.provision(settings.machine_slot_count)
     rng = np.random.default_rng(1)
+    measure(parts, planned(parts, calibration), 0.3, rng, Mode.PLANAR)
+    rng = np.random.default_rng(1)
     well = add_throws(parts, WELL_COUNT, has_log=False)
     well += add_throws(parts, HEALTHY_COUNT, logs=logs[:HEALTHY_COUNT])
     # The newest of before the change are not compared with.
@@ -83,9 +89,44 @@ def gap_demo(tmp_path: Path) -> Iterator[Stack]:
         yield stack
 
 
-def measure(parts: Parts, throw_ids: list[str], bias_m: float, rng: np.random.Generator) -> None:
+def planned(parts: Parts, calibration: ValveCalibration) -> list[str]:
+    """2D throws whose plans say with what the machine threw."""
+    throw_ids = add_throws(parts, AIMED_COUNT, mode=Mode.PLANAR, has_log=False)
+    profile = TwinFiles(parts.settings.data_dir).profile_version("m001")
+    with parts.database.write() as database:
+        for throw in database.scalars(select(Throw).where(Throw.throw_id.in_(throw_ids))).all():
+            database.add(
+                Plan(
+                    plan_id=throw.plan_id,
+                    machine_id="m001",
+                    session_id=throw.session_id,
+                    created_by="ada",
+                    created_utc=throw.created_utc,
+                    expires_utc=throw.created_utc,
+                    state="ready",
+                    mode=throw.mode,
+                    target_x_m=throw.target_x_m,
+                    target_y_m=throw.target_y_m,
+                    target_z_m=throw.target_z_m,
+                    model_sha256=load_spec().sha256,
+                    twin_profile_version=profile,
+                    refusals=[],
+                    start_rad_m=[],
+                    calibration_sha256=calibration.sha256,
+                )
+            )
+    return throw_ids
+
+
+def measure(
+    parts: Parts,
+    throw_ids: list[str],
+    bias_m: float,
+    rng: np.random.Generator,
+    mode: Mode = Mode.SPATIAL,
+) -> None:
     """Throws with the version on board, measured long by so much more than predicted."""
-    version = parts.policies.active(Mode.SPATIAL)
+    version = parts.policies.active(mode)
     with parts.database.write() as database:
         for throw_id in throw_ids:
             along_m, across_m = rng.normal(0.0, 0.1, 2).tolist()
@@ -99,6 +140,22 @@ def measure(parts: Parts, throw_ids: list[str], bias_m: float, rng: np.random.Ge
                 "measured_crossrange_error_m": across_m,
             }
             database.execute(update(Throw).where(Throw.throw_id == throw_id).values(**values))
+
+
+def correct_aim(page: Page, stack: Stack) -> None:
+    """What is proposed is read, put in force, seen in the history, and undone."""
+    sign_in(page, stack, "admin", "/machines/m001")
+    aim = page.get_by_role("region", name="Aim correction", exact=True)
+    expect(aim).to_contain_text(f"Proposed from {AIMED_COUNT} throws: on held-out throws")
+    expect(aim.get_by_role("img", name="Mean miss along")).to_be_visible()
+    aim.get_by_role("button", name="Apply the correction").click()
+    expect(aim).to_contain_text("Correction v1 is in force")
+    versions = aim.get_by_role("list", name="Versions of the aim correction")
+    expect(versions).to_contain_text(re.compile("v1 by admin.*in force"))
+    aim.get_by_role("button", name="Undo v1").click()
+    expect(aim).to_contain_text("No correction is in force")
+    expect(versions).to_contain_text("undone by admin")
+    page.context.clear_cookies()
 
 
 def open_gap(page: Page, stack: Stack) -> None:
@@ -197,6 +254,7 @@ def apply_and_undo(page: Page) -> None:
 
 def test_diagnose_cancel_apply_and_undo(gap_demo: Stack, open_page: Callable[..., Page]) -> None:
     page = open_page(gap_demo, 1280, 800)
+    correct_aim(page, gap_demo)
     open_gap(page, gap_demo)
     choose_healthy(page)
     cancel_one(page)
