@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 
 WAITING_LIMIT_COUNT: Final = 5000
 """Events kept while the disk refuses; beyond it the newest are dropped and counted."""
+KEPT_IDS_COUNT: Final = 256
+"""Latches that are remembered as written: an answer waits for its own for a few ticks."""
 LATCHING: Final = {
     EventKind.STOP_LATCHED: ThrowState.STOPPED,
     EventKind.FAULT: ThrowState.FAULT,
@@ -54,6 +56,9 @@ class EventIntake:
         self._lock = threading.RLock()
         self._waiting: deque[ControlEvent] = deque()
         self._unwritten_latch: Latch | None = None
+        self._unwritten_ids: list[str] = []
+        known = latches.latch
+        self._written_ids = deque([known.latch_id] if known else [], KEPT_IDS_COUNT)
         self.failure = ""
         """Why the disk refuses; empty when it does not."""
         self.dropped_count = 0
@@ -78,8 +83,7 @@ class EventIntake:
         with self._lock:
             try:
                 if self._unwritten_latch is not None:
-                    self._latches.write(self._unwritten_latch)
-                    self._unwritten_latch = None
+                    self._write(self._unwritten_latch)
                 while self._waiting:
                     self._store(self._waiting[0])
                     self._waiting.popleft()
@@ -95,13 +99,20 @@ class EventIntake:
         """Remember a latch that the link process itself decides on; whether it is on the disk."""
         with self._lock:
             self._unwritten_latch = latch
+            self._unwritten_ids.append(latch.latch_id)
             try:
-                self._latches.write(latch)
+                self._write(latch)
             except OutboxError as error:
                 logger.error("%s", error)
                 return False
-            self._unwritten_latch = None
             return True
+
+    def _write(self, latch: Latch) -> None:
+        self._latches.write(latch)
+        self._unwritten_latch = None
+        # Those before it that the disk refused are over: the machine is latched by this one.
+        self._written_ids += self._unwritten_ids
+        self._unwritten_ids.clear()
 
     def latch_unless_latched(self, latch: Latch) -> bool:
         """Remember a latch where none stands, so that another thread's STOP stays; whether none stood."""
@@ -112,9 +123,15 @@ class EventIntake:
             return True
 
     def is_durable(self, latch_id: str) -> bool:
-        """Whether this latch, or the absence of one (empty), is what the disk says."""
-        known = self._latches.latch
-        return (known.latch_id if known else "") == latch_id
+        """Whether this latch is on the disk, or was until a clear or a later latch; empty: there is none.
+
+        A latch may be over before anybody asks: of a STOP and its clear in one control tick, for one.
+        """
+        with self._lock:
+            known = self._latches.latch
+            if latch_id:
+                return latch_id in self._written_ids
+            return known is None
 
     def _note_latch(self, draft: EventDraft) -> None:
         latch_id = str(draft.data.get("latch_id", ""))

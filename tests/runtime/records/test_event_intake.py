@@ -71,6 +71,26 @@ def test_stop_and_fault_are_latched_and_cleared_by_name(disk):
     assert len(disk.stored) == 5
 
 
+def test_a_latch_that_is_over_was_on_the_disk(disk, monkeypatch):
+    """Answers wait for their latch, in order: one that never counted as written would block all others."""
+    disk.take(EventKind.STOP_LATCHED, latch_id="b.1", reason="r")
+    disk.take(EventKind.STOP_CLEARED, latch_id="b.1")
+    assert disk.intake.is_durable("b.1") and disk.intake.is_durable("")
+
+    def fail(_):
+        raise OutboxError("no")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(disk.latches, "write", fail)
+        for latch_id in ("b.2", "b.3"):
+            disk.take(EventKind.STOP_LATCHED, latch_id=latch_id, reason="r")
+            assert not disk.intake.is_durable(latch_id)
+    assert disk.intake.retry()
+    assert disk.latches.latch.latch_id == "b.3"
+    assert disk.intake.is_durable("b.2") and disk.intake.is_durable("b.3")
+    assert not disk.intake.is_durable("b.4")
+
+
 def test_a_full_disk_keeps_the_latch_and_loses_no_event(disk, monkeypatch):
     with monkeypatch.context() as full:
         refuse(disk, full)
