@@ -8,6 +8,7 @@ import tables from "../validation/Validation.module.css";
 import { errorWords } from "../words/errors";
 import { fixed } from "../words/format";
 import classes from "./Compare.module.css";
+import shadow from "./Shadow.module.css";
 import { ShadowPlot } from "./ShadowPlot";
 import {
   letGoWords,
@@ -25,11 +26,11 @@ type Props = { policies: readonly Schema["PolicyView"][]; machineId: string };
 export function ShadowPanel({ policies, machineId }: Props) {
   const [sha256, setSha256] = useState<string | null>(null);
   const [count, setCount] = useState(12);
-  const shadow = useShadow();
+  const run = useShadow();
   const may = useMay("policy.validate");
   const present = policies.filter((one) => one.is_present);
-  const run = () => {
-    if (sha256) shadow.mutate({ sha256, machine_id: machineId, throws_count: count });
+  const start = () => {
+    if (sha256) run.mutate({ sha256, machine_id: machineId, throws_count: count });
   };
   const asked = present.find((one) => one.policy_sha256 === sha256);
   return (
@@ -64,25 +65,25 @@ export function ShadowPanel({ policies, machineId }: Props) {
         <Button
           size="md"
           variant="default"
-          loading={shadow.isPending}
+          loading={run.isPending}
           disabled={!may || sha256 === null}
-          onClick={run}
+          onClick={start}
         >
           Run
         </Button>
       </div>
       {!may && <p>Engineers may run it.</p>}
-      {shadow.isPending && (
+      {run.isPending && (
         <p role="status">
           {asked?.policy_id} throws in the twin; some seconds, a minute on a busy server.
         </p>
       )}
-      {shadow.isError && (
+      {run.isError && (
         <p className={tables.refusal} role="alert">
-          {errorWords(shadow.error)}
+          {errorWords(run.error)}
         </p>
       )}
-      {shadow.data && !shadow.isPending && <Result found={shadow.data} />}
+      {run.data && !run.isPending && <Result found={run.data} />}
     </section>
   );
 }
@@ -116,7 +117,11 @@ function Result({ found }: { found: Shadow }) {
           {found.throws.map((one) => (
             <tr key={one.throw_id}>
               <th scope="row">
-                <Link to="/throws/$throwId" params={{ throwId: one.throw_id }}>
+                <Link
+                  className={shadow.link}
+                  to="/throws/$throwId"
+                  params={{ throwId: one.throw_id }}
+                >
                   {one.throw_id.slice(-8)}
                 </Link>
               </th>
