@@ -8,7 +8,7 @@ from evaluation.shadow.results import PredictedThrow, ShadowReport, ShadowThrow
 from evaluation.shadow.shadow import shadow
 from machine.errors import DownrangeError, LogError, UsageError
 from machine.policy_card import CARD_FILE, load_card
-from machine.spec import load_spec
+from machine.spec import MachineSpec, load_spec
 from runtime.control.policy import PolicyRunner
 from runtime.records.log_reader import read_throw_log
 from runtime.records.throw_log import ThrowLog
@@ -31,7 +31,7 @@ def shadow_of(folder: Path, logs: Sequence[Path], policies: Path) -> ShadowRepor
     candidate = PolicyRunner(folder, spec)
     thrown = _read(logs)
     flew = {str(log.metadata.get("policy_sha256")) for log in thrown}
-    return shadow(candidate, thrown, spec, _runners(policies, flew))
+    return shadow(candidate, thrown, spec, _runners(policies, flew, spec))
 
 
 def _read(paths: Sequence[Path]) -> list[ThrowLog]:
@@ -49,14 +49,14 @@ def _read(paths: Sequence[Path]) -> list[ThrowLog]:
         raise UsageError(str(error)) from error
 
 
-def _runners(policies: Path, wanted: set[str]) -> dict[str, PolicyRunner]:
+def _runners(policies: Path, wanted: set[str], spec: MachineSpec) -> dict[str, PolicyRunner]:
     """Those of the wanted versions whose files are in a folder of versions."""
     found: dict[str, PolicyRunner] = {}
     for card_path in sorted(policies.glob(f"*/{CARD_FILE}")):
         try:
             card = load_card(card_path.parent)
             if card.policy_sha256 in wanted:
-                found[card.policy_sha256] = PolicyRunner(card_path.parent, load_spec())
+                found[card.policy_sha256] = PolicyRunner(card_path.parent, spec)
         except DownrangeError:
             continue  # a broken folder beside the one that is asked for
     return found

@@ -11,7 +11,7 @@ Two questions, answered apart:
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -209,9 +209,9 @@ def _predict(
     runner: PolicyRunner, throws: Sequence[_Usable], spec: MachineSpec
 ) -> list[PredictedThrow]:
     """Each throw by a version in the twin, without scatter; side by side where pace and twin are the same."""
-    groups: dict[Any, list[int]] = defaultdict(list)
+    groups: dict[tuple[float, str, str], list[int]] = defaultdict(list)
     for number, one in enumerate(throws):
-        same = one.pace_ratio, one.calibration.model_dump_json(), one.profile.model_dump_json()
+        same = one.pace_ratio, one.calibration.sha256, one.profile.model_dump_json()
         groups[same].append(number)
     found: dict[int, PredictedThrow] = {}
     for numbers in groups.values():
