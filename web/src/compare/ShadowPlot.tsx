@@ -1,3 +1,4 @@
+import plot from "../charts/LandingPlot.module.css";
 import { niceStep } from "../charts/scale";
 import { fixed } from "../words/format";
 import classes from "./Shadow.module.css";
@@ -31,12 +32,12 @@ export function ShadowPlot({ found }: { found: Shadow }) {
   return (
     <figure className={classes.figure}>
       <svg
-        className={classes.plot}
+        className={plot.plot}
         viewBox={`0 0 ${WIDTH} ${HEIGHT}`}
         role="img"
         aria-label={`Misses of ${rows.length} throws about the target; the table has the numbers.`}
       >
-        <path d={`M0 ${HEIGHT / 2}H${WIDTH}M${WIDTH / 2} 0V${HEIGHT}`} className={classes.zero} />
+        <path d={`M0 ${HEIGHT / 2}H${WIDTH}M${WIDTH / 2} 0V${HEIGHT}`} className={plot.zero} />
         {rows.map(({ id, own, flown, measured }) => (
           <g key={id}>
             {own && flown && (
@@ -45,24 +46,24 @@ export function ShadowPlot({ found }: { found: Shadow }) {
             {measured && (
               <path
                 d={`M${x(measured)} ${y(measured)}m-4 -4l8 8m0 -8l-8 8`}
-                className={classes.measured}
+                className={plot.measured}
               />
             )}
             {flown && <circle cx={x(flown)} cy={y(flown)} r="4" className={classes.flown} />}
-            {own && <circle cx={x(own)} cy={y(own)} r="3.5" className={classes.own} />}
+            {own && <circle cx={x(own)} cy={y(own)} r="3.5" className={plot.predicted} />}
           </g>
         ))}
         <path
           d={`M8 ${HEIGHT - 8}h${step_m * scale}m0 -4v8m${-step_m * scale} 0v-8`}
-          className={classes.bar}
+          className={plot.bar}
         />
-        <text x={14 + step_m * scale} y={HEIGHT - 4} className={classes.text}>
+        <text x={14 + step_m * scale} y={HEIGHT - 4} className={plot.text}>
           {fixed(step_m, step_m < 0.1 ? 2 : 1)} m
         </text>
-        <text x={WIDTH - 6} y={HEIGHT / 2 - 5} textAnchor="end" className={classes.text}>
+        <text x={WIDTH - 6} y={HEIGHT / 2 - 5} textAnchor="end" className={plot.text}>
           long
         </text>
-        <text x={WIDTH / 2 + 5} y={12} className={classes.text}>
+        <text x={WIDTH / 2 + 5} y={12} className={plot.text}>
           left
         </text>
       </svg>
