@@ -9,12 +9,13 @@ throws that have come up to where a diagnosis begins by itself, it is asked what
 
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import tyro
 
-from benchmarks.result_file import RESULTS, describe, row, write_result
+from benchmarks.result_file import RESULTS, Row, describe, row, write_result
 from challenge.make import make_reference, make_set
 from challenge.sealed_truth import SetTruth, Tier, TrueEffect
 from diagnosis.loading.logs import load_throws
@@ -27,27 +28,30 @@ from server.drift.drift_test import Drift, DriftTest, ThrowMiss
 from server.drift.found_drift import FoundDrift, TestedThrow
 from server.gap.gap_worker import GapJob, diagnose_logs
 from server.plans.landing_errors import errors_of
+from sim_twin.twin.profile import TwinProfile
 
 HEALTHY_COUNT = 240
 LATE_COUNT = 120
 """Throws in all; the modes take turns."""
 POLICIES = Path("policies")
 SEED = 11
-JOINT = "dipper"
+EFFECT, JOINT = "valve_dead_time", "dipper"
+SPREAD_M = 0.1
+"""Predicted spread of every throw; the drift test weighs misses by it."""
 
 
 def tested(throws: tuple[ThrowData, ...], mode: Mode) -> list[TestedThrow]:
     """Throws of a mode as the server would have them, aimed at their targets, in their order."""
     found: list[TestedThrow] = []
     for throw in throws:
-        if throw.mode == mode.value and throw.impact_m is not None:
+        if throw.mode == mode.value and np.isfinite(throw.impact_m).all():
             x_m, y_m, z_m = (float(value) for value in throw.target_m)
             errors = errors_of(
                 Target(x_m=x_m, y_m=y_m, z_m=z_m),
                 float(throw.impact_m[0]),
                 float(throw.impact_m[1]),
             )
-            miss = ThrowMiss(errors[0] / 0.1, errors[1] / 0.1, *errors)
+            miss = ThrowMiss(errors[0] / SPREAD_M, errors[1] / SPREAD_M, *errors)
             found.append(TestedThrow(throw.throw_id, True, miss))
     return found
 
@@ -64,6 +68,32 @@ def found_drift(throws: list[TestedThrow], mode: Mode) -> tuple[FoundDrift, Drif
     return None
 
 
+def diagnosed(
+    drift: FoundDrift, paths: Mapping[str, Path], profile: TwinProfile, alarm: Mapping[str, float]
+) -> Row:
+    """Carry out the alarm's diagnosis: what it names, beside the numbers of the alarm."""
+    request = drift_request(drift)
+    began_s = time.monotonic()
+    job = GapJob(
+        "drift",
+        tuple(paths[throw_id] for throw_id in request.throw_ids or ()),
+        profile,
+        tuple(paths[throw_id] for throw_id in request.reference_throw_ids or ()),
+    )
+    diagnosis = diagnose_logs(job, lambda share, text: None)
+    cause = diagnosis.causes[0]
+    print(diagnosis.verdict, words_of(diagnosis).causes[0])
+    found = [part for part in cause.effects if (part.effect, part.joint) == (EFFECT, JOINT)]
+    labels = {"mode": drift.mode.value, "planted": f"{EFFECT} {JOINT}", "named": cause.name}
+    values = {
+        "reference_count": len(job.reference_paths),
+        "is_named_ratio": float(bool(found)),
+        "found_s": found[0].parameters["extra_dead_time_s"].value if found else None,
+        "diagnosis_s": time.monotonic() - began_s,
+    }
+    return row(len(job.log_paths), labels, {**alarm, **values})
+
+
 def main(extra_s: float = 0.15, json: Path = RESULTS / "drift_diagnosis.json") -> None:
     """Measure and write the result.
 
@@ -72,14 +102,14 @@ def main(extra_s: float = 0.15, json: Path = RESULTS / "drift_diagnosis.json") -
         json: where the result is written.
     """
     effect = TrueEffect(
-        effect="valve_dead_time",
+        effect=EFFECT,
         joint=JOINT,
         parameters={"extra_dead_time_s": extra_s},
         stage="actuation",
         multiple_ratio=4.0,
     )
     truth = SetTruth(set_id="late", tier=Tier.SINGLE, unit_seed=0, seed=SEED, effects=(effect,))
-    rows = []
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         healthy = make_reference(0, SEED, folder, HEALTHY_COUNT, POLICIES)
@@ -91,7 +121,6 @@ def main(extra_s: float = 0.15, json: Path = RESULTS / "drift_diagnosis.json") -
         paths = {throw.throw_id: throw.path for throw in (*before, *since)}
         for mode in Mode:
             healthy_throws, late_throws = tested(before, mode), tested(since, mode)
-            healthy_count = len(healthy_throws)
             for throws in (healthy_throws, late_throws):
                 along_m = [throw.miss.along_m for throw in throws]
                 print(f"{mode.value}: {np.mean(along_m):+.3f} m along, sd {np.std(along_m):.3f} m")
@@ -100,45 +129,12 @@ def main(extra_s: float = 0.15, json: Path = RESULTS / "drift_diagnosis.json") -
                 print(f"{mode.value}: no drift was found")
                 continue
             drift, alarm = found
-            request = drift_request(drift)
-            began_s = time.monotonic()
-            job = GapJob(
-                "drift",
-                tuple(paths[throw_id] for throw_id in request.throw_ids or ()),
-                profile,
-                tuple(paths[throw_id] for throw_id in request.reference_throw_ids or ()),
-            )
-            diagnosis = diagnose_logs(job, lambda share, text: None)
-            cause = diagnosis.causes[0]
-            named = {(part.effect, part.joint) for part in cause.effects}
-            size_s = next(
-                (
-                    part.parameters["extra_dead_time_s"].value
-                    for part in cause.effects
-                    if part.effect == effect.effect and part.joint == JOINT
-                ),
-                None,
-            )
-            print(mode.value, diagnosis.verdict, words_of(diagnosis).causes[0])
-            rows.append(
-                row(
-                    len(request.throw_ids or ()),
-                    {
-                        "mode": mode.value,
-                        "planted": f"{effect.effect} {JOINT}",
-                        "named": cause.name,
-                    },
-                    {
-                        "alarm_throws_count": alarm.alarm_count - healthy_count,
-                        "change_point_late_count": alarm.change_count - healthy_count,
-                        "reference_count": len(request.reference_throw_ids or ()),
-                        "is_named_ratio": float((effect.effect, JOINT) in named),
-                        "planted_s": extra_s,
-                        "found_s": size_s,
-                        "diagnosis_s": time.monotonic() - began_s,
-                    },
-                )
-            )
+            numbers = {
+                "alarm_throws_count": alarm.alarm_count - len(healthy_throws),
+                "change_point_late_count": alarm.change_count - len(healthy_throws),
+                "planted_s": extra_s,
+            }
+            rows.append(diagnosed(drift, paths, profile, numbers))
     result = describe(
         "drift_diagnosis",
         "From a planted dead time over the drift's alarm to its name",
