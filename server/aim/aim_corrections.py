@@ -326,9 +326,9 @@ def _proposal(
     """A correction from these throws, or why there is none."""
     count = len(known.throw_ids)
     if count < LEAST_COUNT:
+        thrown = "1 measured throw" if count == 1 else f"{count} measured throws"
         return None, (
-            f"{count} measured throws with this policy, calibration and twin profile; "
-            f"{LEAST_COUNT} are needed."
+            f"{thrown} with this policy, calibration and twin profile; {LEAST_COUNT} are needed."
         )
     found = bias_map(known.misses)
     if not is_correctable(found):

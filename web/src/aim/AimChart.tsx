@@ -2,6 +2,7 @@ import * as Plot from "@observablehq/plot";
 import { useCallback } from "react";
 import { toCsv } from "../charts/export";
 import { PlotFigure } from "../charts/PlotFigure";
+import { LEAST_MISS_M, symmetricLimit } from "../charts/scale";
 import { signed } from "../words/format";
 import type { Proposal } from "./useAim";
 
@@ -47,6 +48,8 @@ export function pointsOf(content: Proposal, axis: Axis): Point[] {
 }
 
 function drawn(points: readonly Point[], axis: Axis, width: number, height: number) {
+  const ends_m = points.flatMap((p) => [p.miss_m - p.half_m, p.miss_m + p.half_m]);
+  const limit_m = symmetricLimit(ends_m, LEAST_MISS_M);
   return Plot.plot({
     width,
     height,
@@ -56,7 +59,14 @@ function drawn(points: readonly Point[], axis: Axis, width: number, height: numb
     marginLeft: 44,
     style: { background: "transparent", fontSize: "11px", overflow: "visible" },
     x: { label: "Target range, m", labelAnchor: "center", labelArrow: "none", ticks: 6 },
-    y: { label: NAMES[axis].label, labelArrow: "none", nice: true, grid: true, ticks: 5 },
+    y: {
+      label: NAMES[axis].label,
+      domain: [-limit_m, limit_m],
+      labelArrow: "none",
+      nice: true,
+      grid: true,
+      ticks: 5,
+    },
     marks: [
       Plot.ruleY([0], { stroke: "var(--line-strong)" }),
       Plot.areaY(points, {

@@ -9,6 +9,9 @@ export function niceStep(limit: number): number {
   return (fitting.at(-1) ?? 1) * power;
 }
 
+/** Least half height of an axis of misses, m: below it their differences are noise, and labels grow long. */
+export const LEAST_MISS_M = 0.05;
+
 /** Symmetric limits around zero that hold all values, with room. */
 export function symmetricLimit(values: readonly number[], least: number): number {
   return values.reduce((limit, value) => Math.max(limit, Math.abs(value)), least) * 1.12;

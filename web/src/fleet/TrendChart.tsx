@@ -2,6 +2,7 @@ import * as Plot from "@observablehq/plot";
 import { useCallback } from "react";
 import { toCsv } from "../charts/export";
 import { PlotFigure } from "../charts/PlotFigure";
+import { LEAST_MISS_M, symmetricLimit } from "../charts/scale";
 import { signed } from "../words/format";
 import { localStamp, shortStamp, zoneName } from "../words/time";
 import { type Axis, medians, type TrendPoint, type Version } from "./trend";
@@ -54,6 +55,7 @@ function trend(
   height: number,
 ) {
   const value = (point: TrendPoint) => point[`${axis}_error_m`];
+  const limit_m = symmetricLimit(points.map(value), LEAST_MISS_M);
   const time = (point: TrendPoint) => new Date(point.created_utc);
   return Plot.plot({
     width,
@@ -71,7 +73,14 @@ function trend(
       ticks: Math.max(2, Math.floor(width / 110)),
       tickFormat: (date: Date) => shortStamp(date.toISOString()).slice(0, 11).replace(" ", "\n"),
     },
-    y: { label: LABELS[axis], labelArrow: "none", nice: true, grid: true, ticks: 5 },
+    y: {
+      label: LABELS[axis],
+      domain: [-limit_m, limit_m],
+      labelArrow: "none",
+      nice: true,
+      grid: true,
+      ticks: 5,
+    },
     marks: [
       Plot.ruleY([0], { stroke: "var(--line-strong)" }),
       Plot.ruleX(versions, {
