@@ -16,6 +16,9 @@ const NAMES: Record<Axis, { title: string; label: string }> = {
 /** Standard deviations of a 90 % interval. */
 const HALF_SIGMAS = 1.645;
 
+/** Of the axis on both sides of the ranges, m. */
+const AROUND_M = 0.5;
+
 /** Mean miss over the range with its 90 % interval; the aim is moved by as much the other way. */
 export function AimChart({ content, axis }: { content: Proposal; axis: Axis }) {
   const draw = useCallback(
@@ -49,6 +52,7 @@ export function pointsOf(content: Proposal, axis: Axis): Point[] {
 
 function drawn(points: readonly Point[], axis: Axis, width: number, height: number) {
   const ends_m = points.flatMap((p) => [p.miss_m - p.half_m, p.miss_m + p.half_m]);
+  const ranges_m = points.map((p) => p.range_m);
   const limit_m = symmetricLimit(ends_m, LEAST_MISS_M);
   return Plot.plot({
     width,
@@ -58,7 +62,14 @@ function drawn(points: readonly Point[], axis: Axis, width: number, height: numb
     marginBottom: 36,
     marginLeft: 44,
     style: { background: "transparent", fontSize: "11px", overflow: "visible" },
-    x: { label: "Target range, m", labelAnchor: "center", labelArrow: "none", ticks: 6 },
+    x: {
+      label: "Target range, m",
+      // A machine that threw at one range has one point.
+      domain: [Math.min(...ranges_m) - AROUND_M, Math.max(...ranges_m) + AROUND_M],
+      labelAnchor: "center",
+      labelArrow: "none",
+      ticks: 6,
+    },
     y: {
       label: NAMES[axis].label,
       domain: [-limit_m, limit_m],
@@ -77,6 +88,14 @@ function drawn(points: readonly Point[], axis: Axis, width: number, height: numb
         fillOpacity: 0.25,
       }),
       Plot.line(points, { x: "range_m", y: "miss_m", stroke: "var(--chart-1)", strokeWidth: 2 }),
+      Plot.ruleX(points, {
+        x: "range_m",
+        y1: (p: Point) => p.miss_m - p.half_m,
+        y2: (p: Point) => p.miss_m + p.half_m,
+        stroke: "var(--chart-1)",
+        strokeOpacity: 0.5,
+      }),
+      Plot.dot(points, { x: "range_m", y: "miss_m", fill: "var(--chart-1)", r: 2.6 }),
       Plot.tip(
         points,
         Plot.pointer({
