@@ -1,6 +1,7 @@
 """Runs the web service until it is interrupted."""
 
 import contextlib
+import gc
 import logging
 import os
 import signal
@@ -91,6 +92,16 @@ def make_server(
     return Server(config, app, on_ready), app
 
 
+def settle_memory() -> None:
+    """Take what was loaded so far out of garbage collection.
+
+    A full collection stops the process while it walks all objects: 0.1 s with the modules of a server, which
+    are never freed.
+    """
+    gc.collect()
+    gc.freeze()
+
+
 def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> None:
     """Serve until interrupted.
 
@@ -105,7 +116,13 @@ def serve(settings: Settings, on_ready: Callable[[], None] | None = None) -> Non
     allow_open_files()
     os.umask(0o077)  # whatever is written from here on is its owner's alone
     with open_socket(settings.host, settings.port_count) as listener:
-        server, app = make_server(settings, on_ready)
+
+        def ready() -> None:
+            settle_memory()
+            if on_ready is not None:
+                on_ready()
+
+        server, app = make_server(settings, ready)
         # uvicorn ends in order and then sends itself the signal again; by default that would kill the
         # process before its preview processes are cleaned up.
         before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))

@@ -262,13 +262,18 @@ class Throw(Base):
     throw_duration_s: Mapped[float | None]
     has_log: Mapped[bool] = mapped_column(default=False)
     __table_args__ = (
-        Index("ix_throws_machine_id_throw_id", "machine_id", "throw_id"),
+        Index(
+            "ix_throws_machine_id_throw_id", "machine_id", "throw_id", "mode", "range_m", "outcome"
+        ),
         Index("ix_throws_mode_throw_id", "mode", "throw_id"),
         Index("ix_throws_policy_sha256_throw_id", "policy_sha256", "throw_id"),
         Index("ix_throws_operator_throw_id", "operator", "throw_id"),
         Index("ix_throws_outcome_throw_id", "outcome", "throw_id"),
         Index("ix_throws_phase_throw_id", "phase", "throw_id"),
-        Index("ix_throws_range_m", "range_m"),
+        Index(
+            "ix_throws_range_m",
+            *("range_m", "throw_id", "machine_id", "mode", "measured_downrange_error_m"),
+        ),
         Index("ix_throws_plan_id", "plan_id"),
     )
 

@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -39,44 +40,60 @@ def statistics_of(
     rows: Sequence[Measured], group_by: GroupBy, *, is_truncated: bool = False
 ) -> ThrowStats:
     """Statistics of measured throws."""
-    groups: dict[str, list[Measured]] = defaultdict(list)
-    for row in rows:
-        groups[_key(row, group_by)].append(row)
-    ordered = sorted(groups.items())
+    key_of = attrgetter(_KEYS[group_by])
+    keys = [key_of(row) for row in rows]
+    groups: dict[str, list[int]] = defaultdict(list)
+    for index, key in enumerate(keys):
+        groups[key].append(index)
+    errors = np.array([(row.downrange_error_m, row.crossrange_error_m) for row in rows])
+    range_m = np.array([row.range_m for row in rows])
+    ordered = [(key, np.array(members)) for key, members in sorted(groups.items())]
     return ThrowStats(
         considered_count=len(rows),
         is_truncated=is_truncated,
         group_by=group_by,
-        groups=tuple(_group(key, members, group_by) for key, members in ordered),
-        points=tuple(_point(row, _key(row, group_by)) for row in rows),
-        by_range=tuple(item for key, members in ordered for item in _bins(key, members)),
+        groups=tuple(
+            _group(key, _label(rows[members[0]], key, group_by), errors[members])
+            for key, members in ordered
+        ),
+        points=tuple(
+            ScatterPoint(
+                row.throw_id,
+                key,
+                row.range_m,
+                row.downrange_error_m,
+                row.crossrange_error_m,
+                row.predicted_downrange_error_m,
+                row.predicted_crossrange_error_m,
+            )
+            for row, key in zip(rows, keys, strict=True)
+        ),
+        by_range=tuple(
+            item
+            for key, members in ordered
+            for item in _bins(key, range_m[members], errors[members])
+        ),
     )
 
 
-def _key(row: Measured, group_by: GroupBy) -> str:
-    return {
-        GroupBy.POLICY: row.policy_sha256,
-        GroupBy.MODE: row.mode,
-        GroupBy.MACHINE: row.machine_id,
-        GroupBy.OPERATOR: row.operator,
-    }[group_by]
+_KEYS = {
+    GroupBy.POLICY: "policy_sha256",
+    GroupBy.MODE: "mode",
+    GroupBy.MACHINE: "machine_id",
+    GroupBy.OPERATOR: "operator",
+}
 
 
-def _label(row: Measured, group_by: GroupBy) -> str:
-    return row.policy_id if group_by is GroupBy.POLICY else _key(row, group_by)
+def _label(row: Measured, key: str, group_by: GroupBy) -> str:
+    return row.policy_id if group_by is GroupBy.POLICY else key
 
 
-def _errors(rows: Sequence[Measured]) -> Array:
-    """Downrange and crossrange errors, shape (N, 2), m."""
-    return np.array([(r.downrange_error_m, r.crossrange_error_m) for r in rows])
-
-
-def _group(key: str, rows: Sequence[Measured], group_by: GroupBy) -> GroupStats:
-    errors = _errors(rows)
+def _group(key: str, label: str, errors: Array) -> GroupStats:
+    """Accuracy of one group; errors (N, 2) are downrange and crossrange, m."""
     mean = errors.mean(axis=0)
     miss = np.hypot(errors[:, 0], errors[:, 1])
     sd = correlation = axes = None
-    if len(rows) > 1:
+    if len(errors) > 1:
         covariance = np.cov(errors.T)
         sd = np.sqrt(np.diag(covariance))
         scale = float(sd[0] * sd[1])
@@ -84,8 +101,8 @@ def _group(key: str, rows: Sequence[Measured], group_by: GroupBy) -> GroupStats:
         axes = _ellipse(covariance)
     return GroupStats(
         group=key,
-        label=_label(rows[0], group_by),
-        throw_count=len(rows),
+        label=label,
+        throw_count=len(errors),
         mean_downrange_error_m=float(mean[0]),
         mean_crossrange_error_m=float(mean[1]),
         sd_downrange_m=None if sd is None else float(sd[0]),
@@ -109,35 +126,24 @@ def _ellipse(covariance: Array) -> tuple[float, float, float]:
     return float(values[1]), float(values[0]), angle
 
 
-def _point(row: Measured, key: str) -> ScatterPoint:
-    return ScatterPoint(
-        throw_id=row.throw_id,
-        group=key,
-        range_m=row.range_m,
-        downrange_error_m=row.downrange_error_m,
-        crossrange_error_m=row.crossrange_error_m,
-        predicted_downrange_error_m=row.predicted_downrange_error_m,
-        predicted_crossrange_error_m=row.predicted_crossrange_error_m,
-    )
-
-
-def _bins(key: str, rows: Sequence[Measured]) -> list[RangeStats]:
-    bins: dict[int, list[Measured]] = defaultdict(list)
-    for row in rows:
-        bins[round(row.range_m / RANGE_BIN_M)].append(row)
-    result: list[RangeStats] = []
-    for _, members in sorted(bins.items()):
-        errors = _errors(members)
-        sd = errors.std(axis=0, ddof=1) if len(members) > 1 else None
-        result.append(
-            RangeStats(
-                group=key,
-                range_m=float(np.mean([row.range_m for row in members])),
-                throw_count=len(members),
-                mean_downrange_error_m=float(errors[:, 0].mean()),
-                mean_crossrange_error_m=float(errors[:, 1].mean()),
-                sd_downrange_m=None if sd is None else float(sd[0]),
-                sd_crossrange_m=None if sd is None else float(sd[1]),
-            )
+def _bins(key: str, range_m: Array, errors: Array) -> list[RangeStats]:
+    """Accuracy in bins of target range; range_m (N,), errors (N, 2), m."""
+    _, which = np.unique(np.round(range_m / RANGE_BIN_M), return_inverse=True)
+    counts = np.bincount(which)
+    # All bins at once: a call of numpy for each of some hundred bins costs more than the throws do.
+    values = (range_m, errors[:, 0], errors[:, 1])
+    centre_m, *means = (np.bincount(which, value) / counts for value in values)
+    off = [(errors[:, axis] - mean[which]) ** 2 for axis, mean in enumerate(means)]
+    sds = [np.sqrt(np.bincount(which, one) / np.maximum(counts - 1, 1)) for one in off]
+    return [
+        RangeStats(
+            group=key,
+            range_m=float(centre_m[index]),
+            throw_count=int(count),
+            mean_downrange_error_m=float(means[0][index]),
+            mean_crossrange_error_m=float(means[1][index]),
+            sd_downrange_m=float(sds[0][index]) if count > 1 else None,
+            sd_crossrange_m=float(sds[1][index]) if count > 1 else None,
         )
-    return result
+        for index, count in enumerate(counts)
+    ]

@@ -5,12 +5,12 @@ Ids are ordered in time, so bounds of time are bounds of ids, and a page costs t
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, Executable, Row, Select, func, select
 from sqlalchemy.orm import InstrumentedAttribute
 from sqlalchemy.orm import Session as DatabaseSession
 
@@ -24,8 +24,11 @@ from server.throws.throw_store import throw_row
 PROBE_COUNT = 10_000
 """Newest throws that are looked through for a range of distances before anything else is tried."""
 SORT_COUNT = 20_000
-"""So many throws of a range of distances are fetched by their distance and sorted by time; more are common
+"""So many throws of a range of distances are found by their distance and sorted by time; more are common
 enough to be met soon when walking back in time."""
+SORT_RATIO = 20
+"""The same for each throw that is wanted: to sort 100 000 entries of an index takes as long as to walk to
+5 001 throws that are a tenth of a million (benchmarks/history.py)."""
 _EXPORT_CHUNK = 1000
 
 
@@ -44,22 +47,27 @@ class ThrowFilter:
     until: datetime | None = None
 
     def conditions(
-        self, before: str | None = None, *, is_plain: bool = False
+        self, before: str | None, *, is_sqlite: bool, is_indexed: bool = True
     ) -> list[ColumnElement[bool]]:
-        """Everything but the distance; `is_plain` keeps the database from using an index for it."""
+        """Everything but the distance; not `is_indexed` keeps SQLite from using an index for it.
+
+        PostgreSQL knows how common each value is and chooses by that.
+        """
         pairs = (
             (Throw.machine_id, self.machine_id),
-            (Throw.mode, None if self.mode is None else self.mode.value),
             (Throw.policy_sha256, self.policy_sha256),
             (Throw.operator, self.operator),
             (Throw.outcome, None if self.outcome is None else self.outcome.value),
+            (Throw.mode, None if self.mode is None else self.mode.value),
         )
-        conditions: list[ColumnElement[bool]] = [
-            (column.concat("") if is_plain else column) == value
-            for column, value in pairs
-            if value is not None
-        ]
-        throw_id = _plain_id() if is_plain else Throw.throw_id
+        conditions: list[ColumnElement[bool]] = []
+        for column, value in pairs:
+            if value is not None:
+                # Half of all throws have a mode: any other index finds fewer.
+                is_common = column is Throw.mode and bool(conditions)
+                is_hidden = is_sqlite and (is_common or not is_indexed)
+                conditions.append((column.concat("") if is_hidden else column) == value)
+        throw_id = _plain_id() if is_sqlite and not is_indexed else Throw.throw_id
         if self.since is not None:
             conditions.append(throw_id >= first_id_at(self.since))
         if self.until is not None:
@@ -120,57 +128,78 @@ def newest(
     database: DatabaseSession, wanted: ThrowFilter, limit: int, *, before: str | None = None
 ) -> list[Throw]:
     """The newest throws that match, newest first."""
-    ids = newest_ids(database, wanted, limit, before=before)
+    found = newest_values(database, wanted, limit, (Throw.throw_id,), before=before)
+    ids = [throw_id for (throw_id,) in found]
     rows = database.scalars(select(Throw).where(Throw.throw_id.in_(ids)))
     return sorted(rows, key=lambda row: row.throw_id, reverse=True)
 
 
-def newest_ids(
+def newest_values(
     database: DatabaseSession,
     wanted: ThrowFilter,
     limit: int,
+    columns: Sequence[InstrumentedAttribute[Any]],
     *,
     before: str | None = None,
-    extra: tuple[ColumnElement[bool], ...] = (),
-) -> list[str]:
-    """Ids of the newest throws that match, newest first.
+    is_measured: bool = False,
+) -> Sequence[Row[Any]]:
+    """Some columns of the newest throws that match, newest first.
 
-    One index cannot serve a filter on distance in order of time. The newest few thousand throws are looked
-    through first; if they do not fill the page, a distance that is rare is served by the index of
+    One index cannot serve a filter on distance in order of time. For a page the newest few thousand throws
+    are looked through first. If they do not fill it, a distance that is rare is served by the index of
     distances, and a common one by walking on.
+
+    Args:
+        database: an open transaction.
+        wanted: which throws.
+        limit: rows at most.
+        columns: what is read of each throw.
+        before: id that all found are older than.
+        is_measured: only throws with a measured impact.
     """
-    walk = (
-        select(Throw.throw_id)
-        .where(*wanted.conditions(before), *extra)
-        .order_by(Throw.throw_id.desc())
-    )
-    if not wanted.within(_plain_range()):
-        return list(database.scalars(walk.limit(limit)))
-    recent = walk.add_columns(Throw.range_m).limit(PROBE_COUNT).subquery()
-    near = (
-        select(recent.c.throw_id)
-        .where(*wanted.within(recent.c.range_m))
-        .order_by(recent.c.throw_id.desc())
-    )
-    found = list(database.scalars(near.limit(limit)))
-    if len(found) >= limit:
-        return found
-    if _is_rare(database, wanted):
-        matching = (
-            select(Throw.throw_id)
-            .where(*wanted.within(Throw.range_m), *wanted.conditions(before, is_plain=True), *extra)
-            .order_by(_plain_id().desc())
-        )
-    else:
-        matching = walk.where(*wanted.within(_plain_range()))
-    return list(database.scalars(matching.limit(limit)))
+    extra = (Throw.measured_downrange_error_m.is_not(None),) if is_measured else ()
+    is_sqlite = database.get_bind().dialect.name == "sqlite"
+    conditions = (*wanted.conditions(before, is_sqlite=is_sqlite), *extra)
+    walk = select(*columns).where(*conditions).order_by(Throw.throw_id.desc()).limit(limit)
+    if not wanted.within(Throw.range_m):
+        return _all(database, walk)
+    if limit < PROBE_COUNT / 10:
+        newest_ids = select(Throw.throw_id).where(*conditions).order_by(Throw.throw_id.desc())
+        recent = newest_ids.add_columns(Throw.range_m).limit(PROBE_COUNT).subquery()
+        near = select(recent.c.throw_id).where(*wanted.within(recent.c.range_m))
+        near = near.order_by(recent.c.throw_id.desc()).limit(limit)
+        found = _values_of(database, columns, near)
+        if len(found) >= limit:
+            return found
+    if _is_rare(database, wanted, max(SORT_COUNT, SORT_RATIO * limit)):
+        others = wanted.conditions(before, is_sqlite=is_sqlite, is_indexed=False)
+        ids = select(Throw.throw_id).where(*wanted.within(Throw.range_m), *others, *extra)
+        return _values_of(database, columns, ids.order_by(_plain_id().desc()).limit(limit))
+    distance_m = _plain_range() if is_sqlite else Throw.range_m
+    return _all(database, walk.where(*wanted.within(distance_m)))
 
 
-def _is_rare(database: DatabaseSession, wanted: ThrowFilter) -> bool:
-    """Whether few throws have these distances; counts in the index of distances alone."""
-    some = select(Throw.range_m).where(*wanted.within(Throw.range_m)).limit(SORT_COUNT + 1)
+def _values_of(
+    database: DatabaseSession,
+    columns: Sequence[InstrumentedAttribute[Any]],
+    ids: Select[str],
+) -> Sequence[Row[Any]]:
+    """Columns of the throws that a query finds, newest first."""
+    chosen = ids.subquery()
+    rows = select(*columns).join(chosen, chosen.c.throw_id == Throw.throw_id)
+    return _all(database, rows.order_by(Throw.throw_id.desc()))
+
+
+def _all(database: DatabaseSession, query: Executable) -> Sequence[Row[Any]]:
+    # The session would spend as much time on its own view of these rows as the database takes.
+    return database.connection().execute(query).all()
+
+
+def _is_rare(database: DatabaseSession, wanted: ThrowFilter, most_count: int) -> bool:
+    """Whether at most so many throws have these distances; counts in the index of distances alone."""
+    some = select(Throw.range_m).where(*wanted.within(Throw.range_m)).limit(most_count + 1)
     count = database.scalar(select(func.count()).select_from(some.subquery())) or 0
-    return count <= SORT_COUNT
+    return count <= most_count
 
 
 def _plain_id() -> ColumnElement[str]:
@@ -179,7 +208,7 @@ def _plain_id() -> ColumnElement[str]:
 
 
 def _plain_range() -> ColumnElement[float]:
-    """The distance as an expression that no index serves."""
+    """The distance as an expression that no index serves; PostgreSQL would take it for rare."""
     return Throw.range_m + 0.0
 
 

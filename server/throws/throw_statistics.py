@@ -1,18 +1,15 @@
 """Accuracy of throws: scatter, one sigma ellipses by group, and error against range (the paper's figures)."""
 
-from sqlalchemy import select
-
 from server.schemas.history import GroupBy, ThrowStats
 from server.store.database import Database
 from server.store.models import Throw
 from server.throws.landing_statistics import Measured, statistics_of
-from server.throws.throw_history import ThrowFilter, newest_ids
+from server.throws.throw_history import ThrowFilter, newest_values
 
 CONSIDERED_LIMIT = 5000
 """Newest measured throws that statistics are made of; more are neither readable nor quick."""
 
-
-_MEASURED = select(
+_MEASURED = (
     Throw.throw_id,
     Throw.machine_id,
     Throw.operator,
@@ -35,9 +32,9 @@ class ThrowStatistics:
 
     def of(self, wanted: ThrowFilter, group_by: GroupBy) -> ThrowStats:
         """Statistics of the newest throws that match and have a measured impact."""
-        measured = (Throw.measured_downrange_error_m.is_not(None),)
         with self._database.read() as database:
-            ids = newest_ids(database, wanted, CONSIDERED_LIMIT + 1, extra=measured)
-            rows = database.execute(_MEASURED.where(Throw.throw_id.in_(ids[:CONSIDERED_LIMIT])))
-            used = [Measured(*row) for row in rows]
-        return statistics_of(used, group_by, is_truncated=len(ids) > CONSIDERED_LIMIT)
+            rows = newest_values(
+                database, wanted, CONSIDERED_LIMIT + 1, _MEASURED, is_measured=True
+            )
+        used = [Measured._make(row) for row in rows[:CONSIDERED_LIMIT]]
+        return statistics_of(used, group_by, is_truncated=len(rows) > CONSIDERED_LIMIT)

@@ -12,7 +12,8 @@ from machine.conventions import Mode
 from server.clock import id_at
 from server.schemas.history import GroupBy, Outcome
 from server.store.models import Throw
-from server.throws import throw_history as module
+from server.throws import throw_history as history_module
+from server.throws import throw_statistics as statistics_module
 from server.throws.throw_history import ThrowFilter, ThrowHistory
 from server.throws.throw_statistics import ThrowStatistics
 from tests.cases import each
@@ -102,15 +103,24 @@ def all_pages(history: ThrowHistory, wanted: ThrowFilter, limit: int) -> list[st
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-@given(FILTERS, st.sampled_from([7, 50, 500]), st.sampled_from([20, 10_000]))
-def test_pages_together_are_the_filtered_list(assembled, throws, wanted, limit, probe):
-    # A small probe makes the search for distances take its second step.
-    module.PROBE_COUNT, before = probe, module.PROBE_COUNT
-    try:
+@given(FILTERS, st.sampled_from([7, 50, 500]), st.sampled_from([20, 10_000]), st.booleans())
+def test_pages_and_statistics_are_of_the_filtered_list(
+    assembled, throws, wanted, limit, probe, is_common
+):
+    # A small probe and a distance that counts as common make the search take its other steps.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(history_module, "PROBE_COUNT", probe)
+        patch.setattr(statistics_module, "CONSIDERED_LIMIT", limit)
+        if is_common:
+            patch.setattr(history_module, "SORT_COUNT", 0)
+            patch.setattr(history_module, "SORT_RATIO", 0)
         found = all_pages(ThrowHistory(assembled.parts.database), wanted, limit)
-    finally:
-        module.PROBE_COUNT = before
-    assert found == [row.throw_id for row in throws if matches(row, wanted)]
+        stats = ThrowStatistics(assembled.parts.database).of(wanted, GroupBy.MACHINE)
+    matching = [row for row in throws if matches(row, wanted)]
+    measured = [row for row in matching if row.measured_downrange_error_m is not None]
+    assert found == [row.throw_id for row in matching]
+    assert [point.throw_id for point in stats.points] == [row.throw_id for row in measured[:limit]]
+    assert stats.is_truncated == (len(measured) > limit)
 
 
 def test_new_throws_do_not_disturb_a_cursor(assembled, throws):
@@ -165,6 +175,15 @@ def test_statistics_are_those_of_numpy(assembled, throws, group_by):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         axes = np.diag([group.ellipse_major_m**2, group.ellipse_minor_m**2])
         assert np.allclose(turn @ axes @ turn.T, covariance)
+    for item in stats.by_range:
+        along = [
+            row.measured_downrange_error_m
+            for row in landed
+            if getattr(row, key) == item.group and row.range_m == pytest.approx(item.range_m)
+        ]
+        assert item.throw_count == len(along)
+        assert item.mean_downrange_error_m == pytest.approx(np.mean(along))
+        assert item.sd_downrange_m == pytest.approx(np.std(along, ddof=1))
     assert sum(item.throw_count for item in stats.by_range) == len(landed)
     assert {round(item.range_m, 6) for item in stats.by_range} == {7.5, 8.0, 9.0, 10.0}
 
@@ -181,9 +200,3 @@ def test_statistics_of_nothing_and_of_one(assembled, throws):
     )
     assert one.groups[0].throw_count == 1
     assert one.groups[0].sd_downrange_m is None
-
-
-def test_statistics_say_when_they_leave_out(assembled, throws, monkeypatch):
-    monkeypatch.setattr("server.throws.throw_statistics.CONSIDERED_LIMIT", 10)
-    stats = ThrowStatistics(assembled.parts.database).of(ThrowFilter(), GroupBy.MODE)
-    assert (stats.considered_count, stats.is_truncated) == (10, True)
