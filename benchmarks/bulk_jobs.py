@@ -151,7 +151,7 @@ def fixed(planner: LoadPlanner, job: Setting) -> Rule:
 
 
 def plain_load(surface: HeightField, x_m: float, y_m: float) -> PlannedLoad:
-    return PlannedLoad(x_m, y_m, surface.surface_m(x_m, y_m), GRAB_M3, 0.0, 0.0, "", 0.0)
+    return PlannedLoad(x_m, y_m, surface.surface_m(x_m, y_m) or 0.0, GRAB_M3, 0.0, 0.0, "", 0.0)
 
 
 def run_one(task: tuple[int, int]) -> list[JobResult]:

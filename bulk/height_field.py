@@ -159,10 +159,28 @@ class HeightField:
         """Cells of a container's inside."""
         return self.container_index == container
 
-    def surface_m(self, x_m: float, y_m: float) -> float:
-        """Height of the surface at a point of the grid."""
-        row, column = self.grid.cell_of(x_m, y_m)
-        return float(self.height_m[row, column])
+    def surface_m(self, x_m: float, y_m: float) -> float | None:
+        """Height of the surface at a point; None beside the grid and on walls.
+
+        Linear between the centres of cells that are of one container, or of the open ground.
+        """
+        if not self.grid.holds(x_m, y_m):
+            return None
+        here = self.container_index[self.grid.cell_of(x_m, y_m)]
+        if here == WALL:
+            return None
+        row, column = (
+            (y_m - self.grid.y0_m) / self.grid.cell_m,
+            (x_m - self.grid.x0_m) / self.grid.cell_m,
+        )
+        total = weight = 0.0
+        for i in (math.floor(row), math.floor(row) + 1):
+            for j in (math.floor(column), math.floor(column) + 1):
+                near = max(1.0 - abs(row - i), 0.0) * max(1.0 - abs(column - j), 0.0)
+                inside = 0 <= i < self.grid.row_count and 0 <= j < self.grid.column_count
+                if inside and self.container_index[i, j] == here:
+                    total, weight = total + near * float(self.height_m[i, j]), weight + near
+        return total / weight
 
     def pour(self, points_m: Array, volume_m3: Array | float, slope_ratio: float) -> "HeightField":
         """Pour material at points, one after the other.

@@ -1,5 +1,6 @@
 """Plan and course of a job as JSON and as one HTML page."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ MAP_WIDTH = 640.0
 SECTION_WIDTH, SECTION_HEIGHT = 480.0, 190.0
 MARGINS = Margins(left=46.0, right=8.0, top=8.0, bottom=22.0)
 CONTOUR_COUNT = 8
+WALL_SLOPE_RATIO = 2.2
+"""Rise over run from which on a side is a wall: the contour lines of all heights would meet there."""
 
 
 def progress_json(state: Progress) -> dict[str, float]:
@@ -131,15 +134,23 @@ def surface_map(
     near_x, near_y = (x_m >= x[0]) & (x_m <= x[1]), (y_m >= y[0]) & (y_m <= y[1])
     part = height_m[np.ix_(near_y, near_x)]
     low, high = float(part.min()), float(part.max())
+    goal = np.asarray(region, dtype=np.float64)[np.ix_(near_y, near_x)]
+    for line in contour_lines(x_m[near_x], y_m[near_y], goal, 0.5).tolist():
+        parts.append(axes.path("other", line))
     for level in round_ticks(low, high, CONTOUR_COUNT) if high - low > 0.05 else []:
-        for line in contour_lines(x_m[near_x], y_m[near_y], part, level + 1e-6).tolist():
-            parts.append(axes.path("after", line))
+        lines = contour_lines(x_m[near_x], y_m[near_y], part, level + 1e-6, WALL_SLOPE_RATIO)
+        parts += [axes.path("after", line) for line in lines.tolist()]
     parts.append(axes.dots("dot target", [(item["x_m"], item["y_m"]) for item in loads], 3.0))
     return drawing(MAP_WIDTH, height, "surface from above with contour lines and targets", parts)
 
 
-def contour_lines(x_m: Array, y_m: Array, height_m: Array, level_m: float) -> Array:
-    """(N, 2, 2) segments of the line at a level; every square of the grid is cut into two triangles."""
+def contour_lines(
+    x_m: Array, y_m: Array, height_m: Array, level_m: float, steepest_ratio: float = math.inf
+) -> Array:
+    """(N, 2, 2) segments of the line at a level; every square of the grid is cut into two triangles.
+
+    Triangles whose heights differ by more than a slope (over the width of a cell) are left out.
+    """
     x, y = np.meshgrid(x_m, y_m)
     corner = np.stack([x, y, height_m], axis=-1)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
@@ -150,7 +161,9 @@ def contour_lines(x_m: Array, y_m: Array, height_m: Array, level_m: float) -> Ar
         ]
     )
     above = triangles[:, :, 2] > level_m
-    cut = triangles[(above.any(axis=1)) & ~above.all(axis=1)]
+    rise = np.ptp(triangles[:, :, 2], axis=1)
+    is_wall = rise > steepest_ratio * (x_m[1] - x_m[0])
+    cut = triangles[above.any(axis=1) & ~above.all(axis=1) & ~is_wall]
     high = cut[:, :, 2] > level_m
     # The corner that is alone on its side; the line crosses both of its edges.
     alone = np.where(high.sum(axis=1) == 1, high.argmax(axis=1), (~high).argmax(axis=1))

@@ -10,7 +10,14 @@ from machine.spec import MachineSpec
 from server.accounts.audit_chain import Actor, AuditChain, Entry
 from server.event_hub import EventHub
 from server.jobs.job_ground import JobGround, JobGrounds, JobState
-from server.jobs.job_store import JobRecord, Planned, open_job_ids, progress_of, read_record
+from server.jobs.job_store import (
+    JobRecord,
+    Planned,
+    open_job_id,
+    open_job_ids,
+    progress_of,
+    read_record,
+)
 from server.jobs.job_views import JobChange, PlanningState
 from server.jobs.throw_loads import offers
 from server.schemas.events import JobUpdatedEvent
@@ -47,6 +54,12 @@ class JobBook:
         """
         with self.database.read() as database:
             return read_record(database, job_id)
+
+    def open_record(self, machine_id: str) -> JobRecord | None:
+        """The open job of a machine."""
+        with self.database.read() as database:
+            job_id = open_job_id(database, machine_id)
+            return None if job_id is None else read_record(database, job_id)
 
     def for_change(self, job_id: str, body: JobChange) -> JobRecord:
         """A job that is changed; under `lock`.

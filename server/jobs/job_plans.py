@@ -13,6 +13,7 @@ from bulk.throw_model import LandingScatter, ThrowModel, measured_model
 from machine.conventions import Mode
 from machine.errors import DownrangeError
 from machine.messages import Target
+from machine.site.job_surface import with_job_surface
 from machine.site.objects import SiteObject
 from machine.spec import MachineSpec
 from server.child_process import ChildFailedError, ChildKilledError
@@ -202,8 +203,9 @@ class JobPlans:
 
 
 def target_height_m(objects: Sequence[SiteObject], load: PlannedLoad) -> float:
-    """Height that a preview takes at a load's place: a described object's, else that of the material."""
+    """Height that a preview takes at a load's place: that of the material, if an object can stand for it."""
     target = Target(x_m=load.x_m, y_m=load.y_m, z_m=load.z_m)
-    refusal = SiteLanding.of(objects, target).target_refusal(target)
+    around = with_job_surface(objects, load.x_m, load.y_m, load.z_m)
+    refusal = SiteLanding.of(around, target).target_refusal(target)
     known_m = None if refusal is None else refusal.surface_m
     return load.z_m if known_m is None else known_m

@@ -121,7 +121,7 @@ class JobProposal(View):
     x_m: float
     y_m: float
     z_m: float
-    """Height that a preview takes there: that of the site's object, where the site describes one."""
+    """Height that a preview takes there: that of the material, unless the site cannot hold it."""
     surface_m: float
     """Height of the material there."""
     volume_m3: float

@@ -175,13 +175,16 @@ class Jobs:
             record, self._book.ground(record), self._book.surface(record), policy_id
         )
 
+    def surface_at(self, machine_id: str, x_m: float, y_m: float) -> float | None:
+        """Height of the surface of a machine's open job at a point; None without one, and on walls."""
+        record = self._book.open_record(machine_id)
+        return None if record is None else self._book.surface(record).field.surface_m(x_m, y_m)
+
     def material(self, machine_id: str) -> LaidMaterial | None:
         """What lies on the ground of a machine's open job, and its next loads; None without one."""
-        with self._database.read() as database:
-            job_id = open_job_id(database, machine_id)
-            if job_id is None:
-                return None
-            record = read_record(database, job_id)
+        record = self._book.open_record(machine_id)
+        if record is None:
+            return None
         ground, field = self._book.ground(record), self._book.surface(record).field
         return laid_material(field, ground.footprints(field, proposals_of(record)))
 

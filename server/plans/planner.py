@@ -147,7 +147,7 @@ class Planner:
             policy_sha256=policy.card.policy_sha256,
             model_sha256=self._spec.sha256,
             twin_profile_version=self._twins.profile_version(machine_id),
-            site=dump(self._sites.objects(machine_id)),
+            site=dump(self._sites.around(machine_id, target)),
             zones=dump_zones(self._zones.active(machine_id).zones),
             refusals=[],
             prediction=None,

@@ -10,8 +10,9 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.errors import UsageError
-from machine.messages import RejectReason
+from machine.messages import RejectReason, Target
 from machine.site.files import SITE, load_site
+from machine.site.job_surface import with_job_surface
 from machine.site.objects import SiteObject
 from server.accounts.accounts import Session
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
@@ -25,6 +26,9 @@ from server.store.database import Database
 from server.store.models import SiteVersion
 
 logger = logging.getLogger(__name__)
+
+SurfaceAt = Callable[[str, float, float], float | None]
+"""Height of the surface of a machine's job at a point (x, y), frame `machine`; None where there is none."""
 
 
 class SiteStore:
@@ -46,6 +50,8 @@ class SiteStore:
         self._lock = threading.Lock()
         self.on_change: list[Callable[[str], None]] = []
         """Called with the machine's id."""
+        self.surface_at: SurfaceAt = _no_surface
+        """Of the open jobs."""
 
     def start(self) -> None:
         """Take up `<data>/machines/<id>.site.json` of machines whose site nobody has described yet."""
@@ -66,6 +72,14 @@ class SiteStore:
         """What stands around a machine now."""
         with self._database.read() as database:
             return objects_of(self._newest(database, machine_id))
+
+    def around(self, machine_id: str, target: Target) -> tuple[SiteObject, ...]:
+        """What stands around a machine now, with the material of its job under a target."""
+        objects = self.objects(machine_id)
+        surface_m = self.surface_at(machine_id, target.x_m, target.y_m)
+        if surface_m is None:
+            return objects
+        return with_job_surface(objects, target.x_m, target.y_m, surface_m)
 
     def view(self, machine_id: str) -> SiteView:
         """The site for the console.
@@ -125,13 +139,15 @@ class SiteStore:
             self._record(database, row, session.actor, "site.undo", newest.version_count)
         return self._announced_view(machine_id)
 
-    def require_unchanged(self, machine_id: str, objects: Sequence[SiteObject]) -> None:
-        """Refuse what was previewed with another site than the present one.
+    def require_unchanged(
+        self, machine_id: str, target: Target, objects: Sequence[SiteObject]
+    ) -> None:
+        """Refuse what was previewed with another site, or other material, than are there now.
 
         Raises:
-            ApiError: the site was changed.
+            ApiError: it was changed.
         """
-        if tuple(objects) != self.objects(machine_id):
+        if tuple(objects) != self.around(machine_id, target):
             raise from_reason(
                 RejectReason.PLAN_EXPIRED,
                 "What stands around the machine was changed since the preview. Preview again.",
@@ -176,6 +192,10 @@ class SiteStore:
         for listener in self.on_change:
             listener(machine_id)
         return view
+
+
+def _no_surface(_machine_id: str, _x_m: float, _y_m: float) -> None:
+    return None
 
 
 def dump(objects: Sequence[SiteObject]) -> list[Any]:

@@ -82,7 +82,7 @@ class ThrowService:
         if state is None or not self._registry.is_connected(machine_id):
             raise from_reason(RejectReason.MACHINE_LOST, self._commands.lost_text(machine_id))
         plan = self._plans.freeze(plan_id, shown_hash, state)
-        self._sites.require_unchanged(machine_id, plan.site)
+        self._sites.require_unchanged(machine_id, plan.target, plan.site)
         self._zones.require_active(machine_id, plan.zones_sha256)
         self._aim.require_current(plan)
         self.forget(machine_id)

@@ -2,9 +2,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bulk.job_file import read_job
+from bulk.job_report import contour_lines
 from bulk.survey import read_survey
 from cli.main import main
 from machine.errors import UsageError
@@ -68,6 +70,15 @@ def test_a_job_is_planned_simulated_and_reported(
     run.write_text("{}", encoding="utf-8")
     assert main(["job", "report", str(run), "--output", str(page)]) == 1
     assert "not the result" in capsys.readouterr().err
+
+
+def test_contour_lines_leave_walls_out():
+    x_m = np.arange(0.0, 4.0, 0.1)
+    height = np.where(x_m > 2.0, 0.6, 0.0) + np.where(x_m < 1.0, 0.4 * (1.0 - x_m), 0.0)
+    surface = np.tile(height, (5, 1))
+    lines = contour_lines(x_m, x_m[:5], surface, 0.1, 2.2)
+    assert lines[:, :, 0] == pytest.approx(0.75)
+    assert len(contour_lines(x_m, x_m[:5], surface, 0.1)) == 2 * len(lines), "with the wall's"
 
 
 @each(

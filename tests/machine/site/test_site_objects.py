@@ -3,7 +3,10 @@ import math
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from machine.messages import Target
+from machine.site.job_surface import JOB_SURFACE, with_job_surface
 from machine.site.objects import SWING_CIRCLE_M, SiteKind, SiteObject, SiteObjects
+from machine.site.solids import Solids
 from machine.spec import load_spec
 from tests.cases import each
 
@@ -78,3 +81,43 @@ def test_surfaces_of_a_turned_box_a_pit_and_a_pile():
     assert pile.surface_m(10.5, 0.0) == pytest.approx(0.5)
     assert pile.surface_m(11.1, 0.0) is None
     assert math.degrees(pile.slope_rad) == pytest.approx(45.0)
+
+
+@each(
+    ("changes", "surface_m", "name"),
+    [
+        ([{}], 1.87, "truck bed"),
+        ([{}], 1.22, "truck bed"),
+        ([{"kind": "pit", "height_m": 0.8}], -0.33, "truck bed"),
+        ([{"kind": "pit", "height_m": 0.8}], -0.08, "truck bed"),
+        ([{"kind": "pit", "height_m": 0.8}], 0.03, "ground"),
+        ([{"kind": "pit", "height_m": 0.8}], 0.07, "truck bed"),
+        ([{"x_m": 12.0, "y_m": 3.0}], 0.06, JOB_SURFACE),
+        ([{"x_m": 12.0, "y_m": 3.0}], 0.9, JOB_SURFACE),
+        ([{"kind": "pile", "height_m": 0.5}], 1.0, JOB_SURFACE),
+    ],
+)
+def test_the_surface_of_a_job_stands_for_what_lies_on_an_object_or_beside_it(
+    changes, surface_m, name
+):
+    objects = SITE.validate_python([BED | change for change in changes])
+    around = with_job_surface(objects, 9.1, 0.9, surface_m)
+    target = Target(x_m=9.1, y_m=0.9, z_m=surface_m)
+    assert Solids(around).name_at(target) == name
+    away = Target(x_m=20.0, y_m=0.0, z_m=0.0)
+    assert Solids(around).name_at(away) == "ground"
+
+
+@each(
+    ("objects", "x_m", "surface_m"),
+    [
+        ((BED,), 9.1, 6.5),
+        ((BED | {"x_m": 30.0},), 9.1, -0.4),
+        ((BED | {"x_m": 30.0},), 3.5, 0.5),
+        ([BED | {"name": f"box {i}", "x_m": 30.0} for i in range(32)], 9.1, 0.9),
+        ((BED | {"x_m": 30.0, "name": JOB_SURFACE},), 9.1, 0.9),
+    ],
+)
+def test_a_surface_for_which_no_object_can_stand_leaves_the_site_as_it_is(objects, x_m, surface_m):
+    site = SITE.validate_python(objects)
+    assert with_job_surface(site, x_m, 0.9, surface_m) == site

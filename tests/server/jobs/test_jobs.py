@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from bulk.job_file import JobFile
 from bulk.placement import LandedLoad
 from bulk.throw_model import LandingScatter
+from machine.messages import Target
 from machine.policy_card import load_card
 from machine.site.objects import SiteObject
 from machine.site.zones import Zone
 from machine.spec import load_spec
 from server.child_process import ChildFailedError, ChildKilledError
 from server.clock import new_id, utc_now
-from server.errors import ConflictError, InfeasibleError, NotFoundError
+from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.jobs.job_ground import JobGround, NumberedLoad, SurveyedSurface
 from server.jobs.job_planning import PlanTask, plan_in_child, planned_loads
 from server.jobs.job_views import (
@@ -35,6 +36,7 @@ from server.jobs.throw_loads import SCATTER_COUNT, scatter_by_range
 from server.schemas.sites import SiteRequest
 from server.store.models import Audit, Throw
 from server.throws.impacts import add_impact
+from sim_twin.throws.landing import SiteLanding
 from tests.waiting import wait_for
 
 BED = {"x_m": 8.0, "y_m": 0.0, "length_m": 2.0, "width_m": 1.6}
@@ -69,6 +71,7 @@ class Yard:
             parts.hub, load_spec(), quick_plan,
         )  # fmt: skip
         self.jobs.start()
+        parts.sites.surface_at = self.jobs.surface_at
         return self.jobs
 
     def create(self, **changes):
@@ -136,9 +139,16 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     assert (load.throw_id, load.landed_by, load.recorded_by) == (throw_id, "predicted", "server")
     assert load.volume_m3 == first.volume_m3
     assert thrown.progress.filled_ratio > begun.progress.filled_ratio
-    assert any(item.z_m == pytest.approx(0.3) and item.surface_m > 0.31 for item in thrown.next), (
-        "a preview takes the height of the truck that the site describes, not that of what lies on it"
-    )
+    assert any(item.surface_m > 0.4 for item in thrown.next)
+    assert all(item.z_m == item.surface_m for item in thrown.next), "of what lies on the truck"
+    sites, target = yard.parts.sites, Target(x_m=first.x_m, y_m=first.y_m, z_m=0.3)
+    (risen,) = sites.around("m001", target)
+    surface_m = yard.jobs.surface_at("m001", first.x_m, first.y_m)
+    assert risen.height_m == pytest.approx(surface_m, abs=0.006) and surface_m > 0.4
+    sites.require_unchanged("m001", target, (risen,))
+    with pytest.raises(ApiError, match="changed since the preview"):
+        sites.require_unchanged("m001", target, (BOX,))
+    assert SiteLanding.of((risen,), target).target_refusal(target).surface_m == risen.height_m
     yard.parts.sites.change("m001", SiteRequest(from_version_count=1, objects=()), yard.ada)
     yard.jobs.note_surroundings("m001")
     wait_for(
