@@ -1,7 +1,7 @@
 """`downrange diagnose`: locate the gap between twin and machine and name its cause; throws or one stage."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from diagnosis.single_stage.csv_diagnosis import (
 from diagnosis.single_stage.flight_problem import BallProperties
 from diagnosis.tables.cells import Decimal
 from diagnosis.tables.table import ReadOptions
+from diagnosis.tables.topics import TopicField
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
@@ -105,6 +106,8 @@ def actuation(
     kind: Literal["auto", "speed", "position"] = "auto",
     decimal: Literal["auto", "point", "comma"] = "auto",
     missing: str = "",
+    topic: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    field: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -130,6 +133,9 @@ def actuation(
         kind: whether a constant command means a constant speed or a position; auto tries both.
         decimal: sign before the decimals, if the cells leave it open.
         missing: cells that stand for no value, separated by commas.
+        topic: topic of a ROS bag or MCAP file instead of a table; may be given several times.
+        field: for each --topic its fields, as position[1],velocity[1] or twist.linear.x; the first column is
+            then called /joint_states/position[1].
         json: file for the whole result.
         html: file for the report.
     """
@@ -142,7 +148,7 @@ def actuation(
         group,
         kind,
         _progress_printer(),
-        _options(decimal, missing),
+        _options(decimal, missing, topic, field),
     )
     return _finish(found, json, html, f"Actuation, {file.name}")
 
@@ -160,6 +166,8 @@ def swing(
     counts_per_turn: float | None = None,
     decimal: Literal["auto", "point", "comma"] = "auto",
     missing: str = "",
+    topic: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    field: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -184,6 +192,9 @@ def swing(
         counts_per_turn: of an encoder, when the angle is in counts.
         decimal: sign before the decimals, if the cells leave it open.
         missing: cells that stand for no value, separated by commas.
+        topic: topic of a ROS bag or MCAP file instead of a table; may be given several times.
+        field: for each --topic its fields, as position[1],velocity[1] or twist.linear.x; the first column is
+            then called /joint_states/position[1].
         json: file for the whole result.
         html: file for the report.
     """
@@ -198,7 +209,7 @@ def swing(
         fps,
         counts_per_turn,
         _progress_printer(),
-        _options(decimal, missing),
+        _options(decimal, missing, topic, field),
     )
     return _finish(found, json, html, f"Swing, {file.name}")
 
@@ -218,6 +229,8 @@ def flight(
     fps: float | None = None,
     decimal: Literal["auto", "point", "comma"] = "auto",
     missing: str = "",
+    topic: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    field: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
     json: Path | None = None,
     html: Path | None = None,
 ) -> int:
@@ -244,6 +257,9 @@ def flight(
         fps: frames a second, when the times are frame numbers of a film.
         decimal: sign before the decimals, if the cells leave it open.
         missing: cells that stand for no value, separated by commas.
+        topic: topic of a ROS bag or MCAP file instead of a table; may be given several times.
+        field: for each --topic its fields, as position[1],velocity[1] or twist.linear.x; the first column is
+            then called /joint_states/position[1].
         json: file for the whole result.
         html: file for the report.
     """
@@ -269,13 +285,27 @@ def flight(
         length_unit,
         fps,
         _progress_printer(),
-        _options(decimal, missing),
+        _options(decimal, missing, topic, field),
     )
     return _finish(found, json, html, f"Flight, {file.name}")
 
 
-def _options(decimal: Decimal, missing: str) -> ReadOptions:
-    return ReadOptions(decimal, tuple(text.strip() for text in missing.split(",") if text.strip()))
+def _options(
+    decimal: Decimal, missing: str, topics: Sequence[str], fields: Sequence[str]
+) -> ReadOptions:
+    """What the user says about a file."""
+    if len(topics) != len(fields):
+        raise UsageError(
+            f"{len(topics)} --topic and {len(fields)} --field: give one --field after each --topic; several "
+            "fields of a topic are separated by commas"
+        )
+    columns = [
+        TopicField(topic, name.strip())
+        for topic, names in zip(topics, fields, strict=True)
+        for name in names.split(",")
+    ]
+    texts = tuple(text.strip() for text in missing.split(",") if text.strip())
+    return ReadOptions(decimal, texts, tuple(columns))
 
 
 def _check_positive(**options: float | None) -> None:

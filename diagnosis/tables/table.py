@@ -24,6 +24,7 @@ from diagnosis.tables.cells import (
 )
 from diagnosis.tables.layouts import read_raw_table
 from diagnosis.tables.repairs import find_stand_ins, restore_sign
+from diagnosis.tables.topics import TopicField, is_recording, read_topics
 from machine.conventions import Array
 
 MIN_NUMBERS_RATIO: Final = 0.5
@@ -40,6 +41,8 @@ class ReadOptions(NamedTuple):
     decimal: Decimal = "auto"
     missing: tuple[str, ...] = ()
     """Cells that hold no value."""
+    topics: tuple[TopicField, ...] = ()
+    """Columns of recorded messages."""
 
 
 DEFAULT_OPTIONS: Final = ReadOptions()
@@ -277,11 +280,18 @@ class Table:
 
 
 def read_table(path: Path, options: ReadOptions = DEFAULT_OPTIONS) -> Table:
-    """Read a delimited text file with a header line.
+    """Read a delimited text file with a header line, or fields of recorded messages.
 
     Raises:
-        RefusedTableError: see `read_raw_table`.
+        RefusedTableError: see `read_raw_table` and `read_topics`.
     """
+    if is_recording(path):
+        found = read_topics(path, options.topics)
+        return Table(path, found.cells, found.notes, found.units, options=options)
+    if options.topics:
+        raise RefusedTableError(
+            f"{path.name} holds no recorded messages: --topic and --field are for ROS bags and MCAP files"
+        )
     header, rows, units, notes, numbers = read_raw_table(path)
     columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
     return Table(path, columns, notes, units, options=options, line_numbers=numbers)

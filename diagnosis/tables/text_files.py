@@ -16,13 +16,8 @@ BINARY_RATIO: Final = 0.1
 """Share of control characters in those bytes above which a file is not text."""
 SEPARATOR_LINES: Final = 400
 """Lines, half from each end of the file, from which the separator is found."""
-MCAP_MARK: Final = b"\x89MCAP0\r\n"
 _AS_CSV: Final = "export its channels as CSV with the program that wrote it"
-_TOPICS: Final = "export the topics as CSV, e.g. with PlotJuggler"
 CONTAINERS: Final = (
-    (MCAP_MARK, f"is an MCAP (rosbag) file: {_TOPICS}"),
-    (b"#ROSBAG V", f"is a ROS 1 bag: {_TOPICS}"),
-    (b"SQLite format 3", f"is an SQLite file, such as a ROS 2 bag: {_TOPICS}"),
     (b"version https://git-lfs", "is a Git LFS pointer, not the file itself: run git lfs pull"),
     (b"PK\x03\x04", "is an archive or a spreadsheet (.xlsx), not text: export the sheet as CSV"),
     (b"\xd0\xcf\x11\xe0", "is an old spreadsheet (.xls), not text: export the sheet as CSV"),
@@ -82,12 +77,9 @@ def refuse_other_kinds(path: Path) -> None:
     """
     with path.open("rb") as file:
         start = file.read(SNIFFED_BYTES)
-        file.seek(max(path.stat().st_size - len(MCAP_MARK), 0))
-        end = file.read()
     for mark, words in CONTAINERS:
         if start.startswith(mark):
-            cut = " It is cut off at its end." if mark == MCAP_MARK and end != MCAP_MARK else ""
-            raise RefusedTableError(f"{path.name} {words}.{cut}")
+            raise RefusedTableError(f"{path.name} {words}.")
     control = sum(byte < 0x20 and byte not in b"\t\n\r\x00" for byte in start)
     if control > BINARY_RATIO * len(start):
         raise RefusedTableError(

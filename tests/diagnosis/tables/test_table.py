@@ -232,12 +232,8 @@ def test_the_header_is_found_above_thin_rows_and_below_many_lines(tmp_path: Path
 
 def test_other_kinds_of_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    mark = b"\x89MCAP0\r\n"
     for content, words in (
-        (mark + b"x" * 99 + mark, r"PlotJuggler\.$"),
-        (mark + b"x" * 99, "cut off at its end"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "git lfs pull"),
-        (b"#ROSBAG V2.0\n" + b"x" * 99, "ROS 1 bag"),
         (b"\x89HDF\r\n\x1a\n" + b"x" * 99, "HDF5"),
     ):
         path.write_bytes(content)
