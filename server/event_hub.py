@@ -49,9 +49,11 @@ DiscreteEvent = (
 )
 
 QUEUE_LENGTH = 512
-WATCHED_PERIOD_S = 0.095
-"""State of the machine that the browser watches: all of the 10 Hz, with room for jitter."""
+WATCHED_PERIOD_S = 0.075
+"""State of the machine that the browser watches: all of the 10 Hz, with room for jitter of 20 ms."""
 OTHER_PERIOD_S = 0.95
+GATHER_S = 0.02
+"""From the first new state to the message that takes it along; anything else is sent at once."""
 
 
 class Frame(NamedTuple):
@@ -73,31 +75,35 @@ class HubClient:
         self._lock = threading.Lock()
         self._frames: deque[Frame] = deque()
         self._states: dict[str, Frame] = {}
-        self._sent_s: dict[str, float] = {}
+
+    def period_s(self, machine_id: str) -> float:
+        """How often this browser gets a machine's state."""
+        return WATCHED_PERIOD_S if machine_id == self.machine_id else OTHER_PERIOD_S
 
     def push(self, frame: Frame) -> None:
         """Queue an event that must not be left out."""
         with self._lock:
+            is_woken = self._has_frames()
             if len(self._frames) >= QUEUE_LENGTH:
-                self.is_closed = True
+                self.is_closed, is_woken = True, False
             elif not self.is_closed:
                 self._frames.append(frame)
-        self._wake()
+        if not is_woken:
+            self._wake()
 
-    def is_due(self, machine_id: str, now_s: float) -> bool:
-        """Whether this browser should get another state of a machine by now."""
-        period_s = WATCHED_PERIOD_S if machine_id == self.machine_id else OTHER_PERIOD_S
-        with self._lock:
-            return now_s - self._sent_s.get(machine_id, -1e9) >= period_s
-
-    def push_state(self, machine_id: str, frame: Frame, now_s: float) -> None:
+    def push_state(self, machine_id: str, frame: Frame) -> None:
         """Queue a machine's state in place of an older one that was not sent yet."""
         with self._lock:
             if self.is_closed:
                 return
-            self._sent_s[machine_id] = now_s
+            is_woken = self._has_frames()
             self._states[machine_id] = frame
-        self._wake()
+        if not is_woken:
+            self._wake()
+
+    def _has_frames(self) -> bool:
+        """Whether something is queued, and the event loop so knows already."""
+        return bool(self._frames or self._states)
 
     def close(self) -> None:
         """End the stream after what is queued."""
@@ -111,6 +117,9 @@ class HubClient:
             await asyncio.wait_for(self._ready.wait(), timeout_s)
         except TimeoutError:
             return []
+        if not self._frames:
+            # States of other machines come within moments: one message for all of them.
+            await asyncio.sleep(GATHER_S)
         with self._lock:
             self._ready.clear()
             frames = [*self._frames, *self._states.values()]
@@ -129,6 +138,11 @@ class EventHub:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._clients: set[HubClient] = set()
+        self._sent_s: dict[tuple[str, float], float] = {}
+        """When a machine's state was last sent to browsers that get it with a period, by machine and period.
+
+        Of all browsers together: a state is made and encoded once for all that are due.
+        """
 
     @property
     def client_count(self) -> int:
@@ -165,13 +179,21 @@ class EventHub:
         """Send a machine's state to the browsers that are due; it is made only if there is one."""
         now_s = time.monotonic()
         with self._lock:
-            clients = [c for c in self._clients if is_urgent or c.is_due(machine_id, now_s)]
+            if not self._clients:
+                return
+            due = {
+                period_s
+                for period_s in (WATCHED_PERIOD_S, OTHER_PERIOD_S)
+                if is_urgent or now_s - self._sent_s.get((machine_id, period_s), -1e9) >= period_s
+            }
+            clients = [c for c in self._clients if due and c.period_s(machine_id) in due]
+            self._sent_s.update({(machine_id, period_s): now_s for period_s in due})
         if not clients:
             return
         event = make()
         frame = Frame(event.kind, event.model_dump_json())
         for client in clients:
-            client.push_state(machine_id, frame, now_s)
+            client.push_state(machine_id, frame)
 
     def alert(
         self, code: str, text: str, *, severity: str = "warning", machine_id: str | None = None

@@ -1,8 +1,8 @@
 """The Zenoh link to the machines: commands out, states, joints and events in.
 
 A command is sent once and waits half a second for exactly one answer; nothing is repeated or
-stored. Zenoh's callbacks only queue what arrives; other threads parse it, the newest state only, so that a
-slow server sees fewer states, not older ones.
+stored. Zenoh keeps the newest state of each machine for a thread that fetches and parses them, so that a slow
+server sees fewer states, not older ones. Its callbacks only queue what arrives.
 """
 
 import logging
@@ -52,6 +52,10 @@ WARNING_PERIOD_S = 10.0
 """Shortest time between two log lines about refused messages of one machine."""
 RENEWAL_WAIT_S = 2.0
 """Machines are back on a router that was opened anew after 0.3 s (benchmarks/router_renewal.py)."""
+FETCH_PERIOD_S = 0.02
+"""Between two looks for new states and joints: one thread for all machines. Calling Python for every message
+would take more of a core with 100 machines than reading them does (benchmarks/fleet_scale.py)."""
+SWEEP_PERIOD_S = 0.1
 SETTLED_S = 1.0
 """The link is at rest when no command was sent for so long: the states show what the last one did."""
 
@@ -83,7 +87,8 @@ class MachineLink:
         self._threads: list[threading.Thread] = []
         self._is_closing = threading.Event()
         self._news = threading.Condition()
-        self._latest: dict[tuple[str, str], bytes] = {}
+        self._newest: list[tuple[str, str, Any]] = []
+        """Machine, channel and the subscriber that keeps its newest message."""
         self._tokens: dict[str, bool] = {}
         self._tokens_seen: set[str] = set()
         """Machines that have called in since the session began."""
@@ -125,7 +130,9 @@ class MachineLink:
         """
         for name in ("state", "joints"):
             key = machine_key(self._site, machine_id, name)
-            self._declared.append(session.declare_subscriber(key, self._note(machine_id, name)))
+            subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(1))
+            self._declared.append(subscriber)
+            self._newest.append((machine_id, name, subscriber))
         key = machine_key(self._site, machine_id, "events")
         self._declared.append(session.declare_queryable(key, self._note_batch))
 
@@ -172,7 +179,7 @@ class MachineLink:
         # Undeclared first: the end of the session must not read as the loss of every machine.
         for declared in self._declared:
             declared.undeclare()
-        self._declared = []
+        self._declared, self._newest = [], []
         if self._session is not None:
             session, self._session = self._session, None
             # Closing may wait for peers that no longer answer; the process must not.
@@ -285,19 +292,6 @@ class MachineLink:
 
     # In: callbacks only queue ------------------------------------------------------------------
 
-    def _note(self, machine_id: str, name: str) -> Callable[[zenoh.Sample], None]:
-        def note(sample: zenoh.Sample) -> None:
-            try:
-                check_size(name, len(sample.payload))
-            except IncomingError as error:
-                self._refuse(machine_id, error)
-                return
-            with self._news:
-                self._latest[machine_id, name] = sample.payload.to_bytes()
-                self._news.notify()
-
-        return note
-
     def _note_token(self, sample: zenoh.Sample) -> None:
         machine_id = self._machine_of(str(sample.key_expr))
         with self._news:
@@ -338,18 +332,27 @@ class MachineLink:
     # In: threads work --------------------------------------------------------------------------------
 
     def _run_news(self) -> None:
+        swept_s = 0.0
         while not self._is_closing.is_set():
             with self._news:
                 self._news.wait_for(
-                    lambda: bool(self._latest or self._tokens) or self._is_closing.is_set(), 0.25
+                    lambda: bool(self._tokens) or self._is_closing.is_set(), FETCH_PERIOD_S
                 )
-                latest, self._latest = self._latest, {}
                 tokens, self._tokens = self._tokens, {}
             for machine_id, is_alive in tokens.items():
                 _guarded(lambda m=machine_id, a=is_alive: self._registry.set_token(m, a))
-            for (machine_id, name), payload in latest.items():
+            _guarded(self._fetch)
+            if time.monotonic() - swept_s >= SWEEP_PERIOD_S:
+                swept_s = time.monotonic()
+                _guarded(self._registry.sweep)
+
+    def _fetch(self) -> None:
+        """Take the newest message of every machine and channel that has a new one."""
+        for machine_id, name, subscriber in self._newest:
+            sample = subscriber.try_recv()
+            if sample is not None:
+                payload = sample.payload.to_bytes()
                 _guarded(lambda m=machine_id, n=name, p=payload: self._take(m, n, p))
-            _guarded(self._registry.sweep)
 
     def _take(self, machine_id: str, name: str, payload: bytes) -> None:
         try:
