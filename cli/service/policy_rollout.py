@@ -10,7 +10,12 @@ from machine.errors import UsageError
 
 USUAL_USER = "admin"
 OPEN = ("running", "paused")
-ENDED_WELL = ("running", "completed")
+WANTED = {
+    "pause": ("paused",),
+    "abort": ("aborted", "rolled_back"),
+}
+"""States that are what an action asked for; of all others ON_COURSE is."""
+ON_COURSE = ("running", "completed")
 
 
 def rollout(
@@ -27,7 +32,9 @@ def rollout(
     deadline_s: Annotated[float, tyro.conf.arg(name="deadline")] = 600.0,
     login: Login = USUAL_LOGIN,
 ) -> int:
-    """Bring a version to machines in stages; exit 3 when the rollout is paused, rolled back or aborted.
+    """Bring a version to machines in stages; exit 3 when the rollout is not as the action wants it.
+
+    For pause that is paused, for abort aborted, for the others running or completed.
 
     Example: downrange policy rollout start --policy m545-2d-v8 --stage m001 tag:yard --reason "new"
 
@@ -58,7 +65,7 @@ def rollout(
                 found = client.call("POST", path, {"reason": reason})
     for line in rollout_lines(found):
         print(line)
-    return 0 if found["state"] in ENDED_WELL else 3
+    return 0 if found["state"] in WANTED.get(action, ON_COURSE) else 3
 
 
 def _start(

@@ -1,10 +1,15 @@
 """`downrange policy shadow`: what a version would have done in recorded throws. Nothing moves."""
 
-import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluation.shadow.results import PredictedThrow, ShadowReport, ShadowThrow
+from evaluation.shadow.results import (
+    PredictedThrow,
+    ShadowMisses,
+    ShadowReport,
+    ShadowThrow,
+    shadow_figures,
+)
 from evaluation.shadow.shadow import shadow
 from machine.errors import DownrangeError, LogError, UsageError
 from machine.policy_card import CARD_FILE, load_card
@@ -19,7 +24,7 @@ def shadow_of(folder: Path, logs: Sequence[Path], policies: Path) -> ShadowRepor
 
     Args:
         folder: the version.
-        logs: throw logs (MCAP) of one machine, or folders of them.
+        logs: throw logs (MCAP), or folders of them.
         policies: folder of policy versions, where those that flew are looked for.
 
     Raises:
@@ -65,9 +70,12 @@ def _runners(policies: Path, wanted: set[str], spec: MachineSpec) -> dict[str, P
 def shadow_lines(report: ShadowReport) -> list[str]:
     """The report for a terminal."""
     lines = [
-        f"{report.policy_id} over {len(report.throws)} {report.mode.value} throws of {report.machine_id}"
-        + ("" if report.is_registered else "; not registered on this machine: its mean miss counts")
+        f"{report.policy_id} over {len(report.throws)} {report.mode.value} throws of "
+        + ", ".join(report.machine_ids)
     ]
+    if report.unregistered_ids:
+        names = ", ".join(report.unregistered_ids)
+        lines.append(f"not registered on {names}: the mean miss there is that of the bare network")
     lines.append(
         f"{'throw':<28} {'target':>8} {'velocity':>8}  {'let go, s':>17}  {'miss in the twin, m':>36}"
     )
@@ -77,12 +85,8 @@ def shadow_lines(report: ShadowReport) -> list[str]:
     lines += [_line(throw) for throw in report.throws]
     for throw_id, reason in report.left_out:
         lines.append(f"left out {throw_id}: {reason}")
-    for name, misses in (
-        ("flown", [throw.flown for throw in report.throws]),
-        ("shadow", [throw.candidate for throw in report.throws]),
-    ):
-        lines.append(_summary(name, [miss for miss in misses if miss is not None]))
-    return lines
+    figures = shadow_figures(report)
+    return [*lines, _summary("flown", figures.flown), _summary("shadow", figures.candidate)]
 
 
 def _line(throw: ShadowThrow) -> str:
@@ -103,14 +107,12 @@ def _miss(found: PredictedThrow | None) -> str:
     return f"{found.downrange_error_m:+.2f}, {found.crossrange_error_m:+.2f}"
 
 
-def _summary(name: str, throws: Sequence[PredictedThrow]) -> str:
-    down = [one.downrange_error_m for one in throws if one.downrange_error_m is not None]
-    cross = [one.crossrange_error_m for one in throws if one.crossrange_error_m is not None]
-    if not throws:
+def _summary(name: str, misses: ShadowMisses) -> str:
+    if misses.throw_count == 0:
         return f"{name}: the files of the version that flew are not at hand"
-    if not down:
-        return f"{name}: none of {len(throws)} lands in the twin"
+    if misses.mean_downrange_m is None or misses.mean_crossrange_m is None:
+        return f"{name}: none of {misses.throw_count} lands in the twin"
     return (
-        f"{name}: {len(down)} of {len(throws)} land in the twin, mean miss {statistics.fmean(down):+.3f} m "
-        f"downrange, {statistics.fmean(cross):+.3f} m crossrange"
+        f"{name}: {misses.landed_count} of {misses.throw_count} land in the twin, mean miss "
+        f"{misses.mean_downrange_m:+.3f} m downrange, {misses.mean_crossrange_m:+.3f} m crossrange"
     )

@@ -61,7 +61,7 @@ def shadow(
     spec: MachineSpec,
     flown: Mapping[str, PolicyRunner] | None = None,
 ) -> ShadowReport:
-    """Run a version over recorded throws of one machine.
+    """Run a version over recorded throws, each in the twin and with the calibration of its machine.
 
     Args:
         candidate: the version.
@@ -71,11 +71,8 @@ def shadow(
         flown: versions at hand by their sha256, for the comparison in the twin.
 
     Raises:
-        LogError: no throw can be used, or they are of several machines.
+        LogError: no throw can be used.
     """
-    machines = sorted({str(log.metadata.get("machine_id", "")) for log in logs})
-    if len(machines) > 1:
-        raise LogError(f"throws of several machines ({', '.join(machines)}); shadow one at a time")
     usable: list[_Usable] = []
     left_out: list[tuple[str, str]] = []
     for log in logs:
@@ -97,14 +94,24 @@ def shadow(
     return ShadowReport(
         policy_id=candidate.card.policy_id,
         policy_sha256=candidate.card.policy_sha256,
-        machine_id=machines[0],
+        machine_ids=_machines(usable),
         mode=candidate.card.mode,
-        is_registered=all(_is_registered(one.calibration, candidate) for one in usable),
+        unregistered_ids=_machines(
+            [one for one in usable if not _is_registered(one.calibration, candidate)]
+        ),
         throws=tuple(
             _compare(candidate, one, theirs.get(n), ours[n]) for n, one in enumerate(usable)
         ),
         left_out=tuple(left_out),
     )
+
+
+def _machine_id(log: ThrowLog) -> str:
+    return str(log.metadata.get("machine_id", ""))
+
+
+def _machines(throws: Sequence[_Usable]) -> tuple[str, ...]:
+    return tuple(sorted({_machine_id(one.log) for one in throws}))
 
 
 def _id(log: ThrowLog) -> str:
@@ -179,6 +186,7 @@ def _compare(
     down, cross = _measured(one)
     return ShadowThrow(
         throw_id=_id(one.log),
+        machine_id=_machine_id(one.log),
         target=Target(x_m=one.target_m[0], y_m=one.target_m[1], z_m=one.target_m[2]),
         pace_ratio=one.pace_ratio,
         step_count=len(seen),

@@ -5,7 +5,6 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
-from evaluation.shadow.results import ShadowReport
 from machine.conventions import Mode
 from server.dependencies import (
     Approver,
@@ -19,6 +18,8 @@ from server.schemas.validation import (
     GatesView,
     PolicyComparisonView,
     ShadowRequest,
+    ShadowRunSummary,
+    ShadowRunView,
     ValidationRequest,
     ValidationView,
 )
@@ -60,12 +61,26 @@ def cancel_validation(
     return validations.cancel(policy_sha256, session)
 
 
-@router.post("/policies/{policy_sha256}/shadow")
+@router.post("/policies/{policy_sha256}/shadow", status_code=201)
 def shadow_policy(
     policy_sha256: str, body: ShadowRequest, session: Validator, shadows: ShadowsDep
-) -> ShadowReport:
-    """What the version would have done in a machine's newest throws; some seconds. Nothing moves."""
-    return shadows.run(policy_sha256, body)
+) -> ShadowRunView:
+    """What the version would have done in the newest throws; some seconds, and kept. Nothing moves."""
+    return shadows.run(policy_sha256, body, session)
+
+
+@router.get("/policies/{policy_sha256}/shadows")
+def list_shadows(
+    policy_sha256: str, session: Viewer, shadows: ShadowsDep
+) -> list[ShadowRunSummary]:
+    """The newest fifty shadows of the version, newest first."""
+    return shadows.newest(policy_sha256)
+
+
+@router.get("/policy-shadows/{shadow_id}")
+def read_shadow(shadow_id: str, session: Viewer, shadows: ShadowsDep) -> ShadowRunView:
+    """A shadow with each of its throws."""
+    return shadows.view(shadow_id)
 
 
 @router.get("/policy-validations/{validation_id}/logs/{name}", response_class=FileResponse)

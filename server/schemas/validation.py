@@ -4,8 +4,9 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Literal
 
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
+from evaluation.shadow.results import ShadowFigures, ShadowReport
 from evaluation.validation.gates import Gates
 from evaluation.validation.results import ValidationPlan
 from evaluation.validation.validation import ValidationResult
@@ -41,11 +42,35 @@ class ValidationRequest(Request):
 
 
 class ShadowRequest(Request):
-    """Run a version over recorded throws of a machine."""
+    """Run a version over recorded throws of its mode."""
 
-    machine_id: str = Field(min_length=1, max_length=32)
+    machine_id: str | None = Field(default=None, min_length=1, max_length=32)
+    """None: throws of all machines."""
+    since_utc: AwareDatetime | None = None
+    until_utc: AwareDatetime | None = None
     throws_count: int = Field(default=12, ge=1, le=MAX_SHADOW_THROWS)
-    """Newest throws of the version's mode."""
+    """The newest in the period."""
+
+
+class ShadowRunSummary(View):
+    """A shadow that was run, without its throws."""
+
+    shadow_id: str
+    policy_sha256: str
+    policy_id: str
+    machine_id: str | None
+    """As asked for; None: all machines."""
+    since_utc: datetime | None
+    until_utc: datetime | None
+    created_by: str
+    created_utc: datetime
+    figures: ShadowFigures
+
+
+class ShadowRunView(ShadowRunSummary):
+    """A shadow that was run."""
+
+    report: ShadowReport
 
 
 class ValidationView(View):

@@ -1,4 +1,4 @@
-"""Tables of validations and of their gates."""
+"""Tables of validations, of their gates, and of shadows."""
 
 from datetime import datetime
 from typing import Any
@@ -63,3 +63,24 @@ class ValidationGates(Base):
     reason: Mapped[str] = mapped_column(String(300))
     created_by: Mapped[str] = mapped_column(String(64))
     created_utc: Mapped[datetime]
+
+
+class PolicyShadow(Base):
+    """A version that was run over recorded throws; nothing is ever deleted."""
+
+    __tablename__ = "policy_shadows"
+    shadow_id: Mapped[str] = mapped_column(String(36), primary_key=True)
+    policy_sha256: Mapped[str] = mapped_column(ForeignKey("policies.policy_sha256"))
+    machine_id: Mapped[str | None] = mapped_column(String(32))
+    """As asked for; None: all machines."""
+    since_utc: Mapped[datetime | None]
+    until_utc: Mapped[datetime | None]
+    created_by: Mapped[str] = mapped_column(String(64))
+    created_utc: Mapped[datetime]
+    figures: Mapped[dict[str, Any]]
+    """JSON of evaluation.shadow.results.ShadowFigures."""
+    report: Mapped[dict[str, Any]] = mapped_column(deferred=True)
+    """JSON of evaluation.shadow.results.ShadowReport."""
+    __table_args__ = (
+        Index("ix_policy_shadows_policy_sha256_shadow_id", "policy_sha256", "shadow_id"),
+    )

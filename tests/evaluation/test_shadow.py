@@ -7,6 +7,7 @@ import pytest
 
 from evaluation.campaigns import open_campaign
 from evaluation.log_campaign import RecordedMachine, record_campaign
+from evaluation.shadow.results import shadow_figures
 from evaluation.shadow.shadow import shadow
 from machine.conventions import Mode
 from machine.errors import LogError
@@ -55,7 +56,7 @@ def test_another_version_acts_otherwise(logs: list[ThrowLog]) -> None:
     report = shadow(runner("m545-2d-v6"), logs, SPEC)
     assert all(throw.action_difference_rms_ratio > 0.01 for throw in report.throws)
     assert all(throw.flown is None for throw in report.throws)
-    assert not report.is_registered
+    assert report.machine_ids == report.unregistered_ids == ("m9",)
 
 
 def test_what_cannot_be_shadowed_is_left_out_with_its_reason(logs: list[ThrowLog]) -> None:
@@ -71,6 +72,15 @@ def test_what_cannot_be_shadowed_is_left_out_with_its_reason(logs: list[ThrowLog
     )
     with pytest.raises(LogError, match="throws in 3d"):
         shadow(runner("m545-3d-v7"), logs, SPEC)
+
+
+def test_throws_of_several_machines_are_told_apart(logs: list[ThrowLog]) -> None:
+    version = runner("m545-2d-v6")
     other = replace(logs[0], metadata={**logs[0].metadata, "machine_id": "m8"})
-    with pytest.raises(LogError, match="several machines"):
-        shadow(version, [other, logs[1]], SPEC)
+    report = shadow(version, [other, logs[1]], SPEC)
+    assert report.machine_ids == ("m8", "m9")
+    assert [throw.machine_id for throw in report.throws] == ["m8", "m9"]
+    figures = shadow_figures(report)
+    assert (figures.candidate.throw_count, figures.flown.throw_count) == (2, 0)
+    landed = [one.candidate.downrange_error_m for one in report.throws]
+    assert figures.candidate.mean_downrange_m == pytest.approx(sum(filter(None, landed)) / 2)

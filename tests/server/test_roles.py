@@ -17,6 +17,7 @@ LEAST = {
         read_twin_profile stream_events read_zones list_zone_versions list_deployments
         list_policy_approvals read_policy_history list_policy_keys
         compare_policies read_validation read_validation_log list_gates read_approval_basis
+        list_shadows read_shadow
         list_rollouts read_rollout list_channels read_commissioning read_commissioning_report
         list_jobs read_job read_job_surface read_job_report
         list_alerts list_fleet read_yard_map read_machine_life list_retired
@@ -80,6 +81,7 @@ def answer(client, operation):
         "key_id",
         "rollout_id",
         "job_id",
+        "shadow_id",
         "change",
         "mode",
         "name",

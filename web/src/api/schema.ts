@@ -1723,9 +1723,29 @@ export interface paths {
         put?: never;
         /**
          * Shadow Policy
-         * @description What the version would have done in a machine's newest throws; some seconds. Nothing moves.
+         * @description What the version would have done in the newest throws; some seconds, and kept. Nothing moves.
          */
         post: operations["shadow_policy"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policies/{policy_sha256}/shadows": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Shadows
+         * @description The newest fifty shadows of the version, newest first.
+         */
+        get: operations["list_shadows"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1994,6 +2014,26 @@ export interface paths {
          * @description Pause; resume; promote, which ends the stage; or abort, which takes every machine back.
          */
         post: operations["change_rollout"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/policy-shadows/{shadow_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read Shadow
+         * @description A shadow with each of its throws.
+         */
+        get: operations["read_shadow"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -5381,19 +5421,41 @@ export interface components {
             username: string;
         };
         /**
+         * ShadowFigures
+         * @description The figures of a shadow in short.
+         */
+        ShadowFigures: {
+            /** Action Difference Rms Ratio */
+            action_difference_rms_ratio: number;
+            candidate: components["schemas"]["ShadowMisses"];
+            flown: components["schemas"]["ShadowMisses"];
+        };
+        /**
+         * ShadowMisses
+         * @description Predicted landings of one version in a shadow.
+         */
+        ShadowMisses: {
+            /** Landed Count */
+            landed_count: number;
+            /** Mean Crossrange M */
+            mean_crossrange_m: number | null;
+            /** Mean Downrange M */
+            mean_downrange_m: number | null;
+            /** Throw Count */
+            throw_count: number;
+        };
+        /**
          * ShadowReport
-         * @description A version beside recorded throws of one machine.
+         * @description A version beside recorded throws.
          */
         ShadowReport: {
-            /** Is Registered */
-            is_registered: boolean;
             /** Left Out */
             left_out: [
                 string,
                 string
             ][];
-            /** Machine Id */
-            machine_id: string;
+            /** Machine Ids */
+            machine_ids: string[];
             mode: components["schemas"]["Mode"];
             /** Policy Id */
             policy_id: string;
@@ -5401,19 +5463,78 @@ export interface components {
             policy_sha256: string;
             /** Throws */
             throws: components["schemas"]["ShadowThrow"][];
+            /** Unregistered Ids */
+            unregistered_ids: string[];
         };
         /**
          * ShadowRequest
-         * @description Run a version over recorded throws of a machine.
+         * @description Run a version over recorded throws of its mode.
          */
         ShadowRequest: {
             /** Machine Id */
-            machine_id: string;
+            machine_id?: string | null;
+            /** Since Utc */
+            since_utc?: string | null;
             /**
              * Throws Count
              * @default 12
              */
             throws_count: number;
+            /** Until Utc */
+            until_utc?: string | null;
+        };
+        /**
+         * ShadowRunSummary
+         * @description A shadow that was run, without its throws.
+         */
+        ShadowRunSummary: {
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            figures: components["schemas"]["ShadowFigures"];
+            /** Machine Id */
+            machine_id: string | null;
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            /** Shadow Id */
+            shadow_id: string;
+            /** Since Utc */
+            since_utc: string | null;
+            /** Until Utc */
+            until_utc: string | null;
+        };
+        /**
+         * ShadowRunView
+         * @description A shadow that was run.
+         */
+        ShadowRunView: {
+            /** Created By */
+            created_by: string;
+            /**
+             * Created Utc
+             * Format: date-time
+             */
+            created_utc: string;
+            figures: components["schemas"]["ShadowFigures"];
+            /** Machine Id */
+            machine_id: string | null;
+            /** Policy Id */
+            policy_id: string;
+            /** Policy Sha256 */
+            policy_sha256: string;
+            report: components["schemas"]["ShadowReport"];
+            /** Shadow Id */
+            shadow_id: string;
+            /** Since Utc */
+            since_utc: string | null;
+            /** Until Utc */
+            until_utc: string | null;
         };
         /**
          * ShadowThrow
@@ -5426,6 +5547,8 @@ export interface components {
             flown: components["schemas"]["PredictedThrow"] | null;
             /** Flown Release S */
             flown_release_s: number | null;
+            /** Machine Id */
+            machine_id: string;
             /** Measured Crossrange Error M */
             measured_crossrange_error_m: number | null;
             /** Measured Downrange Error M */
@@ -17351,12 +17474,124 @@ export interface operations {
         };
         responses: {
             /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ShadowRunView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    list_shadows: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                policy_sha256: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
             200: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["ShadowReport"];
+                    "application/json": components["schemas"]["ShadowRunSummary"][];
                 };
             };
             /** @description Bad Request */
@@ -19052,6 +19287,118 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["RolloutView"];
+                };
+            };
+            /** @description Bad Request */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unauthorized */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Forbidden */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Not Found */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Conflict */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Request Entity Too Large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Unprocessable Entity */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Too Many Requests */
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Service Unavailable */
+            503: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+            /** @description Gateway Timeout */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorBody"];
+                };
+            };
+        };
+    };
+    read_shadow: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                shadow_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ShadowRunView"];
                 };
             };
             /** @description Bad Request */

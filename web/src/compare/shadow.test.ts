@@ -1,5 +1,14 @@
 import { describe, expect, it } from "vitest";
-import { letGoWords, missWords, type Shadow, type ShadowThrow, summaryWords } from "./shadow";
+import {
+  figureWords,
+  letGoWords,
+  missWords,
+  type Shadow,
+  type ShadowRun,
+  type ShadowThrow,
+  summaryWords,
+  throwsWords,
+} from "./shadow";
 
 const predicted = (down: number | null, outcome = "landed") =>
   ({
@@ -28,6 +37,19 @@ describe("a version in shadow", () => {
     expect(missWords(thrown(null, 0.1).candidate)).toBe("no release");
     expect(missWords(null)).toBe("files gone");
     expect(missWords(thrown(0.123, 0.1).candidate)).toBe("+0.12, −0.12");
+  });
+
+  it("says what a run was about and what came of it", () => {
+    const run = { machine_id: null, since_utc: null, until_utc: null } as ShadowRun;
+    expect(throwsWords(run)).toBe("all machines");
+    expect(throwsWords({ ...run, machine_id: "m001", since_utc: "2026-11-21T14:03:21Z" })).toMatch(
+      /^m001, since 2026-11-2\d \d\d:03:21$/,
+    );
+    const misses = { throw_count: 3, landed_count: 2, mean_downrange_m: 0.2 };
+    expect(figureWords({ ...misses, mean_crossrange_m: -0.014 })).toBe("+0.20, −0.01 (2 of 3)");
+    const none = { throw_count: 3, landed_count: 0, mean_downrange_m: null };
+    expect(figureWords({ ...none, mean_crossrange_m: null })).toBe("none lands (0 of 3)");
+    expect(figureWords({ ...none, throw_count: 0, mean_crossrange_m: null })).toBe("files gone");
   });
 
   it("sums up by landed throws only", () => {

@@ -1,14 +1,19 @@
 /** What another version would have done in recorded throws. */
 
-import { useMutation } from "@tanstack/react-query";
+import { useMutation, useQuery, useQueryClient } from "@tanstack/react-query";
 import { api, type Schema, take } from "../session/client";
 import { crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
+import { localStamp } from "../words/time";
 
 export type Shadow = Schema["ShadowReport"];
 export type ShadowThrow = Shadow["throws"][number];
+export type ShadowRun = Schema["ShadowRunSummary"];
 export type Miss = { downrange_m: number; crossrange_m: number };
 
+const RUNS = "policy-shadows";
+
 export function useShadow() {
+  const client = useQueryClient();
   return useMutation({
     mutationFn: ({ sha256, ...body }: Schema["ShadowRequest"] & { sha256: string }) =>
       take(
@@ -17,7 +22,60 @@ export function useShadow() {
           body,
         }),
       ),
+    onSuccess: (run) => {
+      client.setQueryData([RUNS, "one", run.shadow_id], run);
+      void client.invalidateQueries({ queryKey: [RUNS, "of", run.policy_sha256] });
+    },
   });
+}
+
+/** What was run of a version, newest first. */
+export function useShadows(sha256: string | null) {
+  return useQuery({
+    queryKey: [RUNS, "of", sha256],
+    enabled: sha256 !== null,
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/policies/{policy_sha256}/shadows", {
+          params: { path: { policy_sha256: sha256 ?? "" } },
+        }),
+      ),
+  });
+}
+
+/** A run with its throws; it never changes. */
+export function useShadowRun(shadowId: string | null) {
+  return useQuery({
+    queryKey: [RUNS, "one", shadowId],
+    enabled: shadowId !== null,
+    staleTime: Number.POSITIVE_INFINITY,
+    queryFn: () =>
+      take(
+        api.GET("/api/v1/policy-shadows/{shadow_id}", {
+          params: { path: { shadow_id: shadowId ?? "" } },
+        }),
+      ),
+  });
+}
+
+/** The mean predicted miss of a run: "+0.02, −0.01 (11 of 12)". */
+export function figureWords(misses: ShadowRun["figures"]["flown"]): string {
+  if (misses.throw_count === 0) return "files gone";
+  const share = `(${misses.landed_count} of ${misses.throw_count})`;
+  const { mean_downrange_m: down, mean_crossrange_m: cross } = misses;
+  return down === null || cross === null
+    ? `none lands ${share}`
+    : `${signed(down)}, ${signed(cross)} ${share}`;
+}
+
+/** Which throws a run was asked to take: "m001, since 2026-11-21 14:03:21". */
+export function throwsWords(run: ShadowRun): string {
+  const part = (word: string, iso: string | null) => (iso ? [`${word} ${localStamp(iso)}`] : []);
+  return [
+    run.machine_id ?? "all machines",
+    ...part("since", run.since_utc),
+    ...part("until", run.until_utc),
+  ].join(", ");
 }
 
 /** Where a throw comes down beside its target; null where it does not land. */

@@ -45,6 +45,7 @@ export function RolloutDialog({ policies, onClose }: Props) {
       <NativeSelect
         label="Version"
         size="md"
+        data-autofocus
         value={sha256}
         onChange={(event) => setSha256(event.currentTarget.value)}
         data={policies.map((one) => ({

@@ -35,7 +35,7 @@ export function PoliciesPage() {
       {machine && <OnBoard machineId={machine.machine_id} />}
       <RolloutPanel policies={sorted} />
       <ComparePanel policies={sorted} />
-      {machine && <ShadowPanel policies={sorted} machineId={machine.machine_id} />}
+      <ShadowPanel policies={sorted} />
       <div className={classes.cards}>
         {sorted.map((policy) => (
           <PolicyCard
