@@ -4,6 +4,7 @@ import logging
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TypeVar
 
 import zenoh
@@ -54,6 +55,7 @@ from server.plans.preview_pool import PreviewPool
 from server.plans.site_store import SiteStore
 from server.plans.zone_store import ZoneStore
 from server.rollouts.rollouts import Rollouts
+from server.schemas.console import Permission
 from server.settings import Settings
 from server.store.database import Database, DatabaseStanding, upgrade
 from server.throws.event_ingest import EventIngest
@@ -263,11 +265,11 @@ def assemble(
     commands = MachineCommands(database, audit, link, registry, metrics)
     leases = _leases(settings, database, audit, registry, hub)
     notices, holds = LeaseNotices(leases, registry, commands), HoldRelay(link, registry, metrics)
-    stops = StopService(database, audit, link, registry, hub)
+    stops, impacts = StopService(database, audit, link, registry, hub), ImpactDisplay(database, scene)
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)
-    zones, impacts = ZoneStore(database, audit, registry, hub), ImpactDisplay(database, scene)
+    zones = ZoneStore(database, audit, registry, hub, partial(_needs_two, settings, accounts))
     aim = AimCorrections(database, audit, registry, policies, twins)
     around = (pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s, aim.shift)
     planner = Planner(plans, registry, policies, *around)
@@ -326,6 +328,13 @@ def assemble(
     )
     _connect(parts, ingest, impacts)
     return parts, notices
+
+
+def _needs_two(settings: Settings, accounts: Accounts) -> bool:
+    """Whether whoever drew zones may not approve them."""
+    if settings.zones_four_eyes is None:
+        return accounts.count_with(Permission.ZONES_APPROVE) > 1
+    return settings.zones_four_eyes
 
 
 def _leases(

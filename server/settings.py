@@ -56,6 +56,8 @@ class Settings(BaseSettings):
     policies_dir: Path = CHECKOUT / "policies"
     policy_four_eyes: bool = False
     """Whoever uploaded a policy version may not approve it."""
+    zones_four_eyes: bool | None = None
+    """Whoever drew exclusion zones may not approve them; None: where several accounts may approve."""
     web_dir: Path = CHECKOUT / "web" / "dist"
     preview_worker_count: int = Field(default=2, ge=1, le=16)
     view_shadows: bool = True

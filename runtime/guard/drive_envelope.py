@@ -1,7 +1,7 @@
 """Motion that valve commands cannot explain: drives modelled by bounds instead of values; batched, pure.
 
-A joint answers a valve after a dead time and a lag, with a gain; of each only a range is known
-(`DRIVE_BOUNDS`). Together they bound the speed that the commands of the last moments can give, from above
+A joint answers a valve after a dead time and a lag, with an opening and a gain; of each only a range is known
+(`DRIVE_BOUNDS`, `DEAD_BANDS_RATIO`). Together they bound the speed that the commands of the last moments can give, from above
 and from below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve that is stuck
 open, a joint that does not follow, a joint that is moved from outside. A machine within the bounds, whatever
 its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
@@ -31,21 +31,26 @@ class DriveBounds(NamedTuple):
 
 
 DRIVE_BOUNDS: Final = (
-    DriveBounds((0.08, 0.20), (0.05, 0.30), (0.5, 1.15), (0.5, 1.15), 0.022),
-    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.5, 1.2), (0.5, 1.2), 0.036),
-    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.15, 1.2), (0.4, 1.5), 0.024),
-    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.55, 1.15), (0.55, 1.15), 0.018),
+    DriveBounds((0.08, 0.20), (0.05, 0.30), (0.65, 1.25), (0.65, 1.25), 0.022),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.3), 0.036),
+    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.6, 1.3), (0.7, 1.6), 0.024),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.25), 0.018),
 )
 """Slew, boom, dipper, telescope.
 
 Dead times and lags: docs/machine.md (0.05 to 0.15 s, slew 0.1 to 0.4 s with its lag), 10 ms for sensors and
-tick. The slew coasts: its inertia on the motor's relief valve needs 0.3 s. Gains: orifices of 0.875 to 1.125,
-metering curves and the pressure that the load takes; the dipper is driven by its load (up to 1.5 on its way
-in) or held back by it (0.15 at full reach). Limits: 1.5 times what healthy throws of two plants reach, the
-virtual machine and benchmarks/plants/ring, whose boom rings; `benchmarks/gate_faults.py` counts it.
+tick. The slew coasts: its inertia on the motor's relief valve needs 0.3 s. Gains, of a valve with the nominal
+metering curve: orifices of 0.875 to 1.125, curves from 0.1 to 0.3, and the pressure that the load takes or
+gives; a dipper on its way in is driven by its load (1.6). Limits: 1.5 times what healthy throws of two plants
+reach, the virtual machine and benchmarks/plants/ring, whose boom rings; `benchmarks/gate_faults.py` counts it.
 """
-SPEED_MARGIN_RAD_OR_M_PER_S: Final = 0.02
-"""Of the bounds: noise of a joint's velocity (0.008), dead band (0.02 of 0.5), ringing at rest."""
+DEAD_BANDS_RATIO: Final = (0.01, 0.10)
+"""Smallest and largest share of the stroke in which a spool opens nothing: 0.04 with its spread, hysteresis,
+and what wear adds (docs/machine.md). A relative gain would have to be as wide as the smallest valve needs."""
+METERING_CURVE_RATIO: Final = 0.2
+"""c of the nominal opening curve a (1 - c + c a): fine metering at small openings (docs/machine_ranges.md)."""
+SPEED_MARGIN_RAD_OR_M_PER_S: Final = 0.01
+"""Of the bounds: noise of a joint's velocity (0.008), ringing at rest."""
 MEMORY_S: Final = 2.0
 """Uncommanded motion is forgotten with this time constant."""
 END_ZONE_RAD_OR_M: Final = 0.06
@@ -64,7 +69,7 @@ class DriveMemory(NamedTuple):
     """What the envelope remembers; leading axis of `bound` and `motion`: positive and negative direction."""
 
     steady: Array
-    """(D, N, 4) speeds that the valves of the last ticks give a nominal machine in the end, newest first."""
+    """(D, 2, N, 4) `speed_bounds` of the valves of the last ticks, newest first."""
     bound: Array
     """(2, N, 4) highest speed in either direction that they explain now; negative: it must move away."""
     motion: Array
@@ -76,10 +81,10 @@ class _Drives(NamedTuple):
 
     windows: tuple[tuple[slice, slice], ...]
     """Ticks of the delay line between shortest and longest dead time, and the joints that have them."""
-    gain_high: Array
-    """(2, 1, 4) of the direction itself."""
-    gain_low: Array
-    """(2, 1, 4) of the opposite direction."""
+    speed_high: Array
+    """(2, 1, 4) highest speed of a full valve in a direction, where the spec's speed limits hold."""
+    speed_low: Array
+    """(2, 1, 4) lowest."""
     rise: Array
     """(1, 1, 4) share a tick."""
     fall: Array
@@ -88,10 +93,6 @@ class _Drives(NamedTuple):
     end_low: Array
     """(1, 4) positions beyond which a joint need not follow downwards."""
     end_high: Array
-    speed_positive: Array
-    """(1, 4)"""
-    speed_negative: Array
-    dead_band: float
     boom: CylinderSpec
     dipper: CylinderSpec
     middle_arm_m: tuple[float, float]
@@ -101,25 +102,22 @@ class _Drives(NamedTuple):
 @cache
 def _drives(spec: MachineSpec) -> _Drives:
     boom, dipper = spec.hydraulics.boom_cylinder, spec.hydraulics.dipper_cylinder
-    up = np.array([b.gain_positive for b in DRIVE_BOUNDS])
-    down = np.array([b.gain_negative for b in DRIVE_BOUNDS])
+    up = np.array([b.gain_positive for b in DRIVE_BOUNDS]).T * spec.limits.speed_positive_rad_m_per_s
+    down = np.array([b.gain_negative for b in DRIVE_BOUNDS]).T * spec.limits.speed_negative_rad_m_per_s
     lag = np.array([b.lag_s for b in DRIVE_BOUNDS])
     share = 1.0 - np.exp(-CONTROL_PERIOD_S / lag)
     low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]
     high = [np.inf if v is None else v for v in spec.limits.position_max_rad_m]
     return _Drives(
         windows=_windows(),
-        gain_high=np.stack([up[:, 1], down[:, 1]])[:, None],
-        gain_low=np.stack([down[:, 0], up[:, 0]])[:, None],
+        speed_high=np.stack([up[1], down[1]])[:, None],
+        speed_low=np.stack([up[0], down[0]])[:, None],
         rise=share[None, None, :, 0],
         fall=share[None, None, :, 1],
         limit=np.array([[[b.limit_rad_or_m for b in DRIVE_BOUNDS]]]),
         fade=float(np.exp(-CONTROL_PERIOD_S / MEMORY_S)),
         end_low=np.asarray([low]) + END_ZONE_RAD_OR_M,
         end_high=np.asarray([high]) - END_ZONE_RAD_OR_M,
-        speed_positive=np.asarray([spec.limits.speed_positive_rad_m_per_s]),
-        speed_negative=np.asarray([spec.limits.speed_negative_rad_m_per_s]),
-        dead_band=spec.hydraulics.valve_dead_band_ratio,
         boom=boom,
         dipper=dipper,
         middle_arm_m=(
@@ -154,7 +152,7 @@ def initial_drives(velocity: Array, steady: Array) -> DriveMemory:
 
     Args:
         velocity: (N, 4) measured.
-        steady: (N, 4) of the present valves, which are taken to have been open for long.
+        steady: (2, N, 4) `speed_bounds` of the present valves, which are taken to have been open for long.
     """
     return DriveMemory(
         np.repeat(steady[None], _TICKS.max() + 1, axis=0),
@@ -163,17 +161,35 @@ def initial_drives(velocity: Array, steady: Array) -> DriveMemory:
     )
 
 
-def steady_speed(spec: MachineSpec, valve: Array, position: Array) -> Array:
-    """Joint speeds (N, 4) that valves (N, 4) give a nominal machine in the end, at joint positions (N, 4)."""
+def speed_bounds(spec: MachineSpec, valve: Array, position: Array) -> Array:
+    """Highest speeds (2, N, 4) in positive and negative direction that valves give in the end.
+
+    A negative one is the lowest speed of the other direction: the joint must move away.
+
+    Args:
+        spec: machine type.
+        valve: (N, 4), -1..1.
+        position: (N, 4) of the joints.
+    """
     drives = _drives(spec)
-    band = drives.dead_band
-    size = np.maximum(np.abs(valve) - band, 0.0) / (1.0 - band)
-    speed = size * np.where(valve > 0.0, drives.speed_positive, -drives.speed_negative)
+    least, most = DEAD_BANDS_RATIO
+    size, is_up = np.abs(valve), valve > 0.0
+    ratio = np.ones_like(valve)
     boom = moment_arm_m(drives.boom, position[:, 1])
     dipper = moment_arm_m(drives.dipper, position[:, 2])
-    speed[:, 1] *= drives.middle_arm_m[0] / np.maximum(boom, 1e-3)
-    speed[:, 2] *= drives.middle_arm_m[1] / np.maximum(dipper, 1e-3)
-    return speed
+    ratio[:, 1] = drives.middle_arm_m[0] / np.maximum(boom, 1e-3)
+    ratio[:, 2] = drives.middle_arm_m[1] / np.maximum(dipper, 1e-3)
+    high, low = _opening(size, least) * ratio, _opening(size, most) * ratio
+    bounds = np.empty((2, *valve.shape))
+    bounds[0] = np.where(is_up, drives.speed_high[0] * high, -drives.speed_low[1] * low)
+    bounds[1] = np.where(is_up, -drives.speed_low[0] * low, drives.speed_high[1] * high)
+    return bounds
+
+
+def _opening(size: Array, dead_band: float) -> Array:
+    """Open share of a metering edge at valve commands without sign."""
+    share = np.maximum(size - dead_band, 0.0) / (1.0 - dead_band)
+    return share * (1.0 - METERING_CURVE_RATIO + METERING_CURVE_RATIO * share)
 
 
 def follow(
@@ -189,7 +205,7 @@ def follow(
     Args:
         spec: machine type.
         memory: of the last tick.
-        steady: (N, 4) `steady_speed` of what was let through in the last tick.
+        steady: (2, N, 4) `speed_bounds` of what was let through in the last tick.
         position: (N, 4) measured.
         velocity: (N, 4) measured.
         tick_count: ticks since the last call.
@@ -208,10 +224,7 @@ def follow(
         line = np.concatenate([steady[None], line[:-1]])
         explained = np.empty_like(bound)
         for window, joints in drives.windows:
-            recent = line[window, :, joints]
-            explained[0, :, joints] = recent.max(axis=0)
-            np.negative(recent.min(axis=0), out=explained[1, :, joints])
-        explained *= np.where(explained > 0.0, drives.gain_high, drives.gain_low)
+            explained[:, :, joints] = line[window, :, :, joints].max(axis=0)
         if is_at_end:
             np.maximum(explained[0], 0.0, out=explained[0], where=low)
             np.maximum(explained[1], 0.0, out=explained[1], where=high)

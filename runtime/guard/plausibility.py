@@ -12,7 +12,7 @@ import numpy as np
 from machine.conventions import CONTROL_PERIOD_S, Array, IntArray
 from machine.spec import MachineSpec
 from runtime.driver import SensorSample
-from runtime.guard.drive_envelope import DriveMemory, follow, initial_drives, steady_speed
+from runtime.guard.drive_envelope import DriveMemory, follow, initial_drives, speed_bounds
 from runtime.guard.imu_plausibility import ImuMemory, check_imu, imu_numbers, initial_imu
 
 
@@ -88,7 +88,7 @@ def initial_guard(count: int) -> GuardMemory:
         still_ns=whole,
         same_ns=whole,
         open_ns=whole,
-        drives=initial_drives(none, none),
+        drives=initial_drives(none, np.zeros((2, count, 4))),
         imu=initial_imu(whole[:, 0], np.zeros((count, 6))),
     )
 
@@ -122,7 +122,7 @@ def check(
     if np.count_nonzero(finite) < finite.size:
         position = np.where(finite, position, memory.position)
         velocity = np.where(finite, velocity, memory.velocity)
-    steady = steady_speed(spec, valve, position)
+    steady = speed_bounds(spec, valve, position)
     gap_ns = now_ns - memory.now_ns
     if memory.now_ns == 0 or not 0 < gap_ns <= GAP_LIMIT_NS:
         return _begin(sample, position, velocity, steady, now_ns)

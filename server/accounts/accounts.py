@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
-from sqlalchemy import select
+from sqlalchemy import func, select
 
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.clock import new_id, utc_now
@@ -139,6 +139,13 @@ class Accounts:
         )
         for name, role in FIRST_USERS:
             self.create_user(name, passwords[name], role)
+
+    def count_with(self, permission: Permission) -> int:
+        """Accounts in use whose role holds a right."""
+        roles = [role.value for role, held in PERMISSIONS.items() if permission in held]
+        query = select(func.count()).where(User.role.in_(roles), User.is_disabled.is_(False))
+        with self._database.read() as session:
+            return session.scalar(query) or 0
 
     def login(
         self, username: str, password: str, address: str, device_id: str | None = None

@@ -1,6 +1,7 @@
 """Exclusion zones of each machine, in versions: a draft is in force once a person has approved it.
 
-Versions are only ever added; approving one writes who and when beside it, once.
+Versions are only ever added; approving one writes who and when beside it, once. With four eyes nobody who
+had a hand in a draft may approve it.
 """
 
 import threading
@@ -30,12 +31,19 @@ class ZoneStore:
     """Reads, changes and approves zones."""
 
     def __init__(
-        self, database: Database, audit: AuditChain, registry: MachineRegistry, hub: EventHub
+        self,
+        database: Database,
+        audit: AuditChain,
+        registry: MachineRegistry,
+        hub: EventHub,
+        is_four_eyes: Callable[[], bool] = lambda: False,
     ) -> None:
+        """Args: is_four_eyes: whoever drew zones may not approve them."""
         self._database = database
         self._audit = audit
         self._registry = registry
         self._hub = hub
+        self._is_four_eyes = is_four_eyes
         self._lock = threading.Lock()
         self._active: dict[str, ZoneSet] = {}
         """Looked up at every state of a machine; written with the lock held."""
@@ -68,6 +76,7 @@ class ZoneStore:
         with self._database.read() as database:
             newest = self._newest(database, machine_id)
             approved = self._approved(database, machine_id)
+            drawn_by = self._drawn_by(database, machine_id)
         active = _set_of(approved)
         return ZonesView(
             machine_id=machine_id,
@@ -83,6 +92,8 @@ class ZoneStore:
             approved_by=None if approved is None else approved.approved_by,
             approved_utc=None if approved is None else approved.approved_utc,
             undo_version_count=None if newest is None else newest.before_version_count,
+            drawn_by=drawn_by,
+            is_four_eyes=self._is_four_eyes(),
         )
 
     def versions(self, machine_id: str) -> list[ZoneVersionView]:
@@ -153,9 +164,11 @@ class ZoneStore:
         """Put the newest version in force.
 
         Raises:
-            ConflictError: it is not the one that was looked at, or approved already.
+            ConflictError: it is not the one that was looked at, or approved already, or another person
+                has to approve it.
         """
         self._registry.get(machine_id)
+        is_four_eyes = self._is_four_eyes()
         with self._lock, self._database.write() as database:
             newest = self._newest(database, machine_id)
             self._require_newest(newest, machine_id, body.version_count)
@@ -163,10 +176,17 @@ class ZoneStore:
                 raise ConflictError(
                     "zones_approved", f"Version {body.version_count} is approved already."
                 )
+            drawn_by = self._drawn_by(database, machine_id)
+            if is_four_eyes and session.username in drawn_by:
+                raise ConflictError(
+                    "four_eyes",
+                    f"{session.username} has drawn these zones; another supervisor approves them.",
+                )
             newest.approved_by, newest.approved_utc = session.username, utc_now()
             detail: dict[str, Any] = {
                 "version_count": newest.version_count,
                 "zones_sha256": newest.zones_sha256,
+                "drawn_by": list(drawn_by),
             }
             entry = Entry(
                 session.actor, "zones.approve", "fact", machine_id=machine_id, detail=detail
@@ -216,6 +236,25 @@ class ZoneStore:
             .order_by(ZoneVersion.version_count.desc())
             .limit(1)
         ).first()
+
+    @classmethod
+    def _drawn_by(cls, database: DatabaseSession, machine_id: str) -> tuple[str, ...]:
+        """Who made the versions since the newest one that says what is approved.
+
+        All of them count: a later version may keep what an earlier one drew.
+        """
+        active_sha256 = _set_of(cls._approved(database, machine_id)).sha256
+        query = (
+            select(ZoneVersion.zones_sha256, ZoneVersion.created_by)
+            .where(ZoneVersion.machine_id == machine_id)
+            .order_by(ZoneVersion.version_count.desc())
+        )
+        names: set[str] = set()
+        for sha256, created_by in database.execute(query):
+            if sha256 == active_sha256:
+                break
+            names.add(created_by)
+        return tuple(sorted(names))
 
     def _add(
         self, database: DatabaseSession, row: ZoneVersion, action: str, session: Session

@@ -63,3 +63,7 @@ class ZonesView(View):
     approved_utc: datetime | None
     undo_version_count: int | None
     """Version that undo goes back to; null when there is none."""
+    drawn_by: tuple[str, ...]
+    """Who had a hand in the draft since the approved zones; empty where there is no draft."""
+    is_four_eyes: bool
+    """Whether those may not approve it."""

@@ -11,12 +11,13 @@ from tests.cases import each
 SPEC = load_spec()
 MIDDLE = np.array([[0.0, 0.5, 0.0, 0.5]])
 DRIVES = (
-    DriveBounds((0.08, 0.20), (0.05, 0.30), (0.5, 1.15), (0.5, 1.15), 0.022),
-    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.5, 1.2), (0.5, 1.2), 0.036),
-    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.15, 1.2), (0.4, 1.5), 0.024),
-    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.55, 1.15), (0.55, 1.15), 0.018),
+    DriveBounds((0.08, 0.20), (0.05, 0.30), (0.65, 1.25), (0.65, 1.25), 0.022),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.3), 0.036),
+    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.6, 1.3), (0.7, 1.6), 0.024),
+    DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.25), 0.018),
 )
 """Drives that machines have, and motion that may go uncommanded: what the envelope must bear and see."""
+DEAD_BANDS = (0.01, 0.10)
 JOINT_SIGNS = [(joint, sign) for joint in range(4) for sign in (1, -1)]
 
 
@@ -24,13 +25,13 @@ class Envelope:
     """One machine at rest, tick by tick."""
 
     def __init__(self):
-        self.memory = drive_envelope.initial_drives(np.zeros((1, 4)), np.zeros((1, 4)))
+        self.memory = drive_envelope.initial_drives(np.zeros((1, 4)), np.zeros((2, 1, 4)))
         self.way = np.zeros(4)
 
     def tick(self, joint, valve=0.0, speed=0.0, position=MIDDLE, count=1):
         valves, speeds = np.zeros((1, 4)), np.zeros((1, 4))
         valves[0, joint], speeds[0, joint] = valve, speed
-        steady = drive_envelope.steady_speed(SPEC, valves, position)
+        steady = drive_envelope.speed_bounds(SPEC, valves, position)
         self.memory, over = drive_envelope.follow(
             SPEC, self.memory, steady, position, speeds, count
         )
@@ -42,20 +43,29 @@ class Envelope:
         return next((n for n in range(1, limit + 1) if self.tick(joint, **tick)), None)
 
 
-def drive(rng, bounds):
-    """A drive with a dead time, a lag and gains within the bounds; steady speed -> speed."""
+def steady_speed(joint, valve, gain=1.0, dead_band=0.04):
+    """Of a drive at the middle of its range: band, curve, gain, the spec's speed limit."""
+    share = max(abs(valve) - dead_band, 0.0) / (1.0 - dead_band)
+    speeds = SPEC.limits.speed_positive_rad_m_per_s, SPEC.limits.speed_negative_rad_m_per_s
+    return np.sign(valve) * gain * share * (0.8 + 0.2 * share) * speeds[int(valve < 0.0)][joint]
+
+
+def drive(rng, joint, bounds):
+    """A drive with a dead time, a lag, a dead band and gains within the bounds; valve -> speed."""
     dead = int(
         rng.integers(*np.rint(np.array(bounds.dead_time_s) * 100).astype(int), endpoint=True)
     )
     share = 1.0 - np.exp(-0.01 / rng.uniform(*bounds.lag_s))
     gains = rng.uniform(*bounds.gain_positive), rng.uniform(*bounds.gain_negative)
+    band = rng.uniform(*DEAD_BANDS)
     line, speed = [0.0] * (dead + 1), 0.0
 
-    def step(steady):
+    def step(valve):
         nonlocal speed
-        line.insert(0, steady)
+        line.insert(0, valve)
         line.pop()
-        speed += share * (line[-1] * gains[int(line[-1] < 0.0)] - speed)
+        gain = gains[int(line[-1] < 0.0)]
+        speed += share * (steady_speed(joint, line[-1], gain, band) - speed)
         return speed
 
     return step
@@ -65,15 +75,13 @@ def drive(rng, bounds):
 def test_drives_within_the_bounds_accumulate_nothing(joint):
     rng = np.random.default_rng(joint)
     for _ in range(40):
-        envelope, answer = Envelope(), drive(rng, DRIVES[joint])
+        envelope, answer = Envelope(), drive(rng, joint, DRIVES[joint])
         valve = speed = 0.0
         for tick in range(250):
             if tick % 25 == 0:
                 valve = rng.uniform(-1.0, 1.0) * (rng.random() < 0.7)
             assert not envelope.tick(joint, valve, speed)
-            valves = np.zeros((1, 4))
-            valves[0, joint] = valve
-            speed = answer(drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint])
+            speed = answer(valve)
         assert not envelope.memory.motion.any()
 
 
@@ -84,17 +92,15 @@ def test_a_joint_that_moves_by_itself(joint, sign):
         assert envelope.ticks_until_over(joint, speed=sign * speed)
         assert abs(envelope.way[joint]) < 0.1
     slow = Envelope()
-    assert slow.ticks_until_over(joint, limit=500, speed=0.02 * sign) is None
+    assert slow.ticks_until_over(joint, limit=500, speed=0.01 * sign) is None
 
 
 @each("joint, sign", JOINT_SIGNS)
 def test_a_joint_that_goes_on_after_its_valve_was_closed(joint, sign):
-    envelope = Envelope()
-    valves = np.zeros((1, 4))
-    valves[0, joint] = 0.7 * sign
-    speed = drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint]
+    envelope, valve = Envelope(), 0.7 * sign
+    speed = steady_speed(joint, valve)
     for tick in range(100):
-        assert not envelope.tick(joint, valves[0, joint], speed if tick > 12 else 0.0)
+        assert not envelope.tick(joint, valve, speed if tick > 12 else 0.0)
     begin = envelope.way[joint]
     ticks = envelope.ticks_until_over(joint, speed=speed)
     # Dead time, lag and limit: what a closed valve explains, and no more.
@@ -114,9 +120,7 @@ def test_a_joint_that_does_not_follow(joint, sign):
 
 @each("joint, sign", JOINT_SIGNS)
 def test_a_joint_that_is_faster_or_slower_than_any_drive(joint, sign):
-    bounds, valves = DRIVES[joint], np.zeros((1, 4))
-    valves[0, joint] = 0.8 * sign
-    steady = drive_envelope.steady_speed(SPEC, valves, MIDDLE)[0, joint]
+    bounds, steady = DRIVES[joint], steady_speed(joint, 0.8 * sign)
     slowest, fastest = bounds.gain_positive if sign > 0 else bounds.gain_negative
     for gain, is_over in (
         (fastest, False),
@@ -166,12 +170,15 @@ def test_uncommanded_motion_is_forgotten():
     assert after < 0.4 * ratio
 
 
-def test_the_steady_speed_is_the_speed_limit_at_a_full_valve():
-    up = drive_envelope.steady_speed(SPEC, np.ones((1, 4)), MIDDLE)
-    down = drive_envelope.steady_speed(SPEC, -np.ones((1, 4)), MIDDLE)
-    assert np.allclose(up, SPEC.limits.speed_positive_rad_m_per_s)
-    assert np.allclose(-down, SPEC.limits.speed_negative_rad_m_per_s)
-    assert not drive_envelope.steady_speed(SPEC, np.full((1, 4), 0.04), MIDDLE).any()
+def test_the_bounds_are_those_of_the_speed_limits_at_a_full_valve():
+    speeds = SPEC.limits.speed_positive_rad_m_per_s, SPEC.limits.speed_negative_rad_m_per_s
+    for way, sign in ((0, 1.0), (1, -1.0)):
+        high, low = drive_envelope.speed_bounds(SPEC, np.full((1, 4), sign), MIDDLE)[[way, 1 - way]]
+        gains = np.array([drive[2 + way] for drive in DRIVES])
+        assert np.allclose(high, gains[:, 1] * speeds[way])
+        assert np.allclose(-low, gains[:, 0] * speeds[way])
+    small = drive_envelope.speed_bounds(SPEC, np.full((1, 4), DEAD_BANDS[1]), MIDDLE)
+    assert (small[0] > 0.0).all() and not small[1].any()
 
 
 def test_the_cylinder_s_moment_arm_is_that_of_the_machine():

@@ -3,9 +3,11 @@
 import pytest
 
 from machine.site.zones import Zone, zones_sha256
-from server.store.models import ZoneVersion
+from server.composition import _needs_two
+from server.schemas.console import Role
+from server.store.models import User, ZoneVersion
 from tests.server.plans.test_planner import NEAR, create, finished
-from tests.server.server_bench import add_people, make_settings, running_server
+from tests.server.server_bench import PASSWORD, add_people, make_settings, running_server
 from tests.server.test_events import Listener
 from tests.waiting import wait_for
 
@@ -36,7 +38,8 @@ def sue(running):
     with running.client("sue") as client:
         yield client
         if client.get(PATH).json()["active"]:
-            change(client, [])
+            with running.client("ada") as ada:
+                change(ada, [])
             assert approve(client).status_code == 200
 
 
@@ -73,6 +76,35 @@ def test_a_draft_is_in_force_once_a_supervisor_approves_it(running, ada, sue):
     made = [row for row in rows if row["phase"] == "fact"]
     actions = [row["action"] for row in made if row["action"].startswith("zones.")]
     assert actions[:4] == ["zones.undo", "zones.edit", "zones.approve", "zones.edit"]
+
+
+def test_whoever_had_a_hand_in_a_draft_does_not_approve_it(running, ada, sue):
+    """Also not through a later version of another person that keeps what they drew."""
+    assert change(sue, [OFFICE]).json()["drawn_by"] == ["sue"]
+    own = approve(sue)
+    assert (own.status_code, own.json()["error"]["code"]) == (409, "four_eyes")
+    moved = change(ada, [OFFICE | {"top_m": 3.5}]).json()
+    assert (moved["drawn_by"], moved["is_four_eyes"]) == (["ada", "sue"], True)
+    assert approve(sue).status_code == 409
+    with running.client("eve") as eve:
+        assert approve(eve).json()["approved_by"] == "eve"
+    # What has been taken back to the approved zones has no part in a later draft.
+    change(sue, [FAR])
+    assert sue.post(f"{PATH}/undo").json()["drawn_by"] == []
+    assert change(ada, [FAR]).json()["drawn_by"] == ["ada"]
+    assert approve(sue).status_code == 200
+
+
+def test_where_one_account_may_approve_it_approves_its_own_zones(assembled):
+    parts = assembled.parts
+    settings = parts.settings.model_copy(update={"zones_four_eyes": True})
+    parts.accounts.create_user("sue", PASSWORD, Role.SUPERVISOR)
+    assert not _needs_two(parts.settings, parts.accounts) and _needs_two(settings, parts.accounts)
+    parts.accounts.create_user("eve", PASSWORD, Role.ENGINEER)
+    assert _needs_two(parts.settings, parts.accounts)
+    with parts.database.write() as database:
+        database.get(User, "eve").is_disabled = True
+    assert not _needs_two(parts.settings, parts.accounts)
 
 
 def test_what_is_no_zone_is_refused_in_words(ada, sue):
@@ -149,15 +181,15 @@ def test_zones_outlive_a_restart_of_the_server(tmp_path, swing_policies):
     settings = make_settings(tmp_path / "data", swing_policies)
     with running_server(settings) as first:
         add_people(first.parts)
-        with first.client("sue") as sue:
-            change(sue, [FAR])
+        with first.client("ada") as ada, first.client("sue") as sue:
+            change(ada, [FAR])
             sha256 = approve(sue).json()["active_sha256"]
     with running_server(settings) as second, second.machine() as machine:
         assert second.parts.zones.active("m001").sha256 == sha256
         wait_for(lambda: machine.zones_sha256 == sha256)
         with second.parts.database.read() as database:
             row = database.get(ZoneVersion, ("m001", 1))
-        assert (row.created_by, row.approved_by) == ("sue", "sue")
+        assert (row.created_by, row.approved_by) == ("ada", "sue")
 
 
 def test_the_zone_that_is_drawn_is_shown(running, machine, ada):

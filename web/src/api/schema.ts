@@ -6661,8 +6661,12 @@ export interface components {
             changed_by: string | null;
             /** Changed Utc */
             changed_utc: string | null;
+            /** Drawn By */
+            drawn_by: string[];
             /** Is Approved */
             is_approved: boolean;
+            /** Is Four Eyes */
+            is_four_eyes: boolean;
             /** Machine Id */
             machine_id: string;
             /** Reason */

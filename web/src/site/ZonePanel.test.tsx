@@ -39,6 +39,8 @@ const view = (changes: Partial<Zones>): Zones => ({
   approved_by: "sue",
   approved_utc: "2026-11-27T10:00:00Z",
   undo_version_count: null,
+  drawn_by: [],
+  is_four_eyes: true,
   ...changes,
 });
 
@@ -73,7 +75,7 @@ beforeEach(() => {
   calls.length = 0;
   permissions = ["site.edit", "zones.approve"];
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
-  vi.spyOn(api, "GET").mockImplementation((() => answer({ permissions })) as never);
+  vi.spyOn(api, "GET").mockImplementation((() => answer({ username: "sue", permissions })) as never);
   const note = ((path: string, options: { body: unknown }) => {
     calls.push([path.split("/").at(-1) ?? "", options.body]);
     return answer(view({}));
@@ -137,6 +139,17 @@ describe("the panel of exclusion zones", () => {
     );
     press("Approve version 4");
     await waitFor(() => expect(calls).toEqual([["approve", { version_count: 4 }]]));
+  });
+
+  it("leaves a draft with four eyes to somebody who did not draw it", async () => {
+    const draft = { is_approved: false, drawn_by: ["ada", "sue"] };
+    const { unmount } = render(<Page zones={view(draft)} />);
+    await screen.findByText("You drew it: in force once another supervisor approves it.");
+    expect(screen.getByRole("button", { name: /Approve/ })).toHaveProperty("disabled", true);
+    unmount();
+    render(<Page zones={view({ ...draft, is_four_eyes: false })} />);
+    await screen.findByText("You drew it yourself: look again before you approve it.");
+    expect(screen.getByRole("button", { name: /Approve/ })).toHaveProperty("disabled", false);
   });
 
   it("tells others who approves", async () => {

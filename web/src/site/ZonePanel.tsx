@@ -2,7 +2,7 @@ import { Button, TextInput } from "@mantine/core";
 import { IconPolygon, IconTrash } from "@tabler/icons-react";
 import { useState } from "react";
 import type { Machine } from "../session/live";
-import { useMay } from "../session/useSession";
+import { useMay, useSession } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { zonedStamp } from "../words/time";
 import classes from "./SitePanel.module.css";
@@ -38,7 +38,10 @@ export function ZonePanel(props: Props) {
   const [reason, setReason] = useState("");
   const { save, undo, approve } = useZoneActions(machine.machine_id);
   const mayEdit = useMay("site.edit");
-  const mayApprove = useMay("zones.approve");
+  const approves = useMay("zones.approve");
+  const me = useSession()?.username;
+  const isOwn = me !== undefined && zones.drawn_by.includes(me);
+  const mayApprove = approves && !(zones.is_four_eyes && isOwn);
   const shown = draft ?? zones.zones;
   const isChanged = draft !== null && !isSame(draft, zones.zones);
   const change = (next: Zone[]) => {
@@ -72,7 +75,7 @@ export function ZonePanel(props: Props) {
         </p>
         {!zones.is_approved && (
           <p className={classes.note}>
-            Draft: version {zones.version_count} by {zones.changed_by},{" "}
+            Draft: version {zones.version_count} by {zones.drawn_by.join(", ")},{" "}
             {zonedStamp(zones.changed_utc)}: {zones.reason}
           </p>
         )}
@@ -193,7 +196,7 @@ export function ZonePanel(props: Props) {
             )}
           </>
         )}
-        <p className={classes.note}>{footWords(mayEdit, mayApprove, isChanged, zones)}</p>
+        <p className={classes.note}>{footWords(mayEdit, approves, isOwn, isChanged, zones)}</p>
       </footer>
     </form>
   );
@@ -204,9 +207,18 @@ function drawingWords({ tool, corners }: Drawing): string {
   return `${corners.length} corners. Click the ground in the order in which one walks around.`;
 }
 
-function footWords(mayEdit: boolean, mayApprove: boolean, isChanged: boolean, zones: Zones) {
+function footWords(
+  mayEdit: boolean,
+  approves: boolean,
+  isOwn: boolean,
+  isChanged: boolean,
+  zones: Zones,
+) {
   if (!mayEdit) return "Your role may look. Operators may draw, supervisors approve.";
   if (isChanged) return "Not saved: nothing is kept free by it yet.";
   if (zones.is_approved) return "A zone keeps arm, gripper and loads out. It protects no people.";
-  return mayApprove ? "In force once approved." : "In force once a supervisor approves it.";
+  if (!approves) return "In force once a supervisor approves it.";
+  if (!isOwn) return "In force once approved.";
+  if (zones.is_four_eyes) return "You drew it: in force once another supervisor approves it.";
+  return "You drew it yourself: look again before you approve it.";
 }
