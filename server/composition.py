@@ -265,7 +265,10 @@ def assemble(
     commands = MachineCommands(database, audit, link, registry, metrics)
     leases = _leases(settings, database, audit, registry, hub)
     notices, holds = LeaseNotices(leases, registry, commands), HoldRelay(link, registry, metrics)
-    stops, impacts = StopService(database, audit, link, registry, hub), ImpactDisplay(database, scene)
+    stops, impacts = (
+        StopService(database, audit, link, registry, hub),
+        ImpactDisplay(database, scene),
+    )
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
     sites = SiteStore(database, audit, registry, hub, settings.data_dir)

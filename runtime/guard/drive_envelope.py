@@ -1,10 +1,10 @@
 """Motion that valve commands cannot explain: drives modelled by bounds instead of values; batched, pure.
 
 A joint answers a valve after a dead time and a lag, with an opening and a gain; of each only a range is known
-(`DRIVE_BOUNDS`, `DEAD_BANDS_RATIO`). Together they bound the speed that the commands of the last moments can give, from above
-and from below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve that is stuck
-open, a joint that does not follow, a joint that is moved from outside. A machine within the bounds, whatever
-its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
+(`DRIVE_BOUNDS`, `DEAD_BANDS_RATIO`). Together they bound the speed that the commands of the last moments can
+give, from above and from below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve
+that is stuck open, a joint that does not follow, a joint that is moved from outside. A machine within the
+bounds, whatever its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
 """
 
 from functools import cache
@@ -41,14 +41,14 @@ DRIVE_BOUNDS: Final = (
 Dead times and lags: docs/machine.md (0.05 to 0.15 s, slew 0.1 to 0.4 s with its lag), 10 ms for sensors and
 tick. The slew coasts: its inertia on the motor's relief valve needs 0.3 s. Gains, of a valve with the nominal
 metering curve: orifices of 0.875 to 1.125, curves from 0.1 to 0.3, and the pressure that the load takes or
-gives; a dipper on its way in is driven by its load (1.6). Limits: 1.5 times what healthy throws of two plants
-reach, the virtual machine and benchmarks/plants/ring, whose boom rings; `benchmarks/gate_faults.py` counts it.
+gives; a dipper on its way in is driven by its load (1.6). Limits: 1.5 times what healthy throws reach on two
+plants, the virtual machine and benchmarks/plants/ring, whose boom rings (`benchmarks/gate_faults.py`).
 """
 DEAD_BANDS_RATIO: Final = (0.01, 0.10)
 """Smallest and largest share of the stroke in which a spool opens nothing: 0.04 with its spread, hysteresis,
 and what wear adds (docs/machine.md). A relative gain would have to be as wide as the smallest valve needs."""
 METERING_CURVE_RATIO: Final = 0.2
-"""c of the nominal opening curve a (1 - c + c a): fine metering at small openings (docs/machine_ranges.md)."""
+"""c of the nominal opening curve a (1 - c + c a): fine metering at small openings."""
 SPEED_MARGIN_RAD_OR_M_PER_S: Final = 0.01
 """Of the bounds: noise of a joint's velocity (0.008), ringing at rest."""
 MEMORY_S: Final = 2.0
@@ -102,8 +102,12 @@ class _Drives(NamedTuple):
 @cache
 def _drives(spec: MachineSpec) -> _Drives:
     boom, dipper = spec.hydraulics.boom_cylinder, spec.hydraulics.dipper_cylinder
-    up = np.array([b.gain_positive for b in DRIVE_BOUNDS]).T * spec.limits.speed_positive_rad_m_per_s
-    down = np.array([b.gain_negative for b in DRIVE_BOUNDS]).T * spec.limits.speed_negative_rad_m_per_s
+    up = (
+        np.array([b.gain_positive for b in DRIVE_BOUNDS]).T * spec.limits.speed_positive_rad_m_per_s
+    )
+    down = (
+        np.array([b.gain_negative for b in DRIVE_BOUNDS]).T * spec.limits.speed_negative_rad_m_per_s
+    )
     lag = np.array([b.lag_s for b in DRIVE_BOUNDS])
     share = 1.0 - np.exp(-CONTROL_PERIOD_S / lag)
     low = [-np.inf if v is None else v for v in spec.limits.position_min_rad_m]

@@ -27,6 +27,10 @@ OUTLINE_POINT_COUNT = 180
 REGION_RATIO = 0.999
 """Share of the loads that come down in the landing region."""
 TURN_STEP_RAD = math.radians(2.0)
+PATH_MARGIN_M = 0.10
+"""Kept from a planned path: half of what a preview keeps, for motion between its poses and beside them."""
+PATH_STEP_COUNT = 3
+"""Poses that are looked at for each pose of a path: at 3 m/s the tool moves 0.1 m from one to the next."""
 LINKS: tuple[tuple[str, str, tuple[float, float], tuple[float, float], float], ...] = (
     ("boom_obstacle", "boom", (0.2, 0.05), (2.75, 0.08), 0.20),
     ("dipper_obstacle", "dipper", (0.30, 0.1), (0.366, -1.40), 0.18),
@@ -284,6 +288,27 @@ def turn_entry(
         poses = np.repeat(poses, 2 + int(abs(away) / TURN_STEP_RAD), axis=0)
         poses[:, 0] += np.linspace(0.0, away, len(poses))
     return deepest(prisms, arm_entries_m(spec, prisms, poses).max(axis=0))
+
+
+def path_entry(spec: MachineSpec, prisms: Prisms, path_rad_m: Array) -> ZoneEntry | None:
+    """The zone that arm and gripper come deepest into, or nearer than `PATH_MARGIN_M`, on a path (T, 6)."""
+    at = np.linspace(0.0, len(path_rad_m) - 1.0, PATH_STEP_COUNT * (len(path_rad_m) - 1) + 1)
+    first = np.minimum(at.astype(np.int64), max(len(path_rad_m) - 2, 0))
+    following = np.minimum(first + 1, len(path_rad_m) - 1)
+    share = (at - first)[:, None]
+    arm = arm_points(spec, (1.0 - share) * path_rad_m[first] + share * path_rad_m[following])
+    points = arm.position_m.reshape(-1, 3)
+    reach = np.tile(arm.radius_m, len(at)) + PATH_MARGIN_M
+    depths = np.full(len(prisms.names), -np.inf)
+    for index in range(len(depths)):
+        # Few points are near a zone: sixteen zones of 24 corners would take longer than a tick for all.
+        zone = Prisms(*(part[index : index + 1] for part in prisms))
+        low = zone.starts_m.min(axis=(0, 1)) - reach.max()
+        high = zone.starts_m.max(axis=(0, 1)) + reach.max()
+        near = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+        if near.any():
+            depths[index] = (reach[near] - distances_m(zone, points[near])[:, 0]).max()
+    return deepest(prisms, depths)
 
 
 def deepest(prisms: Prisms, depths_m: Array) -> ZoneEntry | None:

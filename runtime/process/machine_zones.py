@@ -10,9 +10,11 @@ from machine.messages import ThrowPlan
 from machine.site.zones import ZoneSet
 from machine.spec import MachineSpec
 from runtime.guard.zones import (
+    PATH_MARGIN_M,
     ZoneEntry,
     arm_entries_m,
     deepest,
+    path_entry,
     prisms_of,
     region_entry,
     region_ratio,
@@ -20,6 +22,8 @@ from runtime.guard.zones import (
 )
 
 NO_ZONES: Final = ZoneSet(version_count=0)
+MOVED_LIMIT_RAD_OR_M: Final = 0.05
+"""Of a joint since the preview: its path is not the one that the arm will take."""
 
 
 class MachineZones:
@@ -58,6 +62,39 @@ class MachineZones:
                 f"The landing region (99.9 %) reaches {region.depth_m:.2f} m into zone '{region.name}', "
                 f"which is kept free up to {region.top_m:.1f} m. Choose another target."
             )
+        return self._path_conflict(plan, position_rad_m) or self._turn_conflict(
+            plan, position_rad_m
+        )
+
+    def _path_conflict(self, plan: ThrowPlan, position_rad_m: Array) -> str:
+        """Whether the planned motion begins where the arm stands, and keeps out of the zones."""
+        assert self.prisms is not None
+        path = np.array(plan.swept_path_rad_m or ())
+        if len(path) < 2:
+            return (
+                "The plan does not say how the arm moves, so that cannot be held against the exclusion "
+                "zones. Preview again."
+            )
+        away = position_rad_m[:4] - path[0, :4]
+        away[0] = math.remainder(away[0], 2.0 * math.pi)
+        moved = float(np.abs(away).max())
+        if moved > MOVED_LIMIT_RAD_OR_M:
+            return (
+                f"A joint stands {moved:.2f} rad or m from where it stood at the preview "
+                f"({MOVED_LIMIT_RAD_OR_M:.2f} allowed): the arm would take another way past the exclusion "
+                "zones. Preview again."
+            )
+        found = path_entry(self._spec, self.prisms, path)
+        if found is None:
+            return ""
+        return (
+            f"In the throw arm or gripper would come within {PATH_MARGIN_M:.2f} m of zone '{found.name}'. "
+            "Choose another target, or change the zone."
+        )
+
+    def _turn_conflict(self, plan: ThrowPlan, position_rad_m: Array) -> str:
+        """Whether the turn to the target, by the machine's own reckoning, keeps out of the zones."""
+        assert self.prisms is not None
         turn = turn_entry(
             self._spec,
             self.prisms,

@@ -5,8 +5,10 @@ import math
 import zlib
 from typing import Any
 
+import numpy as np
+
 from machine.conventions import Mode
-from machine.messages import AimShift, Target, ThrowPlan
+from machine.messages import MAX_PATH_COUNT, AimShift, Target, ThrowPlan
 from machine.site.objects import GROUND, SiteObject
 from machine.site.zones import Zone, zones_sha256
 from server.clock import utc_now
@@ -120,10 +122,24 @@ def take_preview(row: Plan, preview: ThrowPreview, *, is_complete: bool) -> None
         for item in preview.refused
     ]
     row.is_complete = is_complete
+    row.swept_path_rad_m = swept_path(preview) if row.zones else []
     if preview.refused:
         row.state = PlanState.REFUSED.value
     elif is_complete:
         row.state = PlanState.READY.value
+
+
+def swept_path(preview: ThrowPreview) -> list[Any]:
+    """At most `MAX_PATH_COUNT` poses of a preview's motion, at equal times, to the milliradian."""
+    frames = preview.frames_rad_m
+    if len(frames) == 0:
+        return []
+    at = np.linspace(0.0, len(frames) - 1.0, MAX_PATH_COUNT)
+    first = np.minimum(at.astype(np.int64), max(len(frames) - 2, 0))
+    share = (at - first)[:, None]
+    following = np.minimum(first + 1, len(frames) - 1)
+    poses = (1.0 - share) * frames[first] + share * frames[following]
+    return poses.round(3).tolist()
 
 
 def throw_plan(row: Plan) -> ThrowPlan | None:
@@ -146,6 +162,7 @@ def throw_plan(row: Plan) -> ThrowPlan | None:
         predicted_ellipse=prediction.ellipse,
         site=plan_site(row),
         zones_sha256=zones_sha256(plan_zones(row)) or None,
+        swept_path_rad_m=tuple(tuple(pose) for pose in row.swept_path_rad_m or ()) or None,
         aim=plan_aim(row),
     )
 

@@ -149,6 +149,7 @@ class Planner:
             twin_profile_version=self._twins.profile_version(machine_id),
             site=dump(self._sites.around(machine_id, target)),
             zones=dump_zones(self._zones.active(machine_id).zones),
+            swept_path_rad_m=[],
             refusals=[],
             prediction=None,
             aim=None if aim is None else aim.model_dump(mode="json"),

@@ -215,6 +215,8 @@ class Plan(Base):
     """JSON of the objects that the preview saw around the machine."""
     zones: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     """JSON of the exclusion zones that the preview was checked against."""
+    swept_path_rad_m: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
+    """Poses of the previewed motion, of a plan with exclusion zones."""
     aim: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     """JSON of machine.messages.AimShift; None where the policy aims at the target."""
     calibration_sha256: Mapped[str | None] = mapped_column(String(64))

@@ -191,3 +191,21 @@ def test_the_turn_to_the_target_is_looked_at():
     assert zones.turn_entry(SPEC, prisms, pose, left, turns=False) is None
     there = safe_pose(0.8)
     assert zones.turn_entry(SPEC, prisms, there, right, turns=False) is not None
+
+
+def test_a_path_is_looked_at_between_its_poses():
+    """A narrow zone between two poses; distances as of poses all along, 5 cm apart at most."""
+    path = np.repeat(safe_pose(0.0)[None], 12, axis=0)
+    path[:, 0] = np.linspace(0.0, 0.6, 12)
+    tip = zones.arm_points(SPEC, path).position_m[:, -1]
+    reach = float(np.hypot(*tip[0, :2]))
+    dense = np.repeat(path[:1], 400, axis=0)
+    dense[:, 0] = np.linspace(0.0, 0.6, 400)
+    for angle, gap_m in ((0.3, 0.0), (0.68, 0.05), (0.9, 0.0), (-0.4, 0.0)):
+        item = box(reach * math.cos(angle), reach * math.sin(angle) + gap_m, 0.1, top_m=6.0)
+        prisms = zones.prisms_of((box(0.0, -30.0, name="far"), item))
+        nearest = float(zones.arm_entries_m(SPEC, prisms, dense)[:, 1].max()) + zones.PATH_MARGIN_M
+        found = zones.path_entry(SPEC, prisms, path)
+        assert (found is not None) == (nearest > 0.0)
+        if found is not None:
+            assert found.name == "Office" and abs(found.depth_m - nearest) < 0.05

@@ -330,7 +330,18 @@ def test_zones_are_taken_checked_and_keep_the_arm_still(bench):
         calibration_sha256=bench.control.machine_state().calibration_sha256,
     )
     assert arm(**near, aim=shift).reason == "target_in_zone"
-    beside = arm(**near)
+    # The motion from where the arm stands, past the zone and through it; and from elsewhere.
+    assert "how the arm moves" in arm(**near).detail
+    stands = np.array(bench.control.machine_state().joint_position_rad_m)
+    away, around_it = np.linspace(0.0, [[1.0, 0, 0, 0, 0, 0]], 9)[:, 0], np.zeros((9, 6))
+    around_it[:, 3] = np.linspace(0.0, 3.0, 9)
+    low = around_it + np.linspace(0.0, [[0.0, -0.6, 1.2, 0, -0.6, 0]], 9)[:, 0]
+    paths = [tuple(map(tuple, (stands + offset).tolist())) for offset in (away, low, away + 0.06)]
+    through = arm(**near, swept_path_rad_m=paths[1])
+    assert "within 0.10 m of zone 'Office'" in through.detail
+    elsewhere = arm(**near, swept_path_rad_m=paths[2])
+    assert "0.06 rad or m from where it stood" in elsewhere.detail
+    beside = arm(**near, swept_path_rad_m=paths[0])
     assert beside.accepted, beside.detail
     here = arm_points(
         SPEC, np.array([bench.control.machine_state().joint_position_rad_m])
