@@ -265,14 +265,11 @@ def assemble(
     commands = MachineCommands(database, audit, link, registry, metrics)
     leases = _leases(settings, database, audit, registry, hub)
     notices, holds = LeaseNotices(leases, registry, commands), HoldRelay(link, registry, metrics)
-    stops, impacts = (
-        StopService(database, audit, link, registry, hub),
-        ImpactDisplay(database, scene),
-    )
+    stops = StopService(database, audit, link, registry, hub)
     plans, twins = PlanStore(database), TwinFiles(settings.data_dir, spec)
     pool = PreviewPool(settings.preview_worker_count, policies.active_folders())
-    sites = SiteStore(database, audit, registry, hub, settings.data_dir)
-    zones = ZoneStore(database, audit, registry, hub, partial(_needs_two, settings, accounts))
+    sites, zones = _site_parts(settings, database, audit, registry, hub, accounts)
+    impacts = ImpactDisplay(database, scene)
     aim = AimCorrections(database, audit, registry, policies, twins)
     around = (pool, twins, sites, zones, hub, scene, spec, settings.plan_ttl_s, aim.shift)
     planner = Planner(plans, registry, policies, *around)
@@ -331,6 +328,20 @@ def assemble(
     )
     _connect(parts, ingest, impacts)
     return parts, notices
+
+
+def _site_parts(
+    settings: Settings,
+    database: Database,
+    audit: AuditChain,
+    registry: MachineRegistry,
+    hub: EventHub,
+    accounts: Accounts,
+) -> tuple[SiteStore, ZoneStore]:
+    return (
+        SiteStore(database, audit, registry, hub, settings.data_dir),
+        ZoneStore(database, audit, registry, hub, partial(_needs_two, settings, accounts)),
+    )
 
 
 def _needs_two(settings: Settings, accounts: Accounts) -> bool:

@@ -2,9 +2,9 @@
 
 A joint answers a valve after a dead time and a lag, with an opening and a gain; of each only a range is known
 (`DRIVE_BOUNDS`, `DEAD_BANDS_RATIO`). Together they bound the speed that the commands of the last moments can
-give, from above and from below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve
-that is stuck open, a joint that does not follow, a joint that is moved from outside. A machine within the
-bounds, whatever its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
+give, from above and below. Speed beyond a bound, integrated, is uncommanded motion (rad or m): of a valve
+stuck open, a joint that does not follow, a joint that is moved from outside. A machine within the bounds,
+whatever its values, accumulates none (one-sided CUSUM, E. S. Page, Biometrika 41, 1954).
 """
 
 from functools import cache

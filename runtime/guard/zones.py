@@ -54,6 +54,17 @@ class Prisms(NamedTuple):
     top_m: Array
     """(K,)"""
 
+    def one(self, index: int) -> "Prisms":
+        """One of the zones."""
+        at = slice(index, index + 1)
+        return Prisms(
+            self.names[at],
+            self.starts_m[at],
+            self.ends_m[at],
+            self.bottom_m[at],
+            self.top_m[at],
+        )
+
 
 class ZoneEntry(NamedTuple):
     """How far something reaches into a zone."""
@@ -302,7 +313,7 @@ def path_entry(spec: MachineSpec, prisms: Prisms, path_rad_m: Array) -> ZoneEntr
     depths = np.full(len(prisms.names), -np.inf)
     for index in range(len(depths)):
         # Few points are near a zone: sixteen zones of 24 corners would take longer than a tick for all.
-        zone = Prisms(*(part[index : index + 1] for part in prisms))
+        zone = prisms.one(index)
         low = zone.starts_m.min(axis=(0, 1)) - reach.max()
         high = zone.starts_m.max(axis=(0, 1)) + reach.max()
         near = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
