@@ -72,6 +72,14 @@ UNIT_SUFFIXES: Final = (
 ``_rad_m`` marks arrays over joints: radians for the hinges, metres for the telescope.
 """
 
+_CONTROL = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
+LINE_PATTERN: Final = rf"^[^{_CONTROL}]*$"
+"""Texts that people write are one line, because they stand in tables, logs and signed files."""
+FILLED_LINE_PATTERN: Final = rf"^[^{_CONTROL}]*[^\s{_CONTROL}][^{_CONTROL}]*$"
+"""A line with something to read."""
+NAME_PATTERN: Final = rf"^[^\s{_CONTROL}]([^{_CONTROL}]*[^\s{_CONTROL}])?$"
+"""A line without spaces at its ends."""
+
 
 class Mode(StrEnum):
     """How the machine throws: within the arm plane, or with the cabin turning."""

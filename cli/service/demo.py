@@ -49,6 +49,8 @@ STOP_TIMEOUT_S = 8.0
 RESTART_PAUSE_S = 1.0
 GIVEN_PORTS = range(20_000, 32_000)
 """Free ports are taken from here: Linux gives ports from 32768 on to connections."""
+MACHINE_DISTANCE_M = 30.0
+"""Between machines on the map: none reaches another's ground."""
 MOST_MACHINES = 9
 """Each takes about a third of a core."""
 
@@ -183,16 +185,37 @@ def _machine(setup: DemoSetup, machine_id: str, unit_seed: int) -> Child:
     return _child(machine_id, setup.data, arguments, {})
 
 
-def _measure(setup: DemoSetup, machine_id: str, unit_seed: int) -> None:
-    """Commission a virtual machine that is new here, and put the demo's objects around it."""
+def _measure(setup: DemoSetup, machine_id: str, unit_seed: int) -> bool:
+    """Commission a virtual machine that is new here, and put the demo's objects around it.
+
+    Returns:
+        Whether it is new.
+    """
     if (setup.machines / f"{machine_id}.profile.json").is_file():
-        return
+        return False
     print(f"== first start: measuring the virtual machine {machine_id}", flush=True)
     calibrate_machine(
         out=setup.machines, unit_seed=unit_seed, machine_id=machine_id, policies=setup.policies
     )
     site = SITE.dump_json(DEMO_SITE, indent=2)
     (setup.machines / f"{machine_id}.site.json").write_bytes(site)
+    return True
+
+
+def place_on_map(setup: DemoSetup, machine_ids: list[str]) -> None:
+    """Put machines that are new here on the map of the yard, side by side."""
+    logins = (setup.data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").split()
+    passwords = dict(zip(logins[::2], logins[1::2], strict=True))
+    url = f"http://127.0.0.1:{setup.port}"
+    headers = {"Origin": url, "X-Requested-With": "downrange"}
+    with httpx.Client(base_url=f"{url}/api/v1", headers=headers, timeout=10.0) as client:
+        body = {"username": "admin", "password": passwords["admin"]}
+        if client.post("/auth/login", json=body).status_code != 200:
+            return  # somebody has changed the password: they place machines themselves
+        for machine_id in machine_ids:
+            place = {"x_m": MACHINE_DISTANCE_M * (int(machine_id[1:]) - 1), "y_m": 0.0}
+            client.put(f"/machines/{machine_id}/place", json=place).raise_for_status()
+        client.post("/auth/logout")
 
 
 def _watch(server: Child, machines: list[Child], data: Path) -> int:
@@ -242,8 +265,7 @@ def run(
     signal.signal(signal.SIGTERM, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
     children: list[Child] = []
     try:
-        for machine_id, unit in units.items():
-            _measure(setup, machine_id, unit)
+        new = [name for name, unit in units.items() if _measure(setup, name, unit)]
         server = _server(setup)
         children = [_machine(setup, machine_id, unit) for machine_id, unit in units.items()]
         print("== starting the server", flush=True)
@@ -262,6 +284,8 @@ def run(
             child.start()
         health_url = f"http://127.0.0.1:{port}/api/v1/health"
         _wait_for(server, setup.data, names, lambda: _connected_count(health_url) >= machines)
+        if new:
+            place_on_map(setup, new)
         print(f"\nDownrange is at http://127.0.0.1:{port}\n")
         print((setup.data / FIRST_LOGIN_FILE).read_text(encoding="utf-8").strip())
         print(f"\nlogs: {setup.data / 'logs'}   Ctrl-C ends it", flush=True)

@@ -16,6 +16,8 @@ from pydantic import (
     model_validator,
 )
 
+from machine.conventions import NAME_PATTERN
+
 GROUND = "ground"
 """Name of the ground."""
 UNDESCRIBED = "ground that nobody described"
@@ -41,7 +43,7 @@ class SiteObject(BaseModel):
     """One thing at its place. Lengths are those of its footprint, which is turned about its centre."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    name: str = Field(min_length=1, max_length=40, pattern=r"^\S(.*\S)?$")
+    name: str = Field(min_length=1, max_length=40, pattern=NAME_PATTERN)
     kind: SiteKind
     x_m: float = Field(ge=-60.0, le=60.0)
     y_m: float = Field(ge=-60.0, le=60.0)

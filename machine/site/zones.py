@@ -11,6 +11,8 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from machine.conventions import FILLED_LINE_PATTERN, NAME_PATTERN
+
 MAX_ZONE_COUNT = 16
 MAX_CORNER_COUNT = 24
 MIN_AREA_M2 = 0.01
@@ -27,8 +29,8 @@ class Zone(BaseModel):
     """One space that is kept free, and why."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    name: str = Field(min_length=1, max_length=40, pattern=r"^\S(.*\S)?$")
-    reason: str = Field(min_length=3, max_length=200, pattern=r"\S")
+    name: str = Field(min_length=1, max_length=40, pattern=NAME_PATTERN)
+    reason: str = Field(min_length=3, max_length=200, pattern=FILLED_LINE_PATTERN)
     """What is there, for whoever meets the zone later."""
     corners_m: tuple[Corner, ...] = Field(min_length=3, max_length=MAX_CORNER_COUNT)
     """(x, y) of the polygon's corners in order, in either direction; the last is joined to the first."""

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from bulk.job_file import ContainerPlace, JobFile
 from bulk.material import Material
-from machine.conventions import Mode
+from machine.conventions import LINE_PATTERN, Mode
 from server.schemas.console import Request, View
 
 MAX_SURVEY_LENGTH = 6_000_000
@@ -96,7 +96,7 @@ class JobSurveyRequest(JobChange):
 class JobEndRequest(JobChange):
     """End a job."""
 
-    reason: str = Field(default="", max_length=300)
+    reason: str = Field(default="", max_length=300, pattern=LINE_PATTERN)
 
 
 class JobProgress(View):

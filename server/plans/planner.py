@@ -224,12 +224,14 @@ class Planner:
         state: MachineState,
         request: PlanRequest,
     ) -> None:
-        row = running.row
+        row, target = running.row, request.target.target()
+        aim = plan_aim(row)
         job = PreviewJob(
             job_id=row.plan_id,
             slot=0,
             policy_dir=policy.folder,
-            target=request.target.target(),
+            target=target,
+            aim=None if aim is None else aim.aimed(target),
             pace_ratio=request.pace_ratio,
             joint_position_rad_m=state.joint_position_rad_m,
             site=plan_site(row),

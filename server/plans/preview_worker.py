@@ -55,6 +55,8 @@ class PreviewJob:
     pace_ratio: float = DEFAULT_PACE_RATIO
     site: tuple[SiteObject, ...] = ()
     zones: tuple[Zone, ...] = ()
+    aim: Target | None = None
+    """Where the aim correction lets the policy aim."""
 
 
 class CancelledPreviewError(Exception):
@@ -111,6 +113,7 @@ class Worker:
             pace_ratio=job.pace_ratio,
             site=job.site,
             zones=job.zones,
+            aim=job.aim,
         )
 
     def _progress(self, job: PreviewJob, so_far: ThrowPreview) -> None:

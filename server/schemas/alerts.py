@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from machine.conventions import LINE_PATTERN
 from server.schemas.console import Request, View
 
 MAX_SILENCE_S = 86_400.0
@@ -65,7 +66,7 @@ class AlertPage(View):
 class AcknowledgeRequest(Request):
     """A person has seen an alert."""
 
-    note: str = Field(default="", max_length=500)
+    note: str = Field(default="", max_length=500, pattern=LINE_PATTERN)
 
 
 class SilenceRequest(Request):

@@ -11,7 +11,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
-from machine.conventions import Mode
+from machine.conventions import FILLED_LINE_PATTERN, Mode
 from machine.messages import MachineState, Target, ThrowState
 from machine.site.zones import MAX_CORNER_COUNT, Corner
 
@@ -167,7 +167,7 @@ class LeaseView(View):
 class TakeRequest(Request):
     """Taking a lease away needs a reason, which the other person and the audit see."""
 
-    reason: str = Field(min_length=3, max_length=300)
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
 
 
 class LinkView(View):
@@ -249,7 +249,7 @@ class StopClearBody(Request):
     """The latch that was shown, as the machine's state names it."""
     is_sighted: Literal[True]
     """This person sees the machine, and nobody is in reach of it."""
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
     """Why the machine may move again."""
 
 

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from pydantic import Field
 
-from machine.conventions import Mode
+from machine.conventions import FILLED_LINE_PATTERN, Mode
 from machine.policy_approval import SiteTrust
 from server.schemas.console import Request, View
 
@@ -35,7 +35,7 @@ class MachinePoliciesView(View):
 class RollBackRequest(Request):
     """Goes back to the version that the machine had before."""
 
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
     """Why, for the history."""
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from machine.conventions import FILLED_LINE_PATTERN, LINE_PATTERN
 from machine.policy_approval import SiteTrust
 from server.schemas.console import MachineView, Request, View
 
@@ -18,7 +19,7 @@ class MachineEnrolRequest(Request):
 
     machine_id: str | None = Field(default=None, pattern=r"^[a-z0-9][a-z0-9-]{1,31}$")
     """None: the next free one."""
-    name: str = Field(default="", max_length=80, pattern=r"^[^\x00-\x1f]*$")
+    name: str = Field(default="", max_length=80, pattern=LINE_PATTERN)
 
 
 class EnrolmentToken(View):
@@ -95,7 +96,7 @@ class SelfTestReport(Request):
 class RetireRequest(Request):
     """Why a machine goes out of service."""
 
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\w")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
 
 
 class RetiredMachineView(View):

@@ -5,11 +5,13 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from machine.conventions import Mode
+from machine.conventions import LINE_PATTERN, Mode
 from server.schemas.console import Request, View
 from server.schemas.history import ThrowRow
 
-Tag = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=24)]
+Tag = Annotated[
+    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=24, pattern=LINE_PATTERN)
+]
 
 
 class MissFigures(View):
@@ -101,5 +103,5 @@ class MachineLifeView(View):
 class MachineEditRequest(Request):
     """How people call and sort a machine; what is left out stays."""
 
-    name: str | None = Field(default=None, max_length=80)
+    name: str | None = Field(default=None, max_length=80, pattern=LINE_PATTERN)
     tags: tuple[Tag, ...] | None = Field(default=None, max_length=8)

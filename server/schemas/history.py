@@ -12,7 +12,7 @@ from typing import Literal, Self
 
 from pydantic import Field, JsonValue, model_validator
 
-from machine.conventions import Mode
+from machine.conventions import LINE_PATTERN, Mode
 from machine.messages import EventKind
 from machine.policy_card import PolicyCard
 from server.schemas.console import Request, TargetView, View
@@ -107,7 +107,7 @@ class ImpactRequest(Request):
     crossrange_error_m: float | None = Field(default=None, ge=-60.0, le=60.0)
     x_m: float | None = Field(default=None, ge=-120.0, le=120.0)
     y_m: float | None = Field(default=None, ge=-120.0, le=120.0)
-    note: str = Field(default="", max_length=500)
+    note: str = Field(default="", max_length=500, pattern=LINE_PATTERN)
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -5,6 +5,7 @@ from enum import StrEnum
 
 from pydantic import Field, JsonValue
 
+from machine.conventions import FILLED_LINE_PATTERN
 from server.schemas.console import Request, View
 
 
@@ -23,7 +24,7 @@ class PolicyState(StrEnum):
 class TransitionRequest(Request):
     """Moves a version on."""
 
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
     """Why, for the history."""
 
 

@@ -10,7 +10,7 @@ from evaluation.shadow.results import ShadowFigures, ShadowReport
 from evaluation.validation.gates import Gates
 from evaluation.validation.results import ValidationPlan
 from evaluation.validation.validation import ValidationResult
-from machine.conventions import Mode
+from machine.conventions import FILLED_LINE_PATTERN, Mode
 from server.schemas.console import Request, View
 from server.schemas.history import ThrowStats
 from sim_twin.confidence_intervals import Interval
@@ -114,7 +114,7 @@ class GatesRequest(Request):
     """Sets the gates of a mode."""
 
     gates: Gates
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
     """Why, for the history."""
 
 

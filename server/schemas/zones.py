@@ -4,6 +4,7 @@ from datetime import datetime
 
 from pydantic import Field
 
+from machine.conventions import FILLED_LINE_PATTERN
 from machine.site.zones import Zones
 from server.schemas.console import Request, View
 
@@ -14,7 +15,7 @@ class ZoneChangeBody(Request):
     zones: Zones
     from_version_count: int = Field(ge=0)
     """Version that was changed; refused if somebody else was quicker."""
-    reason: str = Field(min_length=3, max_length=300, pattern=r"\S")
+    reason: str = Field(min_length=3, max_length=300, pattern=FILLED_LINE_PATTERN)
     """Why they are changed."""
 
 

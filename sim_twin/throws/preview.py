@@ -18,6 +18,7 @@ from machine.errors import RefusedError, UsageError
 from machine.messages import LandingEllipse, RejectReason, Target
 from machine.reach import check_target
 from machine.site.objects import SiteObject
+from machine.site.solids import Solids
 from machine.site.zones import Zone
 from runtime.control.control_loop import ControlOutputs, ControlParams
 from runtime.driver import SensorSample, SimulatedDriver
@@ -61,6 +62,30 @@ class PreviewRequest:
     seed: int = 0
     pace_ratio: float = DEFAULT_PACE_RATIO
     """0 careful .. 1 fast."""
+    aim: Target | None = None
+    """Point that the policy is given in place of the target, by an aim correction. The machine is expected to
+    miss it by as much as it lies off the target; flights and landings of the twin are moved by that."""
+
+    @property
+    def aimed(self) -> Target:
+        """The point that the policy is given."""
+        return self.target if self.aim is None else self.aim
+
+    @property
+    def miss_m(self) -> Array:
+        """Miss (3,) that the aim correction expects of the machine, frame `machine`."""
+        return (_point(self.target) - _point(self.aimed))[0]
+
+    def solids_of_flight(self, landing: SiteLanding) -> Solids:
+        """The site as the twin's flights have to meet it: moved against the miss."""
+        if self.aim is None:
+            return landing.solids
+        x_m, y_m, _ = self.miss_m.tolist()
+        moved = [
+            item.model_copy(update={"x_m": item.x_m - x_m, "y_m": item.y_m - y_m})
+            for item in landing.solids.objects
+        ]
+        return Solids(moved, landing.solids.ground_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +184,7 @@ def nominal_throw(
             f"{request.joint_position_rad_m} and {request.rollout_count}"
         )
     try:
-        check_target(policy.card, request.target)
+        check_target(policy.card, request.aimed)
     except RefusedError as error:
         return _nothing(PreviewRefusal(error.reason, error.detail), perf_counter() - started)
     zones = _zone_check(request)
@@ -213,13 +238,13 @@ def scattered_throws(
         thread_count=thread_count,
         first_row=first,
     )
-    twin.set_solids(landing.solids)
+    twin.set_solids(request.solids_of_flight(landing))
     rng = np.random.default_rng((request.seed, 2, draw))
     starts = scattered_starts(params.spec, request.profile.spread, start, end, rng)[first:]
     results = run_throws(
         twin,
         params,
-        np.repeat(_point(request.target), size, axis=0),
+        np.repeat(_point(request.aimed), size, axis=0),
         starts,
         int(np.random.SeedSequence((request.seed, 1, draw)).generate_state(1)[0]),
         ends_at_release=True,
@@ -312,7 +337,7 @@ def _point(target: Target) -> Array:
 def _start(request: PreviewRequest) -> tuple[Array, Array]:
     """Pose (6,) in which the throw begins and the frames (T, 6) of the turn to it."""
     pose, params = np.asarray(request.joint_position_rad_m), request.params
-    return throw_start(params.spec, params.mode, pose, _point(request.target)[0], FRAME_PERIOD_S)
+    return throw_start(params.spec, params.mode, pose, _point(request.aimed)[0], FRAME_PERIOD_S)
 
 
 class _NominalThrow:
@@ -325,13 +350,13 @@ class _NominalThrow:
         self._check = check
         self._zones, self._request_target = zones, request.target
         self._spec, self._started = params.spec, started
-        self._target = _point(request.target)
+        self._target, self._miss_m = _point(request.aimed), request.miss_m
         self._landing = SiteLanding.of(request.site, request.target)
         start, self._turn = _start(request)
         self._twin = Twin(
             count=1, profile=exact_profile(request.profile), calibration=params.calibration
         )
-        self._twin.set_solids(self._landing.solids)
+        self._twin.set_solids(request.solids_of_flight(self._landing))
         self._batch = ThrowBatch(
             self._twin,
             params,
@@ -404,7 +429,9 @@ class _NominalThrow:
         path = self._flight_path(result) if landed else np.zeros((0, 3))
         end = self._twin.payload.predicted if landed else None
         contact = None if end is None else end.contact
-        impact_m = result.impact_m if landed else None
+        if contact is not None:
+            contact = contact._replace(point_m=contact.point_m + self._miss_m)
+        impact_m = self._moved(result.impact_m) if landed else None
         return ThrowPreview(
             refused=self._zones.flight_refusals(path, self._request_target, impact_m)
             + self._landing.refusals(contact)
@@ -442,4 +469,9 @@ class _NominalThrow:
             points.append(position[0])
         if load.predicted is not None:
             points.append(load.predicted.centre_m[0])
-        return np.stack(points)
+        # The miss grows from the release on.
+        return np.stack(points) + np.linspace(0.0, 1.0, len(points))[:, None] * self._miss_m
+
+    def _moved(self, impact_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        x_m, y_m, z_m = (np.array(impact_m) + self._miss_m).tolist()
+        return x_m, y_m, z_m

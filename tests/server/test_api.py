@@ -1,14 +1,18 @@
 """Every endpoint: signed in, own origin, own header, one error shape, no crash on bad input."""
 
 import json
+from contextlib import suppress
+from typing import Annotated
 
 import httpx
 import pytest
+from pydantic import Field, TypeAdapter, ValidationError
 
 from server.accounts.accounts import COOKIE
 from server.app import create_app
 from server.limits.disk_space import disk_standing
 from server.routes import health
+from server.schemas.console import Request
 from server.settings import Settings
 from tests.cases import each
 from tests.server.server_bench import METRICS_TOKEN, wait_for
@@ -53,6 +57,31 @@ def assert_error(reply, status=None):
     if status is not None:
         assert reply.status_code == status, reply.text
     return body["error"]["code"]
+
+
+def request_models(parent=Request):
+    for model in parent.__subclasses__():
+        yield model
+        yield from request_models(model)
+
+
+SECRETS_AND_IDS = {
+    *("username", "password", "token", "url", "latch_id", "machine_id", "throw_id", "survey_csv"),
+    "detail",  # of a machine's self-test
+}
+"""Compared, looked up or parsed, not shown as they came."""
+
+
+def test_texts_that_people_write_are_one_line_without_control_characters():
+    create_app(Settings(data_dir="/nonexistent"))
+    taken = set()
+    for model in request_models():
+        for name, field in model.model_fields.items():
+            kind = TypeAdapter(Annotated[field.annotation, *field.metadata, Field()])
+            with suppress(ValidationError):
+                kind.validate_python("somebody stood \x07 near the truck")
+                taken.add(name)
+    assert taken <= SECRETS_AND_IDS
 
 
 @each(("method", "path"), operations())

@@ -1,12 +1,15 @@
 import math
 
 import pytest
+from sqlalchemy import select
 
+from cli.service.demo import MACHINE_DISTANCE_M, DemoSetup, place_on_map
 from machine.site.objects import SiteKind, SiteObject
 from server.errors import NotFoundError
 from server.fleet.yard_map import IMPACT_COUNT, PlaceRequest, YardMap
 from server.schemas.console import Role
 from server.schemas.sites import SiteRequest
+from server.store.enrolment_models import MachinePlace
 from tests.server.fleet.test_machine_summaries import add_throws
 
 
@@ -55,3 +58,15 @@ def test_the_map_has_objects_and_the_newest_impacts_in_the_machines_frame(yard, 
     assert (newest.x_m, newest.y_m) == (pytest.approx(-0.25), pytest.approx(8.5))
     assert first.impacts[1].x_m == pytest.approx(14.0)
     assert (second.objects, second.zones, second.impacts) == ((), (), ())
+
+
+def test_the_demo_puts_its_machines_side_by_side(running):
+    settings = running.settings
+    setup = DemoSetup(settings.data_dir, settings.policies_dir, settings.port_count, 0)
+    place_on_map(setup, ["m001", "m002"])
+    with running.parts.database.read() as database:
+        places = {
+            row.machine_id: (row.x_m, row.y_m) for row in database.scalars(select(MachinePlace))
+        }
+    assert places["m001"] == (0.0, 0.0)
+    assert places["m002"] == (MACHINE_DISTANCE_M, 0.0)

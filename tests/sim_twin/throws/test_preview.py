@@ -9,6 +9,7 @@ from machine.conventions import Mode
 from machine.errors import UsageError
 from machine.kinematics import aligned_slew_rad, grip_centre, hanging_pitch_rad
 from machine.messages import RejectReason, Target
+from machine.site.objects import SiteKind, SiteObject
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.control.control_loop import ControlParams
@@ -231,6 +232,29 @@ def test_3d_starts_where_the_machine_stands(swing_policies: Path) -> None:
     shown = preview(request(swing_policies, "swing-3d"))
     assert shown.frames_rad_m[0, 0] == 0.4
     assert shown.is_final
+
+
+def test_a_corrected_aim_moves_the_motion_and_not_the_landing(swing_policies: Path) -> None:
+    target, aim = Target(x_m=6.2, y_m=0.0), Target(x_m=5.6, y_m=0.1)
+    plain = preview(request(swing_policies, target=aim, rollouts=4))
+    asked = replace(request(swing_policies, target=target, rollouts=4), aim=aim)
+    found = preview(asked)
+    assert found.impact_m is not None
+    np.testing.assert_array_equal(found.frames_rad_m, plain.frames_rad_m)
+    np.testing.assert_allclose(found.impact_m, np.add(plain.impact_m, (0.6, -0.1, 0.0)))
+    np.testing.assert_array_equal(found.ball_path_m[0], plain.ball_path_m[0])
+    np.testing.assert_allclose(found.ball_path_m[-1], plain.ball_path_m[-1] + (0.6, -0.1, 0.0))
+    assert found.ellipse == plain.ellipse
+    # What stands at the target is met there, not at the point aimed at.
+    x_m, y_m, _ = found.impact_m
+    box = SiteObject(
+        name="lid", kind=SiteKind.BOX, x_m=x_m, y_m=y_m, length_m=0.4, width_m=0.4, height_m=0.1
+    )
+    on_box = replace(asked, target=Target(x_m=x_m, y_m=y_m, z_m=0.1), site=(box,))
+    on_box = replace(on_box, aim=Target(x_m=x_m - 0.6, y_m=y_m + 0.1, z_m=0.1), rollout_count=0)
+    assert preview(on_box).lands_on == "lid"
+    beside = Target(x_m=x_m - 0.6, y_m=y_m + 0.1)
+    assert preview(replace(on_box, aim=None, target=beside)).lands_on == "ground"
 
 
 @each(
