@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -13,19 +13,14 @@ from diagnosis.diagnose import diagnose_throws
 from diagnosis.loading.kept_reference import with_reference_stated
 from diagnosis.loading.logs import load_throws
 from diagnosis.report.diagnosis_page import diagnosis_html
-from diagnosis.single_stage.csv_diagnosis import (
-    diagnose_actuation_csv,
-    diagnose_flight_csv,
-    diagnose_swing_csv,
-)
-from diagnosis.single_stage.flight_problem import BallProperties
-from diagnosis.tables.cells import Decimal
-from diagnosis.tables.table import ReadOptions
-from diagnosis.tables.topics import TopicField
 from diagnosis.verdict import EXIT_CODES, Diagnosis
 from machine.errors import UsageError
 from machine.spec import load_spec
 from sim_twin.twin.profile import load_profile, nominal_profile, save_profile
+
+if TYPE_CHECKING:
+    from diagnosis.tables.table import ReadOptions
+# One stage's diagnosis is imported where it is called: it loads pandas, which help and throws do not need.
 
 
 def throws(
@@ -139,6 +134,8 @@ def actuation(
         json: file for the whole result.
         html: file for the report.
     """
+    from diagnosis.single_stage.csv_diagnosis import diagnose_actuation_csv
+
     found = diagnose_actuation_csv(
         file,
         time,
@@ -198,6 +195,8 @@ def swing(
         json: file for the whole result.
         html: file for the report.
     """
+    from diagnosis.single_stage.csv_diagnosis import diagnose_swing_csv
+
     _check_positive(fps=fps, counts_per_turn=counts_per_turn)
     found = diagnose_swing_csv(
         file,
@@ -263,6 +262,9 @@ def flight(
         json: file for the whole result.
         html: file for the report.
     """
+    from diagnosis.single_stage.csv_diagnosis import diagnose_flight_csv
+    from diagnosis.single_stage.flight_problem import BallProperties
+
     _check_positive(fps=fps)
     if (mass_kg is None) != (diameter_m is None):
         raise UsageError("give both --mass-kg and --diameter-m, or neither")
@@ -291,9 +293,15 @@ def flight(
 
 
 def _options(
-    decimal: Decimal, missing: str, topics: Sequence[str], fields: Sequence[str]
-) -> ReadOptions:
+    decimal: Literal["auto", "point", "comma"],
+    missing: str,
+    topics: Sequence[str],
+    fields: Sequence[str],
+) -> "ReadOptions":
     """What the user says about a file."""
+    from diagnosis.tables.table import ReadOptions
+    from diagnosis.tables.topics import TopicField
+
     if len(topics) != len(fields):
         raise UsageError(
             f"{len(topics)} --topic and {len(fields)} --field: give one --field after each --topic; several "

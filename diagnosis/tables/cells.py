@@ -6,13 +6,12 @@ or before the other sign, separates thousands; a sign that is not followed by ex
 
 import math
 import re
-from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from machine.conventions import Array
+from machine.conventions import Array, BoolArray
 from machine.errors import LogError
 
 Decimal = Literal["auto", "point", "comma"]
@@ -36,83 +35,104 @@ class NumberForm(NamedTuple):
 
 POINT: Final = NumberForm(".")
 BLANK_CELLS: Final = frozenset(
-    [
-        "",
-        "nan",
-        "-nan",
-        "na",
-        "n/a",
-        "#n/a",
-        "#nv",
-        "null",
-        "none",
-        "-",
-        "--",
-        "inf",
-        "-inf",
-        "+inf",
-    ]
+    (
+        *("", "nan", "-nan", "na", "n/a", "null", "none", "nil", "-", "--", "<na>", "nat", "#nv"),
+        *("inf", "-inf", "+inf", "infinity", "-infinity", "nan(ind)", "-nan(ind)", "1.#ind"),
+        *("-1.#ind", "1.#qnan", "-1.#qnan", "1.#inf", "-1.#inf", "#n/a", "#div/0!", "#value!"),
+        *("#num!", "#ref!", "#null!", "#name?"),
+    )
 )
-"""Cells, in lower case, that hold no value."""
+"""Cells, in lower case, that hold no value: missing, infinite, or the error of a spreadsheet."""
+SWITCH_CELLS: Final = {"true": "1", "false": "0", "on": "1", "off": "0"}
+"""States of a switch, in lower case, as numbers."""
 MAX_MAGNITUDE: Final = 1e20
 """Larger numbers hold no value; nanoseconds since 1970 are near 2e18."""
 SMOOTHER_RATIO: Final = 1.5
 """A reading is preferred to the other if the column then moves less, relative to its range, by this."""
-_MINUS: Final = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))
-_BLANKS: Final = str.maketrans(dict.fromkeys("\u00a0\u2009\u202f", " "))
-_ANY_NUMBER: Final = re.compile(r"[+-]?(?:\d[\d.,' ]*|[.,]\d+)(?:[eE][+-]?\d+)?")
-_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_SIGNS: Final = str.maketrans(
+    {
+        **dict.fromkeys("\u2212\u2013\u2014\ufe63\uff0d", "-"),
+        **dict.fromkeys("\u00a0\u2009\u202f", " "),
+    }
+)
+_FIRST_CELLS: Final = 100
+"""Cells that are looked at first, for speed."""
+_EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
+_NUMBER: Final = rf"[+-]?(?:\d[\d.,'\u2019 ]*|[.,]\d+){_EXPONENT}"
+_ANY_NUMBER: Final = re.compile(_NUMBER)
+_WITH_UNIT: Final = re.compile(rf"({_NUMBER}?)\s*([^\d\s.,'+-]\D*)")
+_THOUSANDS: Final = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"
 
 
-def clean_cell(text: str) -> str:
-    """A cell with an ASCII minus, without surrounding blanks and a trailing percent or degree sign."""
-    return text.translate(_MINUS).translate(_BLANKS).strip().rstrip("%°").rstrip()
-
-
-def has_other_minus(text: str) -> bool:
-    """Whether a cell has a minus sign other than ASCII's."""
-    return not text.isascii() and text.translate(_MINUS) != text
+def clean_cells(cells: pd.Series) -> pd.Series:
+    """Cells with ASCII minus signs and blanks, none of them at the ends."""
+    if not cells.str.isascii().all():
+        cells = cells.str.translate(_SIGNS)
+    return cells.str.strip()
 
 
 def is_number(text: str) -> bool:
     """Whether a cell holds a number of any form."""
-    return _ANY_NUMBER.fullmatch(clean_cell(text)) is not None
+    return _ANY_NUMBER.fullmatch(text.translate(_SIGNS).strip()) is not None
 
 
 def is_blank(text: str) -> bool:
     """Whether a cell holds no value."""
-    return text.strip().lower() in BLANK_CELLS
+    return text.translate(_SIGNS).strip().lower() in BLANK_CELLS
 
 
-def find_form(cells: Sequence[str]) -> NumberForm | None:
+def are_blank(cells: pd.Series) -> BoolArray:
+    """Which cells of `clean_cells` hold no value, (rows,)."""
+    return cells.str.lower().isin(BLANK_CELLS).to_numpy(np.bool_)
+
+
+def split_unit(cells: pd.Series) -> tuple[pd.Series, str]:
+    """Cells without the unit that follows each of their numbers, and that unit; empty if they have none.
+
+    A percent or degree sign may be left out in some cells.
+    """
+    filled = cells[~are_blank(cells)]
+    first = None if filled.empty else _WITH_UNIT.fullmatch(filled.iloc[0])
+    if first is None and not (filled.str.endswith("%") | filled.str.endswith("\u00b0")).any():
+        return cells, ""
+    parts = cells.str.extract(f"^{_WITH_UNIT.pattern}$")
+    units = set(parts[1].dropna().str.strip())
+    has_unit = parts[1].notna()
+    is_same = len(units) == 1 and (units <= {"%", "\u00b0"} or has_unit[filled.index].all())
+    return (parts[0].where(has_unit, cells), units.pop()) if is_same else (cells, "")
+
+
+def find_form(cells: pd.Series) -> NumberForm | None:
     """The form that a column's cells are written in; None if several fit.
 
     Cells without a decimal or thousands sign fit any form.
     """
-    if not any("," in text for text in cells):
+    has_point = cells.str.contains(".", regex=False)
+    if len(cells) > 2 * _FIRST_CELLS:
+        first = find_form(cells[:_FIRST_CELLS])
+        if first == POINT and not cells.str.contains(",", regex=False).any():
+            return POINT
+    if not cells.str.contains(",", regex=False).any():
         # A point is decimal unless the column proves otherwise.
-        return None if _all_thousands([text for text in cells if "." in text]) else POINT
-    seen = [text for text in map(clean_cell, cells) if _ANY_NUMBER.fullmatch(text)]
-    marked = {sign: [text for text in seen if sign in text] for sign in ".,"}
-    for text in marked[","]:
-        if "." in text:
-            return (
-                NumberForm(".", ",") if text.rfind(".") > text.rfind(",") else NumberForm(",", ".")
-            )
+        return None if _are_thousands(cells[has_point]) else POINT
+    seen = cells[cells.str.fullmatch(_ANY_NUMBER)]
+    marked = {sign: seen[seen.str.contains(sign, regex=False)] for sign in ".,"}
+    for text in marked[","][marked[","].str.contains(".", regex=False)]:
+        return NumberForm(".", ",") if text.rfind(".") > text.rfind(",") else NumberForm(",", ".")
     for sign, other in ((",", "."), (".", ",")):
-        if any(text.count(sign) > 1 for text in marked[sign]):
+        if (marked[sign].str.count(re.escape(sign)) > 1).any():
             return NumberForm(other, sign)
-        if marked[sign] and not _all_thousands(marked[sign]):
-            return NumberForm(sign, other if marked[other] else "")
+        if len(marked[sign]) and not _are_thousands(marked[sign]):
+            return NumberForm(sign, other if len(marked[other]) else "")
     return None
 
 
-def _all_thousands(cells: Sequence[str]) -> bool:
+def _are_thousands(cells: pd.Series) -> bool:
     """Whether the sign in every cell may separate thousands."""
-    return bool(cells) and all(_THOUSANDS.fullmatch(clean_cell(text)) for text in cells)
+    return len(cells) > 0 and bool(cells.str.fullmatch(_THOUSANDS).all())
 
 
-def settle_form(cells: Sequence[str], likely: NumberForm | None, name: str) -> NumberForm:
+def settle_form(cells: pd.Series, likely: NumberForm | None, name: str) -> NumberForm:
     """The form of a column whose own cells do not settle it.
 
     Args:
@@ -123,7 +143,8 @@ def settle_form(cells: Sequence[str], likely: NumberForm | None, name: str) -> N
     Raises:
         RefusedTableError: several forms fit.
     """
-    sign = "," if any("," in text for text in cells) else "."
+    has_comma = cells.str.contains(",", regex=False)
+    sign = "," if has_comma.any() else "."
     grouped = NumberForm("." if sign == "," else ",", sign)
     if likely is not None:
         return likely if likely.decimal == sign else grouped
@@ -134,7 +155,7 @@ def settle_form(cells: Sequence[str], likely: NumberForm | None, name: str) -> N
         return grouped
     if sign == "." or SMOOTHER_RATIO * as_decimal < as_thousands:
         return NumberForm(sign)
-    example = next(text for text in cells if sign in text)
+    example = str(cells[has_comma].iloc[0])
     raise RefusedTableError(
         f"column {name!r}: is {example!r} {example.replace(sign, '')} or {example.replace(',', '.')}? "
         "Give --decimal point or --decimal comma"
@@ -147,32 +168,33 @@ def _relative_travel(values: Array) -> float:
     return float(np.sum(np.abs(np.diff(known)))) / span if span > 0.0 else math.inf
 
 
-def parse_cells(cells: Sequence[str], form: NumberForm) -> Array:
+def parse_cells(cells: pd.Series, form: NumberForm) -> Array:
     """Cells as numbers, (rows,); nan where one holds no number of this form."""
-    if form == POINT and not any("_" in text for text in cells):
-        try:
-            return np.array(cells, dtype=np.float64)
-        except ValueError:  # blank cells, or other signs
-            pass
+    if form == POINT:
+        values = pd.to_numeric(cells, errors="coerce").to_numpy(np.float64, copy=True)
+        if np.all(np.isfinite(values)):
+            return values
     group = "[ '\u2019" + re.escape(form.thousands) + "]"
     decimal = re.escape(form.decimal)
-    pattern = re.compile(
-        rf"[+-]?(?:(?:\d+|\d{{1,3}}(?:{group}\d{{3}})+)(?:{decimal}\d*)?|{decimal}\d+)(?:[eE][+-]?\d+)?"
-    )
-    values = np.full(len(cells), np.nan)
-    for k, cell in enumerate(cells):
-        text = clean_cell(cell)
-        if pattern.fullmatch(text):
-            values[k] = float(re.sub(group, "", text).replace(form.decimal, "."))
-    return values
+    whole = rf"(?:\d+|\d{{1,3}}(?:{group}\d{{3}})+)"
+    is_of_form = cells.str.fullmatch(rf"[+-]?(?:{whole}(?:{decimal}\d*)?|{decimal}\d+){_EXPONENT}")
+    plain = cells.where(is_of_form, "").str.replace(group, "", regex=True)
+    plain = plain.str.replace(form.decimal, ".", regex=False).str.replace("[dD]", "e", regex=True)
+    return pd.to_numeric(plain, errors="coerce").to_numpy(np.float64, copy=True)
 
 
-_CLOCK: Final = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)\s*([AaPp][Mm])?")
-_DAY: Final = re.compile(r"^\D*(\d{1,2})([./-])(\d{1,2})\2(\d{4})")
+_CLOCK: Final = (
+    r"^(?:\D*?(?P<day>\d{1,4}[./-](?:\d{1,2}|[A-Za-z]{3})[./-]\d{2,4})[ T,;]+|(?P<days>\d+) days? |)"
+    r"(?:(?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>\d+(?:[.,]\d+|:\d{3})?)"
+    r"\s*(?P<half>[AaPp])?[Mm.]*\s*(?:Z|UTC)?$"
+)
+_DAY_FIRST: Final = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
+_MONTH_FIRST: Final = ("%m{0}%d{0}%Y", "%m{0}%d{0}%y")
+_EITHER: Final = ("%Y{0}%m{0}%d", "%d{0}%b{0}%Y", "%d{0}%b{0}%y")
 _DAY_S: Final = 86400.0
 
 
-def parse_times_s(cells: Sequence[str]) -> Array:
+def parse_times_s(cells: pd.Series) -> Array:
     """Seconds of dates and times, or of times of day, (rows,); nan where a cell is neither.
 
     Days are written before months with points; with slashes the order follows from a number above 12.
@@ -181,42 +203,50 @@ def parse_times_s(cells: Sequence[str]) -> Array:
     Raises:
         RefusedTableError: the day changes and either number may be the month.
     """
-    found = [_DAY.match(text) for text in cells]
-    days = {(int(m[1]), m[2], int(m[3])) for m in found if m is not None}
-    is_month_first = any(second > 12 for _, _, second in days)
-    is_open = not is_month_first and all(sign != "." and first <= 12 for first, sign, _ in days)
-    if len(days) > 1 and is_open:
-        example = next(m[0] for m in found if m is not None)
-        raise RefusedTableError(
-            f"in the date {example!r} either number may be the month, and the day changes: write dates as "
-            "2021-01-20"
-        )
-    values = np.array([_parse_time_s(text, is_month_first) for text in cells])
-    if not days:
-        back = np.flatnonzero(np.diff(values) < -0.5 * _DAY_S)
-        for row in back:
-            values[row + 1 :] += _DAY_S
+    text = cells.str.replace(r",(\d+)", r".\1", n=1, regex=True)
+    stamps = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+    if stamps.notna().any():
+        # Only differences matter: a time without a zone may be read as UTC.
+        return ((stamps - stamps.min()) / pd.Timedelta(seconds=1)).to_numpy(np.float64, copy=True)
+    parts = cells.str.extract(_CLOCK)
+    hours = pd.to_numeric(parts["hours"]).fillna(0.0)
+    late = parts["half"].str.lower().map({"p": 12.0, "a": 0.0})
+    hours = hours.where(late.isna(), hours % 12.0 + late.fillna(0.0))
+    seconds = pd.to_numeric(parts["seconds"].str.replace("[,:]", ".", regex=True))
+    values = 3600.0 * hours + 60.0 * pd.to_numeric(parts["minutes"]) + seconds
+    values = (values + _DAY_S * pd.to_numeric(parts["days"]).fillna(0.0)).to_numpy(
+        np.float64, copy=True
+    )
+    days = parts["day"].dropna().unique()
+    if len(days):
+        midnights_s = _parse_days_s([str(day) for day in days])
+        return values + parts["day"].map(midnights_s).fillna(0.0).to_numpy(np.float64, copy=True)
+    for row in np.flatnonzero(np.diff(values) < -0.5 * _DAY_S):
+        values[row + 1 :] += _DAY_S
     return values
 
 
-def _parse_time_s(text: str, is_month_first: bool) -> float:
-    try:
-        # Only differences matter: a time without a zone may be read as UTC.
-        stamp = datetime.fromisoformat(text.strip())
-        return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
-    except ValueError:
-        pass
-    found = _CLOCK.search(text)
-    if found is None:
-        return math.nan
-    hours, minutes, seconds, half = found.groups()
-    hour = int(hours or 0) % 12 + 12 * (half.lower() == "pm") if half else int(hours or 0)
-    midnight_s = 0.0
-    if (day := _DAY.match(text)) is not None:
-        first, second = int(day[1]), int(day[3])
-        number, month = (second, first) if is_month_first else (first, second)
-        try:
-            midnight_s = datetime(int(day[4]), month, number, tzinfo=UTC).timestamp()
-        except ValueError:
-            return math.nan
-    return midnight_s + 3600.0 * hour + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+def _parse_days_s(days: list[str]) -> dict[str, float]:
+    """Seconds of each day's midnight; nan where it is none.
+
+    Raises:
+        RefusedTableError: there are several days, and either number may be the month.
+    """
+    sign = next(one for one in days[0] if one in "./-")
+    texts = pd.Series(days)
+    readings: list[pd.Series] = []
+    for forms in (_DAY_FIRST, _MONTH_FIRST, _EITHER):
+        for form in forms:
+            found = pd.to_datetime(texts, format=form.format(sign), errors="coerce")
+            if found.notna().all():
+                readings.append(found)
+                break
+    if not readings:
+        return dict.fromkeys(days, math.nan)
+    if len(days) > 1 and len(readings) > 1 and sign != ".":
+        raise RefusedTableError(
+            f"in the date {days[0]!r} either number may be the month, and the day changes: write dates as "
+            "2021-01-20"
+        )
+    midnights = (readings[0] - pd.Timestamp(0)) / pd.Timedelta(seconds=1)
+    return dict(zip(days, midnights, strict=True))

@@ -130,6 +130,8 @@ def find_time_column(table: Table, given: str | None, fps: float | None = None) 
     found = [n for n in found if not _is_frame_column(table, n)]
     if not found:
         return _find_steady_column(table)
+    if len(found) == 2 and (made := table.add_times(*found) or table.add_times(*found[::-1])):
+        return made
     if len(found) > 1:
         exact = [n for n in found if n.strip().lower() in TIME_WORDS]
         first = [n for n in found if table.words(n)[0] in TIME_WORDS]

@@ -7,25 +7,27 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from diagnosis.tables.cells import (
     MAX_MAGNITUDE,
     POINT,
+    SWITCH_CELLS,
     Decimal,
     NumberForm,
     RefusedTableError,
+    are_blank,
+    clean_cells,
     find_form,
-    has_other_minus,
-    is_blank,
-    is_number,
     parse_cells,
     parse_times_s,
     settle_form,
+    split_unit,
 )
 from diagnosis.tables.layouts import read_raw_table
 from diagnosis.tables.repairs import find_stand_ins, restore_sign
 from diagnosis.tables.topics import TopicField, is_recording, read_topics
-from machine.conventions import Array
+from machine.conventions import Array, BoolArray
 
 MIN_NUMBERS_RATIO: Final = 0.5
 """Smallest share of numeric cells, of those that are not blank, in a numeric column."""
@@ -63,23 +65,24 @@ class Table:
     """Columns of a file as text, with the assumptions made about it."""
 
     path: Path
-    columns: dict[str, list[str]]
+    columns: pd.DataFrame
+    """Cells as text by column name; the index holds the line of each row in the file."""
     notes: list[str] = field(default_factory=list[str])
     """Assumptions and repairs, for the user."""
     units: dict[str, str] = field(default_factory=dict[str, str])
-    """By column name, from a row of units."""
+    """By column name, from a row of units or the cells."""
     derived: dict[str, Array] = field(default_factory=dict[str, Array])
     """Columns computed from others, by name, (rows,) each."""
     options: ReadOptions = DEFAULT_OPTIONS
-    line_numbers: Sequence[int] = ()
-    """Line of the file of each row."""
+    _cells: dict[str, pd.Series] = field(default_factory=dict[str, pd.Series])
+    _plain: dict[str, Array | None] = field(default_factory=dict[str, Array | None])
     _parsed: dict[str, Parsed] = field(default_factory=dict[str, Parsed])
     _form: list[NumberForm | None] = field(default_factory=list[NumberForm | None])
 
     @property
     def row_count(self) -> int:
         """Rows without the header."""
-        return len(next(iter(self.columns.values()), []))
+        return len(self.columns)
 
     def numbers(self, name: str) -> Array:
         """A column as numbers, (rows,); nan where a cell is blank or holds a stand-in for no value.
@@ -108,32 +111,56 @@ class Table:
                 self._parsed[name] = Parsed(nothing, (), str(error))
         return self._parsed[name]
 
+    def cells(self, name: str) -> pd.Series:
+        """A column's cells without the unit behind each number; those without a value are empty."""
+        if name not in self._cells and self._plain_numbers(name) is not None:
+            self._cells[name] = self.columns[name]
+        if name not in self._cells:
+            cells, unit = split_unit(clean_cells(self.columns[name]))
+            if unit:
+                self.units.setdefault(name, unit.lower())
+                self.note(f"{name!r}: unit {unit!r} taken from the cells")
+            nothing = are_blank(cells) | cells.isin(self.options.missing).to_numpy()
+            self._cells[name] = cells.mask(nothing, "")
+        return self._cells[name]
+
+    def _plain_numbers(self, name: str) -> Array | None:
+        """A column of which each cell is a number with a point or without sign, (rows,); else None."""
+        if name not in self._plain:
+            values = pd.to_numeric(self.columns[name], errors="coerce")
+            values = values.to_numpy(np.float64, copy=True)
+            self._plain[name] = values if np.all(np.isfinite(values)) else None
+        return self._plain[name]
+
     def _read_numbers(self, name: str) -> Parsed:
         """Parse a column; numbers are restored and stand-ins left out by rule."""
-        cells = self.columns[name]
-        if self.options.missing:
-            cells = ["" if text in self.options.missing else text for text in cells]
+        cells = self.cells(name)
         form = self._form_of(name, cells)
+        plain = self._plain_numbers(name)
+        if plain is not None and form == POINT:
+            return self._leave_out_stand_ins(name, plain.copy(), [])
+        is_filled = (cells != "").to_numpy()
+        lower = cells.str.lower()
+        notes: list[str] = []
+        if np.any(is_filled) and lower[is_filled].isin(SWITCH_CELLS.keys()).all():
+            cells = lower.map(SWITCH_CELLS).fillna("")
+            notes.append(f"{name!r}: states of a switch read as 1 and 0")
         values = parse_cells(cells, form)
-        filled = np.array([not is_blank(text) for text in cells])
-        is_text = filled & np.isnan(values)
-        values[~(np.abs(values) < MAX_MAGNITUDE)] = np.nan
-        if not np.any(np.isfinite(values)) or np.sum(is_text) > MIN_NUMBERS_RATIO * np.sum(filled):
-            raise RefusedTableError(
-                f"column {name!r} of {self.path.name} holds a number in "
-                f"{np.mean(np.isfinite(values)):.0%} of its rows; choose another column"
-            )
+        is_text = is_filled & np.isnan(values)
         if np.any(is_text):
-            first = int(np.argmax(is_text))
-            row = self.line_numbers[first] if self.line_numbers else first + 2
-            raise RefusedTableError(
-                f"row {row} of {self.path.name}, column {name!r}: {cells[first]!r} is no number "
-                f"({form.describe()}), nor {int(np.sum(is_text)) - 1} more cells below. Correct them; "
-                f"if they stand for no value, give --missing {cells[first].strip()}"
-            )
-        notes = [f"{name!r}: {form.describe()}"] if form != POINT and _has_sign(cells) else []
-        if any(has_other_minus(text) for text in cells):
+            raise RefusedTableError(self._describe_text(name, is_text, form))
+        if form != POINT and _has_sign(cells):
+            notes.append(f"{name!r}: {form.describe()}")
+        if self.columns[name].str.contains("[\u2212\u2013\ufe63\uff0d]\\d").any():
             notes.append(f"{name!r}: typographic minus signs read as minus")
+        return self._leave_out_stand_ins(name, values, notes)
+
+    def _leave_out_stand_ins(self, name: str, values: Array, notes: list[str]) -> Parsed:
+        values[~(np.abs(values) < MAX_MAGNITUDE)] = np.nan
+        if np.all(np.isnan(values)):
+            raise RefusedTableError(
+                f"column {name!r} of {self.path.name} holds a number in 0% of its rows; choose another column"
+            )
         stand_in, which = find_stand_ins(values)
         if which:
             words = " and ".join(f"{value:g}" for value in which)
@@ -148,7 +175,23 @@ class Table:
             )
         return Parsed(values, tuple(notes), "")
 
-    def _form_of(self, name: str, cells: Sequence[str]) -> NumberForm:
+    def _describe_text(self, name: str, is_text: BoolArray, form: NumberForm) -> str:
+        """Where a column of numbers holds text, for a refusal."""
+        first = int(np.argmax(is_text))
+        text = self.columns[name].iloc[first]
+        place = f"row {self.columns.index[first]} of {self.path.name}, column {name!r}"
+        share = float(np.mean(is_text[(self.cells(name) != "").to_numpy()]))
+        if share > MIN_NUMBERS_RATIO:
+            return (
+                f"{place}: {text!r} is no number; the column holds a number in {1.0 - share:.0%} of its "
+                "rows; choose another column"
+            )
+        return (
+            f"{place}: {text!r} is no number ({form.describe()}), nor {int(np.sum(is_text)) - 1} more cells "
+            f"below. Correct them; if they stand for no value, give --missing {text.strip()}"
+        )
+
+    def _form_of(self, name: str, cells: pd.Series) -> NumberForm:
         given = {"point": NumberForm(".", ","), "comma": NumberForm(",", ".")}
         if self.options.decimal != "auto":
             return given[self.options.decimal]
@@ -159,10 +202,10 @@ class Table:
         if not self._form:
             shown = [
                 form.decimal
-                for cells in self.columns.values()
-                if sum(is_number(text) for text in cells) > MIN_NUMBERS_RATIO * len(cells)
-                and _has_sign(cells)
+                for name in self.columns
+                if _has_sign(cells := self.cells(name))
                 and (form := find_form(cells)) is not None
+                and np.mean(np.isnan(parse_cells(cells, form))) < MIN_NUMBERS_RATIO
             ]
             self._form.append(NumberForm(shown[0]) if len(set(shown)) == 1 else None)
         return self._form[0]
@@ -175,20 +218,32 @@ class Table:
         """
         if name in self.derived or not self._parse(self.column(name)).refusal:
             return self.numbers(name)
-        cells = self.columns[self.column(name)]
+        cells = self.cells(self.column(name))
         values = parse_times_s(cells)
         good = np.isfinite(values)
-        filled = np.array([not is_blank(text) for text in cells])
+        filled = (cells != "").to_numpy()
         if np.sum(good) < MIN_NUMBERS_RATIO * max(np.sum(filled), 1.0):
             return self.numbers(name)
         if np.any(filled & ~good):
             first = int(np.argmax(filled & ~good))
-            row = self.line_numbers[first] if self.line_numbers else first + 2
             raise RefusedTableError(
-                f"row {row} of {self.path.name}, column {name!r}: {cells[first]!r} is no date or time of day"
+                f"row {self.columns.index[first]} of {self.path.name}, column {name!r}: "
+                f"{cells.iloc[first]!r} is no date or time of day"
             )
         self.note(f"{name!r} read as dates or times of day")
         return values - values[good][0]
+
+    def add_times(self, day: str, clock: str) -> str | None:
+        """Name of a new column of times from one of days and one of times of day; None without such."""
+        days, clocks = self.cells(day), self.cells(clock)
+        is_pair = days.str.fullmatch(r"\d{1,4}[./-]\w{1,3}[./-]\d{2,4}").all()
+        if not is_pair or not clocks.str.fullmatch(r"\d+:\d+:.*").all():
+            return None
+        name = f"{day} and {clock}, s"
+        values = parse_times_s(days + " " + clocks)
+        self.derived[name] = values - values[0]
+        self.note(f"{day!r} and {clock!r} taken together as the time")
+        return name
 
     def values_if_numeric(self, name: str) -> Array | None:
         """A column as numbers without notes, (rows,); None if it cannot be used as numbers."""
@@ -201,9 +256,9 @@ class Table:
         """Whether a column holds mostly numbers that vary; cells that are none do not matter."""
         values = self.values_if_numeric(name)
         if values is None:
-            values = parse_cells(self.columns[name], find_form(self.columns[name]) or POINT)
+            values = parse_cells(self.cells(name), find_form(self.cells(name)) or POINT)
         good = np.isfinite(values)
-        filled = sum(not is_blank(text) for text in self.columns.get(name, []))
+        filled = 0 if name in self.derived else int((self.cells(name) != "").sum())
         return bool(np.sum(good) > MIN_NUMBERS_RATIO * filled) and bool(np.ptp(values[good]) > 0.0)
 
     def words(self, name: str) -> list[str]:
@@ -216,16 +271,18 @@ class Table:
     def text_columns(self) -> list[str]:
         """Names of label columns: mostly not numeric, 2 to `MAX_LABELS_COUNT` distinct texts."""
         found: list[str] = []
-        for name, cells in self.columns.items():
-            some = set(cells[:: max(1, len(cells) // 5000)]) - {""}
-            numbers = sum(is_number(text) or is_blank(text) for text in some)
-            if 1 < len(some) <= MAX_LABELS_COUNT and numbers < MIN_NUMBERS_RATIO * len(some):
+        for name in self.columns:
+            some = self.columns[name].iloc[:: max(1, self.row_count // 5000)].drop_duplicates()
+            some = clean_cells(some)
+            some = some[~are_blank(some)]
+            texts = int(np.isnan(parse_cells(some, find_form(some) or POINT)).sum())
+            if 1 < len(some) <= MAX_LABELS_COUNT and texts > (1 - MIN_NUMBERS_RATIO) * len(some):
                 found.append(name)
         return found
 
     def labels(self, name: str) -> list[str]:
         """A column as text, (rows,)."""
-        return self.columns[self.column(name)]
+        return self.columns[self.column(name)].tolist()
 
     def column(self, name: str) -> str:
         """The exact name of a column; case and surrounding blanks are ignored.
@@ -287,18 +344,18 @@ def read_table(path: Path, options: ReadOptions = DEFAULT_OPTIONS) -> Table:
     """
     if is_recording(path):
         found = read_topics(path, options.topics)
-        return Table(path, found.cells, found.notes, found.units, options=options)
+        cells = pd.DataFrame(found.cells, dtype=str)
+        return Table(path, cells, found.notes, found.units, options=options)
     if options.topics:
         raise RefusedTableError(
             f"{path.name} holds no recorded messages: --topic and --field are for ROS bags and MCAP files"
         )
-    header, rows, units, notes, numbers = read_raw_table(path)
-    columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
-    return Table(path, columns, notes, units, options=options, line_numbers=numbers)
+    raw = read_raw_table(path)
+    return Table(path, raw.cells, raw.notes, raw.units, options=options)
 
 
-def _has_sign(cells: Sequence[str]) -> bool:
-    return any("," in text or "." in text for text in cells)
+def _has_sign(cells: pd.Series) -> bool:
+    return bool(cells.str.contains("[.,]").any())
 
 
 def says_degrees(words: Sequence[str]) -> bool | None:

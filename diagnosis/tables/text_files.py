@@ -34,9 +34,14 @@ CONTAINERS: Final = (
     (b"<?xml", f"is XML: {_AS_CSV}"),
     (b"<!DOCTYPE", "is a web page, perhaps of a failed download"),
     (b"<html", "is a web page, perhaps of a failed download"),
-    (b"{", f"is JSON: {_AS_CSV}"),
+    *((mark, f"is JSON: {_AS_CSV}") for mark in (b"{", b"[{", b"[\n", b"[\r\n")),
+    (b"<", f"is XML or a web page: {_AS_CSV}"),
 )
 """First bytes of files that are no tables, and what to do with them."""
+_FOREIGN_WORD: Final = re.compile(
+    r"[^\x00-\x7f]{3,}|(?<!\w)[^\W\d_a-zA-Zµàèéòù]+(?!\w)|[\x80-\x9f¡-¯¶¸»¿]"
+)
+"""What texts of Western Europe do not hold, but those of other encodings do when they are read as such."""
 
 
 class TextLines(NamedTuple):
@@ -96,14 +101,14 @@ def _decode(path: Path) -> tuple[str, list[str]]:
         return data.decode("utf-8-sig"), []
     except UnicodeDecodeError:
         pass
-    try:
-        return data.decode("cp1252"), ["not UTF-8: read as Windows-1252 (European spreadsheets)"]
-    except UnicodeDecodeError as error:
-        row = data.count(b"\n", 0, error.start) + 1
+    text = data.decode("cp1252", errors="replace")
+    if (wrong := _FOREIGN_WORD.search(text)) is not None or "\ufffd" in text:
+        place = wrong.start() if wrong is not None else text.index("\ufffd")
         raise RefusedTableError(
-            f"row {row} of {path.name} holds byte 0x{data[error.start]:02x}, which is neither UTF-8 nor "
-            "Windows-1252: save the file as UTF-8"
-        ) from error
+            f"row {text.count(chr(10), 0, place) + 1} of {path.name} is neither UTF-8 nor Windows-1252 "
+            f"({text[place : place + 12].split(chr(10))[0]!r}): save the file as UTF-8"
+        )
+    return text, ["not UTF-8: read as Windows-1252 (European spreadsheets)"]
 
 
 def find_separator(lines: Sequence[str]) -> str:

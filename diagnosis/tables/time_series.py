@@ -31,6 +31,10 @@ UNIT_CHANGE_TOLERANCE_RATIO: Final = 0.25
 """Deviation of the ratio of two sample periods from a power of 1000, up to which the unit of time changed."""
 HOLE_PERIODS: Final = 3.5
 """A step longer than this many median steps is a gap."""
+MAX_STEP_DAYS: Final = 5e-6
+"""Longest step of times in days, 0.4 s; as seconds it would mean 200 kHz."""
+SERIAL_DAYS: Final = (3e4, 9e5)
+"""Days since 1900 in spreadsheets and since year 0 in MATLAB, from 1982 on."""
 TIME_UNITS: Final[Mapping[str, float]] = {
     **dict.fromkeys(("ns", "nanosec", "nanoseconds"), 1e-9),
     **dict.fromkeys(("us", "micros", "microseconds"), 1e-6),
@@ -67,6 +71,11 @@ def time_in_seconds(table: Table, name: str) -> Array:
     named = [unit for unit in TIME_UNITS if table.words(name)[-1:] == [unit]]
     if named:
         factor = TIME_UNITS[named[0]]
+    elif period < MAX_STEP_DAYS and SERIAL_DAYS[0] < finite[0] < SERIAL_DAYS[1]:
+        factor = 86400.0
+        table.notes.append(
+            f"times in {name!r} taken as days, as spreadsheets and MATLAB count them"
+        )
     elif period < 2.0:
         factor = 1.0
     elif period < 500.0:

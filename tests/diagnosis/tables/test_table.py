@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diagnosis.tables.cells import RefusedTableError
+from diagnosis.tables.columns import find_time_column
 from diagnosis.tables.layouts import read_raw_table
 from diagnosis.tables.table import ReadOptions, read_table
 from diagnosis.tables.time_series import time_in_seconds
@@ -71,7 +72,7 @@ def test_units_are_taken_from_the_row_below_the_header(tmp_path: Path) -> None:
     rows = "\n".join(f"{0.1 * k:.1f},{k},{k},{k}" for k in range(30))
     path.write_text(f"Time,Carry,Side,Height\n[s],[yd],[yd],[ft]\n{rows}\n")
     found = read_raw_table(path)
-    assert found.header == ["Time", "Carry", "Side", "Height"]
+    assert list(found.cells) == ["Time", "Carry", "Side", "Height"]
     assert found.units == {"Time": "s", "Carry": "yd", "Side": "yd", "Height": "ft"}
 
 
@@ -239,6 +240,118 @@ def test_other_kinds_of_files_are_named(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(RefusedTableError, match=words):
             read_table(path)
+
+
+NO_VALUES = (
+    *("", "NaN", "n/a", "#DIV/0!", "#N/A", "nan(ind)", "-1.#IND", "<NA>", "1e400", "\u2013"),
+    *('""', "NULL"),
+)
+WORDS = ("ERR", "?", "---", "N.A.", "(3)", "3-", "0x1F", "1_0", "12:30", "3 mm", "--3")
+
+
+def test_cells_without_a_value_are_known_and_others_named_also_in_the_first_row(
+    tmp_path: Path,
+) -> None:
+    for row in (0, 20):
+        for word in (*NO_VALUES, *WORDS):
+            cells = [word if k == row else f"{0.5 * k}" for k in COUNT]
+            path = write(tmp_path / "a.csv", "t,u,v", COUNT, COUNT, cells)
+            if word in WORDS:
+                with pytest.raises(
+                    RefusedTableError, match=rf"row {row + 2} of a\.csv, column 'v'"
+                ):
+                    read_table(path).numbers("v")
+            else:
+                values = read_table(path).numbers("v")
+                assert np.flatnonzero(np.isnan(values)).tolist() == [row], word
+                assert values[30] == 15.0
+
+
+def test_units_and_switches_in_cells(tmp_path: Path) -> None:
+    for unit in ("mm", "\u00b0", "%"):
+        path = write(tmp_path / "a.csv", "t,v", COUNT, [f"-{k}.5 {unit}" for k in COUNT])
+        table = read_table(path)
+        assert table.numbers("v")[3] == -3.5
+        assert table.units["v"] == unit
+        assert any("from the cells" in note for note in table.notes)
+    mixed = [f"{k} {'mm' if k % 2 else 'cm'}" for k in COUNT]
+    with pytest.raises(RefusedTableError, match="'0 cm' is no number"):
+        read_table(write(tmp_path / "a.csv", "t,v", COUNT, mixed)).numbers("v")
+    for on, off in (("TRUE", "FALSE"), ("on", "off")):
+        path = write(tmp_path / "a.csv", "t,v", COUNT, [on if k % 3 else off for k in COUNT])
+        assert read_table(path).numbers("v")[:4].tolist() == [0.0, 1.0, 1.0, 0.0]
+
+
+def test_a_quotation_mark_that_is_not_closed_swallows_no_rows(tmp_path: Path) -> None:
+    for rows in ((5,), (5, 9), (5, 6, 30)):
+        notes = ['"open' if k in rows else "fine" for k in COUNT]
+        table = read_table(write(tmp_path / "a.csv", "t,v,note", COUNT, COUNT, notes))
+        assert table.numbers("v").tolist() == [*map(float, COUNT)], rows
+    notes = ['"one\ntwo, three"' if k == 5 else "fine" for k in COUNT]
+    cells = ["bad" if k == 30 else k for k in COUNT]
+    table = read_table(write(tmp_path / "a.csv", "t,v,note", COUNT, cells, notes))
+    with pytest.raises(RefusedTableError, match="row 33 of"):
+        table.numbers("v")
+
+
+def test_comments_are_left_out_and_may_hold_the_names(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{0.1 * k:.1f} {k} {2 * k}" for k in COUNT]
+    for mark in ("#", "%", "//"):
+        lines = [f"{mark} made by a logger", f"{mark} time cmd pos", *rows]
+        path.write_text("\n".join([*lines[:20], f"{mark} paused", *lines[20:]]))
+        table = read_table(path)
+        assert list(table.columns) == ["time", "cmd", "pos"], mark
+        assert table.row_count == len(rows)
+        assert any("1 lines of comments" in note for note in table.notes)
+    path.write_text("cmd,time\n" + "".join(f"{'#N/A' if k == 4 else k},{k}\n" for k in COUNT))
+    assert read_table(path).row_count == len(rows)
+
+
+def test_other_encodings_are_refused_rather_than_misread(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for text, encoding in (
+        ("\u6642\u9593,\u4f4d\u7f6e", "shift_jis"),
+        ("\u65f6\u95f4,\u4f4d\u7f6e", "gbk"),
+        ("\u0432\u0440\u0435\u043c\u044f,\u0443\u0433\u043e\u043b", "cp1251"),
+        ("t,angle (\u00b0)", "mac_roman"),
+        ("t,angle (\u00b0)", "cp850"),
+    ):
+        path.write_bytes((text + "\n" + "1,2\n" * 40).encode(encoding))
+        with pytest.raises(RefusedTableError, match=r"row 1 of a\.csv is neither UTF-8"):
+            read_table(path)
+    for text in (
+        "Zeit (\u00b5s),Stellgr\u00f6\u00dfe (%)",
+        "t,Pression \u00e0 l'entr\u00e9e",
+        "t,a (m/s\u00b2)",
+    ):
+        path.write_bytes((text + "\n" + "1,2\n" * 40).encode("cp1252"))
+        assert list(read_table(path).columns) == text.split(",")
+
+
+DATES = (
+    "10-Mar-2024 23:59:{:06.3f}",
+    "10.03.24 23:59:{:06.3f}",
+    "2024/03/10 23:59:{:06.3f}",
+    "2024-03-10T23:59:{:06.3f}+01:00",
+    "Sun 10.03.2024 11:59:{:06.3f} PM",
+)
+
+
+def test_dates_of_many_programs(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for form in DATES:
+        write(path, "when;v", [form.format(0.5 * k) for k in COUNT], COUNT, separator=";")
+        assert np.allclose(read_table(path).clock("when"), 0.5 * np.array(COUNT)), form
+    write(path, "time,v", [f"10:00:{k:02}:250" for k in COUNT], COUNT)
+    assert read_table(path).clock("time")[9] == 9.0
+    write(path, "time,v", [f"{45361.5 + 0.02 * k / 86400:.9f}" for k in COUNT], COUNT)
+    assert time_in_seconds(read_table(path), "time")[-1] == pytest.approx(0.78, abs=1e-3)
+    days = ["2024-03-10" if k < 20 else "2024-03-11" for k in COUNT]
+    clocks = [f"23:59:{40 + k}" if k < 20 else f"00:00:{k - 20:02}" for k in COUNT]
+    write(path, "Date,Time,v", days, clocks, COUNT)
+    table = read_table(path)
+    assert time_in_seconds(table, find_time_column(table, None)).tolist() == [*map(float, COUNT)]
 
 
 def test_days_and_midnight(tmp_path: Path) -> None:
