@@ -2,18 +2,22 @@
 
 import functools
 import inspect
+import shutil
+import tempfile
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 
 def each(
-    names: str | tuple[str, ...], values: Iterable[Any]
+    names: str | tuple[str, ...], values: Iterable[Any], *, copied: str | None = None
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Like pytest.mark.parametrize with these argument names and values, in one test item.
 
-    Cases share the test's fixtures: not for tests that change one.
+    Cases share the test's fixtures: not for tests that change one, but for the folder that the fixture
+    `copied` names, of which every case gets a copy of the same name.
     """
     listed = names.split(",") if isinstance(names, str) else names
     arguments = [name.strip() for name in listed]
@@ -25,8 +29,9 @@ def each(
             failures: list[str] = []
             for case in cases:
                 given = dict(zip(arguments, case, strict=True))
+                own = {} if copied is None else {copied: _copy_of(fixtures[copied])}
                 try:
-                    test(**fixtures, **given)
+                    test(**{**fixtures, **own}, **given)
                 except (Exception, pytest.fail.Exception) as error:
                     text = str(error) or type(error).__name__
                     failures.append(f"{given}: {text}")
@@ -40,3 +45,8 @@ def each(
         return run
 
     return decorate
+
+
+def _copy_of(folder: Path) -> Path:
+    beside = tempfile.mkdtemp(dir=folder.parent)
+    return Path(shutil.copytree(folder, Path(beside) / folder.name))

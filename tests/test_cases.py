@@ -22,3 +22,9 @@ def test_all_failing_cases_are_listed(tmp_path):
 @each("value", [1, 2])
 def test_fixtures_and_cases_go_together(value, tmp_path):
     assert tmp_path.exists() and value in (1, 2)
+
+
+@each("name", ["a", "b"], copied="tmp_path")
+def test_a_case_may_change_its_copy_of_a_folder(name, tmp_path):
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / name).touch()

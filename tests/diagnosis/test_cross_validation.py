@@ -79,17 +79,3 @@ def test_a_set_quieter_than_its_type_shows_its_gain() -> None:
     assert _closed(Ends(before=0.8, after=0.8, floor=1.0), least_seen=0.8) == 0.0
     assert _closed(Ends(before=2.0, after=0.5, floor=1.0), least_seen=0.4) == pytest.approx(0.9375)
     assert _closed(Ends(before=2.0, after=2.5, floor=1.0), least_seen=2.4) == pytest.approx(-0.5)
-
-
-def test_a_late_release_is_a_gap_that_closes() -> None:
-    known = health()
-    late = Effect(effect="release_delay", parameters={"extra_delay_s": 0.08})
-    loaded = throws((late,), 6)
-    plan = layout(known.noise)
-    prepared = prepare(loaded.throws, profile())
-    calibration = loaded.throws[0].calibration
-    one = pose_problem(prepared, profile(), calibration, known, plan)
-    found = shrink(*posed_with(one, late), floor_m=0.3)
-    assert found is not None
-    assert found[0].ratio > 0.7
-    assert found[0].ci90[0] > 0.0

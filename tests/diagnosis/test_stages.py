@@ -11,6 +11,7 @@ from diagnosis.verdict import Stage
 from machine.ballistics import drag_per_m, step_flight
 from machine.spec import load_spec
 from sim_twin.effects.effect import Effect
+from tests.cases import each
 from tests.diagnosis.twin_throws import profile, throws
 
 COUNT = 4
@@ -24,7 +25,7 @@ def swapped(*effects: Effect, tracked: bool = True) -> Terms:
     return swap_stages(prepare(chosen, profile()), profile(), loaded.throws[0].calibration)
 
 
-@pytest.mark.parametrize("tracked", [True, False])
+@each("tracked", [True, False])
 def test_terms_sum_to_the_gap_exactly(tracked: bool) -> None:
     effect = Effect(effect="valve_gain", joint="boom", parameters={"negative_ratio": 0.2})
     terms = swapped(effect, tracked=tracked)
@@ -32,7 +33,7 @@ def test_terms_sum_to_the_gap_exactly(tracked: bool) -> None:
     np.testing.assert_allclose(terms.term_m.sum(axis=0), terms.gap_m, atol=1e-9)
 
 
-@pytest.mark.parametrize(
+@each(
     ("effect", "stage", "joint"),
     [
         (

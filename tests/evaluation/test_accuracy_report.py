@@ -11,18 +11,11 @@ from diagnosis.loading.logs import load_throws
 from evaluation.accuracy_report.accuracy_drawings import landing_plot, range_plot
 from evaluation.measures import target_row
 from evaluation.paper import SCATTER
-from evaluation.sensitivity import FACTORS, measure_sensitivity
-from machine.calibration import nominal_calibration
-from machine.conventions import Mode
+from evaluation.sensitivity import FACTORS
 from machine.spec import load_spec
-from machine.starts import safe_pose
-from runtime.control.control_loop import ControlParams
-from runtime.control.policy import PolicyRunner, find_policy
 from runtime.records.log_reader import read_throw_log
 from sim_twin.confidence_intervals import deviation_interval, mean_interval, proportion_interval
 from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
-from sim_twin.twin.profile import nominal_profile
-from sim_twin.twin.twin import Twin
 
 SPEC = load_spec()
 
@@ -60,31 +53,6 @@ def test_a_target_where_nothing_landed_has_no_numbers():
     for drawing in (range_plot([row], 7.5, "w"), landing_plot(row, SCATTER["2d"], "w")):
         assert drawing.startswith("<svg")
         assert "nan" not in drawing
-
-
-def test_a_longer_release_delay_shifts_each_throw_alike(swing_policies: Path):
-    params = ControlParams(
-        SPEC,
-        nominal_calibration(SPEC),
-        Mode.PLANAR,
-        PolicyRunner(find_policy(swing_policies, Mode.PLANAR), SPEC),
-    )
-    profile = nominal_profile(SPEC)
-
-    def make(count, effects):
-        own = profile.model_copy(update={"effects": effects})
-        return Twin(count=count, profile=own, calibration=params.calibration)
-
-    starts = np.tile(safe_pose(), (8, 1))
-    target = np.tile([6.0, 0.0, 0.0], (8, 1))
-    shifts = measure_sensitivity(make, params, target, starts, 1)
-    assert [s.name for s in shifts] == [f.name for f in FACTORS]
-    delay = shifts[0]
-    assert delay.pair_count + delay.failed_count == 8
-    # Later is further on an upward swing, and the reverse; far clearer than the scatter of 8 throws.
-    assert delay.low_m * delay.high_m < 0.0
-    width = delay.high_ci95_m[1] - delay.high_ci95_m[0]
-    assert width < 2.0 * abs(delay.high_m)
 
 
 def test_the_report_is_one_page_with_data_and_logs_of_what_failed(

@@ -24,6 +24,7 @@ from machine.policy_card import (
     load_card,
     read_policy,
 )
+from tests.cases import each
 from tests.runtime.quick_policy import write_policy
 
 KEY, OTHER_KEY, THIRD_KEY, EVIL_KEY = (new_private_key() for _ in range(4))
@@ -69,7 +70,7 @@ def test_what_is_not_approved_is_refused_with_the_reason(folder):
             site.check(read_policy(folder), mode)
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"card_sha256": "0" * 64},
@@ -201,7 +202,7 @@ def test_what_a_revoked_key_signs_is_refused(folder):
         once.require_successor_of(last)
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"new_key": public_key(EVIL_KEY)},
@@ -220,7 +221,7 @@ def test_no_word_of_a_change_of_the_key_can_be_changed(folder, change):
         sign_list(forged, signer).require_successor_of(known)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         ({"site": "other"}, "bound to site yard"),

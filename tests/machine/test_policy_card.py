@@ -133,8 +133,8 @@ def test_an_evaluation_takes_the_place_of_the_last_one_on_the_same_plant(folder)
     assert load_card(folder).policy_sha256 == sha
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
-@pytest.mark.parametrize("place", ["target_range_min_m", "config", "evaluation"])
+@each("number", ["NaN", "Infinity", "-Infinity", "1e999"], copied="folder")
+@each("place", ["target_range_min_m", "config", "evaluation"], copied="folder")
 def test_numbers_that_are_not_finite_are_refused(folder, number, place):
     body = json.loads((folder / CARD_FILE).read_text())
     if place == "config":

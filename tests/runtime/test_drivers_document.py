@@ -15,6 +15,7 @@ from machine.messages import StopRequest, ThrowState
 from machine.starts import safe_pose
 from runtime.driver import Driver
 from runtime.process.driver_loader import load_driver
+from tests.cases import each
 from tests.ports import free_port
 from tests.runtime.machine_bench import Bench, make
 
@@ -128,7 +129,7 @@ def test_controller_that_is_not_there_fails_with_the_reason(module_name, control
         load_driver(module_name, {"address": "127.0.0.1:9", "listen": "nonsense"}, 0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "options", "message"),
     [
         ("no_such_package:Driver", {}, "cannot be imported"),

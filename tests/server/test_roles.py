@@ -1,10 +1,9 @@
 """Every operation of the interface against every role: nobody may do more than the table says."""
 
-import pytest
-
 from server.app import create_app
 from server.schemas.console import Role
 from server.settings import Settings
+from tests.cases import each
 
 ROLES = tuple(Role)
 USERS = dict(zip(ROLES, ("vic", "ada", "sue", "eve", "root"), strict=True))
@@ -95,7 +94,7 @@ def answer(client, operation):
         return reply.status_code, reply.json()["error"]["code"]
 
 
-@pytest.mark.parametrize("role", ROLES)
+@each("role", ROLES)
 def test_a_role_may_do_what_is_its_own_and_no_more(running, role):
     place = ROLES.index(role)
     with running.client(USERS[role]) as client:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cases import each
 from training.measure import Accuracy
 from training.ppo import IterationMetrics
 from training.progress import (
@@ -84,7 +85,7 @@ def test_rows_beyond_the_checkpoint_are_dropped_and_written_again(tmp_path: Path
     assert sorted(p.name for p in tmp_path.iterdir()) == [CSV_FILE]
 
 
-@pytest.mark.parametrize("lost", [1, 2, 20, 80])
+@each("lost", [1, 2, 20, 80], copied="tmp_path")
 def test_half_a_last_line_is_not_read(tmp_path: Path, lost: int):
     path = tmp_path / CSV_FILE
     append_rows(path, _rows(0, 3))

@@ -14,6 +14,7 @@ from diagnosis.loading.prepared import prepare
 from diagnosis.separating_motions import separating_motion
 from machine.errors import UsageError
 from sim_twin.effects.effect import Effect
+from tests.cases import each
 from tests.diagnosis.twin_throws import health, profile, throws
 
 
@@ -85,7 +86,7 @@ def test_scatter_keeps_its_covariance_through_a_file() -> None:
     assert kept.with_sd("b", 2.0).covariance("b")[0, 0] == pytest.approx(4.0)
 
 
-@pytest.mark.parametrize(("extra_s", "is_found"), [(0.0, False), (0.08, True)])
+@each(("extra_s", "is_found"), [(0.0, False), (0.08, True)])
 def test_jitter_is_a_spread_and_not_a_mean(extra_s: float, is_found: bool) -> None:
     rng = np.random.default_rng(3)
     loaded = throws((), 12)
@@ -99,7 +100,7 @@ def test_jitter_is_a_spread_and_not_a_mean(extra_s: float, is_found: bool) -> No
         assert found.ci90_s[0] < extra_s < found.ci90_s[1] + 0.02
 
 
-@pytest.mark.parametrize(("follows_s", "jitter_s"), [(0.06, 0.0), (0.06, 0.02), (0.0, 0.06)])
+@each(("follows_s", "jitter_s"), [(0.06, 0.0), (0.06, 0.02), (0.0, 0.06)])
 def test_a_spread_that_follows_the_swing_is_no_jitter(follows_s: float, jitter_s: float) -> None:
     rng = np.random.default_rng(4)
     loaded = throws((), 12)

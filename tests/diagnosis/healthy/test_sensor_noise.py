@@ -8,6 +8,7 @@ import pytest
 from diagnosis.healthy.noise import load_noise
 from diagnosis.healthy.sensor_noise import NOISE_LIKE_SD, with_measured_sensor_noise
 from diagnosis.loading.throw_data import LoadedSet
+from tests.cases import each
 from tests.diagnosis.twin_throws import throws
 
 LATE = "valve_dead_time.boom.extra_dead_time_s"
@@ -55,7 +56,7 @@ def test_noisy_joint_sensors_widen_the_swing_s_noise() -> None:
         assert found.set_scatter.sd_of(name) > 2.0 * model.set_scatter.sd_of(name)
 
 
-@pytest.mark.parametrize("sd_m", [0.025, 0.05])
+@each("sd_m", [0.025, 0.05])
 def test_the_tracker_s_noise_is_measured(sd_m: float) -> None:
     rng = np.random.default_rng(3)
     loaded = throws()

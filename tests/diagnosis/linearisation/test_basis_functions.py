@@ -19,6 +19,7 @@ from diagnosis.linearisation.unmodelled_effects import (
 from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.rigid_body.grip_point import gripper_axes
+from tests.cases import each
 from tests.diagnosis.twin_throws import SWITCH_LAG_S, posed, posed_healthy, throws
 
 THROWS = 6
@@ -167,9 +168,7 @@ def biased(throw: ThrowData, bias_rad: float) -> ThrowData:
     )
 
 
-@pytest.mark.parametrize(
-    ("changed", "size", "is_scale"), [(scaled, 0.04, True), (biased, -0.04, False)]
-)
+@each(("changed", "size", "is_scale"), [(scaled, 0.04, True), (biased, -0.04, False)])
 def test_scale_and_bias_of_a_sensor_are_separated(
     changed: Callable[[ThrowData, float], ThrowData], size: float, is_scale: bool
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from diagnosis.loading.logs import load_throws
 from diagnosis.loading.throw_csv import throw_csv
 from runtime.records.log_writer import write_throw_log
+from tests.cases import each
 from tests.diagnosis.loading.test_logs import make_log
 
 CELLS = ("", "nan", "inf", "-1e308", "1e30", "abc", "9223372036854775808", '"', "\x00", ",,", "1,5")
@@ -80,7 +81,7 @@ def test_a_damaged_log_is_read_or_refused_with_a_reason(tmp_path: Path, suffix: 
     assert ROUNDS // 4 < refused < ROUNDS
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "words"),
     [
         ('# start_t_mono_ns: {"s": 1}', "whole nanoseconds"),
@@ -89,6 +90,7 @@ def test_a_damaged_log_is_read_or_refused_with_a_reason(tmp_path: Path, suffix: 
         ("# result: 7", "is needed"),
         ("# target: [8, 0, 0]", "x_m, y_m, z_m"),
     ],
+    copied="tmp_path",
 )
 def test_what_stands_above_the_columns_is_checked(tmp_path: Path, line: str, words: str) -> None:
     key = line.split(":")[0]

@@ -17,6 +17,7 @@ from machine.spec import load_spec
 from machine.telemetry import BALL_ROW, CONTROL_ROW, IMU_ROW
 from runtime.records.log_writer import write_throw_log
 from runtime.records.throw_log import RESULT_RECORD, ThrowLog
+from tests.cases import each
 
 SPEC = load_spec()
 START_NS = 5_000_000_000
@@ -147,7 +148,7 @@ def scaled(name: str, factor: float, joint: int | None = None) -> ThrowLog:
     return replace(log, control=rows)
 
 
-@pytest.mark.parametrize(
+@each(
     ("log", "words"),
     [
         (scaled("sensor_position_rad_m", 57.3, 1), ["boom", "degrees for rad"]),
@@ -158,6 +159,7 @@ def scaled(name: str, factor: float, joint: int | None = None) -> ThrowLog:
         (scaled("valve_applied_ratio", 100.0), ["-1..1", "per cent"]),
         (scaled("supply_pressure_pa", 1e-5), ["bar"]),
     ],
+    copied="tmp_path",
 )
 def test_swapped_units_are_refused_with_the_range(
     tmp_path: Path, log: ThrowLog, words: list[str]

@@ -15,6 +15,7 @@ from diagnosis.loading.throw_data import LoadedSet
 from machine.spec import load_spec
 from runtime.records.log_writer import write_throw_log
 from sim_twin.twin.profile import nominal_profile
+from tests.cases import each
 from tests.diagnosis.loading.test_logs import make_log
 
 
@@ -55,7 +56,7 @@ def test_ball_switch_and_pressure_may_be_missing(tmp_path: Path) -> None:
     assert any("no ball track" in note for note in loaded.evidence()["repairs"][throw.throw_id])
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         (lambda text: without(text, "gyro_"), "gyro_x_rad_per_s"),
@@ -71,6 +72,7 @@ def test_ball_switch_and_pressure_may_be_missing(tmp_path: Path) -> None:
         (lambda _: "t,theta\n1,2\n" * 40, "is no whole throw"),
         (lambda _: "", "empty or cut off"),
     ],
+    copied="tmp_path",
 )
 def test_what_cannot_be_used_is_refused_with_the_reason(
     tmp_path: Path, change: object, words: str

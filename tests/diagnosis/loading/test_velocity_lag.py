@@ -10,6 +10,7 @@ from diagnosis.loading.measured import smooth_joints
 from diagnosis.loading.throw_data import ThrowData
 from diagnosis.loading.velocity_lag import velocity_lag_s
 from machine.conventions import ACTIVE_COUNT, Array
+from tests.cases import each
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
 
 AMPLITUDE_RAD_M = np.array([0.5, 0.2, 0.3, 0.2])
@@ -47,8 +48,8 @@ def seen(throw: ThrowData, position: Array, velocity: Array, seed: int = 1) -> T
     )
 
 
-@pytest.mark.parametrize("lag_s", [-0.01, 0.0, 0.008, 0.03])
-@pytest.mark.parametrize("scale", [0.9, 1.0])
+@each("lag_s", [-0.01, 0.0, 0.008, 0.03])
+@each("scale", [0.9, 1.0])
 def test_the_lag_of_a_filter_is_found_whatever_the_scale(
     throw: ThrowData, lag_s: float, scale: float
 ):

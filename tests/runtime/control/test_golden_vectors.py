@@ -14,6 +14,7 @@ from machine.golden_vectors import GoldenVectors, read_golden_vectors
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256, read_policy
 from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner
+from tests.cases import each
 
 SHIPPED = Path(__file__).parents[3] / "policies"
 SPEC = load_spec()
@@ -89,8 +90,10 @@ def other_mean(tensors):
     tensors["mean"] += 0.02 / tensors["scale"]
 
 
-@pytest.mark.parametrize(
-    "change", [permuted_inputs, rescaled_outputs, permuted_outputs, no_normaliser, other_mean]
+@each(
+    "change",
+    [permuted_inputs, rescaled_outputs, permuted_outputs, no_normaliser, other_mean],
+    copied="folder",
 )
 def test_what_was_done_to_the_network_is_seen_at_load(folder, change):
     rewrite(folder, lambda tensors: None)
@@ -111,7 +114,7 @@ def test_a_network_that_gives_no_numbers_is_refused(folder):
         golden.check(lambda given: np.full(shape, np.nan), files.card.action_names, "it")
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         (lambda body: body.pop("actions"), "actions"),
@@ -121,6 +124,7 @@ def test_a_network_that_gives_no_numbers_is_refused(folder):
         (lambda body: body.update(observations=body["observations"][:4]), "observations"),
         (lambda body: body["actions"][0].__setitem__(0, 1e999), "finite"),
     ],
+    copied="folder",
 )
 def test_a_file_that_would_check_nothing_is_refused(folder, change, words):
     body = json.loads((folder / GOLDEN_FILE).read_text())
@@ -152,7 +156,7 @@ def test_what_is_loaded_is_what_was_read(folder):
         PolicyRunner(folder, SPEC)
 
 
-@pytest.mark.parametrize("field", ["policy_rate_hz", "control_rate_hz"])
+@each("field", ["policy_rate_hz", "control_rate_hz"], copied="folder")
 def test_another_rate_is_refused(folder, field):
     card = json.loads((folder / CARD_FILE).read_text())
     (folder / CARD_FILE).write_text(json.dumps(card | {field: 50.0}))
@@ -160,7 +164,7 @@ def test_another_rate_is_refused(folder, field):
         PolicyRunner(folder, SPEC)
 
 
-@pytest.mark.parametrize("row_count", [1, 3])
+@each("row_count", [1, 3])
 def test_actions_of_another_shape_are_refused_in_words(folder, row_count):
     files = read_policy(folder)
     golden = read_golden_vectors(files.golden, "it")

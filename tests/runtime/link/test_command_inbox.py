@@ -18,6 +18,7 @@ from runtime.link.command_inbox import CommandInbox
 from runtime.link.ipc import Kind
 from runtime.records.journal import Journal
 from runtime.records.outbox import EventDraft, Outbox, OutboxError
+from tests.cases import each
 from tests.runtime.machine_bench import make
 
 
@@ -156,7 +157,7 @@ def test_throw_that_cannot_be_written_down_does_not_happen(inbox, monkeypatch):
     assert inbox.next_sent()[1]["kind"] == "lease"
 
 
-@pytest.mark.parametrize(
+@each(
     ("payload", "command_id"),
     [
         (b"", ""),

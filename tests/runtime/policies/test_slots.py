@@ -22,6 +22,7 @@ from machine.spec import load_spec
 from runtime.policies import slots as module
 from runtime.policies.on_board import OnBoardPolicies
 from runtime.policies.slots import INSTALLED, PolicySlots
+from tests.cases import each
 from tests.runtime.quick_policy import write_policies, write_policy
 
 KEY = new_private_key()
@@ -66,8 +67,10 @@ def test_a_switch_that_is_cut_off_leaves_the_slots_as_they_were(tmp_path, monkey
     assert PolicySlots(tmp_path).of(Mode.PLANAR).current == B
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{", '{"2d": {"current": "../../etc"}}', '{"4d": {}}', '{"2d": 3}', "\x00\xff"]
+@each(
+    "text",
+    ["", "{", '{"2d": {"current": "../../etc"}}', '{"4d": {}}', '{"2d": 3}', "\x00\xff"],
+    copied="tmp_path",
 )
 def test_damaged_slots_are_those_of_a_machine_that_never_switched(tmp_path, text):
     (tmp_path / "slots.json").write_text(text, encoding="latin-1")

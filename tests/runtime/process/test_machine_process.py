@@ -15,6 +15,7 @@ from machine.errors import UsageError
 from runtime.process import machine_process
 from runtime.process.machine_process import MachineProcess
 from runtime.process.machine_settings import MachineSettings
+from tests.cases import each
 
 ROOT = Path(__file__).parents[3]
 
@@ -72,7 +73,7 @@ def test_folder_in_use_is_refused(tmp_path, monkeypatch):
     os.close(held)
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "message"),
     [
         ({"machine_id": "M 1"}, "is no name"),

@@ -10,6 +10,7 @@ from machine.messages import ArmRequest, LeaseNotice, LoadRequest, ThrowState
 from runtime.control.policy import PolicyRunner
 from runtime.policies.puller import PolicyOffer
 from runtime.process.policy_switch import LoadedPolicy, PolicySwitch
+from tests.cases import each
 from tests.runtime.machine_bench import SPEC, make
 from tests.runtime.quick_policy import write_policy
 from tests.waiting import wait_for
@@ -38,9 +39,7 @@ def refuse(mode, policy_sha256):
     raise PolicyError(f"no {policy_sha256[:3]}")
 
 
-@pytest.mark.parametrize(
-    "state", [s for s in ThrowState if s.value not in ("disarmed", "stopped", "fault")]
-)
+@each("state", [s for s in ThrowState if s.value not in ("disarmed", "stopped", "fault")])
 def test_nothing_is_loaded_while_a_plan_is_armed(state):
     calls = []
     switch = PolicySwitch(lambda *asked: calls.append(asked))

@@ -14,6 +14,7 @@ from runtime.records.log_upload import LogUploader, UploadOutcome, UploadTarget,
 from runtime.records.log_writer import StoredLog
 from runtime.records.outbox import EventDraft, Outbox
 from runtime.records.recorder import log_path
+from tests.cases import each
 
 
 class Server(ThreadingHTTPServer):
@@ -95,7 +96,7 @@ def test_request_carries_token_and_hash(server):
     assert server.stored == {"t1": b"content"}
 
 
-@pytest.mark.parametrize(
+@each(
     ("status", "outcome"),
     [
         (204, UploadOutcome.STORED),

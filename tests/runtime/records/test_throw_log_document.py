@@ -3,8 +3,6 @@
 import re
 from pathlib import Path
 
-import pytest
-
 from machine.channels import LOG_CHANNELS
 from runtime.records.throw_log import (
     CONTEXT_RECORD,
@@ -13,6 +11,7 @@ from runtime.records.throw_log import (
     RESULT_RECORD,
     ROW_TYPES,
 )
+from tests.cases import each
 
 TEXT = (Path(__file__).parents[3] / "docs/throw_log.md").read_text(encoding="utf-8")
 
@@ -26,7 +25,7 @@ def keys(table: str) -> list[str]:
     return [key for row in rows for key in re.findall(r"`([\w.]+)`", row.split("|")[1])]
 
 
-@pytest.mark.parametrize("name", sorted(ROW_TYPES))
+@each("name", sorted(ROW_TYPES))
 def test_every_field_is_described_in_order_with_its_size(name):
     text = section(LOG_CHANNELS[name].topic)
     assert keys(text) == list(ROW_TYPES[name].names)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from machine.conventions import Motion
+from tests.cases import each
 from tests.runtime.replay import recording
 from tests.runtime.replay.difference import differences, waveform
 
 
-@pytest.mark.parametrize("name", recording.names())
+@each("name", recording.names())
 def test_the_control_step_gives_the_accepted_outputs(name):
     known = recording.load(name)
     changes = differences(known.outputs, recording.replay(known))

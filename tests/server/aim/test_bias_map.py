@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from server.aim.bias_map import Misses, bias_map, correction_at, expected_gain
+from tests.cases import each
 
 SD_M = 0.08
 
@@ -44,7 +45,7 @@ def test_a_bias_is_at_least_halved_on_other_throws(seed, along, slope, sign):
         assert abs(np.mean(miss - correction)) < 0.05
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_throws_without_a_bias_are_left_alone(seed):
     found = bias_map(misses(np.random.default_rng(seed), 60))
     assert np.abs(found.along_m).max() < 0.04

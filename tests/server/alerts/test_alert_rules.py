@@ -17,6 +17,7 @@ from server.alerts.alert_rules import (
     judge_machine,
 )
 from server.schemas.alerts import AlertRule
+from tests.cases import each
 
 NOW = datetime(2026, 11, 27, 12, 0, tzinfo=UTC)
 NOW_NS = 1_000_000_000_000
@@ -147,7 +148,7 @@ def test_link_and_disk():
     assert "3 MB free" in (judge_disk("full: 3 MB free, 268 MB needed").text or "")
 
 
-@pytest.mark.parametrize(
+@each(
     ("days", "rule", "said"),
     [
         (31.0, None, ""),

@@ -31,6 +31,7 @@ from server.schemas.policies import PolicyState
 from server.settings import Settings, load_settings
 from server.store.alert_models import Notification
 from server.store.models import Audit
+from tests.cases import each
 from tests.ports import free_port
 from tests.server.alerts.receiver import Receiver, receiving
 from tests.waiting import wait_for
@@ -379,7 +380,7 @@ def test_a_mail_to_a_bad_port_is_a_failed_attempt(assembled):
     assert outbox.rows()[0].answer == "ValueError"
 
 
-@pytest.mark.parametrize(
+@each(
     ("settings", "said"),
     [
         ({"smtp_url": "http://x"}, "smtp://"),

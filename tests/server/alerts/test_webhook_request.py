@@ -14,6 +14,7 @@ from server.alerts.webhook_request import (
     send,
     signature,
 )
+from tests.cases import each
 from tests.server.alerts.receiver import receiving
 
 SECRET = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"
@@ -28,7 +29,7 @@ def test_secrets_differ():
     assert len({new_secret() for _ in range(20)}) == 20
 
 
-@pytest.mark.parametrize(
+@each(
     "address",
     [
         *("127.0.0.1", "10.1.2.3", "172.16.0.1", "192.168.1.1", "169.254.169.254", "0.0.0.0"),
@@ -41,12 +42,12 @@ def test_addresses_inside_a_network_are_not_public(address: str):
     assert not is_public(ipaddress.ip_address(address))
 
 
-@pytest.mark.parametrize("address", ["8.8.8.8", "2606:4700::1111", "::ffff:8.8.8.8"])
+@each("address", ["8.8.8.8", "2606:4700::1111", "::ffff:8.8.8.8"])
 def test_addresses_of_the_internet_are_public(address: str):
     assert is_public(ipaddress.ip_address(address))
 
 
-@pytest.mark.parametrize(
+@each(
     ("url", "said"),
     [
         ("https://127.0.0.1/x", "inside a network"),

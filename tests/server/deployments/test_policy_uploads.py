@@ -21,6 +21,7 @@ from runtime.control.policy_check import check_version
 from scripts.golden_vectors import add_golden_vectors
 from server.deployments import approval_basis, policy_uploads
 from server.deployments.policy_uploads import LIMITS_BYTES
+from tests.cases import each
 from tests.runtime.quick_policy import write_policy
 from tests.server.server_bench import PASSWORD
 
@@ -232,7 +233,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@each("case", REFUSED, copied="version")
 def test_what_is_no_usable_version_is_refused_with_the_reason(running, eve, version, case):
     make, words = REFUSED[case]
     before = uploaded(running), len(eve.get("/policies").json())

@@ -11,9 +11,10 @@ from server.drift.cusum import (
     spread_evidence,
     spread_threshold,
 )
+from tests.cases import each
 
 
-@pytest.mark.parametrize(("threshold", "length"), [(4.0, 168.0), (5.0, 465.0)])
+@each(("threshold", "length"), [(4.0, 168.0), (5.0, 465.0)])
 def test_run_lengths_are_those_of_the_literature(threshold: float, length: float):
     """One-sided lengths are twice the two-sided ones of Montgomery, table for an allowance of 0.5."""
     cdf = NormalDist().cdf

@@ -13,6 +13,7 @@ from server.drift.drift_test import (
     ThrowMiss,
     allowance,
 )
+from tests.cases import each
 
 SD_M = 0.1
 
@@ -46,7 +47,7 @@ def healthy(seed: int, count: int = 300) -> tuple[np.random.Generator, DriftTest
     return rng, test
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "shift"),
     [
         (Change.LONG, {"along": 0.1}),

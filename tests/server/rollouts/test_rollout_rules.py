@@ -2,10 +2,9 @@
 
 from datetime import UTC, datetime, timedelta
 
-import pytest
-
 from server.rollouts.rollout_rules import MachineStanding, Next, decide
 from server.rollouts.stage_test import StageFinding
+from tests.cases import each
 
 T0 = datetime(2026, 1, 1, tzinfo=UTC)
 PASSED = StageFinding("passed", None, 12, None)
@@ -28,7 +27,7 @@ def after(seconds, *machines, resumed_s=0.0, is_last=False, is_paused=False):
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("machines", "following"),
     [
         ((machine(asked=False, aboard=False, finding=None),), Next.ASK),

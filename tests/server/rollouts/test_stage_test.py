@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from evaluation.validation.gates import DEFAULT_GATES
 from server.rollouts.stage_test import LOOKS, SHARES, Regression, StageThrow, looks, stage_test
+from tests.cases import each
 
 GATES = DEFAULT_GATES["2d"]
 SD_M = (0.05, 0.03)
@@ -27,7 +28,7 @@ def test_the_shares_add_up():
     assert [count for count, _ in looks(12)] == [6, 9, 12]
 
 
-@pytest.mark.parametrize(
+@each(
     ("since", "regression"),
     [
         (throws(1, 12, ratio=5.0), Regression.SPREAD),
@@ -42,7 +43,7 @@ def test_each_way_of_being_worse_is_found_and_named(since, regression):
     assert found.p_ratio < 1e-3
 
 
-@pytest.mark.parametrize(
+@each(
     ("since", "regression"),
     [
         (throws(1, 12, ratio=12.0), Regression.GATE_SPREAD_ALONG),

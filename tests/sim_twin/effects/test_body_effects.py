@@ -23,6 +23,7 @@ from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.chassis_sway import BASE_INERTIA_KG_M2, DAMPING_RATIO
 from sim_twin.twin.profile import TwinProfile, exact_profile, nominal_profile
 from sim_twin.twin.twin import Twin
+from tests.cases import each
 
 SPEC = load_spec()
 CALIBRATION = nominal_calibration(SPEC)
@@ -90,8 +91,8 @@ def pendulum(
     return inertia, G * moment
 
 
-@pytest.mark.parametrize("joint", [4, 5])
-@pytest.mark.parametrize(
+@each("joint", [4, 5])
+@each(
     ("change", "options"),
     [
         (effect("gripper_length", extra_length_m=0.25), {"longer_m": 0.25}),
@@ -186,7 +187,7 @@ def test_points_of_the_gripper_are_mujocos() -> None:
     np.testing.assert_allclose(gripper_rate(q, v)[0], velocity[:3], atol=1e-12)
 
 
-@pytest.mark.parametrize("surface_m", [0.0, 0.6])
+@each("surface_m", [0.0, 0.6])
 def test_flight_effects_agree_with_an_independent_integration(surface_m: float) -> None:
     position, velocity = np.array([[5.0, 1.0, 2.5]]), np.array([[6.0, 2.0, 4.0]])
     effects = [
@@ -273,7 +274,7 @@ def test_a_yawed_and_raised_base_moves_the_whole_throw() -> None:
     assert np.linalg.norm(moved.impact_m) != pytest.approx(np.linalg.norm(plain.impact_m), abs=0.02)
 
 
-@pytest.mark.parametrize(
+@each(
     "lean",
     [
         effect("base_tilt", roll_rad=0.08, pitch_rad=-0.06),

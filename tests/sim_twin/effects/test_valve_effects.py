@@ -13,6 +13,7 @@ from sim_twin.rigid_body.arm_load import gravity_load_ratio, tipping_ratio
 from sim_twin.rigid_body.model import twin_model
 from sim_twin.twin.profile import exact_profile, nominal_profile
 from sim_twin.twin.response import VelocityResponse
+from tests.cases import each
 
 SPEC = load_spec()
 CALIBRATION = nominal_calibration(SPEC)
@@ -60,7 +61,7 @@ def steady(
     return float(drive(step_command(size, joint), *effects, position=position)[-1, joint])
 
 
-@pytest.mark.parametrize("extra_s", [-0.05, 0.013, 0.3])
+@each("extra_s", [-0.05, 0.013, 0.3])
 def test_extra_dead_time_shifts_the_motion(extra_s: float) -> None:
     late = drive(step_command(0.5), effect("valve_dead_time", extra_dead_time_s=extra_s))
     travelled = 0.01 * (drive(step_command(0.5)) - late).sum(axis=0)[TELESCOPE]
@@ -72,7 +73,7 @@ def test_dead_time_cannot_become_negative() -> None:
     np.testing.assert_array_equal(gone, drive(step_command(0.5), dead_s=0.0))
 
 
-@pytest.mark.parametrize("extra_s", [0.02, 0.6])
+@each("extra_s", [0.02, 0.6])
 def test_an_extra_lag_is_a_first_order_lag_of_the_spool(extra_s: float) -> None:
     command = step_command(0.5)
     # Mean over each tick of 1 - exp(-t / T).

@@ -15,6 +15,7 @@ from sim_twin.effects.schema import DRIFT
 from sim_twin.faults.fault import PlantEffect
 from sim_twin.faults.off_table import FAULTS, OFF_TABLE_FAULTS, TABLE_FAULTS
 from sim_twin.virtual_machine import Condition, VirtualMachine
+from tests.cases import each
 
 SPEC = load_spec()
 TICK_S = CONTROL_PERIOD_NS * 1e-9
@@ -101,7 +102,7 @@ def test_dead_band_eats_the_command_one_way_only() -> None:
     )
 
 
-@pytest.mark.parametrize(("joint", "size"), [("slew", 0.5), ("boom", -0.4), ("telescope", 0.4)])
+@each(("joint", "size"), [("slew", 0.5), ("boom", -0.4), ("telescope", 0.4)])
 def test_gain_scales_the_steady_speed(joint: str, size: float) -> None:
     side = "positive_ratio" if size > 0.0 else "negative_ratio"
     seconds = 3.0 if joint == "slew" else 1.0
@@ -110,7 +111,7 @@ def test_gain_scales_the_steady_speed(joint: str, size: float) -> None:
     assert more / steady(machine(), joint, size, seconds) == pytest.approx(1.3, abs=0.05)
 
 
-@pytest.mark.parametrize(("joint", "size"), [("boom", -1.0), ("boom", 1.0), ("telescope", 1.0)])
+@each(("joint", "size"), [("boom", -1.0), ("boom", 1.0), ("telescope", 1.0)])
 def test_speed_limit_caps_the_joint_speed(joint: str, size: float) -> None:
     speed = abs(
         steady(machine(effect("speed_limit", joint, reduction_ratio=0.5)), joint, size, 0.8)
@@ -229,9 +230,9 @@ def test_jitter_spreads_the_release_without_moving_it() -> None:
     plant = machine(effect("release_jitter", extra_sd_s=0.08), count=200)
     plain = machine(count=200)
     delays = []
-    for each in (plant, plain):
-        drive(each, step("boom", 0.0), 0.8, opens_at_s=0.0)
-        delays.append(each.truth().release_t_mono_ns * 1e-9)
+    for one in (plant, plain):
+        drive(one, step("boom", 0.0), 0.8, opens_at_s=0.0)
+        delays.append(one.truth().release_t_mono_ns * 1e-9)
     assert np.std(delays[0]) == pytest.approx(np.hypot(0.08, 0.015), rel=0.15)
     assert np.mean(delays[0]) == pytest.approx(np.mean(delays[1]), abs=0.02)
 
@@ -249,8 +250,8 @@ def test_flight_effects_move_the_impact() -> None:
 def test_payload_offset_shifts_the_load_in_the_gripper() -> None:
     shifted = machine(effect("payload_offset", offset_x_m=0.1, offset_y_m=-0.2))
     plain = machine()
-    for each in (shifted, plain):
-        each.reset(safe_pose()[None], seed=3)
+    for one in (shifted, plain):
+        one.reset(safe_pose()[None], seed=3)
     moved = shifted.truth().ball_position_m[0] - plain.truth().ball_position_m[0]
     assert moved == pytest.approx([0.1, -0.2, 0.0], abs=2e-3)
 
@@ -297,9 +298,9 @@ def test_sensor_faults_change_the_readings() -> None:
     late = machine(effect("joint_sensor_latency", "boom", extra_latency_s=0.1))
     turned = machine(effect("imu_misalignment", roll_rad=0.0, pitch_rad=0.1, yaw_rad=0.0))
     samples = []
-    for each in (plain, biased, late, turned):
-        drive(each, step("boom", 0.5), 0.8)
-        samples.append(each.read())
+    for one in (plain, biased, late, turned):
+        drive(one, step("boom", 0.5), 0.8)
+        samples.append(one.read())
     seen = [s.joint_position_rad_m[0] for s in samples]
     assert seen[1] - seen[0] == pytest.approx([0.0, 0.0, 0.05, 0.0], abs=1.1e-3)
     speed = plain.truth().joint_velocity_rad_m_per_s[0, 1]

@@ -13,6 +13,7 @@ from sim_twin.throws.accuracy_comparison import (
     mean_difference,
     share_difference,
 )
+from tests.cases import each
 
 TRIALS = 400
 
@@ -94,7 +95,7 @@ def test_clear_differences_have_the_direction_of_the_second() -> None:
     assert verdicts(rare, good)["landed"] is Verdict.BETTER
 
 
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@each("sign", [-1.0, 1.0])
 def test_a_mean_is_better_when_it_is_nearer_to_the_target(sign: float) -> None:
     rng = np.random.default_rng(4)
     near, far = target(rng, throws=200), target(rng, throws=200, mean_m=sign * 0.2)
@@ -121,7 +122,7 @@ def test_too_few_landed_throws_cannot_tell() -> None:
     assert "cannot tell from 60 and 1 throws" in comparison_table(first, second, rows)
 
 
-@pytest.mark.parametrize(
+@each(
     ("about", "words"),
     [
         ({"mode": "3d"}, "mode is 2d in the first, 3d in the second"),

@@ -17,6 +17,7 @@ from sim_twin.twin.oil_spring import (
 )
 from sim_twin.twin.profile import TwinProfile, exact_profile, nominal_profile
 from sim_twin.twin.response import VelocityResponse
+from tests.cases import each
 
 SPEC = load_spec()
 CALIBRATION = nominal_calibration(SPEC)
@@ -109,8 +110,8 @@ def solved(drive: OilSpringDrive, flows: np.ndarray, reach: float) -> np.ndarray
     return np.array(out)
 
 
-@pytest.mark.parametrize("reach", [0.6, 1.0, 1.5])
-@pytest.mark.parametrize("limit", [None, 1.5])
+@each("reach", [0.6, 1.0, 1.5])
+@each("limit", [None, 1.5])
 def test_a_step_is_that_of_the_equations(reach: float, limit: float | None) -> None:
     drive = OIL.model_copy(
         update={
