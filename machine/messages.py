@@ -368,6 +368,10 @@ class MachineState(_FromMachine):
     outbox_count: int = 0
     recorder_dropped_count: int = 0
     late_tick_ratio: float = 0.0
+    operating_s: float | None = Field(default=None, ge=0.0, le=1e10)
+    """Time that the control process has run since the machine is new; null = older software."""
+    idle_s: float | None = Field(default=None, ge=0.0, le=1e10)
+    """Of that, time without a motion of a throw."""
     software: str = ""
     protocol_version: int = 1
     """Of the machine; see `PROTOCOL_VERSION`."""

@@ -39,6 +39,7 @@ from runtime.process.machine_settings import MachineSettings
 from runtime.process.supervisor_connection import SupervisorConnection
 from runtime.records.event_intake import ControlEvent, EventIntake
 from runtime.records.event_sender import EventSender
+from runtime.records.hour_counter import HourCounter
 from runtime.records.journal import Journal
 from runtime.records.latch_file import LatchFile
 from runtime.records.log_upload import LogUploader, UploadTarget
@@ -95,13 +96,13 @@ class LinkProcess:
         self._state: MachineState | None = None
         self._heard_s = time.monotonic()
         self._fault = "the control process has not started yet"
-        self._packet_count = 0
-        self._joints_ns = 0
+        self._packet_count = self._joints_ns = 0
         self._beat_s = 0.0
         url = settings.server_url
         target = UploadTarget(url, settings.machine_id, settings.password()) if url else None
         self._uploader = LogUploader(target, self._journal, settings.throws_dir) if target else None
         self._policies = PolicyPuller(settings.policy_slots_dir, target, self._send)
+        self._hours = HourCounter(settings.hours_file)
         self._records = Records(settings.throws_dir, self._journal, self._log_stored)
         stack.callback(self._records.close)
         if self._uploader is not None:
@@ -230,9 +231,7 @@ class LinkProcess:
         has_memory = bool(body["has_memory"])
         if not has_memory and self._journal.open_throws():
             self._latch("the machine's computer stopped during a throw")
-        self._state = state
-        self._fault = ""
-        self._packet_count = 0
+        self._state, self._fault, self._packet_count = state, "", 0
         data = {
             "software": state.software,
             "model_sha256": state.model_sha256,
@@ -360,6 +359,7 @@ class LinkProcess:
                 "outbox_count": self._outbox.count(),
                 "recorder_dropped_count": self._records.dropped_count,
                 "fault": state.fault or self._intake.failure or self._records.failure,
+                **self._hours.take(state),
             }
         )
         self._link.publish("state", complete.model_dump_json().encode())

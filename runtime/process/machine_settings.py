@@ -51,6 +51,11 @@ class MachineSettings(BaseModel):
         return self.data_dir / "latch"
 
     @property
+    def hours_file(self) -> Path:
+        """Hours of operation."""
+        return self.data_dir / "hours.json"
+
+    @property
     def throws_dir(self) -> Path:
         """Throw logs."""
         return self.data_dir / "throws"

@@ -1,7 +1,7 @@
 """What the standard's elements say of our machines: only what is measured or known.
 
-A throw that landed is a load. Hours of operation, fuel, distance, engine and position are left out: nothing
-on board measures them.
+A throw that landed is a load. Hours of operation are those of the control process, of which those without a
+throw's motion are idle. Fuel, distance, engine and position are left out: nothing on board measures them.
 """
 
 import math
@@ -161,11 +161,28 @@ class FleetTelematics:
                 "SerialNumber": known.machine_id,
             }
             node: Node = {"EquipmentHeader": header}
+            idle, operating = _hours(known)
+            if idle is not None:
+                node["CumulativeIdleHours"] = idle
             if known.machine_id in loads:
                 count, at = loads[known.machine_id]
                 node["CumulativeLoadCount"] = {"datetime": _text(at), "Count": count}
+            if operating is not None:
+                node["CumulativeOperatingHours"] = operating
             found.append(node)
         return found
+
+
+def _hours(known: KnownMachine) -> tuple[Node | None, Node | None]:
+    """Idle and operating hours as the machine last said them; None if this server has not heard any."""
+    state, seen_utc = known.state, known.last_seen_utc
+    if state is None or seen_utc is None or state.idle_s is None or state.operating_s is None:
+        return None, None
+    idle, operating = (
+        {"datetime": _text(seen_utc), "Hour": round(seconds / 3600.0, 2)}
+        for seconds in (state.idle_s, state.operating_s)
+    )
+    return idle, operating
 
 
 def _require_page(page: int, page_count: int) -> None:

@@ -14,6 +14,7 @@ from server.schemas.console import Permission
 from server.telematics import documents, equipment
 from server.telematics.documents import NAMESPACE, as_json, as_xml, links
 from server.telematics.equipment import FleetTelematics
+from tests.server.fake_machine import FakeMachine
 from tests.server.fleet.test_machine_summaries import add_throws
 
 HEADER = ["UnitInstallDateTime", "OEMName", "Model", "EquipmentID", "SerialNumber"]
@@ -30,6 +31,12 @@ def listed(parts, *ids):
     for machine_id in ids:
         parts.registry.get(machine_id).is_listed = True
     return FleetTelematics(parts.database, parts.registry, "/base")
+
+
+def state_with_hours(operating_s, idle_s):
+    machine = FakeMachine("tcp/127.0.0.1:1", "m001", "", {})
+    hours = {"operating_s": operating_s, "idle_s": idle_s}
+    return machine.state_message().model_copy(update=hours)
 
 
 def test_a_snapshot_has_the_standards_names_in_their_order(assembled):
@@ -54,6 +61,16 @@ def test_a_snapshot_has_the_standards_names_in_their_order(assembled):
     assert [local(item) for item in second] == ["EquipmentHeader"], "nothing thrown, nothing said"
     single = ElementTree.fromstring(as_xml("Equipment", fleet.single(*MACHINE)))
     assert [local(item) for item in single] == ["EquipmentHeader", "CumulativeLoadCount"]
+    known = assembled.parts.registry.get("m001")
+    known.state, known.last_seen_utc = state_with_hours(7200.0, 1800.0), utc_now()
+    counted = ElementTree.fromstring(as_xml("Equipment", fleet.single(*MACHINE)))
+    assert [local(item) for item in counted] == [
+        "EquipmentHeader",
+        "CumulativeIdleHours",
+        "CumulativeLoadCount",
+        "CumulativeOperatingHours",
+    ]
+    assert [item[0].text for item in counted[1:]] == ["0.5", "3", "2.0"]
     with pytest.raises(NotFoundError):
         fleet.fleet(2)
     with pytest.raises(NotFoundError):

@@ -4357,6 +4357,8 @@ export interface components {
             fault: string;
             /** Heartbeat Age S */
             heartbeat_age_s?: number | null;
+            /** Idle S */
+            idle_s?: number | null;
             /** Joint Position Rad M */
             joint_position_rad_m: [
                 number,
@@ -4386,6 +4388,8 @@ export interface components {
             mode?: components["schemas"]["Mode"] | null;
             /** Model Sha256 */
             model_sha256: string;
+            /** Operating S */
+            operating_s?: number | null;
             /**
              * Outbox Count
              * @default 0
