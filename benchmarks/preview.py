@@ -5,7 +5,8 @@
 Measured: time until the nominal throw is shown (what an operator waits for), until its landing, until the
 first ellipse, and until the whole ellipse; in one process, and in the processes of the server, where the
 nominal throw and the scattered throws run side by side. Floor: MuJoCo steps of the same model up to the
-release, without control and output.
+release, without control and output. Rows `cpu` are processor time, of all threads: other load of the host
+changes it least.
 """
 
 from dataclasses import dataclass
@@ -123,10 +124,10 @@ def _measure_job(pool: PreviewPool, job: PreviewJob) -> tuple[float, float, floa
     return marks[0][0], min([*ellipses, ended_s]), ended_s
 
 
-def floor_ms(ticks: int, count: int) -> float:
-    """Milliseconds of `ticks` physics steps of `count` machines, without control and output."""
+def floor_ms(ticks: int, count: int) -> tuple[float, float]:
+    """Milliseconds, and of processor time, of `ticks` physics steps of `count` machines and nothing else."""
     model, _ = twin_model()
-    started = perf_counter()
+    started, cpu_started = perf_counter(), process_time()
     if count == 1:
         data = mujoco.MjData(model)
         data.qpos[:] = safe_pose()
@@ -137,7 +138,7 @@ def floor_ms(ticks: int, count: int) -> float:
         machines.bind("qpos")[:] = safe_pose()
         for _ in range(ticks):
             machines.step()
-    return 1e3 * (perf_counter() - started)
+    return 1e3 * (perf_counter() - started), 1e3 * (process_time() - cpu_started)
 
 
 def main(
@@ -149,7 +150,7 @@ def main(
     processes: int = 2,
     json: Path = RESULTS / "preview.json",
 ) -> None:
-    """Time previews of `count` targets between `nearest` and `farthest`."""
+    """Time previews of `count` targets between `nearest` and `farthest`; 0 `processes`: in this one only."""
     spec = load_spec()
     runner = open_policy(Mode(mode), policies, None, spec)
     params = ControlParams(
@@ -157,7 +158,7 @@ def main(
     )
     timings: list[Timing] = []
     requests: list[PreviewRequest] = []
-    floors: list[tuple[float, ...]] = []
+    floors: list[list[tuple[float, float]]] = []
     for index, range_m in enumerate(np.linspace(nearest, farthest, count + 1)):
         target = Target(x_m=float(range_m), y_m=0.0)
         # Aligned already: aligning the cabin would count as simulated time of a 2D throw.
@@ -175,12 +176,14 @@ def main(
         if index == 0:
             continue  # The first preview compiles the model and loads the policy.
         timings.append(timing)
-        floors.append(tuple(floor_ms(timing.tick_count, many) for many in (1, 200, 500)))
+        floors.append([floor_ms(timing.tick_count, many) for many in (1, 200, 500)])
     parts = ("shown", "shown_cpu", "landed", "first_ellipse", "ellipse", "ellipse_cpu")
     times = {part: [getattr(timing, f"{part}_ms") for timing in timings] for part in parts}
-    times |= measure_pool(find_policy(policies, Mode(mode)), requests, processes)
+    if processes:
+        times |= measure_pool(find_policy(policies, Mode(mode)), requests, processes)
     for column, name in enumerate(("one throw", "200 throws", "500 throws")):
-        times[f"floor of {name}"] = [floor[column] for floor in floors]
+        times[f"floor of {name}"] = [floor[column][0] for floor in floors]
+        times[f"floor of {name} cpu"] = [floor[column][1] for floor in floors]
     rows = [
         row(
             len(values),

@@ -91,7 +91,7 @@ export function ThrowsPage() {
             onCursor={(next) => go({ cursor: next })}
           />
         </section>
-        {stats.data && (
+        {stats.data && stats.data.groups.length > 0 && (
           <section className={classes.charts} aria-label="Accuracy">
             {compared.length > 1 && (
               <CompareTable throws={compared} onClear={() => setCompared([])} />

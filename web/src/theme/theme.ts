@@ -5,6 +5,7 @@ import {
   Button,
   createTheme,
   Menu,
+  Modal,
   NumberInput,
   Paper,
   SegmentedControl,
@@ -45,6 +46,9 @@ export const theme = createTheme({
     Select: Select.extend({ defaultProps: { radius: "sm", checkIconPosition: "right" } }),
     Paper: Paper.extend({ defaultProps: { radius: "sm", shadow: "none" } }),
     Menu: Menu.extend({ defaultProps: { radius: "sm", shadow: "md" } }),
+    ModalCloseButton: Modal.CloseButton.extend({ defaultProps: { "aria-label": "Close" } }),
+    // Mantine makes it a <header>: in a dialog that would be a second banner of the page.
+    ModalHeader: Modal.Header.extend({ defaultProps: { role: "presentation" } }),
     SegmentedControl: SegmentedControl.extend({ defaultProps: { radius: "sm" } }),
   },
 });

@@ -109,13 +109,7 @@ function EndDialog({ job, change, onClose }: EndProps) {
     change.mutate({ kind: "end", body: { reason: reason.trim() } }, { onSuccess: onClose });
   };
   return (
-    <Modal
-      opened
-      onClose={onClose}
-      title={`End ${job.name}`}
-      centered
-      closeButtonProps={{ "aria-label": "Close" }}
-    >
+    <Modal opened onClose={onClose} title={`End ${job.name}`} centered>
       <form className={classes.dialog} onSubmit={submit}>
         <p className={classes.text}>
           It can be read afterwards, but no load is added to it any more. {job.machine_id} is then

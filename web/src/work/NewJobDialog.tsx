@@ -20,8 +20,6 @@ import { surveyText } from "./survey";
 import { useStartJob } from "./useJobs";
 import classes from "./Work.module.css";
 
-const CLOSE = { "aria-label": "Close" };
-
 type Props = {
   machine: Machine;
   objects: readonly SiteObject[];
@@ -82,14 +80,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
   const isTyped = choice.item === null || choice.kind === "clear";
   const foot = choice.kind === "clear" ? "the heap" : choice.kind === "pile" ? "its foot" : "it";
   return (
-    <Modal
-      opened
-      onClose={onClose}
-      title={`New job for ${machine.machine_id}`}
-      size="lg"
-      centered
-      closeButtonProps={CLOSE}
-    >
+    <Modal opened onClose={onClose} title={`New job for ${machine.machine_id}`} size="lg" centered>
       <form ref={fields} onSubmit={submit} className={classes.dialog}>
         <NativeSelect
           size="md"

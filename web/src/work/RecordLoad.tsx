@@ -49,13 +49,7 @@ export function RecordLoad({ job, change, onClose }: Props) {
     />
   );
   return (
-    <Modal
-      opened
-      onClose={onClose}
-      title="Record a load"
-      centered
-      closeButtonProps={{ "aria-label": "Close" }}
-    >
+    <Modal opened onClose={onClose} title="Record a load" centered>
       <form className={classes.dialog} onSubmit={submit}>
         <p className={classes.text}>
           Throws at the next loads are recorded by themselves. Record here what was thrown
