@@ -2,6 +2,7 @@ import { MantineProvider } from "@mantine/core";
 import { cleanup, fireEvent, render, screen } from "@testing-library/react";
 import { afterEach, beforeAll, expect, it } from "vitest";
 import { stubResizeObserver } from "../testing";
+import { theme } from "../theme/theme";
 import { ShortcutHelp } from "./ShortcutHelp";
 
 beforeAll(stubResizeObserver);
@@ -9,7 +10,7 @@ afterEach(cleanup);
 
 const show = () =>
   render(
-    <MantineProvider env="test">
+    <MantineProvider env="test" theme={theme}>
       <input aria-label="note" />
       <ShortcutHelp />
     </MantineProvider>,
@@ -20,6 +21,11 @@ it("opens by a question mark", () => {
   expect(screen.queryByText("Shift+S")).toBeNull();
   fireEvent.keyDown(document.body, { key: "?" });
   expect(screen.getByText("Shift+S")).toBeDefined();
+  // Of the theme, so of every dialog: no second banner of the page, and a close button with a name.
+  expect(screen.getByRole("button", { name: "Close" })).toBeDefined();
+  expect(screen.getByRole("dialog").querySelector("header")?.getAttribute("role")).toBe(
+    "presentation",
+  );
 });
 
 it("leaves a question mark that is typed", () => {
