@@ -127,7 +127,7 @@ spec: $(STAMP)/python  ## Regenerate machine/spec.json from machine/m545.xml
 	@$(BIN)/downrange spec
 
 bench: $(STAMP)/python  ## Measure everything in benchmarks/ and write benchmarks/results/
-	@for file in $(filter-out benchmarks/result_file.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in $(filter-out benchmarks/result_file.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python -m benchmarks.$$(basename $$file .py) || exit 1; done
 
 clean:  ## Remove everything that set-up made
 	@rm -rf .venv .tools build web/dist web/node_modules
