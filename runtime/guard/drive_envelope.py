@@ -202,9 +202,10 @@ def follow(
     steady: Array,
     position: Array,
     velocity: Array,
+    before: Array,
     tick_count: int,
 ) -> tuple[DriveMemory, BoolArray]:
-    """One tick, or several at once.
+    """One tick, or several at once, over which the velocity is taken to change evenly.
 
     Args:
         spec: machine type.
@@ -212,7 +213,8 @@ def follow(
         steady: (2, N, 4) `speed_bounds` of what was let through in the last tick.
         position: (N, 4) measured.
         velocity: (N, 4) measured.
-        tick_count: ticks since the last call.
+        before: (N, 4) velocity at the last call.
+        tick_count: ticks since then.
 
     Returns:
         Memory, and joints (N, 4) that moved further than any command explains.
@@ -220,11 +222,12 @@ def follow(
     drives = _drives(spec)
     line, bound, motion = memory
     seen = np.empty_like(bound)
-    np.subtract(velocity, SPEED_MARGIN_RAD_OR_M_PER_S, out=seen[0])
-    np.subtract(-SPEED_MARGIN_RAD_OR_M_PER_S, velocity, out=seen[1])
     low, high = position < drives.end_low, position > drives.end_high
     is_at_end = np.count_nonzero(low) + np.count_nonzero(high) > 0
-    for _ in range(tick_count):
+    for left in range(tick_count - 1, -1, -1):
+        speed = velocity if left == 0 else velocity + left / tick_count * (before - velocity)
+        np.subtract(speed, SPEED_MARGIN_RAD_OR_M_PER_S, out=seen[0])
+        np.subtract(-SPEED_MARGIN_RAD_OR_M_PER_S, speed, out=seen[1])
         line = np.concatenate([steady[None], line[:-1]])
         explained = np.empty_like(bound)
         for window, joints in drives.windows:

@@ -28,7 +28,7 @@ class Contradiction(IntFlag):
     IMU = 8
     """The gripper IMU contradicts itself or the arm's motion, or its time goes back."""
     CLOCK = 16
-    """The joint sensors' time goes back."""
+    """The time of the joint sensors, or of the ticks, goes back."""
 
 
 DRIFT_LIMIT_RAD_M = 0.025
@@ -48,8 +48,9 @@ OPEN_RATIO = 0.12
 """A valve well beyond the dead band of 0.04, also that of a worn one."""
 VALUE_LIMIT = 1e6
 """Joint values beyond it are no measurements."""
-GAP_LIMIT_NS = 35_000_000
-"""After a longer gap between ticks the integrals begin anew: nothing is known of the time between."""
+GAP_LIMIT_NS = 110_000_000
+"""After a longer gap between ticks the integrals begin anew: the machine's controller has closed the valves,
+and the control loop has aborted the throw. With less, a loop that is always late would run unchecked."""
 
 
 class GuardMemory(NamedTuple):
@@ -125,7 +126,8 @@ def check(
     steady = speed_bounds(spec, valve, position)
     gap_ns = now_ns - memory.now_ns
     if memory.now_ns == 0 or not 0 < gap_ns <= GAP_LIMIT_NS:
-        return _begin(sample, position, velocity, steady, now_ns)
+        after, bits = _begin(sample, position, velocity, steady, now_ns)
+        return after, bits + int(Contradiction.CLOCK) * (gap_ns < 0)
     since_ns = sample.t_mono_ns - memory.sample_ns
     drift, still_ns, same_ns = memory.drift, memory.still_ns, memory.same_ns
     bits = np.zeros(len(position), dtype=np.int64)
@@ -147,7 +149,9 @@ def check(
     frozen &= np.abs(velocity) > MOVING_RAD_M_PER_S
     frozen |= np.minimum(same_ns, open_ns) >= FROZEN_OPEN_NS
     ticks = max(round(gap_ns * 1e-9 / CONTROL_PERIOD_S), 1)
-    drives, unexplained = follow(spec, memory.drives, steady, position, velocity, ticks)
+    drives, unexplained = follow(
+        spec, memory.drives, steady, position, velocity, memory.velocity, ticks
+    )
     for joints, bit in (
         (np.abs(drift) > DRIFT_LIMIT_RAD_M, Contradiction.JUMP),
         (frozen, Contradiction.FROZEN),

@@ -50,6 +50,7 @@ from runtime.throw.protocol import (
     Actions,
     Facts,
     Latch,
+    LinkLost,
     ThrowEvent,
     ThrowMachine,
     Tick,
@@ -138,7 +139,6 @@ class MachineControl:
         self._outputs: ControlOutputs | None = None
         self._checks: tuple[CheckResult, ...] = ()
         self._tick_count = 0
-        self._abort_reason = ""
         self._fault_reason = ""
         self._nonce = secrets.token_hex(16)
         self._tracker = ThrowTracker(setup.spec, self._sample)
@@ -236,9 +236,11 @@ class MachineControl:
         self._now_ns = now_ns = self.driver.now_ns()
         self._sample = self.driver.read()
         if skipped_count >= STALL_LIMIT_COUNT:
-            self._abort_reason = f"the control loop stood still for {skipped_count * 10} ms"
+            # Nobody knows how old what came meanwhile is: also what is only armed is given back first.
+            cause = f"the control loop stood still for {skipped_count * 10} ms"
+            messages = [(0, LinkLost(cause)), *messages]
         facts = self._facts()
-        self._abort_reason = self._fault_reason = ""
+        self._fault_reason = ""
         for request, message in [*messages, (0, Tick())]:
             self._take(request, message, facts, now_ns, report)
             is_other_set = facts.zones_sha256 != self._zones.sha256
@@ -349,13 +351,9 @@ class MachineControl:
         )
         if self._outputs is not None:
             facts = with_control(facts, self._outputs, sample, setup.spec.limits.swing_rad)
-        if not (self._abort_reason or self._fault_reason):
+        if not self._fault_reason:
             return facts
-        return replace(
-            facts,
-            abort_reason=facts.abort_reason or self._abort_reason,
-            fault_reason=facts.fault_reason or self._fault_reason,
-        )
+        return replace(facts, fault_reason=facts.fault_reason or self._fault_reason)
 
     def _zone_conflict(self, plan: ThrowPlan) -> str:
         pose = np.nan_to_num(self._estimate()[0])

@@ -4,6 +4,7 @@ Periods that were missed are skipped and counted, never made up for in a bunch: 
 three times in a row is worse than one that misses two beats. Nothing here is a wall clock.
 """
 
+import sys
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -26,6 +27,10 @@ class Clock(Protocol):
         """Return at `due_ns`, or at once when that is past."""
         ...
 
+    def slept_ns(self) -> int:
+        """Time since some moment in which the computer was suspended, and this clock stood still."""
+        ...
+
 
 class RealTimeClock:
     """CLOCK_MONOTONIC."""
@@ -43,6 +48,12 @@ class RealTimeClock:
         while (left_ns := due_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns * 1e-9)
 
+    def slept_ns(self) -> int:
+        """What the clock that counts suspension has more; 0 where there is none."""
+        if sys.platform != "linux":
+            return 0
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
+
 
 class UnpacedClock:
     """As fast as the driver's simulated time allows: it is always already due."""
@@ -58,6 +69,10 @@ class UnpacedClock:
         """Jump there."""
         self._now_ns = max(self._now_ns, due_ns)
 
+    def slept_ns(self) -> int:
+        """Never."""
+        return 0
+
 
 @dataclass(frozen=True, slots=True)
 class ClockTick:
@@ -67,7 +82,7 @@ class ClockTick:
     """Periods since the start, skipped ones included: the loop's own time base."""
     lateness_ns: int
     skipped_count: int
-    """Periods missed just before this tick."""
+    """Periods missed just before this tick; also those in which the computer was suspended."""
 
 
 class Ticker:
@@ -77,6 +92,7 @@ class Ticker:
         self._clock = clock
         self._period_ns = period_ns
         self._start_ns = clock.now_ns()
+        self._slept_ns = clock.slept_ns()
         self._period_count = 0
         self._skipped_count = 0
         self._lateness = Lateness()
@@ -104,7 +120,10 @@ class Ticker:
             self._lateness.add(lateness_ns + missed * self._period_ns)
         self._lateness.add(lateness_ns)
         self._skipped_count += skipped
-        return ClockTick(self._period_count, lateness_ns, skipped)
+        slept_ns, self._slept_ns = self._slept_ns, self._clock.slept_ns()
+        # The monotonic clock stood still meanwhile: neither the grid nor a simulated machine goes on.
+        slept = max(self._slept_ns - slept_ns, 0) // self._period_ns
+        return ClockTick(self._period_count, lateness_ns, skipped + slept)
 
 
 class Lateness:

@@ -27,14 +27,16 @@ class Envelope:
     def __init__(self):
         self.memory = drive_envelope.initial_drives(np.zeros((1, 4)), np.zeros((2, 1, 4)))
         self.way = np.zeros(4)
+        self.before = np.zeros((1, 4))
 
     def tick(self, joint, valve=0.0, speed=0.0, position=MIDDLE, count=1):
         valves, speeds = np.zeros((1, 4)), np.zeros((1, 4))
         valves[0, joint], speeds[0, joint] = valve, speed
         steady = drive_envelope.speed_bounds(SPEC, valves, position)
         self.memory, over = drive_envelope.follow(
-            SPEC, self.memory, steady, position, speeds, count
+            SPEC, self.memory, steady, position, speeds, self.before, count
         )
+        self.before = speeds
         self.way += 0.01 * speeds[0] * count
         assert not np.delete(over[0], joint).any()
         return bool(over[0, joint])
@@ -150,10 +152,10 @@ def test_a_joint_at_its_end_need_not_follow(joint, sign):
 
 def test_several_ticks_at_once_are_those_one_after_the_other():
     single, several = Envelope(), Envelope()
-    for _ in range(12):
-        for _ in range(3):
-            single.tick(1, 0.5, 0.1)
-        several.tick(1, 0.5, 0.1, count=3)
+    for number in range(1, 37):
+        single.tick(1, 0.5, 0.003 * number)
+        if number % 3 == 0:
+            several.tick(1, 0.5, 0.003 * number, count=3)
     for one, other in zip(single.memory, several.memory, strict=True):
         assert np.allclose(one, other)
 

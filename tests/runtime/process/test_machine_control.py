@@ -103,6 +103,13 @@ def test_blind_loop_ends_a_throw_before_its_commit_point(bench):
     assert "stood still for 100 ms" in bench.events[-1].data["reason"]
 
 
+def test_blind_loop_gives_back_what_is_armed_before_a_fire_that_came_meanwhile(bench):
+    fire = bench.fire_command(bench.arm())
+    bench.tick(fire, skipped=10)
+    assert bench.control.throw.state is ThrowState.DISARMED
+    assert [event.kind for event in bench.events[-2:]] == ["disarmed", "command_refused"]
+
+
 def test_policy_that_takes_too_long_aborts_the_throw_and_says_so(bench, monkeypatch):
     assert bench.ask(bench.fire_command(bench.arm())).accepted
     bench.hold_until("throw_started")

@@ -18,12 +18,16 @@ class StallingClock:
     def __init__(self) -> None:
         self.time_ns = 123
         self.stall_in_wait_ns = 0
+        self.suspended_ns = 0
 
     def now_ns(self) -> int:
         return self.time_ns
 
     def wait_until(self, due_ns: int) -> None:
         self.time_ns = max(self.time_ns, due_ns) + self.stall_in_wait_ns
+
+    def slept_ns(self) -> int:
+        return self.suspended_ns
 
 
 STALLS = st.lists(st.tuples(st.integers(0, 80_000_000), st.integers(0, 80_000_000)), max_size=100)
@@ -53,6 +57,17 @@ def test_a_stall_of_several_periods_is_skipped_and_counts_as_late():
     tick = ticker.next()
     assert (tick.skipped_count, tick.lateness_ns) == (4, 1)
     assert ticker.lateness.late_tick_ratio == pytest.approx(4 / 6)
+
+
+def test_periods_in_which_the_computer_slept_are_missed_and_the_grid_stays():
+    clock = StallingClock()
+    ticker = Ticker(clock, PERIOD_NS)
+    ticker.next()
+    clock.suspended_ns += 3600 * 10**9
+    tick = ticker.next()
+    assert (tick.skipped_count, tick.period_count) == (360_000, 2)
+    assert ticker.next().skipped_count == 0
+    assert abs(RealTimeClock().slept_ns() - RealTimeClock().slept_ns()) < 10**9
 
 
 @given(st.lists(st.integers(0, 20_000_000), max_size=60), st.integers(1, 30))

@@ -75,7 +75,8 @@ beforeEach(() => {
   calls.length = 0;
   permissions = ["site.edit", "zones.approve"];
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
-  vi.spyOn(api, "GET").mockImplementation((() => answer({ username: "sue", permissions })) as never);
+  vi.spyOn(api, "GET").mockImplementation((() =>
+    answer({ username: "sue", permissions })) as never);
   const note = ((path: string, options: { body: unknown }) => {
     calls.push([path.split("/").at(-1) ?? "", options.body]);
     return answer(view({}));

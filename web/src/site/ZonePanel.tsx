@@ -119,7 +119,7 @@ export function ZonePanel(props: Props) {
         ))}
       </ul>
       {drawing ? (
-        <div className={classes.actions} role="status">
+        <div className={classes.foot} role="status">
           <p className={classes.note}>{drawingWords(drawing)}</p>
           <Button disabled={drawing.corners.length < 3} onClick={finish}>
             Finish
@@ -154,57 +154,61 @@ export function ZonePanel(props: Props) {
           {errorWords(error)}
         </p>
       )}
-      <footer className={classes.foot}>
-        {isChanged ? (
-          <>
-            <TextInput
-              className={classes.why}
-              label="Why it is changed"
-              required
-              minLength={3}
-              maxLength={300}
-              value={reason}
-              onChange={(event) => setReason(event.currentTarget.value)}
-            />
-            <Button type="submit" loading={save.isPending}>
-              Save draft
-            </Button>
-            <Button variant="default" onClick={discard}>
-              Discard
-            </Button>
-          </>
-        ) : (
-          <>
-            {!zones.is_approved && (
-              <Button
-                disabled={!mayApprove}
-                loading={approve.isPending}
-                onClick={() => approve.mutate(zones.version_count)}
-              >
-                Approve version {zones.version_count}
+      {!drawing && (
+        <footer className={classes.foot}>
+          {isChanged ? (
+            <>
+              <TextInput
+                className={classes.why}
+                label="Why it is changed"
+                required
+                minLength={3}
+                maxLength={300}
+                value={reason}
+                onChange={(event) => setReason(event.currentTarget.value)}
+              />
+              <Button type="submit" loading={save.isPending}>
+                Save draft
               </Button>
-            )}
-            {zones.undo_version_count !== null && (
-              <Button
-                variant="default"
-                disabled={!mayEdit}
-                loading={undo.isPending}
-                onClick={() => undo.mutate()}
-              >
-                Undo the last change
+              <Button variant="default" onClick={discard}>
+                Discard
               </Button>
-            )}
-          </>
-        )}
-        <p className={classes.note}>{footWords(mayEdit, approves, isOwn, isChanged, zones)}</p>
-      </footer>
+            </>
+          ) : (
+            <>
+              {!zones.is_approved && (
+                <Button
+                  disabled={!mayApprove}
+                  loading={approve.isPending}
+                  onClick={() => approve.mutate(zones.version_count)}
+                >
+                  Approve version {zones.version_count}
+                </Button>
+              )}
+              {zones.undo_version_count !== null && (
+                <Button
+                  variant="default"
+                  disabled={!mayEdit}
+                  loading={undo.isPending}
+                  onClick={() => undo.mutate()}
+                >
+                  Undo the last change
+                </Button>
+              )}
+            </>
+          )}
+          <p className={classes.note}>{footWords(mayEdit, approves, isOwn, isChanged, zones)}</p>
+        </footer>
+      )}
     </form>
   );
 }
 
 function drawingWords({ tool, corners }: Drawing): string {
-  if (tool === "box") return corners.length ? "Click the opposite corner." : "Click one corner.";
-  return `${corners.length} corners. Click the ground in the order in which one walks around.`;
+  if (tool === "box")
+    return corners.length ? "Click or tap the opposite corner." : "Click or tap one corner.";
+  const order = "Click or tap the ground in the order in which one walks around.";
+  return `${corners.length} corners. ${order}`;
 }
 
 function footWords(

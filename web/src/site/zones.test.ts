@@ -31,6 +31,13 @@ describe("drawing a zone", () => {
     expect(isComplete(draw("polygon", ...clicks))).toBe(false);
   });
 
+  it("takes a double tap as one corner", () => {
+    expect(draw("polygon", [1, 2], [1.04, 2.04], [4, 2], [4, 2]).corners).toEqual([
+      [1, 2],
+      [4, 2],
+    ]);
+  });
+
   it("names zones that are new", () => {
     const corners = boxOf([1, 2], [3, 4]);
     const first = newZone(corners, []);

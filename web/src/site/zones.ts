@@ -36,6 +36,9 @@ export function withClick(drawing: Drawing, x_m: number, y_m: number): Drawing {
     return isFlat ? drawing : { ...drawing, corners: boxOf(first, corner) };
   }
   if (drawing.corners.length >= MAX_CORNERS) return drawing;
+  // A double tap is one corner: two at one place make no polygon.
+  const last = drawing.corners[drawing.corners.length - 1];
+  if (last && Math.hypot(last[0] - corner[0], last[1] - corner[1]) < MIN_SIDE_M) return drawing;
   return { ...drawing, corners: [...drawing.corners, corner] };
 }
 
