@@ -51,7 +51,7 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     sign_in(page, demo, "admin", path="/site")
     page.get_by_text("Zones", exact=True).click()
     page.get_by_role("button", name="Draw box").click()
-    click_until(page, CORNERS[0], page.get_by_text("Click or tap the opposite corner.").first)
+    click_until(page, CORNERS[0], page.get_by_text("Click the opposite corner.").first)
     click_until(page, CORNERS[1], page.get_by_text("4 corners, 0.0 m to 3.0 m").first)
     # By keyboard to where the throws go: a box around 9 m ahead.
     page.get_by_role("textbox", name="Name", exact=True).fill("Office")
