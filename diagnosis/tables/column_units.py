@@ -4,6 +4,7 @@ Every conversion is noted.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
@@ -11,20 +12,26 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from diagnosis.tables.cells import RefusedTableError
-from diagnosis.tables.table import Table, says_degrees
+from diagnosis.tables.table import ANGLES_RAD, Table, radians_per_unit
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray
 
 AngleUnit = Literal["auto", "rad", "deg"]
 LENGTHS_M: Final[Mapping[str, float]] = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("cm", "centimeters", "centimetres"), 0.01),
-    **dict.fromkeys(("mm", "millimeters", "millimetres"), 0.001),
+    **dict.fromkeys(("km", "kilometers", "kilometres"), 1000.0),
+    **dict.fromkeys(("dm", "decimeters", "decimetres"), 0.1),
+    **dict.fromkeys(("cm", "centimeter", "centimetre", "centimeters", "centimetres"), 0.01),
+    **dict.fromkeys(("mm", "millimeter", "millimetre", "millimeters", "millimetres"), 0.001),
+    **dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometers"), 1e-6),
     **dict.fromkeys(("ft", "feet", "foot"), 0.3048),
     **dict.fromkeys(("in", "inch", "inches"), 0.0254),
     **dict.fromkeys(("yd", "yds", "yard", "yards"), 0.9144),
+    **dict.fromkeys(("kmh", "kph", "kmph"), 1.0 / 3.6),
+    "mph": 0.44704,
 }
-"""Metres per unit of length."""
+"""Metres per unit of length, or m/s per unit of speed."""
+_PER_TIME: Final = re.compile(r"(?:/ ?|\bper[ _])(?:(h|hr|hour)|(min|minute))\b")
 PIXEL_WORDS: Final = ("px", "pixel", "pixels", "pix")
 """Names of pixels as a unit."""
 COUNT_WORDS: Final = ("count", "counts", "cnt", "ticks", "pulses", "encoder", "enc", "adc", "raw")
@@ -95,14 +102,12 @@ def joint_output_in_si(table: Table, name: str, values: Array, is_speed: bool) -
     words = table.words(name)
     unit, factor, from_unit = "unit", 1.0, ""
     lengths = [word for word in words[1:] if word in LENGTHS_M]
-    if "rpm" in words:
-        unit, factor, from_unit = "rad", math.pi / 30.0, "rpm"
-    elif says_degrees(words):
-        unit, factor, from_unit = "rad", math.pi / 180.0, "degrees"
-    elif says_degrees(words) is False:
-        unit = "rad"
+    per_s = _per_second(table, name) if is_speed else 1.0
+    if (radians := radians_per_unit(words)) is not None:
+        unit, factor = "rad", radians * per_s
+        from_unit = "" if factor == 1.0 else _angle_unit(words)
     elif lengths:
-        unit, factor = "m", LENGTHS_M[lengths[-1]]
+        unit, factor = "m", LENGTHS_M[lengths[-1]] * per_s
         from_unit = "" if factor == 1.0 else lengths[-1]
     if from_unit:
         table.notes.append(f"{name!r} converted from {from_unit} to {unit}")
@@ -117,6 +122,18 @@ def joint_output_in_si(table: Table, name: str, values: Array, is_speed: bool) -
     return remove_outliers(table, name, values * factor), unit
 
 
+def _angle_unit(words: Sequence[str]) -> str:
+    """The unit of angle among a column's words."""
+    named = next(word for word in reversed(words) if word in ANGLES_RAD)
+    return "degrees" if ANGLES_RAD[named] == ANGLES_RAD["deg"] else named
+
+
+def _per_second(table: Table, name: str) -> float:
+    """Factor to 1/s of a speed in units an hour or a minute, as its name or unit says."""
+    found = _PER_TIME.search(f"{name} {table.units.get(name, '')}".lower())
+    return 1.0 if found is None else 1.0 / 3600.0 if found[1] else 1.0 / 60.0
+
+
 def angle_in_radians(
     table: Table, name: str, values: Array, unit: AngleUnit, counts_per_turn: float | None = None
 ) -> Array:
@@ -128,9 +145,10 @@ def angle_in_radians(
         RefusedTableError: the column holds counts and the counts per turn are not known.
     """
     words = table.words(name)
-    degrees = says_degrees(words) if unit == "auto" else unit == "deg"
+    factor = radians_per_unit(words) if unit == "auto" else ANGLES_RAD[unit]
+    factor = None if factor is None else factor * _per_second(table, name)
     turn = counts_per_turn
-    if turn is None and degrees is None and any(word in COUNT_WORDS for word in words):
+    if turn is None and factor is None and any(word in COUNT_WORDS for word in words):
         turn = find_wrap_period(values)
         if turn is None and float(np.nanmax(np.abs(values))) > 360.0:
             raise RefusedTableError(
@@ -140,13 +158,16 @@ def angle_in_radians(
     if turn is not None and turn > 360.0:
         table.notes.append(f"{name!r} converted from {turn:g} counts a turn to rad")
         return remove_outliers(table, name, unwrap_angle(values, turn) * (2.0 * math.pi / turn))
-    if degrees is None:
-        degrees = bool(np.nanmax(np.abs(values)) > 2.0 * math.pi + 0.1)
-        seen = "degrees: it exceeds 2 pi" if degrees else "rad"
+    if factor is None:
+        is_large = bool(np.nanmax(np.abs(values)) > 2.0 * math.pi + 0.1)
+        factor = ANGLES_RAD["deg" if is_large else "rad"]
+        seen = "degrees: it exceeds 2 pi" if is_large else "rad"
         table.notes.append(f"{name!r} taken as {seen}; --angle-unit says otherwise")
+    elif factor not in (1.0, ANGLES_RAD["deg"]):
+        table.notes.append(f"{name!r} converted from {_angle_unit(words)} to rad")
     if (turn := find_wrap_period(values)) is not None:
         values = unwrap_angle(values, turn)
-    return remove_outliers(table, name, np.radians(values) if degrees else values)
+    return remove_outliers(table, name, values * factor)
 
 
 def are_pixels(table: Table, names: Sequence[str], unit: str) -> bool:
@@ -162,12 +183,13 @@ def metres_per_unit(table: Table, name: str, unit: str) -> float:
     if unit != "auto":
         return LENGTHS_M.get(unit, 1.0)
     named = [word for word in table.words(name)[1:] if word in LENGTHS_M]
-    if named and LENGTHS_M[named[-1]] != 1.0:
+    factor = LENGTHS_M[named[-1]] * _per_second(table, name) if named else 1.0
+    if factor != 1.0:
         table.notes.append(f"{name!r} converted from {named[-1]} to m")
-    return LENGTHS_M[named[-1]] if named else 1.0
+    return factor
 
 
 def is_length(table: Table, name: str) -> bool:
     """Whether a column's name says that it is a length and not an angle."""
     words = table.words(name)
-    return says_degrees(words) is None and any(word in LENGTHS_M for word in words[1:])
+    return radians_per_unit(words) is None and any(word in LENGTHS_M for word in words[1:])

@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.column_units import LENGTHS_M
-from diagnosis.tables.table import Table, says_degrees, split_name
+from diagnosis.tables.table import Table, radians_per_unit, split_name
 from machine.conventions import Array
 
 TIME_WORDS: Final = (
@@ -330,7 +330,7 @@ def _is_velocity_or_rate(table: Table, name: str) -> bool:
 
 def _has_motion_unit(table: Table, name: str) -> bool:
     words = table.words(name)
-    return says_degrees(words) is not None or any(word in LENGTHS_M for word in words[1:])
+    return radians_per_unit(words) is not None or any(word in LENGTHS_M for word in words[1:])
 
 
 def find_axis_columns(table: Table) -> list[str]:

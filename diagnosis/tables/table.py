@@ -1,7 +1,8 @@
 """Columns of a table: exact numbers, times, labels, words of their names, and the notes about them."""
 
+import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -31,8 +32,16 @@ from machine.conventions import Array, BoolArray
 
 MIN_NUMBERS_RATIO: Final = 0.5
 """Smallest share of numeric cells, of those that are not blank, in a numeric column."""
-DEGREE_WORDS: Final = ("deg", "degs", "degrees", "degree", "grad")
-"""Words that mean degrees; ``grad`` as in German tables, gradians do not occur."""
+ANGLES_RAD: Final[Mapping[str, float]] = {
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+    **dict.fromkeys(("deg", "degs", "degrees", "degree", "grad"), math.pi / 180.0),
+    **dict.fromkeys(("mrad", "milliradian", "milliradians"), 1e-3),
+    **dict.fromkeys(("gon", "gradian", "gradians"), math.pi / 200.0),
+    **dict.fromkeys(("arcmin", "arcminutes"), math.pi / 10800.0),
+    "rpm": math.pi / 30.0,
+    **dict.fromkeys(("rev", "revs", "revolutions", "turns"), 2.0 * math.pi),
+}
+"""Radians per unit of angle, or rad/s per rpm; ``grad`` is a degree, as in German tables."""
 MAX_LABELS_COUNT: Final = 60
 """Most distinct texts in a column of labels."""
 
@@ -358,14 +367,14 @@ def _has_sign(cells: pd.Series) -> bool:
     return bool(cells.str.contains("[.,]").any())
 
 
-def says_degrees(words: Sequence[str]) -> bool | None:
-    """Whether a column's words mean degrees (True) or radians (False); None if they name neither."""
-    if any(word in DEGREE_WORDS for word in words):
-        return True
-    return False if any(word in ("rad", "radians", "radian") for word in words) else None
+def radians_per_unit(words: Sequence[str]) -> float | None:
+    """Radians per unit of angle that a column's words name; None if they name none."""
+    return next((ANGLES_RAD[word] for word in reversed(words) if word in ANGLES_RAD), None)
 
 
 def split_name(name: str) -> list[str]:
     """Lower-case words of a column name: ``Boom pos [deg]`` and ``BoomPos_deg`` give boom, pos, deg."""
-    text = re.sub(r"([a-z]{2,})([A-Z])", r"\1 \2", name.replace("°", " deg ").replace("%", " pct "))
+    text = re.sub(
+        r"([a-z]{2,})([A-Z])", r"\1 \2", re.sub("[°º˚]", " deg ", name).replace("%", " pct ")
+    )
     return "".join(c.lower() if c.isalnum() else " " for c in text).split()

@@ -36,11 +36,12 @@ MAX_STEP_DAYS: Final = 5e-6
 SERIAL_DAYS: Final = (3e4, 9e5)
 """Days since 1900 in spreadsheets and since year 0 in MATLAB, from 1982 on."""
 TIME_UNITS: Final[Mapping[str, float]] = {
-    **dict.fromkeys(("ns", "nanosec", "nanoseconds"), 1e-9),
-    **dict.fromkeys(("us", "micros", "microseconds"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("min", "minutes"), 60.0),
+    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds", "millisekunden"), 1e-3),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
+    **dict.fromkeys(("min", "minutes", "minuten"), 60.0),
+    **dict.fromkeys(("h", "hr", "hrs", "hours", "stunden"), 3600.0),
 }
 """Seconds per unit of time."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.tables.cells import RefusedTableError
-from diagnosis.tables.column_units import find_outliers, find_wrap_period
+from diagnosis.tables.column_units import find_outliers, find_wrap_period, joint_output_in_si
 from diagnosis.tables.columns import (
     find_command_column,
     find_output_columns,
@@ -52,9 +52,45 @@ def test_frame_numbers_need_the_frame_rate(tmp_path: Path) -> None:
     assert last_s == pytest.approx(59 / 24.0)
 
 
+UNITS_OF_NAMES = (
+    *(
+        ("q [\u00b0]", np.pi / 180, "rad"),
+        ("q_\u00ba", np.pi / 180, "rad"),
+        ("q (mrad)", 1e-3, "rad"),
+    ),
+    *(("q_rev", 2 * np.pi, "rad"), ("q (gon)", np.pi / 200, "rad"), ("q rad", 1.0, "rad")),
+    *(("q (millimeter)", 1e-3, "m"), ("q_dm", 0.1, "m"), ("q", 1.0, "unit")),
+)
+UNITS_OF_SPEEDS = (
+    *(
+        ("v_rpm", np.pi / 30, "rad"),
+        ("v (deg/min)", np.pi / 10800, "rad"),
+        ("v [km/h]", 1 / 3.6, "m"),
+    ),
+    *(("v_mph", 0.44704, "m"), ("v (mm/min)", 1e-3 / 60, "m"), ("v_mm_min", 1e-3, "m")),
+)
+
+
+def test_units_in_names_of_columns(tmp_path: Path) -> None:
+    values = np.sin(TIME_S)
+    for is_speed, units in ((False, UNITS_OF_NAMES), (True, UNITS_OF_SPEEDS)):
+        for name, factor, unit in units:
+            found = table(tmp_path / "a.csv", f"t,{name}", TIME_S, values)
+            converted, seen = joint_output_in_si(found, name, found.numbers(name), is_speed)
+            assert seen == unit, name
+            assert np.allclose(converted, factor * values, atol=1e-6 * factor), name
+            assert len(found.notes) == (factor != 1.0), name
+
+
 def test_the_unit_of_time_follows_from_name_or_step(tmp_path: Path) -> None:
-    for header, factor in (("t_us", 1e6), ("stamp", 1e9), ("t", 1e3), ("time", 1.0)):
-        found = table(tmp_path / "a.csv", f"{header},u", np.round(TIME_S * factor, 3), TIME_S)
+    for header, factor in (
+        ("t_us", 1e6),
+        ("stamp", 1e9),
+        ("t", 1e3),
+        ("time", 1.0),
+        ("t_h", 1 / 3600),
+    ):
+        found = table(tmp_path / "a.csv", f"{header},u", np.round(TIME_S * factor, 9), TIME_S)
         assert time_in_seconds(found, header)[-1] == pytest.approx(TIME_S[-1], rel=1e-4), header
 
 
