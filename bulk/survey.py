@@ -1,7 +1,7 @@
-"""Surveyed ground as CSV: a grid of heights, or a cloud of points that is put on a grid.
+"""Surveyed ground: heights on a regular grid, or a cloud of points, on the cells of a job.
 
-Both have the header ``x_m,y_m,z_m``. A grid has one line a cell, a cloud any number of points a cell, of
-which the median counts.
+As CSV with the header ``x_m,y_m,z_m``, GeoTIFF, LAS or LAZ. A grid that is coarser than the cells is
+interpolated; of the points in a cell the median counts.
 """
 
 import csv
@@ -12,14 +12,18 @@ from pathlib import Path
 import numpy as np
 
 from bulk.height_field import Grid, make_grid
+from bulk.survey_files import Raster, is_survey_file, read_survey_file
 from machine.conventions import Array, IntArray
 from machine.errors import UsageError
 
 COLUMNS = ("x_m", "y_m", "z_m")
+MIN_POINT_COUNT = 4
 MAX_POINT_COUNT = 2_000_000
 MAX_HEIGHT_M = 50.0
 MAX_EXTENT_M = 120.0
 """Larger areas or heights are most likely in other units or in a national grid."""
+MAX_SPACING_M = 1.0
+"""A coarser grid of heights shows no piles."""
 
 
 def read_survey(path: Path, cell_m: float) -> tuple[Grid, Array]:
@@ -29,42 +33,103 @@ def read_survey(path: Path, cell_m: float) -> tuple[Grid, Array]:
         UsageError: not such a file, other units, too large, or holes; with numbers.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return parse_survey(file, str(path), cell_m)
+        return parse_survey(path.read_bytes(), str(path), cell_m)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def parse_survey(lines: Iterable[str], path: str, cell_m: float) -> tuple[Grid, Array]:
-    """Grid and heights (rows, columns) of a survey's lines, frame `machine`.
+def parse_survey(content: bytes, name: str, cell_m: float) -> tuple[Grid, Array]:
+    """Grid and heights (rows, columns) of a survey's content, frame `machine`.
 
     Args:
-        lines: of the CSV text.
-        path: what people call it.
+        content: of the file.
+        name: what people call it.
         cell_m: size of the cells.
 
     Raises:
-        UsageError: no such text, other units, too large, or holes; with numbers.
+        UsageError: no survey, other units, too large, or holes; with numbers.
     """
-    points = _read_points(lines, path)
-    for axis, name in enumerate("xy"):
-        extent = float(np.ptp(points[:, axis]))
+    if is_survey_file(content):
+        found = read_survey_file(content, name, MAX_POINT_COUNT)
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise UsageError(f"{name} is no CSV text, GeoTIFF, LAS or LAZ: {error}") from error
+        found = _read_points(text.splitlines(), name)
+    raster = found if isinstance(found, Raster) else _regular(found)
+    if raster is not None:
+        _require_place(raster.x_m, raster.y_m, raster.z_m[np.isfinite(raster.z_m)], name)
+        spacing_m = max(float(np.diff(raster.x_m).max()), float(np.diff(raster.y_m).max()))
+        if spacing_m > MAX_SPACING_M:
+            raise UsageError(
+                f"{name} has a height every {spacing_m:.2f} m, at most {MAX_SPACING_M:.0f} m are expected"
+            )
+        if spacing_m > cell_m * (1.0 + 1e-6):
+            return _interpolated(raster, name, cell_m)
+        x, y = np.meshgrid(raster.x_m, raster.y_m)
+        found = np.stack([x, y, raster.z_m], axis=-1).reshape(-1, 3)
+        found = found[np.isfinite(found[:, 2])]
+    points = np.asarray(found)
+    _require_place(points[:, 0], points[:, 1], points[:, 2], name)
+    return _gridded(points, name, cell_m)
+
+
+def _require_place(x_m: Array, y_m: Array, z_m: Array, name: str) -> None:
+    """Refuse coordinates that are no metres, or not those of the machine."""
+    if min(len(x_m), len(y_m)) < 2 or len(z_m) < MIN_POINT_COUNT:
+        raise UsageError(f"{name} has {len(z_m)} points, {MIN_POINT_COUNT} or more are needed")
+    for values, axis in ((x_m, "x"), (y_m, "y")):
+        extent = float(np.ptp(values))
         if extent > MAX_EXTENT_M:
             raise UsageError(
-                f"{path}: {name} spans {extent:.0f} m, at most {MAX_EXTENT_M:.0f} m are expected; are these "
+                f"{name}: {axis} spans {extent:.0f} m, at most {MAX_EXTENT_M:.0f} m are expected; are these "
                 "millimetres or feet? Give metres"
             )
-        if float(np.abs(points[:, axis]).max()) > MAX_EXTENT_M:
+        if float(np.abs(values).max()) > MAX_EXTENT_M:
             raise UsageError(
-                f"{path}: {name} reaches {np.abs(points[:, axis]).max():.0f} m from the machine; give "
+                f"{name}: {axis} reaches {np.abs(values).max():.0f} m from the machine; give "
                 "coordinates from the slew axis, x forward and y to the left"
             )
-    height = float(np.abs(points[:, 2]).max())
+    height = float(np.abs(z_m).max())
     if height > MAX_HEIGHT_M:
         raise UsageError(
-            f"{path}: z reaches {height:.0f} m, at most {MAX_HEIGHT_M:.0f} m are expected; give metres above "
+            f"{name}: z reaches {height:.0f} m, at most {MAX_HEIGHT_M:.0f} m are expected; give metres above "
             "the ground at the machine"
         )
+
+
+def _regular(points: Array) -> Raster | None:
+    """The raster of points (N, 3) that have one height at every node of a regular grid; None for a cloud."""
+    x_m, column = np.unique(points[:, 0].round(4), return_inverse=True)
+    y_m, row = np.unique(points[:, 1].round(4), return_inverse=True)
+    if len(x_m) < 2 or len(y_m) < 2 or len(x_m) * len(y_m) != len(points):
+        return None
+    z_m = np.full((len(y_m), len(x_m)), np.nan)
+    z_m[row, column] = points[:, 2]
+    steps = np.concatenate([np.diff(x_m), np.diff(y_m)])
+    is_even = np.ptp(steps) <= 0.01 * float(steps.max())
+    return Raster(x_m, y_m, z_m) if is_even and np.isfinite(z_m).all() else None
+
+
+def _interpolated(raster: Raster, name: str, cell_m: float) -> tuple[Grid, Array]:
+    """Heights between those of a coarser raster, linear along both axes."""
+    x, y = raster.x_m, raster.y_m
+    grid = make_grid(_whole(x, cell_m), _whole(y, cell_m), cell_m)
+    rows = np.array([np.interp(grid.x_m, x, line) for line in raster.z_m])
+    heights = np.array([np.interp(grid.y_m, y, line) for line in rows.T]).T
+    _require_whole(grid, heights, name)
+    return grid, heights
+
+
+def _whole(axis_m: Array, cell_m: float) -> tuple[float, float]:
+    """First and last centre of whole cells between the ends of an axis."""
+    low = float(axis_m.min())
+    return low, low + cell_m * math.floor(float(np.ptp(axis_m)) / cell_m + 1e-6)
+
+
+def _gridded(points: Array, name: str, cell_m: float) -> tuple[Grid, Array]:
+    """Medians of points (N, 3) in cells."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     grid = make_grid((float(low[0]), float(high[0])), (float(low[1]), float(high[1])), cell_m)
     column = np.rint((points[:, 0] - grid.x0_m) / cell_m).astype(int)
@@ -72,15 +137,20 @@ def parse_survey(lines: Iterable[str], path: str, cell_m: float) -> tuple[Grid, 
     inside = (row < grid.row_count) & (column < grid.column_count)
     cell = row[inside] * grid.column_count + column[inside]
     heights = _medians(cell, points[inside, 2], grid.row_count * grid.column_count)
-    holes = np.flatnonzero(np.isnan(heights))
-    if holes.size:
-        first = divmod(int(holes[0]), grid.column_count)
+    heights = heights.reshape(grid.row_count, grid.column_count)
+    _require_whole(grid, heights, name)
+    return grid, heights
+
+
+def _require_whole(grid: Grid, heights: Array, name: str) -> None:
+    holes = np.argwhere(np.isnan(heights))
+    if len(holes):
+        row, column = holes[0]
         raise UsageError(
-            f"{path} has no point in {holes.size} of {heights.size} cells of {cell_m:g} m, the first at "
-            f"x {grid.x_m[first[1]]:.2f} m, y {grid.y_m[first[0]]:.2f} m; survey the holes, choose larger "
+            f"{name} has no point in {len(holes)} of {heights.size} cells of {grid.cell_m:g} m, the first at "
+            f"x {grid.x_m[column]:.2f} m, y {grid.y_m[row]:.2f} m; survey the holes, choose larger "
             "cells (cell_m) or cut the area"
         )
-    return grid, heights.reshape(grid.row_count, grid.column_count)
 
 
 def _read_points(text: Iterable[str], path: str) -> Array:
@@ -97,11 +167,9 @@ def _read_points(text: Iterable[str], path: str) -> Array:
             points.append(_point(path, number, cells))
             if len(points) > MAX_POINT_COUNT:
                 raise UsageError(f"{path} has more than {MAX_POINT_COUNT} points; thin it out")
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise UsageError(f"{path} is no CSV text: {error}") from error
-    if len(points) < 4:
-        raise UsageError(f"{path} has {len(points)} points, 4 or more are needed")
-    return np.array(points, dtype=np.float64)
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
 def _point(path: str, number: int, cells: list[str]) -> tuple[float, float, float]:

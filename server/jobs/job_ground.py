@@ -193,13 +193,13 @@ class JobGrounds:
                 self._kept.popitem(last=False)
 
 
-def read_csv(text: str, name: str, cell_m: float) -> Ground:
+def stored_survey(content: bytes, cell_m: float) -> Ground:
     """Grid and heights of a survey that was sent, rounded as they are stored.
 
     Raises:
         UsageError: no survey; with numbers.
     """
-    grid, heights = parse_survey(text.splitlines(), name, cell_m)
+    grid, heights = parse_survey(content, "the survey", cell_m)
     return grid, unpacked(pack(heights), grid)
 
 

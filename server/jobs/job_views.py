@@ -4,7 +4,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Base64Bytes, Field, model_validator
 
 from bulk.job_file import ContainerPlace, JobFile
 from bulk.material import Material
@@ -12,7 +12,7 @@ from machine.conventions import LINE_PATTERN, Mode
 from server.schemas.console import Request, View
 
 MAX_SURVEY_LENGTH = 6_000_000
-"""Characters of a survey: some 250 000 points."""
+"""Bytes of a survey: as CSV some 250 000 points."""
 LandedBy = Literal["measured", "predicted", "entered"]
 JobStatus = Literal["open", "ended"]
 
@@ -27,14 +27,32 @@ class PlanningState(StrEnum):
     FAILED = "failed"
 
 
-class JobRequest(Request):
-    """Begin a job."""
+class SurveyRequest(Request):
+    """Brings a survey, or none."""
+
+    survey_csv: str | None = Field(default=None, max_length=MAX_SURVEY_LENGTH)
+    """Lines `x_m,y_m,z_m`."""
+    survey_base64: Base64Bytes | None = Field(default=None, max_length=MAX_SURVEY_LENGTH)
+    """In its place the bytes of a GeoTIFF, LAS, LAZ or CSV file."""
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if self.survey_csv is not None and self.survey_base64 is not None:
+            raise ValueError("give a survey as survey_csv or as survey_base64, not as both")
+        return self
+
+    @property
+    def survey(self) -> bytes | None:
+        """Content of the survey's file."""
+        return self.survey_base64 if self.survey_csv is None else self.survey_csv.encode()
+
+
+class JobRequest(SurveyRequest):
+    """Begin a job. `file.survey` names the survey that is sent with it."""
 
     machine_id: str = Field(max_length=32)
     file: JobFile
     """Without objects, zones and landing scatter: those are the machine's own."""
-    survey_csv: str | None = Field(default=None, max_length=MAX_SURVEY_LENGTH)
-    """Content of the file that `file.survey` names."""
 
     @model_validator(mode="after")
     def _check_file(self) -> Self:
@@ -42,8 +60,8 @@ class JobRequest(Request):
             raise ValueError("objects, zones and landing are the machine's own; leave them out")
         if "\x00" in self.file.name:
             raise ValueError("the name has a NUL character")
-        if (self.file.survey is None) != (self.survey_csv is None):
-            raise ValueError("a survey is sent as survey_csv, and file.survey names it")
+        if (self.file.survey is None) != (self.survey is None):
+            raise ValueError("a survey is sent with the job, and file.survey names it")
         return self
 
 
@@ -86,11 +104,17 @@ class JobLoadRequest(JobChange):
         return self
 
 
-class JobSurveyRequest(JobChange):
-    """Put a surveyed surface in place of the computed one."""
+class JobSurveyRequest(JobChange, SurveyRequest):
+    """Put a surveyed surface in place of the computed one.
 
-    survey_csv: str = Field(max_length=MAX_SURVEY_LENGTH)
-    """Lines `x_m,y_m,z_m`; cells that it leaves out keep their height, the goal has to be covered."""
+    Cells that it leaves out keep their height; the goal has to be covered.
+    """
+
+    @model_validator(mode="after")
+    def _check_survey(self) -> Self:
+        if self.survey is None:
+            raise ValueError("give the survey as survey_csv or as survey_base64")
+        return self
 
 
 class JobEndRequest(JobChange):

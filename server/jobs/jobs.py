@@ -21,7 +21,7 @@ from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.event_hub import EventHub
 from server.jobs.job_book import JobBook, job_entry
-from server.jobs.job_ground import read_csv
+from server.jobs.job_ground import stored_survey
 from server.jobs.job_planning import PlanLoads, plan_in_child
 from server.jobs.job_plans import JobPlans
 from server.jobs.job_reports import job_surface, thrown_job_html
@@ -202,8 +202,8 @@ class Jobs:
         file = body.file.model_copy(update={"objects": objects})
         surveyed = None
         try:
-            if body.survey_csv is not None:
-                surveyed = read_csv(body.survey_csv, "the survey", file.cell_m)
+            if body.survey is not None:
+                surveyed = stored_survey(body.survey, file.cell_m)
             ground = self._book.grounds.make(file, surveyed)
             self.plans.require_reachable(machine_id, file, ground)
         except UsageError as error:
@@ -349,7 +349,7 @@ class Jobs:
         """
         try:
             cell_m = self._book.read(job_id).file.cell_m
-            surveyed = read_csv(body.survey_csv, "the survey", cell_m)
+            surveyed = stored_survey(body.survey or b"", cell_m)
             with self._book.lock:
                 record = self._book.for_change(job_id, body)
                 ground = self._book.ground(record)

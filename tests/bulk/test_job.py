@@ -1,13 +1,17 @@
+import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
+import tifffile
 
 from bulk.job_file import read_job
 from bulk.job_report import contour_lines
-from bulk.survey import read_survey
+from bulk.survey import parse_survey, read_survey
 from cli.main import main
 from machine.errors import UsageError
 from tests.cases import each
@@ -119,11 +123,106 @@ def test_a_truck_out_of_reach_ends_with_its_numbers(
 def test_a_survey_is_a_grid_or_a_cloud(tmp_path: Path):
     grid, height = read_survey(grid_csv(tmp_path, "0.25"), 0.5)
     assert height.shape == (9, 9) and (height == 0.25).all()
+    fine, height = read_survey(grid_csv(tmp_path, "0.25"), 0.2)
+    assert height.shape == (21, 21) and height == pytest.approx(0.25), "a coarse grid is filled in"
+    assert (fine.x0_m, fine.y0_m) == (6.0, -2.0)
     path = grid_csv(tmp_path, "0.25")
     path.write_text(path.read_text() + "\n6.1,-2.1,0.35\n6.0,-2.0,9.0\n", encoding="utf-8")
     grid, height = read_survey(path, 0.5)
     assert grid.y0_m == pytest.approx(-2.1)
     assert height[0, 0] == pytest.approx(0.35), "the median of a cell's points"
+
+
+SLOPE_X_M = 6.0 + 0.2 * (np.arange(20) + 0.5)
+SLOPE_Y_M = -2.0 + 0.2 * (np.arange(20) + 0.5)
+SLOPE_M = 0.1 * SLOPE_X_M[None, :] - 0.05 * SLOPE_Y_M[:, None]
+
+
+def tiff(
+    *, x_m: float = 6.0, holes: int = 0, keys: tuple[int, ...] = (), has_scale: bool = True,
+    end: int | None = None, **options: Any,
+) -> bytes:  # fmt: skip
+    """A GeoTIFF of a slope, its first row in the north."""
+    height = SLOPE_M[::-1].astype(np.float32)
+    height[3, :holes] = -9999.0
+    directory = (1, 1, 0, len(keys) // 2, *(
+        value for key, number in zip(keys[::2], keys[1::2], strict=True) for value in (key, 0, 1, number)
+    ))  # fmt: skip
+    tags = [
+        (33550 if has_scale else 65000, "d", 3, (0.2, 0.2, 0.0), True),
+        (33922, "d", 6, (0.0, 0.0, 0.0, x_m, 2.0, 0.0), True),
+        (34735, "H", len(directory), directory, True),
+        (42113, "s", 0, "-9999", True),
+    ]
+    file = io.BytesIO()
+    tifffile.imwrite(file, height, extratags=tags, **options)
+    return file.getvalue()[:end]
+
+
+def las(
+    *, scale: float = 1.0, wkt: str = "", is_packed: bool = True, end: int | None = None
+) -> bytes:
+    """A point cloud of the same slope, sixteen points a cell."""
+    x, y = (
+        axis.ravel() for axis in np.meshgrid(np.arange(6.0, 10.0, 0.05), np.arange(-2.0, 2.0, 0.05))
+    )
+    cloud: Any = laspy.create(point_format=6, file_version="1.4")
+    cloud.header.scales = [0.001 * scale] * 3
+    z = 0.1 * x - 0.05 * y
+    classes = np.zeros(len(x), dtype=np.uint8)
+    z[::7], classes[::7] = 30.0, 7
+    cloud.x, cloud.y, cloud.z, cloud.classification = scale * x, scale * y, scale * z, classes
+    if wkt:
+        cloud.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    file = io.BytesIO()
+    cloud.write(file, do_compress=is_packed)
+    return file.getvalue()[:end]
+
+
+@each(
+    "make, options, cell_m",
+    [
+        (tiff, {}, 0.2),
+        (tiff, {}, 0.1),
+        (tiff, {}, 0.4),
+        (tiff, {"compression": "zlib"}, 0.2),
+        (tiff, {"keys": (1024, 1, 3076, 9001)}, 0.2),
+        (las, {}, 0.2),
+        (las, {"is_packed": False}, 0.2),
+        (las, {"wkt": 'PROJCS["x",GEOGCS["y",UNIT["degree",0.0174]],UNIT["metre",1]]'}, 0.2),
+    ],
+)
+def test_a_survey_is_a_geotiff_or_the_point_cloud_of_a_scanner(
+    make: Callable[..., bytes], options: dict[str, Any], cell_m: float
+):
+    grid, height = parse_survey(make(**options), "the survey", cell_m)
+    wanted = 0.1 * grid.x_m[None, :] - 0.05 * grid.y_m[:, None]
+    assert height.shape[0] * cell_m == pytest.approx(4.0, abs=cell_m + 0.01)
+    assert np.abs(height - wanted).max() < 0.021
+
+
+@each(
+    "make, options, words",
+    [
+        (tiff, {"x_m": 500_006.0}, "reaches 500010 m from the machine"),
+        (tiff, {"keys": (1024, 2)}, "is in degrees"),
+        (tiff, {"keys": (1024, 1, 3076, 9002)}, "x and y in the unit EPSG:9002, not in metres"),
+        (tiff, {"keys": (4099, 9003)}, "z in the unit EPSG:9003"),
+        (tiff, {"holes": 4}, r"in 4 of 400 cells of 0\.2 m, the first at x 6\.10 m, y 1\.30 m"),
+        (tiff, {"end": 700}, "cannot be read"),
+        (tiff, {"has_scale": False}, "does not say where it lies"),
+        (las, {"scale": 1000.0}, "millimetres"),
+        (las, {"wkt": 'PROJCS["x",UNIT["US survey foot",0.3048006]]'}, "unit US survey foot"),
+        (las, {"wkt": 'GEOGCS["y",UNIT["degree",0.0174]]'}, "is in degrees"),
+        (las, {"end": 3000}, "cannot be read"),
+        (lambda: b"\xff\xd8\xff a photo", {}, "is no CSV text, GeoTIFF, LAS or LAZ"),
+    ],
+)
+def test_a_survey_in_other_units_or_another_frame_is_refused(
+    make: Callable[..., bytes], options: dict[str, Any], words: str
+):
+    with pytest.raises(UsageError, match=words):
+        parse_survey(make(**options), "the survey", 0.2)
 
 
 @each(

@@ -3908,12 +3908,14 @@ export interface components {
         };
         /**
          * JobRequest
-         * @description Begin a job.
+         * @description Begin a job. `file.survey` names the survey that is sent with it.
          */
         JobRequest: {
             file: components["schemas"]["JobFile"];
             /** Machine Id */
             machine_id: string;
+            /** Survey Base64 */
+            survey_base64?: string | null;
             /** Survey Csv */
             survey_csv?: string | null;
         };
@@ -3986,10 +3988,14 @@ export interface components {
         /**
          * JobSurveyRequest
          * @description Put a surveyed surface in place of the computed one.
+         *
+         *     Cells that it leaves out keep their height; the goal has to be covered.
          */
         JobSurveyRequest: {
+            /** Survey Base64 */
+            survey_base64?: string | null;
             /** Survey Csv */
-            survey_csv: string;
+            survey_csv?: string | null;
             /** Version Count */
             version_count: number;
         };

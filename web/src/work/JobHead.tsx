@@ -6,7 +6,7 @@ import { zonedStamp } from "../words/time";
 import { goalWords } from "./goal";
 import type { Job } from "./job";
 import { RecordLoad } from "./RecordLoad";
-import { surveyText } from "./survey";
+import { SURVEY_TYPES, surveyOf } from "./survey";
 import { reportHref, type useJobChange } from "./useJobs";
 import classes from "./Work.module.css";
 import { cubic } from "./words";
@@ -24,8 +24,8 @@ export function JobHead({ job, mayEdit, change }: Props) {
   const upload = async (file: File | null) => {
     setProblem(null);
     try {
-      const survey_csv = await surveyText(file);
-      if (survey_csv !== null) change.mutate({ kind: "survey", body: { survey_csv } });
+      const body = await surveyOf(file);
+      if (body !== null) change.mutate({ kind: "survey", body });
     } catch (error) {
       setProblem(errorWords(error));
     }
@@ -71,7 +71,7 @@ export function JobHead({ job, mayEdit, change }: Props) {
             >
               Undo last load
             </Button>
-            <FileButton accept=".csv,text/csv" onChange={(file) => void upload(file)}>
+            <FileButton accept={SURVEY_TYPES} onChange={(file) => void upload(file)}>
               {(props) => (
                 <Button
                   {...props}

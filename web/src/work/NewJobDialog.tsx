@@ -16,7 +16,7 @@ import { errorWords } from "../words/errors";
 import { fixed } from "../words/format";
 import { fieldOf } from "./fieldErrors";
 import { fillsBed, firstForm, goalChoices, type JobForm, jobFile } from "./goal";
-import { surveyText } from "./survey";
+import { SURVEY_TYPES, surveyOf } from "./survey";
 import { useStartJob } from "./useJobs";
 import classes from "./Work.module.css";
 
@@ -56,7 +56,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
     if (start.isPending) return;
     const file = jobFile(form, choice, survey?.name ?? null);
     start.mutate(
-      { machine_id: machine.machine_id, file, survey_csv: () => surveyText(survey) },
+      { machine_id: machine.machine_id, file, survey: () => surveyOf(survey) },
       { onSuccess: (job) => onStarted(job.job_id) },
     );
   };
@@ -136,10 +136,10 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
         <FileInput
           size="md"
           label="Survey of the ground"
-          description="CSV x_m,y_m,z_m. Without it the ground is level; a trench or a heap needs one."
+          description="CSV x_m,y_m,z_m, GeoTIFF, LAS or LAZ, in metres from the slew axis. Without it the ground is level; a trench or a heap needs one."
           classNames={{ description: classes.note, placeholder: classes.placeholder }}
           placeholder="None"
-          accept=".csv,text/csv"
+          accept={SURVEY_TYPES}
           clearable
           clearButtonProps={{ "aria-label": "Without a survey" }}
           value={survey}

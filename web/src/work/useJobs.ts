@@ -9,6 +9,7 @@ import {
 } from "@tanstack/react-query";
 import { api, type Schema, take } from "../session/client";
 import type { Job, JobFile } from "./job";
+import type { Survey } from "./survey";
 
 export const JOBS = "jobs";
 const PAGE_ROWS = 30;
@@ -82,14 +83,14 @@ export function useLandedThrows(machineId: string) {
 export type NewJob = {
   machine_id: string;
   file: JobFile;
-  survey_csv: () => Promise<string | null>;
+  survey: () => Promise<Survey | null>;
 };
 
 export function useStartJob() {
   const client = useQueryClient();
   return useMutation({
-    mutationFn: async ({ survey_csv, ...job }: NewJob) =>
-      take(api.POST("/api/v1/jobs", { body: { ...job, survey_csv: await survey_csv() } })),
+    mutationFn: async ({ survey, ...job }: NewJob) =>
+      take(api.POST("/api/v1/jobs", { body: { ...job, ...(await survey()) } })),
     onSuccess: (job) => client.setQueryData([JOBS, "one", job.job_id], job),
     onSettled: () => void client.invalidateQueries({ queryKey: [JOBS] }),
   });
@@ -101,7 +102,7 @@ export type JobChange =
   | { kind: "move"; body: Omit<Schema["JobMoveRequest"], "version_count"> }
   | { kind: "loads"; body: Omit<Schema["JobLoadRequest"], "version_count"> }
   | { kind: "undo"; body: object }
-  | { kind: "survey"; body: { survey_csv: string } }
+  | { kind: "survey"; body: Survey }
   | { kind: "end"; body: { reason: string } };
 
 export function useJobChange(job: Job) {
