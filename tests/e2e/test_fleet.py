@@ -80,16 +80,11 @@ def test_a_lost_machine_is_told_and_acknowledged(
     expect(page).to_have_url(f"{stack.url}/alerts?state=cleared")
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1024, 768)])
 def test_a_machine_is_added_lost_acknowledged_and_retired(
-    server: ServerAlone,
-    machines: list[Command],
-    open_page: Callable[..., Page],
-    width: int,
-    height: int,
+    server: ServerAlone, machines: list[Command], open_page: Callable[..., Page]
 ) -> None:
     stack = server.start()
-    page = open_page(stack, width, height)
+    page = open_page(stack)
     without_view(page)
     sign_in(page, stack, "admin", path="/fleet")
     page.get_by_role("button", name="Add machine").click()

@@ -127,7 +127,7 @@ def test_stop_with_more_pages_open_than_a_browser_has_connections(
     without_view(first)
     sign_in(first, demo, path="/throws")
     pages = [first]
-    for _ in range(7):
+    for _ in range(6):
         page = first.context.new_page()
         without_view(page)
         page.goto("/throws")
