@@ -1,6 +1,6 @@
 """Diagnose the sets of `make_sets.py` and count right answers.
 
-    python -m benchmarks.plants.run_sets OUT [--no-reference] [--no-profile] [--resume] [--jobs N]
+    python -m benchmarks.plants.run_sets OUT [--plant ring|mule] [--no-reference] [--no-profile] [--resume]
 
 Each set is diagnosed by ``downrange diagnose throws`` against its machine's reference throws. Answers are
 written to ``OUT/answers/``; the truth is read only to count. Intervals are Wilson's, 95 %.
@@ -16,7 +16,8 @@ from typing import Any, Final
 
 from scipy.stats import binomtest
 
-from benchmarks.plants.make_sets import MACHINE_ID, ThrowSet, run, unit_folder
+from benchmarks.plants.contents import PLANTS
+from benchmarks.plants.make_sets import ThrowSet, run, unit_folder
 from benchmarks.result_file import Row, Value, describe, row, write_result
 from diagnosis.loading.kept_reference import kept_reference
 
@@ -114,7 +115,7 @@ def rows(
 
 
 def diagnose(
-    out: Path, one: ThrowSet, *, with_reference: bool, with_profile: bool, resume: bool
+    plant: str, out: Path, one: ThrowSet, *, with_reference: bool, with_profile: bool, resume: bool
 ) -> dict[str, Any]:
     """Answer for one set; with `resume`, from its file where there is one."""
     folder = unit_folder(out, one.unit)
@@ -125,10 +126,10 @@ def diagnose(
     if not (resume and file.exists()):
         file.parent.mkdir(parents=True, exist_ok=True)
         arguments = ["diagnose", "throws", str(out / "sets" / one.name), "--json", str(file)]
-        kept = kept_reference(folder, MACHINE_ID).folder
+        kept = kept_reference(folder, plant).folder
         arguments += ["--reference", str(kept) if with_reference else "none"]
         if with_profile:
-            arguments += ["--profile", str(folder / "ring.profile.json")]
+            arguments += ["--profile", str(folder / f"{plant}.profile.json")]
         run(arguments)
     answer = json.loads(file.read_text(encoding="utf-8"))
     print(one.name, answer["verdict"], answer["sentence"], flush=True)
@@ -141,20 +142,24 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("out", type=Path)
+    parser.add_argument("--plant", choices=sorted(PLANTS), default="ring")
     parser.add_argument("--no-reference", action="store_true", help="without reference throws")
     parser.add_argument("--no-profile", action="store_true", help="with the nominal twin")
     parser.add_argument("--resume", action="store_true", help="keep the answers that are there")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
-        "--json", type=Path, help="result file (default: benchmarks/results/plant_ring.json)"
+        "--json", type=Path, help="result file (default: benchmarks/results/plant_PLANT.json)"
     )
     options = parser.parse_args()
+    plant: str = options.plant
     out: Path = options.out.resolve()
     data = json.loads((out / "truth.json").read_text(encoding="utf-8"))
     sets = [ThrowSet(**item) for item in data]
     how = {"with_reference": not options.no_reference, "with_profile": not options.no_profile}
     with ThreadPoolExecutor(options.jobs) as pool:
-        answers = list(pool.map(lambda one: diagnose(out, one, **how, resume=options.resume), sets))
+        answers = list(
+            pool.map(lambda one: diagnose(plant, out, one, **how, resume=options.resume), sets)
+        )
     for one, answer in zip(sets, answers, strict=True):
         truth = (
             ", ".join(f"{e['effect']} {e['joint'] or ''}".strip() for e in one.effects) or "healthy"
@@ -172,8 +177,10 @@ def main() -> None:
             value.low,
             value.high,
         )
-    notes = "Independent plant `ring`; " + ", ".join(f"{k}: {v}" for k, v in how.items())
-    result = describe("plant_ring", "Diagnosis on the plant `ring`", table, seed=1, notes=notes)
+    notes = f"Independent plant `{plant}`; " + ", ".join(f"{k}: {v}" for k, v in how.items())
+    result = describe(
+        f"plant_{plant}", f"Diagnosis on the plant `{plant}`", table, seed=1, notes=notes
+    )
     write_result(result, options.json)
 
 

@@ -1,0 +1,1 @@
+"""The plant `mule`, written apart from the twin and its diagnosis."""
