@@ -53,7 +53,7 @@ def test_the_plant_is_the_drawn_machine_and_throws():
             moved = run(plant, command, 80)[-1].joint_position_rad_m - POSE[:, :4]
             assert np.sign(ratio) * moved[0, joint] > 0.05
     plant.reset(POSE, 1)
-    samples = run(plant, [0.0] * 4, 120, opened=True)
+    samples = run(plant, [0.0] * 4, 220, opened=True)
     np.testing.assert_allclose(samples[15].joint_position_rad_m, POSE[:, :4], atol=3e-3)
     np.testing.assert_allclose(samples[15].imu_accel_m_per_s2, [[0.0, 0.0, 9.81]], atol=0.3)
     held = [bool(sample.payload_held[0]) for sample in samples]
