@@ -16,17 +16,16 @@ from diagnosis.healthy.health_store import HealthStore, health_key
 from diagnosis.healthy.noise import NoiseModel
 from diagnosis.hypotheses.gap_problem import GapProblem, pose_problem
 from diagnosis.linearisation.open_loop import impacts
-from diagnosis.linearisation.parameters import layout, library
+from diagnosis.linearisation.parameters import ReplayKind, layout, library
+from diagnosis.linearisation.sensitivities import relinearise
 from diagnosis.loading.prepared import PreparedThrow, prepare
 from diagnosis.loading.throw_data import LoadedSet, ThrowData, refusals
 from diagnosis.population.machine_baseline import OWN_EFFECTS, ReferenceThrows, machine_model
+from diagnosis.population.machine_filters import MachineFilters, as_unseen, machine_filters
 from machine.conventions import Array
 from machine.errors import UsageError
 from sim_twin.replay.replay import ReplayElement, replay
 from sim_twin.twin.profile import TwinProfile
-
-ROUND_COUNT = 1
-"""Times that a machine's deviations are added to its twin before the last linearisation."""
 
 
 def check_reference(reference: LoadedSet, diagnosed: Sequence[ThrowData]) -> None:
@@ -93,37 +92,46 @@ def kept_or_estimated(
 def health_from_reference(reference: LoadedSet, profile: TwinProfile, health: Health) -> Health:
     """The model of this machine from that of its type and from throws while it was healthy.
 
-    What the throws show of the machine's deviations is added to the twin, and the throws are linearised again
-    there, as in Gauss and Newton's method: a twin with its own machine's lengths and friction has the slopes
-    of that machine.
+    What the throws show of the machine's deviations beside its repeated misfit is added to the twin, and the
+    throws are linearised again there, as in Gauss and Newton's method: a twin with its own machine's lengths
+    and friction has the slopes of that machine.
     """
     prepared = prepare(reference.throws, profile)
-    own, model = profile, health.noise
-    for _ in range(ROUND_COUNT):
-        problem, found = _linearised(prepared, own, health._replace(noise=model))
-        offsets = {
-            p: p.clip(found.healthy_mean[p.key]) for p in library() if p.effect in OWN_EFFECTS
-        }
-        own = with_effects(own, [p.at(size) for p, size in offsets.items()])
-        model = model.about({p.key: size for p, size in offsets.items()})
-    problem, found = _linearised(prepared, own, health._replace(noise=model))
-    model = _with_gap(found, problem)
-    return Health(problem.healthy, model, own, _replay_gap_m(prepared, profile))
-
-
-def _linearised(
-    prepared: Sequence[PreparedThrow], profile: TwinProfile, health: Health
-) -> tuple[GapProblem, NoiseModel]:
-    """Reference throws about a profile, and the model of their machine."""
     calibration = prepared[0].throw.calibration
-    problem = pose_problem(prepared, profile, calibration, health, layout(health.noise))
-    throws = ReferenceThrows(problem.prepared, problem.linear, problem.beside)
-    return problem, machine_model(problem.model, throws)
+    first = pose_problem(prepared, profile, calibration, health, layout(health.noise))
+    repeated = machine_filters(prepared, first.linear, first.healthy)
+    left = as_unseen(prepared, first.linear, first.healthy, repeated)
+    mean = machine_model(first.model, ReferenceThrows(prepared, left, first.beside)).healthy_mean
+    offsets = {p: p.clip(mean[p.key]) for p in library() if p.effect in OWN_EFFECTS}
+    own = with_effects(profile, [p.at(size) for p, size in offsets.items()])
+    [moved] = relinearise(
+        prepared,
+        own,
+        calibration,
+        first.healthy,
+        first.linear,
+        [((), ())],
+        (ReplayKind.ACTUATION,),
+        followed=(),
+    )
+    filters = machine_filters(prepared, moved, first.healthy)
+    model = health.noise.about({p.key: size for p, size in offsets.items()})
+    about_own = health._replace(filters=filters.all, noise=model)
+    problem = pose_problem(prepared, own, calibration, about_own, layout(model))
+    unseen = as_unseen(prepared, problem.linear, filters.all, filters)
+    found = machine_model(problem.model, ReferenceThrows(prepared, unseen, problem.beside))
+    model = _with_gap(found, problem, filters)
+    return Health(filters.all, model, own, _replay_gap_m(prepared, profile))
 
 
-def _with_gap(model: NoiseModel, problem: GapProblem) -> NoiseModel:
+def _with_gap(model: NoiseModel, problem: GapProblem, filters: MachineFilters) -> NoiseModel:
     """The model with the impact gap of this machine's reference throws by mode, root mean square."""
-    found = impacts(problem.prepared, problem.healthy, problem.profile, problem.calibration)
+    found = np.stack(
+        [
+            impacts([p], filters.of_others(i), problem.profile, problem.calibration)[0]
+            for i, p in enumerate(problem.prepared)
+        ]
+    )
     gap_m = {**model.healthy_gap_m, **_gap_by_mode(problem.prepared, found)}
     return model.model_copy(update={"healthy_gap_m": gap_m})
 

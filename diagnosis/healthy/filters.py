@@ -141,18 +141,37 @@ def correction(model: HealthyModel, motion: MeasuredMotion, joint: int, predicte
     return out
 
 
-def learn(values: Sequence[Array], residuals: Sequence[Array]) -> JointFilter:
+def learn(values: Sequence[Array], residuals: Sequence[Array], ridge: float = RIDGE) -> JointFilter:
     """Ridge regression of residuals (n,) on inputs (n, k), over all throws."""
     x, y = np.vstack(values), np.concatenate(residuals)
     centre, scale = x.mean(axis=0), x.std(axis=0) + 1e-9
     z = (x - centre) / scale
     offset = float(y.mean())
-    weight = np.linalg.solve(z.T @ z + RIDGE * np.eye(z.shape[1]), z.T @ (y - offset))
+    weight = np.linalg.solve(z.T @ z + ridge * np.eye(z.shape[1]), z.T @ (y - offset))
     return JointFilter(
         centre=tuple(float(f"{v:.6g}") for v in centre),
         scale=tuple(float(f"{v:.6g}") for v in scale),
         weight=tuple(float(f"{v:.6g}") for v in weight),
         offset=offset,
+    )
+
+
+def sum_of(first: HealthyModel, second: HealthyModel) -> HealthyModel:
+    """The model that corrects by as much as both together."""
+    return second.model_copy(
+        update={
+            "joints": tuple(_sum_of(a, b) for a, b in zip(first.joints, second.joints, strict=True))
+        }
+    )
+
+
+def _sum_of(first: JointFilter, second: JointFilter) -> JointFilter:
+    """In the second's units: its centres and scales stay."""
+    slope = np.asarray(first.weight) / np.asarray(first.scale)
+    offset = first.offset + float((np.asarray(second.centre) - np.asarray(first.centre)) @ slope)
+    weight = np.asarray(second.weight) + slope * np.asarray(second.scale)
+    return second.model_copy(
+        update={"weight": tuple(weight.tolist()), "offset": second.offset + offset}
     )
 
 

@@ -178,8 +178,9 @@ def stage_of(channel: str) -> str:
 def channel_weights(problem: GapProblem) -> dict[str, float]:
     """Weight of the log likelihood of every channel.
 
-    Healthy sets differ in their residual power by more than independent samples would. The log likelihood is
-    divided by that dispersion as well (quasi-likelihood: Wedderburn 1974, Biometrika 61, 439).
+    Healthy machines of a type differ in their residual power by more than independent samples would. Without
+    reference throws the log likelihood is divided by that dispersion as well (quasi-likelihood: Wedderburn
+    1974, Biometrika 61, 439).
     """
     gain = {part: 0.5 * shift.excess for part, shift in problem.none_shift.items()}
     # Deviations of pose and mounting show in the swing.
@@ -192,7 +193,7 @@ def channel_weights(problem: GapProblem) -> dict[str, float]:
         )
         excess = 0.5 * rows * max(float(np.exp(level - middle)) - 1.0, 0.0)
         gain[stage_of(name)] = gain.get(stage_of(name), 0.0) + excess
-        spread[name] = max(0.5 * rows * sd**2, 1.0)
+        spread[name] = 1.0 if problem.is_own else max(0.5 * rows * sd**2, 1.0)
     return {
         name: 1.0 / (spread[name] + FORM_ERROR_RATIO * gain[stage_of(name)])
         for name in problem.none_levels

@@ -39,6 +39,8 @@ from sim_twin.effects.table import EFFECTS
 
 HEALTHY_ROUNDS = 2
 """Rounds in which healthy deviations are simulated at their posterior mean."""
+CLEAR_SD = 1.645
+"""Half width of a 90 % interval, in standard deviations."""
 REFINE_ROUNDS = 3
 """Rounds of Gauss and Newton's method."""
 
@@ -69,7 +71,7 @@ def search(throws: Throws, tick: Callable[[float], None]) -> list[CandidateSet]:
     final = found[:FINAL_COUNT] + [c for c in found[FINAL_COUNT:] if c.members in simpler]
     for _ in range(HEALTHY_ROUNDS):
         final = about_healthy_mean(throws, final)
-    return _best(final)
+    return _best([c for c in final if _has_all(problem.layout.priors, c)])
 
 
 def _subsets(members: Set) -> list[Set]:
@@ -78,9 +80,11 @@ def _subsets(members: Set) -> list[Set]:
 
 
 def _has_all(priors: Priors, candidate: CandidateSet) -> bool:
-    """Whether every effect of a candidate has a size."""
-    parts = sizes_by_member(priors, candidate.members, candidate.sizes)
-    return all(bool(part.any()) for part in parts.values())
+    """Whether the 90 % interval of some size of every effect of a candidate excludes no effect."""
+    sd = np.sqrt(np.diag(candidate.covariance))
+    beyond = np.abs(candidate.sizes) - CLEAR_SD * sd
+    parts = sizes_by_member(priors, candidate.members, beyond)
+    return all(bool((part > 0.0).any()) for part in parts.values())
 
 
 def _best(candidates: Sequence[CandidateSet]) -> list[CandidateSet]:

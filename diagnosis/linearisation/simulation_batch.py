@@ -93,24 +93,15 @@ def perturbed_parameters(
     wanted: Sequence[Parameter],
     views: tuple[ReplayKind, ...],
 ) -> Perturbations:
-    """Elements that perturb one parameter each; in the actuation view one element perturbs it at all joints.
+    """Elements that perturb one parameter each.
 
     Only single effects have bounds, so that a step beyond one is a sum like any other.
     """
     moves: Perturbations = {}
-    together: dict[str, list[Parameter]] = {}
     for p in wanted:
         for view in (v for v in p.views if v in views):
-            if view is ReplayKind.ACTUATION and p.joint is not None:
-                together.setdefault(f"{p.effect}.{p.name}", []).append(p)
-                continue
             moved = plan.add(throw, (*base, p.at(p.step)), view)
             moves[index_of()[p.key], view] = (moved, p.step)
-    for parameters in together.values():
-        effects = tuple(p.at(p.step) for p in parameters)
-        element = plan.add(throw, (*base, *effects), ReplayKind.ACTUATION)
-        for p in parameters:
-            moves[index_of()[p.key], ReplayKind.ACTUATION] = (element, p.step)
     return moves
 
 

@@ -3,6 +3,7 @@
 It is independent of the twin and replaces a simulated stage when that stage is taken as measured.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,13 +41,12 @@ SAME_START_RAD = 0.015
 SWITCH_LAG_S = 0.0275
 """Delay of the gripper switch's report behind the release, s: latch and debounce, 15 to 40 ms."""
 SETTLED_S = 1.0
-"""Recorded time before the throw after which the gripper hangs at rest, s; a throw that is placed into
-its start pose has less."""
+"""Recorded time before the throw after which the gripper hangs at rest, s."""
 CALM_S = 0.12
-CALM_COUNT = 5
-CALM_RANGE_RAD_PER_S = 0.03
-"""A gripper whose rate stays within this range for `CALM_S` before the throw hangs at rest, too. At the
-end of a swing of 0.025 rad the rate changes by as much."""
+CALM_COUNT = 4
+CALM_RAD_PER_S2 = 0.15
+"""A gripper whose rate changes by no more than this before the throw, or before the valves' dead time has
+passed, hangs at rest. One that is let go 0.02 rad off plumb changes it by as much."""
 SWITCH_TICK_S = 0.5 * CONTROL_PERIOD_S
 """Mean delay of a switch that is read once a tick, s."""
 
@@ -243,12 +243,21 @@ def _imu_at(throw: ThrowData, t_s: Array) -> tuple[Array, Array | None]:
     return rate - throw.gyro_rad_per_s[calm].mean(axis=0), throw.accel_m_per_s2[calm].mean(axis=0)
 
 
-def hung_at_rest(throw: ThrowData) -> bool:
-    """Whether the gripper hung at rest when the throw began, rather than being placed."""
-    before = throw.gyro_rad_per_s[(throw.imu_t_s >= -CALM_S) & (throw.imu_t_s <= 0.0)]
-    is_recorded = bool((throw.imu_t_s <= -CALM_S).any()) and before.shape[0] >= CALM_COUNT
-    is_calm = is_recorded and bool(np.all(np.ptp(before, axis=0) < CALM_RANGE_RAD_PER_S))
-    return is_calm or bool((throw.t_s < -SETTLED_S).any())
+def hung_at_rest(throws: Sequence[ThrowData]) -> bool:
+    """Whether the grippers hung at rest when the throws began, rather than being placed off plumb."""
+    return bool(np.median([_starts_calm(throw) for throw in throws]) > 0.5)
+
+
+def _starts_calm(throw: ThrowData) -> bool:
+    if bool((throw.t_s < -SETTLED_S).any()):
+        return True
+    is_recorded = bool((throw.imu_t_s <= -CALM_S).any())
+    first_s, last_s = (-CALM_S, 0.0) if is_recorded else (0.0, REST_S)
+    chosen = (throw.imu_t_s >= first_s) & (throw.imu_t_s <= last_s)
+    if np.count_nonzero(chosen) < CALM_COUNT:
+        return False
+    line = np.polyfit(throw.imu_t_s[chosen], throw.gyro_rad_per_s[chosen], 1)
+    return bool(np.abs(line[0]).max() < CALM_RAD_PER_S2)
 
 
 def measured_opening_s(throw: ThrowData) -> float:
@@ -257,7 +266,12 @@ def measured_opening_s(throw: ThrowData) -> float:
 
 
 def replay_input(
-    throw: ThrowData, motion: MeasuredMotion, progress_ratio: float, default_opening_s: float
+    throw: ThrowData,
+    motion: MeasuredMotion,
+    progress_ratio: float,
+    default_opening_s: float,
+    *,
+    is_hung: bool,
 ) -> ReplayInput:
     """The throw as input of the twin's replay.
 
@@ -266,6 +280,7 @@ def replay_input(
         motion: its measured motion.
         progress_ratio: place of the throw in its set, 0 to 1.
         default_opening_s: used where the switch reported nothing.
+        is_hung: whether the gripper hung at rest when the throw began.
     """
     rows = rows_of_interest(throw)
     opening = measured_opening_s(throw)
@@ -280,7 +295,7 @@ def replay_input(
         release_t_s=throw.open_command_t_s,
         surface_height_m=height if np.isfinite(height) else float(throw.target_m[2]),
         progress_ratio=progress_ratio,
-        hung_at_rest=hung_at_rest(throw),
+        hung_at_rest=is_hung,
         opening_t_s=opening if np.isfinite(opening) else default_opening_s,
         swing_rad=motion.swing_rad,
         swing_rate_rad_per_s=motion.swing_rate_rad_per_s,

@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnosis.loading.measured import (
     MeasuredMotion,
+    hung_at_rest,
     measured_motion,
     measured_opening_s,
     replay_input,
@@ -66,16 +67,16 @@ def prepare(throws: Sequence[ThrowData], profile: TwinProfile) -> list[PreparedT
     ordered = sorted(throws, key=lambda throw: (throw.recorded_at_ns, throw.throw_id))
     last = max(len(ordered) - 1, 1)
     lag_s = velocity_lag_s(ordered)
-    return [_prepare(throw, profile, n / last, lag_s) for n, throw in enumerate(ordered)]
+    is_hung = hung_at_rest(ordered)
+    return [_prepare(throw, profile, n / last, lag_s, is_hung) for n, throw in enumerate(ordered)]
 
 
 def _prepare(
-    throw: ThrowData, profile: TwinProfile, progress_ratio: float, lag_s: Array
+    throw: ThrowData, profile: TwinProfile, progress_ratio: float, lag_s: Array, is_hung: bool
 ) -> PreparedThrow:
     motion = measured_motion(throw, lag_s)
-    data = replay_input(
-        throw, motion, progress_ratio, throw.open_command_t_s + profile.release_delay_s
-    )
+    opening_s = throw.open_command_t_s + profile.release_delay_s
+    data = replay_input(throw, motion, progress_ratio, opening_s, is_hung=is_hung)
     end_s = float(motion.t_s[-1])
     joint_at = throw.sensor_t_s
     joint_rows = np.flatnonzero((joint_at >= 0.0) & (joint_at <= end_s))

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter
 from diagnosis.inference.evidence import screen, total
@@ -27,7 +26,8 @@ from diagnosis.linearisation.whitening import (
     whiten_throw,
     with_projection_subtracted,
 )
-from diagnosis.loading.prepared import Block, PreparedThrow
+from diagnosis.loading.prepared import PreparedThrow
+from diagnosis.population.channel_fit import fitted_channel
 from diagnosis.population.hierarchical_prior import (
     Levels,
     SetLikelihood,
@@ -212,7 +212,7 @@ def _throw_scatter(
 def _channel(
     name: str, old: ChannelNoise, sets: Sequence[HealthySet], fits: Sequence[HealthyFit]
 ) -> ChannelNoise:
-    """Discrepancy from the magnitude and the correlation time of the residual."""
+    """The channel with the discrepancy that is left in these sets."""
     if not name.startswith(("actuation", "swing")):
         return old
     rows = [
@@ -222,35 +222,3 @@ def _channel(
         if (block := p.block(name)) is not None
     ]
     return fitted_channel(old, rows)
-
-
-def fitted_channel(old: ChannelNoise, rows: Sequence[tuple[Block, Array]]) -> ChannelNoise:
-    """A channel with the discrepancy that residuals show; its white noise stays.
-
-    Floor and growth with both motion levels come from nonnegative least squares of the residual's absolute
-    value, the correlation time from its autocorrelation.
-
-    Args:
-        old: the channel.
-        rows: blocks of that channel, one a throw, with their residuals (n,) in its unit.
-    """
-    size = [residual for _, residual in rows]
-    level = [np.column_stack([np.ones(b.t_s.size), b.rate, b.push]) for b, _ in rows]
-    x, y = np.vstack(level), np.abs(np.concatenate(size)) * np.sqrt(np.pi / 2.0)
-    scale = x.std(axis=0) + x.mean(axis=0)
-    slope = nnls(x / scale, y)[0] / scale
-    floor = float(np.sqrt(max(slope[0] ** 2 - old.noise_sd**2, (0.3 * old.noise_sd) ** 2)))
-    step_s, product, square = 0.06, 0.0, 0.0
-    for part, lev in zip(size, level, strict=True):
-        unit = part / (lev @ slope)
-        product += float(unit[3:] @ unit[:-3])
-        square += float(unit[3:] @ unit[3:])
-    share = np.clip(product / max(square, 1e-12), 0.05, 0.95)
-    return old.model_copy(
-        update={
-            "floor_sd": floor,
-            "rate_ratio": float(slope[1]),
-            "push_ratio": float(slope[2]),
-            "memory_s": float(-step_s / np.log(share)),
-        }
-    )

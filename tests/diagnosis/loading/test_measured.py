@@ -55,7 +55,7 @@ def test_a_gripper_that_moves_at_the_start_gives_no_bias_and_no_tilt(throw: Thro
 
 @pytest.mark.parametrize(
     ("before_s", "rate_rad_per_s", "hung"),
-    [(0.2, 0.0, True), (0.2, 0.06, False), (0.05, 0.0, False), (0.0, 0.0, False)],
+    [(0.2, 0.0, True), (0.2, 0.06, False), (0.05, 0.0, True), (0.0, 0.0, True), (0.0, 0.06, False)],
 )
 def test_a_calm_gripper_hung_at_rest(
     throw: ThrowData, before_s: float, rate_rad_per_s: float, hung: bool
@@ -68,4 +68,15 @@ def test_a_calm_gripper_hung_at_rest(
         field: getattr(throw, field)[begun]
         for field in ("t_s", "sensor_t_s", "joint_position_rad_m")
     }
-    assert hung_at_rest(replace(throw, imu_t_s=at_s, gyro_rad_per_s=gyro, **kept)) is hung
+    begun_throw = replace(throw, imu_t_s=at_s, gyro_rad_per_s=gyro, **kept)
+    assert hung_at_rest([begun_throw] * 3) is hung
+
+
+def test_most_throws_decide_whether_grippers_hung_at_rest(throw: ThrowData):
+    at_s, begun = np.arange(0.0, 0.3, 0.01), throw.t_s >= 0.0
+    calm = replace(
+        throw, t_s=throw.t_s[begun], imu_t_s=at_s, gyro_rad_per_s=np.zeros((at_s.size, 3))
+    )
+    placed = replace(calm, gyro_rad_per_s=np.outer(at_s, [0.0, 0.5, 0.0]))
+    assert hung_at_rest([calm, placed, calm])
+    assert not hung_at_rest([placed, placed, calm])
