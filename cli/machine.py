@@ -42,6 +42,7 @@ def run(
     password_file: Path | None = None,
     root_ca_file: Path | None = None,
     server_url: str | None = None,
+    site_key: str | None = None,
     policies: Path | None = None,
     calibration: Path | None = None,
     unit_seed: int | None = None,
@@ -50,8 +51,7 @@ def run(
     """Run one machine: control loop at 100 Hz, link to the server, throw logs.
 
     Two processes are started and, if one dies, started again. Stop with Ctrl-C or SIGTERM: a throw before its
-    commit point is aborted, one after it is completed first. Without a server the machine keeps its records
-    and sends them when there is one.
+    commit point is aborted, one after it is completed first. Without a server records wait on the disk.
 
     A machine that was set up by `downrange machine enrol` needs its folder only: downrange machine --data
     data/m001. `downrange machine self-test --data data/m001` tests it again while it does not run.
@@ -74,6 +74,7 @@ def run(
         password_file: File with the machine's password, for the link and for uploads.
         root_ca_file: Certificate authority of the server, for tls endpoints.
         server_url: Where logs go and policies come from, e.g. http://127.0.0.1:8000; without it neither.
+        site_key: Id of the site's key that may bind the machine, or "refuse"; usually the first it meets.
         policies: Folder of policies with its active.json.
         calibration: Valve tables of this machine, from `downrange calibrate`; without it nominal ones.
         unit_seed: Which of the virtual machines this is; 0 is the nominal one.
@@ -97,6 +98,7 @@ def run(
         "password_file": password_file,
         "root_ca_file": root_ca_file,
         "server_url": server_url,
+        "site_key": site_key,
         "policies_dir": policies,
         "calibration_file": calibration,
     }
@@ -143,6 +145,7 @@ def enrol(
     server: str,
     token: str,
     data: Path,
+    site_key: str | None = None,
     driver: str = "virtual",
     driver_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
     root_ca_file: Path | None = None,
@@ -159,6 +162,7 @@ def enrol(
         server: Address of the console, e.g. https://console.example.
         token: One-time token of page Fleet; it works once, within the hour.
         data: Folder of this machine alone; must not belong to another machine.
+        site_key: Id of the site's key, from page Fleet: another is refused. Without it, compare it there.
         driver: "virtual", or the machine's own driver as package.module:Class (docs/drivers.md).
         driver_option: Keyword argument of the driver, name=value; may be repeated.
         root_ca_file: Certificate authority of the router, where the server does not hand it over.
@@ -197,8 +201,12 @@ def enrol(
         policies_dir=policies.resolve(),
         calibration_file=None if calibration is None else calibration.resolve(),
     )
+    # First: a machine whose file is there is bound to its site.
+    PolicySlots(enrolment.settings(data).policy_slots_dir).keep_trust(credentials.trust, site_key)
+    key = credentials.trust.signed_by
+    check = "as was asked for" if site_key else "compare it with page Policies of the console"
+    print(f"loads policies that key {key} of site {credentials.site} has signed; {check}")
     write_private(data / ENROLMENT_FILE, enrolment.model_dump_json(indent=2) + "\n")
-    PolicySlots(enrolment.settings(data).policy_slots_dir).keep_trust(credentials.trust)
     return _test(enrolment, data, offset_s)
 
 

@@ -63,12 +63,17 @@ class SiteKey(BaseModel):
         """Check a signature (base64) of this key.
 
         Raises:
-            PolicyError: there is none, or it is not this key's.
+            PolicyError: there is none, it is not this key's, or the key is not the one that its id names.
         """
         if not signature:
             raise PolicyError(f"{what} is not signed")
         try:
-            public = Ed25519PublicKey.from_public_bytes(base64.b64decode(self.public_key))
+            raw = base64.b64decode(self.public_key)
+            if _key_id(raw) != self.key_id:
+                raise PolicyError(
+                    f"{what} names key {self.key_id[:KEY_ID_COUNT]} and holds another"
+                )
+            public = Ed25519PublicKey.from_public_bytes(raw)
             public.verify(base64.b64decode(signature, validate=True), message)
         except (InvalidSignature, ValueError, binascii.Error) as error:
             raise PolicyError(
@@ -129,6 +134,15 @@ class SiteTrust(BaseModel):
         issuer.key(self.signed_by, name).verify(self.signature, self.signed_bytes(), name)
         if known is not None and self.serial_count <= known.serial_count:
             raise PolicyError(f"{name} is not newer than list {known.serial_count} on board")
+
+    def bound_by(self, key_id: str) -> "SiteTrust":
+        """What a machine trusts before its first list, where a person has named the site's key.
+
+        Raises:
+            PolicyError: the site does not have this key, or it was revoked.
+        """
+        key = self.key(key_id, f"the list {self.serial_count} that this machine may take first")
+        return SiteTrust(site=self.site, keys=(key,))
 
     def _followed(self, known: "SiteTrust") -> "SiteTrust":
         """`known` with the keys that its own keys have passed their trust on to, one after the other."""
@@ -202,8 +216,11 @@ def new_private_key() -> bytes:
 def public_key(private_key: bytes) -> SiteKey:
     """The public part of a key."""
     raw = Ed25519PrivateKey.from_private_bytes(private_key).public_key().public_bytes_raw()
-    key_id = sha256(raw).hexdigest()[:KEY_ID_COUNT]
-    return SiteKey(key_id=key_id, public_key=base64.b64encode(raw).decode())
+    return SiteKey(key_id=_key_id(raw), public_key=base64.b64encode(raw).decode())
+
+
+def _key_id(public_bytes: bytes) -> str:
+    return sha256(public_bytes).hexdigest()[:KEY_ID_COUNT]
 
 
 def approve(

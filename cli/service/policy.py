@@ -279,8 +279,12 @@ def keys(
     for row in rows:
         state = "revoked" if row["is_revoked"] else "signs" if row["is_signing"] else "trusted"
         since = row["since_utc"] or "first start"
+        revoked = (
+            f"  revoked {row['revoked_utc']} by {row['revoked_by']}" if row["is_revoked"] else ""
+        )
         print(
-            f"{row['key_id']}  {state:<7}  {row['approval_count']:>4} approvals  since {since}  "
+            f"{row['key_id']}  {state:<7}  {row['approval_count']:>4} approvals  since {since} by "
+            f"{row['made_by']}{revoked}  trusted by {', '.join(row['machine_ids']) or 'no machine'}  "
             f"public {row['public_key']}"
         )
     return 0

@@ -7,6 +7,7 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from machine.errors import UsageError
+from runtime.policies.slots import NO_FIRST_KEY
 from runtime.process.machine_settings import MachineSettings
 
 ENROLMENT_FILE: Final = "enrolment.json"
@@ -32,7 +33,11 @@ class EnrolmentFile(BaseModel):
     def settings(self, data_dir: Path) -> MachineSettings:
         """The same as settings of the machine's processes."""
         return MachineSettings(
-            **self.model_dump(), data_dir=data_dir, password_file=data_dir / PASSWORD_FILE
+            **self.model_dump(),
+            data_dir=data_dir,
+            password_file=data_dir / PASSWORD_FILE,
+            # The enrolment has bound it; whoever removes that says by which key it is bound anew.
+            site_key=NO_FIRST_KEY,
         )
 
 

@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import urllib.error
+import urllib.parse
 import urllib.request
 from hashlib import sha256
 from pathlib import Path
@@ -62,18 +63,29 @@ class TransferError(Exception):
     """The network, the server or the disk failed; to be tried again."""
 
 
-def fetch_wanted(target: UploadTarget) -> WantedPolicies:
+def fetch_wanted(target: UploadTarget, trust: SiteTrust | None = None) -> WantedPolicies:
     """What the server wants this machine to have, and what the site has approved.
+
+    Args:
+        target: the server.
+        trust: list on board; its number and the keys that it trusts go to the server.
 
     Raises:
         TransferError: no answer, or one that cannot be read.
     """
     try:
-        with _open(target, "policies/wanted") as answer:
+        with _open(target, f"policies/wanted{_query(trust)}") as answer:
             text = answer.read(ANSWER_LIMIT_BYTES)
         return WantedPolicies.model_validate_json(text)
     except (OSError, http.client.HTTPException, ValidationError) as error:
         raise TransferError(f"the wanted policies cannot be read: {error}") from error
+
+
+def _query(trust: SiteTrust | None) -> str:
+    if trust is None:
+        return ""
+    keys = [("key", key.key_id) for key in trust.keys if not key.is_revoked]
+    return "?" + urllib.parse.urlencode([("list", trust.serial_count), *keys])
 
 
 def fetch_version(target: UploadTarget, wanted: WantedPolicy, slots: PolicySlots) -> Path:

@@ -70,6 +70,7 @@ class PolicyPuller:
         folder: Path,
         target: UploadTarget | None,
         send: Callable[[Kind, dict[str, Any]], bool],
+        site_key: str | None = None,
     ) -> None:
         """Begin.
 
@@ -77,11 +78,13 @@ class PolicyPuller:
             folder: of the machine's slots.
             target: the server; None = rollbacks at the machine only.
             send: sends a packet to the control process; whether it went.
+            site_key: which key may bind the machine to its site (`PolicySlots.keep_trust`).
         """
         self._slots = PolicySlots(folder)
         self._target = target
         self._request_file = folder / ROLLBACK_FILE
         self._send = send
+        self._site_key = site_key
         self._offered: dict[Mode, _Offered] = {}
         self._lock = threading.Lock()
         self._wait_s = POLL_PERIOD_S
@@ -147,9 +150,12 @@ class PolicyPuller:
         if self._target is None:
             return
         try:
-            found = fetch_wanted(self._target)
-            if found.trust is not None and self._slots.keep_trust(found.trust):
-                logger.info("policies must be approved by site %s", found.trust.site)
+            found = fetch_wanted(self._target, self._slots.trust())
+            if found.trust is not None and self._slots.keep_trust(found.trust, self._site_key):
+                trust = found.trust
+                logger.info(
+                    "policies must be approved by site %s, key %s", trust.site, trust.signed_by
+                )
                 self._recheck = set(Mode)
             self._check_again()
             for wanted in found.policies:

@@ -25,6 +25,8 @@ INSTALLED: Final = ""
 """In place of a sha256: the version that was installed with the software (`--policies`)."""
 SLOTS_FILE: Final = "slots.json"
 TRUST_FILE: Final = "site.json"
+NO_FIRST_KEY: Final = "refuse"
+"""In place of a key's id: a machine that is bound to no site takes no site's list by itself."""
 _SHA256: Final = r"^([0-9a-f]{64})?$"
 
 
@@ -154,17 +156,27 @@ class PolicySlots:
                 f"{path} cannot be read, so no policy is known to be approved: {error}"
             ) from error
 
-    def keep_trust(self, trust: SiteTrust) -> bool:
+    def keep_trust(self, trust: SiteTrust, site_key: str | None = None) -> bool:
         """Store what the site's server says; whether it is news. The first one binds the machine.
 
+        Args:
+            trust: the site's list.
+            site_key: id of the key by which the first list must be signed, or by which its key must have
+                been vouched for; `NO_FIRST_KEY` = no first list is taken; None = any is.
+
         Raises:
-            PolicyError: it is no newer list of the site that the machine is bound to; nothing changes.
+            PolicyError: it is no newer list of the site that the machine is bound to, or may not bind it;
+                nothing changes.
             OSError: the disk refuses.
         """
         with self._lock:
             known = self.trust()
             if known == trust:
                 return False
+            if known is None:
+                trust.require_successor_of(_first_binding(trust, site_key))
+                self._replace(TRUST_FILE, trust.model_dump_json(indent=2) + "\n")
+                return True
             try:
                 trust.require_successor_of(known)
             except PolicyError as error:
@@ -198,6 +210,15 @@ class PolicySlots:
             os.fsync(file.fileno())
         part.replace(self._folder / name)
         _sync(self._folder)
+
+
+def _first_binding(trust: SiteTrust, site_key: str | None) -> SiteTrust | None:
+    if site_key == NO_FIRST_KEY:
+        raise PolicyError(
+            f"site {trust.site} shows key {trust.signed_by[:16]}, and this machine takes no key by itself: "
+            "start it with --site-key and the key that page Policies of the console names"
+        )
+    return None if site_key is None else trust.bound_by(site_key)
 
 
 def _sync(folder: Path) -> None:

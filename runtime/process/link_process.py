@@ -98,10 +98,10 @@ class LinkProcess:
         self._fault = "the control process has not started yet"
         self._packet_count = self._joints_ns = 0
         self._beat_s = 0.0
-        url = settings.server_url
+        url, key = settings.server_url, settings.site_key
         target = UploadTarget(url, settings.machine_id, settings.password()) if url else None
         self._uploader = LogUploader(target, self._journal, settings.throws_dir) if target else None
-        self._policies = PolicyPuller(settings.policy_slots_dir, target, self._send)
+        self._policies = PolicyPuller(settings.policy_slots_dir, target, self._send, key)
         self._hours = HourCounter(settings.hours_file)
         self._records = Records(settings.throws_dir, self._journal, self._log_stored)
         stack.callback(self._records.close)

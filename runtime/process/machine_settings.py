@@ -27,6 +27,8 @@ class MachineSettings(BaseModel):
     """For ``tls/...`` endpoints."""
     server_url: str | None = None
     """Where throw logs are uploaded to; empty = they stay on the disk."""
+    site_key: str | None = Field(default=None, pattern=r"^([0-9a-f]{16}|refuse)$")
+    """Key that may bind the machine to its site; None = the first that it meets."""
     data_dir: Path
     policies_dir: Path
     calibration_file: Path | None = None

@@ -23,6 +23,7 @@ from server.clock import utc_now
 from server.deployments.asker import Asker
 from server.deployments.machine_policies import version_before
 from server.deployments.site_approvals import SiteApprovals
+from server.deployments.site_keys import TrustReport, keep_report
 from server.errors import ConflictError, NotFoundError
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_life import state_of
@@ -147,8 +148,15 @@ class Deployments:
 
     # Machines -------------------------------------------------------------------------------------
 
-    def wanted(self, machine_id: str) -> WantedPoliciesView:
-        """The newest deployment of each mode, with the files to fetch."""
+    def wanted(self, machine_id: str, report: TrustReport | None = None) -> WantedPoliciesView:
+        """The newest deployment of each mode, with the files to fetch.
+
+        Args:
+            machine_id: who asks.
+            report: what it says that it trusts; None where it does not say so.
+        """
+        if report is not None:
+            keep_report(self._database, self._audit, machine_id, report)
         found: list[WantedPolicyView] = []
         with self._database.read() as database:
             rows = [row for mode in Mode if (row := _newest(database, machine_id, mode))]

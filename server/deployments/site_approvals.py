@@ -9,7 +9,6 @@ import os
 import shutil
 import threading
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -36,6 +35,7 @@ from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry
 from server.clock import utc_now
 from server.deployments.approval_basis import ApprovalBasis, VersionChecks
 from server.deployments.machine_policies import machines_that_need
+from server.deployments.site_keys import MAKE_KEY, REVOKE_KEY, ROTATE_KEY, key_views
 from server.errors import ApiError, ConflictError, NotFoundError
 from server.plans.policy_life import (
     change_state,
@@ -150,6 +150,7 @@ class SiteApprovals:
         self._trust = sign_list(self._trust.model_copy(update={"approvals": tuple(approvals)}), key)
         _write(part / TRUST_FILE, self._trust)
         part.rename(self._folder)
+        self._note_key(MAKE_KEY, {"key_id": self._trust.signed_by}, SERVER)
         logger.info("made the site's key and approved %d policy versions by it", len(approvals))
 
     def _came_with_the_software(self, policy: StoredPolicy) -> bool:
@@ -271,21 +272,8 @@ class SiteApprovals:
 
     def keys(self) -> list[SiteKeyView]:
         """The site's keys, the newest first."""
-        trust = self._trust
-        made = {
-            r.new_key.key_id: datetime.fromisoformat(r.rotated_utc) for r in trust.rotations or ()
-        }
-        return [
-            SiteKeyView(
-                key_id=key.key_id,
-                public_key=key.public_key,
-                is_signing=key.key_id == trust.signed_by,
-                is_revoked=key.is_revoked,
-                since_utc=made.get(key.key_id),
-                approval_count=sum(a.key_id == key.key_id for a in trust.approvals),
-            )
-            for key in reversed(trust.keys)
-        ]
+        with self._database.read() as database:
+            return key_views(database, self._trust)
 
     def sign(self, message: bytes) -> tuple[SiteKey, str]:
         """Sign something other than an approval by the site's key; returns key and signature."""
@@ -306,7 +294,7 @@ class SiteApprovals:
                 "key_id": public_key(key).key_id,
                 "reason": reason,
             }
-            self._note_key("policy.rotate_key", detail, session.actor)
+            self._note_key(ROTATE_KEY, detail, session.actor)
             signed = rotate_key(self._trust, self._private_key(), key, rotated_utc=_utc_text())
             try:
                 # A start takes the next key into use where the list knows it, and else removes it.
@@ -315,7 +303,7 @@ class SiteApprovals:
                 self._trust = signed
                 self._next_key_file.replace(self._folder / KEY_FILE)
             except OSError as error:
-                raise self._disk_error("policy.rotate_key", detail, session.actor, error) from error
+                raise self._disk_error(ROTATE_KEY, detail, session.actor, error) from error
         return self.keys()
 
     def revoke(self, key_id: str, reason: str, session: Session) -> list[SiteKeyView]:
@@ -330,11 +318,11 @@ class SiteApprovals:
             except PolicyError as error:
                 raise ConflictError("key", f"{error}.") from error
             detail: dict[str, JsonValue] = {"key_id": key_id, "reason": reason}
-            self._note_key("policy.revoke_key", detail, session.actor)
+            self._note_key(REVOKE_KEY, detail, session.actor)
             try:
                 _write(self._file, signed)
             except OSError as error:
-                raise self._disk_error("policy.revoke_key", detail, session.actor, error) from error
+                raise self._disk_error(REVOKE_KEY, detail, session.actor, error) from error
             self._trust = signed
         return self.keys()
 

@@ -198,6 +198,10 @@ class Enrolments:
             )
             self._audit.append(session, entry)
 
+    def site_key_id(self) -> str:
+        """Id of the key that signs the site's policies."""
+        return self._approvals.trust().signed_by
+
     def link_address(self, host: str) -> str:
         """Endpoint at which machines call in, as they see it.
 

@@ -45,6 +45,7 @@ def enrol_machine(
         token=token,
         expires_utc=row.expires_utc,
         link_address=enrolments.link_address(host),
+        site_key_id=enrolments.site_key_id(),
     )
 
 
@@ -63,6 +64,7 @@ def renew_enrolment(
         token=token,
         expires_utc=row.expires_utc,
         link_address=enrolments.link_address(host),
+        site_key_id=enrolments.site_key_id(),
     )
 
 

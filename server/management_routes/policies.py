@@ -2,11 +2,11 @@
 
 import asyncio
 from datetime import datetime
-from typing import Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException as StarletteHTTPException
 
@@ -26,6 +26,7 @@ from server.dependencies import (
     Viewer,
 )
 from server.deployments.policy_uploads import LIMITS_BYTES
+from server.deployments.site_keys import TrustReport
 from server.errors import ApiError
 from server.plans.policy_life import history
 from server.schemas.deployments import (
@@ -47,6 +48,8 @@ from server.schemas.policies import (
 router = APIRouter(tags=["policies"])
 upload_router = APIRouter(tags=["policies"])
 """Apart: its bodies may be larger than others (server/app.py)."""
+
+KeyId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 
 _FILE_SCHEMA = {"type": "string", "format": "binary"}
 _UPLOAD_BODY = {
@@ -220,10 +223,14 @@ def roll_back_policy(
 
 @router.get("/machines/{machine_id}/policies/wanted")
 def read_wanted_policies(
-    machine_id: MachineCaller, deployments: DeploymentsDep
+    machine_id: MachineCaller,
+    deployments: DeploymentsDep,
+    serial: Annotated[int | None, Query(alias="list", ge=0, lt=2**63)] = None,
+    key: Annotated[tuple[KeyId, ...], Query(max_length=100)] = (),
 ) -> WantedPoliciesView:
-    """For the machine itself: the version that it is to have in each mode."""
-    return deployments.wanted(machine_id)
+    """For the machine itself: the version that it is to have in each mode; it says which keys it trusts."""
+    report = None if serial is None else TrustReport(serial, key)
+    return deployments.wanted(machine_id, report)
 
 
 @router.get(

@@ -30,6 +30,8 @@ class EnrolmentToken(View):
     expires_utc: datetime
     link_address: str
     """Endpoint of the router at which the machine calls in."""
+    site_key_id: str
+    """Key that signs the site's policies; the machine is to be bound by it and by no other."""
 
 
 class EnrolmentStage(StrEnum):

@@ -53,9 +53,14 @@ class SiteKeyView(View):
     """It signs approvals and the list of them."""
     is_revoked: bool
     since_utc: datetime | None
-    """None: made at the server's first start."""
+    """None: made at a first start of older software."""
+    made_by: str
+    revoked_utc: datetime | None
+    revoked_by: str | None
     approval_count: int
     """Approvals in the list that it has signed."""
+    machine_ids: tuple[str, ...]
+    """Machines that trust it, as they last said."""
 
 
 class PolicyTransitionView(View):

@@ -1,9 +1,9 @@
-"""Tables of the one-time tokens by which machines are set up, and of their places in the yard."""
+"""Tables of the one-time tokens by which machines are set up, of their places, and of the keys they trust."""
 
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, Index, String
+from sqlalchemy import JSON, BigInteger, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from server.store.models import Base
@@ -38,3 +38,15 @@ class MachinePlace(Base):
     heading_rad: Mapped[float]
     changed_by: Mapped[str] = mapped_column(String(64))
     changed_utc: Mapped[datetime]
+
+
+class MachineTrust(Base):
+    """What a machine has said it trusts; no row: it is bound to no site, or its software is older."""
+
+    __tablename__ = "machine_trusts"
+    machine_id: Mapped[str] = mapped_column(ForeignKey("machines.machine_id"), primary_key=True)
+    serial_count: Mapped[int] = mapped_column(BigInteger)
+    """Number of the site's list on board."""
+    key_ids: Mapped[list[Any]]
+    """Keys of the site that are not revoked there."""
+    reported_utc: Mapped[datetime]

@@ -21,6 +21,8 @@ class PolicyServer(ThreadingHTTPServer):
         self.breaks_after_bytes: list[int] = []
         """The next answers end so early."""
         self.ranges: list[str] = []
+        self.asked: list[str] = []
+        """Queries of the requests for what is wanted."""
         self.has_ranges = True
         self.spoils = False
         self.trust: dict[str, Any] | None = None
@@ -57,7 +59,8 @@ class Handler(BaseHTTPRequestHandler):
     server: PolicyServer
 
     def do_GET(self) -> None:
-        if self.path.endswith("/policies/wanted"):
+        if self.path.partition("?")[0].endswith("/policies/wanted"):
+            self.server.asked.append(self.path.partition("?")[2])
             self._answer(
                 200,
                 json.dumps({"policies": self.server.wanted, "trust": self.server.trust}).encode(),

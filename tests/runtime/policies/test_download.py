@@ -3,6 +3,7 @@ from collections.abc import Iterator
 import pytest
 
 from machine.conventions import Mode
+from machine.policy_approval import SiteTrust, new_private_key, public_key
 from machine.policy_card import load_card
 from runtime.policies.download import TransferError, fetch_version, fetch_wanted
 from runtime.policies.slots import PolicySlots
@@ -25,7 +26,9 @@ def version(tmp_path):
 
 def fetch(server, slots):
     target = UploadTarget(server.url, "m001", "token")
-    (wanted,) = fetch_wanted(target).policies
+    trust = SiteTrust(site="yard", keys=(public_key(new_private_key()),), serial_count=7)
+    (wanted,) = fetch_wanted(target, trust).policies
+    assert server.asked[-1] == f"list=7&key={trust.keys[0].key_id}"
     return fetch_version(target, wanted, slots)
 
 

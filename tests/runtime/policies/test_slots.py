@@ -15,13 +15,14 @@ from machine.policy_approval import (
     public_key,
     revoke_key,
     rotate_key,
+    sign,
     sign_list,
 )
 from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256, read_policy
 from machine.spec import load_spec
 from runtime.policies import slots as module
 from runtime.policies.on_board import OnBoardPolicies
-from runtime.policies.slots import INSTALLED, PolicySlots
+from runtime.policies.slots import INSTALLED, NO_FIRST_KEY, PolicySlots
 from tests.cases import each
 from tests.runtime.quick_policy import write_policies, write_policy
 
@@ -285,4 +286,30 @@ def test_a_machine_that_was_away_follows_two_changes_of_the_key(tmp_path, board)
         old, key = key, new_private_key()
         trust = rotate_key(trust, old, key, rotated_utc=f"2026-03-{day}T00:00:00+00:00")
     assert slots.keep_trust(trust)
+    assert board.load(Mode.PLANAR, sha256).card.policy_id == "first-2d"
+
+
+def test_a_machine_is_bound_by_the_key_that_a_person_named(tmp_path, board):
+    folder, sha256 = put(tmp_path, "first-2d", 0.2)
+    first, new = trust_of(folder), new_private_key()
+    named = first.signed_by
+    slots = PolicySlots(tmp_path / "slots")
+    with pytest.raises(PolicyError, match="takes no key by itself"):
+        slots.keep_trust(first, NO_FIRST_KEY)
+    with pytest.raises(PolicyError, match=f"{'0' * 16}, which site yard does not have"):
+        slots.keep_trust(first, "0" * 16)
+    # Another key under the name of the one that was named.
+    forged = public_key(new).model_copy(update={"key_id": named})
+    unsigned = first.model_copy(update={"keys": (forged,), "signature": ""})
+    signed = unsigned.model_copy(update={"signature": sign(new, unsigned.signed_bytes())})
+    for key in (named, None):
+        with pytest.raises(PolicyError, match=r"names key .* and holds another"):
+            slots.keep_trust(signed, key)
+    assert slots.trust() is None
+    # The named key has passed its trust on since: the list of its successor is taken.
+    rotated = rotate_key(first, KEY, new, rotated_utc="2026-03-02T00:00:00+00:00")
+    revoked = revoke_key(rotated, named, new)
+    with pytest.raises(PolicyError, match="was revoked"):
+        slots.keep_trust(revoked, named)
+    assert slots.keep_trust(rotated, named)
     assert board.load(Mode.PLANAR, sha256).card.policy_id == "first-2d"

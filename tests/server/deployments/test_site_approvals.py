@@ -2,6 +2,7 @@ import json
 import shutil
 
 import pytest
+from sqlalchemy import select
 
 from cli.main import main
 from machine.conventions import Mode
@@ -13,6 +14,7 @@ from server.plans.policy_life import change_state
 from server.schemas.console import Role
 from server.schemas.deployments import DeployRequest
 from server.schemas.policies import PolicyState
+from server.store.models import Audit
 from tests.runtime.quick_policy import write_policy
 from tests.server.server_bench import PASSWORD
 
@@ -151,8 +153,21 @@ def test_the_interface_approves_withdraws_and_deploys_only_what_is_approved(runn
         assert approved()
         token = running.parts.registry.secret_path("m001").read_text().strip()
         headers = {"Authorization": f"Bearer {token}"}
-        wanted = eve.get("/machines/m001/policies/wanted", headers=headers)
+        # The machine says which keys it trusts; the page shows it, and the audit says when that changed.
+        key_id = running.parts.approvals.trust().signed_by
+        query = {"list": 1, "key": [key_id, "0" * 16]}
+        for _ in range(2):
+            wanted = eve.get("/machines/m001/policies/wanted", headers=headers, params=query)
         assert sha256 in json.dumps(wanted.json()["trust"])
+        shown = {key["key_id"]: key for key in eve.get("/policy-keys").json()}
+        assert shown[key_id]["machine_ids"] == ["m001"]
+        assert shown[key_id]["made_by"] and shown[key_id]["since_utc"]
+        with running.parts.database.read() as session:
+            rows = session.scalars(select(Audit).where(Audit.action == "machine.trust")).all()
+        assert sum(key_id in row.detail_json for row in rows) == 1
+        wrong = {"list": 1, "key": ["no key"]}
+        answer = eve.get("/machines/m001/policies/wanted", headers=headers, params=wrong)
+        assert answer.status_code == 422
 
 
 def test_the_key_is_changed_machines_follow_and_the_old_one_is_revoked(assembled, approvals):
@@ -168,6 +183,8 @@ def test_the_key_is_changed_machines_follow_and_the_old_one_is_revoked(assembled
         approvals.revoke(newest.key_id, WHY, eve)
     _, revoked = approvals.revoke(old.key_id, WHY, eve)
     assert revoked.is_revoked
+    assert (newest.made_by, revoked.revoked_by, first.made_by) == ("eve", "eve", "server")
+    assert revoked.revoked_utc is not None and newest.since_utc is not None
     approvals.trust().require_successor_of(before)
     again = fresh(assembled, parts.settings.data_dir)
     again.start()

@@ -8,6 +8,7 @@ import zenoh
 from cli.machine import warn_in_the_clear
 from cli.main import main
 from machine.messages import ThrowState
+from runtime.enrolment.enrolment_file import read_enrolment
 from runtime.link.zenoh_config import client_config
 from server.clock import utc_now
 from server.enrolment import enrolments as module
@@ -129,6 +130,13 @@ def test_a_mistake_at_the_machine_does_not_use_the_token_up(running, tmp_path, c
         assert main([*words, "--data", str(tmp_path / "data"), "--calibration", missing]) == 1
         assert "missing.json does not exist" in capsys.readouterr().err
         assert root.get("/machines/crane-8/enrolment").json()["stage"] == "waiting"
+
+        # A server that shows another key than the page did: the machine is not set up.
+        assert added["site_key_id"] == running.parts.approvals.trust().signed_by
+        data = tmp_path / "other"
+        assert main([*words, "--data", str(data), "--site-key", "0" * 16]) == 1
+        assert "key 0000000000000000, which site yard does not have" in capsys.readouterr().err
+        assert read_enrolment(data) is None and not (data / "policies" / "site.json").exists()
 
 
 @each(

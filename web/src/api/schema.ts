@@ -1085,7 +1085,7 @@ export interface paths {
         };
         /**
          * Read Wanted Policies
-         * @description For the machine itself: the version that it is to have in each mode.
+         * @description For the machine itself: the version that it is to have in each mode; it says which keys it trusts.
          */
         get: operations["read_wanted_policies"];
         put?: never;
@@ -3187,6 +3187,8 @@ export interface components {
             /** Link Address */
             link_address: string;
             machine: components["schemas"]["MachineView"];
+            /** Site Key Id */
+            site_key_id: string;
             /** Token */
             token: string;
         };
@@ -5634,8 +5636,16 @@ export interface components {
             is_signing: boolean;
             /** Key Id */
             key_id: string;
+            /** Machine Ids */
+            machine_ids: string[];
+            /** Made By */
+            made_by: string;
             /** Public Key */
             public_key: string;
+            /** Revoked By */
+            revoked_by: string | null;
+            /** Revoked Utc */
+            revoked_utc: string | null;
             /** Since Utc */
             since_utc: string | null;
         };
@@ -13495,7 +13505,10 @@ export interface operations {
     };
     read_wanted_policies: {
         parameters: {
-            query?: never;
+            query?: {
+                list?: number | null;
+                key?: string[];
+            };
             header?: {
                 authorization?: string;
             };

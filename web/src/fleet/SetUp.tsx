@@ -15,8 +15,13 @@ const TESTS: Record<Enrolment["self_test"][number]["name"], string> = {
 };
 
 /** What is typed at the machine's computer. */
-export function enrolCommand(server: string, token: string, machineId: string): string {
-  return `downrange machine enrol --server ${server} --token ${token} --data ${machineId}`;
+export function enrolCommand(
+  server: string,
+  token: string,
+  siteKey: string,
+  machineId: string,
+): string {
+  return `downrange machine enrol --server ${server} --token ${token} --site-key ${siteKey} --data ${machineId}`;
 }
 
 /** The one-time token, as a command to be copied. */
@@ -24,13 +29,15 @@ export function TokenBox({ enrolment }: { enrolment: EnrolmentToken }) {
   const command = enrolCommand(
     window.location.origin,
     enrolment.token,
+    enrolment.site_key_id,
     enrolment.machine.machine_id,
   );
   return (
     <div className={classes.token} role="status">
       <p>
         Type this at the machine's computer before {localStamp(enrolment.expires_utc)}; it works
-        once. The machine then calls in at {enrolment.link_address}.
+        once. The machine then calls in at {enrolment.link_address}, and loads only policies of the
+        site's key {enrolment.site_key_id}: it refuses a server that shows another.
       </p>
       <code data-testid="enrol-command">{command}</code>
       <CopyButton value={command}>

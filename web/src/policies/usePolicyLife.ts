@@ -7,6 +7,7 @@ export type Mode = Schema["Mode"];
 export type OnBoard = Schema["MachinePolicyView"];
 export type Deployment = Schema["DeploymentView"];
 export type Approval = Schema["Approval"];
+export type SiteKey = Schema["SiteKeyView"];
 export type PolicyState = Schema["PolicyState"];
 
 const ON_BOARD = "machine-policies";
@@ -15,6 +16,7 @@ const APPROVALS = "policy-approvals";
 const APPROVAL_BASIS = "policy-approval-basis";
 const HISTORY = "policy-history";
 const POLICIES = "policies";
+const KEYS = "policy-keys";
 const WAITING_MS = 2_000;
 const QUIET_MS = 15_000;
 
@@ -50,6 +52,15 @@ export function useApprovals() {
   return useQuery({
     queryKey: [APPROVALS],
     queryFn: () => take(api.GET("/api/v1/policy-approvals")),
+  });
+}
+
+/** The site's keys, the newest first; machines say now and then which they trust. */
+export function useSiteKeys() {
+  return useQuery({
+    queryKey: [KEYS],
+    queryFn: () => take(api.GET("/api/v1/policy-keys")),
+    refetchInterval: QUIET_MS,
   });
 }
 

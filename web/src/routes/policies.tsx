@@ -2,6 +2,7 @@ import { ComparePanel } from "../compare/ComparePanel";
 import { ShadowPanel } from "../compare/ShadowPanel";
 import { useMachine } from "../machine/useMachine";
 import { GateSentence } from "../operate/GateSentence";
+import { KeysPanel } from "../policies/KeysPanel";
 import { OnBoard } from "../policies/OnBoard";
 import { PolicyCard } from "../policies/PolicyCard";
 import { RolloutPanel } from "../policies/RolloutPanel";
@@ -49,6 +50,7 @@ export function PoliciesPage() {
       <div className={classes.gates}>
         <GatesPanel />
       </div>
+      <KeysPanel />
     </div>
   );
 }
