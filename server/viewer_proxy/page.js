@@ -89,6 +89,19 @@
       { capture: true },
     );
   }
+  // A finger captures what it touches by itself. The viewer takes every capture for a drag that something
+  // else has begun, and would hear no tap: it gets the press without one, and the capture comes back after.
+  for (const isFirst of [true, false]) {
+    window.addEventListener(
+      "pointerdown",
+      ({ pointerType, pointerId, target }) => {
+        if (pointerType === "mouse" || !(target instanceof Element)) return;
+        if (!isFirst) target.setPointerCapture(pointerId);
+        else if (target.hasPointerCapture(pointerId)) target.releasePointerCapture(pointerId);
+      },
+      { capture: isFirst },
+    );
+  }
   window.addEventListener("pointerup", () => {
     if (window.parent !== window) setTimeout(() => window.parent.focus(), 0);
   });

@@ -1,9 +1,11 @@
 """Exclusion zones: drawn in the 3D view, approved, obeyed by clicks and throws, changed."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
 from playwright.sync_api import Page, expect
+from playwright.sync_api import TimeoutError as BrowserTimeoutError
 
 from tests.e2e.operator_page import (
     click_until,
@@ -31,6 +33,26 @@ def without_zones(demo: Stack) -> Iterator[None]:
         admin.post(f"{ZONES}/approve", json={"version_count": version + 1}).raise_for_status()
 
 
+TAPS = ((0.70, 0.72), (0.86, 0.70), (0.88, 0.88), (0.72, 0.90))
+"""Four points of the ground in the 3D view of a tablet held upright, in the order of a walk around."""
+SLIP = (0.30, 0.90)
+
+
+def _tap_corner(page: Page, share: tuple[float, float], count: int) -> None:
+    """Tap the view until the panel has `count` corners; a busy computer may answer an earlier tap late."""
+    box = page.get_by_test_id("viewer").bounding_box()
+    assert box is not None
+    shown = page.get_by_text(f"{count} corners.")
+    for _ in range(4):
+        page.touchscreen.tap(
+            box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+        )
+        with contextlib.suppress(BrowserTimeoutError):
+            shown.wait_for(timeout=15_000.0)
+            return
+    raise AssertionError(f"four taps and no corner {count}: {page.inner_text('form')}")
+
+
 def _approve(page: Page, reason: str) -> None:
     page.get_by_label("Why it is changed").fill(reason)
     page.get_by_role("button", name="Save draft").click()
@@ -51,7 +73,7 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     sign_in(page, demo, "admin", path="/site")
     page.get_by_text("Zones", exact=True).click()
     page.get_by_role("button", name="Draw box").click()
-    click_until(page, CORNERS[0], page.get_by_text("Click the opposite corner.").first)
+    click_until(page, CORNERS[0], page.get_by_text("Click or tap the opposite corner.").first)
     click_until(page, CORNERS[1], page.get_by_text("4 corners, 0.0 m to 3.0 m").first)
     # By keyboard to where the throws go: a box around 9 m ahead.
     page.get_by_role("textbox", name="Name", exact=True).fill("Office")
@@ -83,3 +105,33 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
             "the machine to have the zone",
         )
         api.delete("/machines/m001/lease")
+
+
+def test_a_polygon_is_drawn_with_a_finger(demo: Stack, open_page: Callable[..., Page]) -> None:
+    page = open_page(demo, 834, 1112, touch=True)
+    sign_in(page, demo, path="/site")
+    page.get_by_text("Zones", exact=True).tap()
+    page.get_by_role("button", name="Draw polygon").tap()
+    page.locator('[data-testid="viewer"][data-state="drawn"]').wait_for()
+    _tap_corner(page, TAPS[0], 1)
+    _tap_corner(page, TAPS[1], 2)
+    _tap_corner(page, SLIP, 3)
+    page.get_by_role("button", name="Take back the last corner").tap()
+    expect(page.get_by_text("2 corners.")).to_be_visible()
+    _tap_corner(page, TAPS[2], 3)
+    _tap_corner(page, TAPS[3], 4)
+    # What a finger needs beside the view is in sight and large enough, without scrolling.
+    for name in ("Finish", "Take back the last corner", "Cancel"):
+        button = page.get_by_role("button", name=name)
+        expect(button).to_be_in_viewport(ratio=1.0)
+        box = button.bounding_box()
+        assert box is not None and box["height"] >= 36.0
+    page.get_by_role("button", name="Finish").tap()
+    page.get_by_role("textbox", name="What is there").fill("a shed")
+    page.get_by_label("Why it is changed").fill("it was built")
+    page.get_by_role("button", name="Save draft").tap()
+    expect(page.get_by_text("In force once a supervisor approves it.")).to_be_visible()
+    with client(demo, "admin") as api:
+        (zone,) = api.get(ZONES).json()["zones"]
+    xs, ys = zip(*zone["corners_m"], strict=True)
+    assert len(xs) == 4 and max(xs) - min(xs) > 1.0 and max(ys) - min(ys) > 1.0

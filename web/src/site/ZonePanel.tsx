@@ -205,8 +205,10 @@ export function ZonePanel(props: Props) {
 }
 
 function drawingWords({ tool, corners }: Drawing): string {
-  if (tool === "box") return corners.length ? "Click the opposite corner." : "Click one corner.";
-  return `${corners.length} corners. Click the ground in the order in which one walks around.`;
+  if (tool === "box")
+    return corners.length ? "Click or tap the opposite corner." : "Click or tap one corner.";
+  const order = "Click or tap the ground in the order in which one walks around.";
+  return `${corners.length} corners. ${order}`;
 }
 
 function footWords(

@@ -37,7 +37,7 @@ export function MarkImpact({ thrown, plan, onDone }: Props) {
   return (
     <form onSubmit={submit} className={classes.form} aria-label="Mark impact">
       <p className={classes.how}>
-        Click where it came down, in the plot or on the ground of the 3D view, or type it.
+        Click or tap where it came down, in the plot or on the ground of the 3D view, or type it.
       </p>
       <LandingPlot
         ellipse={plan?.prediction?.ellipse ?? null}

@@ -93,7 +93,7 @@ export function TargetStep(props: Props) {
         </p>
       )}
       <p className={classes.note}>
-        Click the ground or an object, or type. Arrow keys move the target by 5 cm.
+        Click or tap the ground or an object, or type. Arrow keys move the target by 5 cm.
         {reach && ` ${reachWords(reach)}`}
       </p>
       <SavedTargets machineId={machine.machine_id} target={target} onTarget={onTarget} />
