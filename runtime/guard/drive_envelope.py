@@ -33,7 +33,7 @@ class DriveBounds(NamedTuple):
 DRIVE_BOUNDS: Final = (
     DriveBounds((0.08, 0.20), (0.05, 0.30), (0.65, 1.25), (0.65, 1.25), 0.022),
     DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.3), 0.036),
-    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.6, 1.3), (0.7, 1.6), 0.024),
+    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.15, 1.3), (0.4, 1.6), 0.024),
     DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.25), 0.018),
 )
 """Slew, boom, dipper, telescope.
@@ -41,8 +41,9 @@ DRIVE_BOUNDS: Final = (
 Dead times and lags: docs/machine.md (0.05 to 0.15 s, slew 0.1 to 0.4 s with its lag), 10 ms for sensors and
 tick. The slew coasts: its inertia on the motor's relief valve needs 0.3 s. Gains, of a valve with the nominal
 metering curve: orifices of 0.875 to 1.125, curves from 0.1 to 0.3, and the pressure that the load takes or
-gives; a dipper on its way in is driven by its load (1.6). Limits: 1.5 times what healthy throws reach on two
-plants, the virtual machine and benchmarks/plants/ring, whose boom rings (`benchmarks/gate_faults.py`).
+gives; the dipper is driven by its load on its way in (1.6) and held back by it at full reach (0.15). Limits:
+1.5 times what healthy throws reach on two plants, the virtual machine and benchmarks/plants/ring, whose boom
+rings (`benchmarks/gate_faults.py`).
 """
 DEAD_BANDS_RATIO: Final = (0.01, 0.10)
 """Smallest and largest share of the stroke in which a spool opens nothing: 0.04 with its spread, hysteresis,

@@ -13,7 +13,7 @@ MIDDLE = np.array([[0.0, 0.5, 0.0, 0.5]])
 DRIVES = (
     DriveBounds((0.08, 0.20), (0.05, 0.30), (0.65, 1.25), (0.65, 1.25), 0.022),
     DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.3), 0.036),
-    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.6, 1.3), (0.7, 1.6), 0.024),
+    DriveBounds((0.04, 0.14), (0.03, 0.13), (0.15, 1.3), (0.4, 1.6), 0.024),
     DriveBounds((0.04, 0.14), (0.03, 0.06), (0.7, 1.25), (0.7, 1.25), 0.018),
 )
 """Drives that machines have, and motion that may go uncommanded: what the envelope must bear and see."""
