@@ -260,5 +260,5 @@ def test_what_the_limits_allow_does_not_explode_in_the_simulator(
     for _ in range(400):
         velocity, state = respond(response, state, velocity, four, 0.0 * four, CONTROL_PERIOD_S)
         fastest = max(fastest, float(np.abs(velocity).max()))
-    # Two coupled resonances with a gain of 1 / (2 damping) stay below 40; an unstable one exceeds 1e3.
-    assert fastest < 40.0
+    # Two coupled resonances with a gain of 1 / (2 damping) stay below 100; an unstable one exceeds 1e3.
+    assert fastest < 100.0
