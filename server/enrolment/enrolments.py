@@ -79,7 +79,8 @@ class Enrolments:
             raise ConflictError(
                 "machine_connected", f"{machine_id} is connected: it has its credentials already."
             )
-        token, now = secrets.token_urlsafe(24), utc_now()
+        # Hexadecimal: a command line takes a word that begins with a dash for an option.
+        token, now = secrets.token_hex(24), utc_now()
         row = Enrolment(
             enrolment_id=new_id(),
             machine_id=machine_id,
