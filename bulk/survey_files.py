@@ -15,6 +15,13 @@ from machine.errors import UsageError
 
 TIFF_STARTS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 LAS_START: Final = b"LASF"
+SCALE_TAG: Final = 33550
+TIEPOINT_TAG: Final = 33922
+KEYS_TAG: Final = 34735
+"""GeoKeyDirectory; also the number of the record in LAS files."""
+NO_DATA_TAG: Final = 42113
+"""GDAL's tag for the value of cells without a measurement."""
+WKT_RECORD: Final = 2112
 METRE: Final = 9001
 """EPSG code of the unit."""
 GEOGRAPHIC: Final = 2
@@ -24,6 +31,7 @@ NOISE_CLASSES: Final = (7, 18)
 UNIT_KEYS: Final = {"x and y": 3076, "z": 4099}
 """ProjLinearUnitsGeoKey and VerticalUnitsGeoKey."""
 MODEL_KEY: Final = 1024
+RASTER_TYPE_KEY: Final = 1025
 _WKT_UNIT = re.compile(r'(?:LENGTH)?UNIT\s*\[\s*"([^"]+)"\s*,\s*([0-9.eE+-]+)', re.IGNORECASE)
 
 
@@ -71,10 +79,10 @@ def _las_points(content: bytes, name: str, max_count: int) -> Array:
         header: Any = file.header
         _require_count(name, int(header.point_count), max_count)
         for record in [*header.vlrs, *(header.evlrs or ())]:
-            if record.record_id == 34735:
+            if record.record_id == KEYS_TAG:
                 values = np.frombuffer(record.record_data_bytes(), "<u2").reshape(-1, 4)[1:]
                 _require_metres(name, {int(key): int(value) for key, _, _, value in values})
-            elif record.record_id == 2112:
+            elif record.record_id == WKT_RECORD:
                 _require_metres_in_wkt(
                     name, record.record_data_bytes().decode("utf-8", errors="replace")
                 )
@@ -95,12 +103,12 @@ def _tiff_raster(content: bytes, name: str, max_count: int) -> Raster:
             )
         _require_count(name, page.shape[0] * page.shape[1], max_count)
         tags: dict[int, Any] = {tag.code: tag.value for tag in page.tags}
-        if 33550 not in tags or 33922 not in tags:
+        if SCALE_TAG not in tags or TIEPOINT_TAG not in tags:
             raise UsageError(
                 f"{name} does not say where it lies (tags ModelPixelScale and ModelTiepoint); export it as "
                 "a north-up GeoTIFF, x forward and y to the left of the slew axis"
             )
-        keys = np.asarray(tags.get(34735, ()), dtype=np.int64).reshape(-1, 4)[1:]
+        keys = np.asarray(tags.get(KEYS_TAG, ()), dtype=np.int64).reshape(-1, 4)[1:]
         known = {int(key): int(value) for key, _, _, value in keys}
         _require_metres(name, known)
         try:
@@ -111,11 +119,11 @@ def _tiff_raster(content: bytes, name: str, max_count: int) -> Raster:
             raise UsageError(
                 f"{name} is compressed as {page.compression.name}; save it uncompressed or with DEFLATE"
             ) from error
-    nothing = tags.get(42113)
+    nothing = tags.get(NO_DATA_TAG)
     if nothing is not None:
         height[height == float(str(nothing).strip("\0 "))] = np.nan
-    (column, row, _, x_m, y_m, _), (dx_m, dy_m) = tags[33922][:6], tags[33550][:2]
-    middle = 0.0 if known.get(1025) == PIXEL_IS_POINT else 0.5
+    (column, row, _, x_m, y_m, _), (dx_m, dy_m) = tags[TIEPOINT_TAG][:6], tags[SCALE_TAG][:2]
+    middle = 0.0 if known.get(RASTER_TYPE_KEY) == PIXEL_IS_POINT else 0.5
     x = x_m + (np.arange(height.shape[1]) + middle - column) * dx_m
     # Rows run from north to south.
     y = y_m - (np.arange(height.shape[0]) + middle - row) * dy_m

@@ -1,11 +1,12 @@
 """What the sets of each independent plant hold: healthy days, single effects, pairs, unknown effects."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from benchmarks.plants.mule.library import load_mule
-from benchmarks.plants.ring.library import load_library
+from benchmarks.plants.compiled_plant import CompiledPlant, load
+from benchmarks.plants.mule.plant import Mule
+from benchmarks.plants.ring.plant import Ring
 
 Kind = Literal["healthy", "single", "pair", "unknown"]
 EffectData = dict[str, Any]
@@ -15,18 +16,30 @@ EffectData = dict[str, Any]
 class Contents:
     """A plant and the sets that are made of it."""
 
-    name: str
-    """Also the identifier of its machines."""
-    factory: str
-    """For ``--plant`` of downrange."""
-    options_variable: str
-    """Environment variable with the day and the effects, JSON."""
-    load: Callable[[], object]
-    """Compiles its code, where that is missing."""
+    plant: type[CompiledPlant]
     singles: tuple[EffectData, ...]
     pairs: tuple[tuple[EffectData, EffectData], ...]
     unknowns: tuple[EffectData, ...]
     healthy_count: int = 16
+
+    @property
+    def name(self) -> str:
+        """Also the identifier of its machines."""
+        return self.plant.source.stem
+
+    @property
+    def factory(self) -> str:
+        """For ``--plant`` of downrange."""
+        return f"{self.plant.__module__}:{self.plant.__name__}"
+
+    @property
+    def options_variable(self) -> str:
+        """Environment variable with the day and the effects, JSON."""
+        return self.plant.options_variable
+
+    def load(self) -> None:
+        """Compile its code, where that is missing."""
+        load(self.plant.source, self.plant.standard)
 
 
 def known(name: str, joint: str | None = None, **parameters: float) -> dict[str, Any]:
@@ -150,25 +163,9 @@ MULE_UNKNOWNS = (
 )
 
 PLANTS: Mapping[str, Contents] = {
-    plant.name: plant
-    for plant in (
-        Contents(
-            "ring",
-            "benchmarks.plants.ring.plant:Ring",
-            "RING_OPTIONS",
-            load_library,
-            RING_SINGLES,
-            RING_PAIRS,
-            RING_UNKNOWNS,
-        ),
-        Contents(
-            "mule",
-            "benchmarks.plants.mule.plant:Mule",
-            "MULE_OPTIONS",
-            load_mule,
-            MULE_SINGLES,
-            MULE_PAIRS,
-            MULE_UNKNOWNS,
-        ),
+    one.name: one
+    for one in (
+        Contents(Ring, RING_SINGLES, RING_PAIRS, RING_UNKNOWNS),
+        Contents(Mule, MULE_SINGLES, MULE_PAIRS, MULE_UNKNOWNS),
     )
 }

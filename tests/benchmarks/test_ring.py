@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from benchmarks.plants import ring
+from benchmarks.plants.compiled_plant import can_load
 from benchmarks.plants.ring.effects import ADDED, JOINTS, KNOWN, UNKNOWN, Effect
-from benchmarks.plants.ring.library import find_compiler
 from benchmarks.plants.ring.plant import Ring
 from machine.conventions import CONTROL_PERIOD_NS
 from machine.spec import MJCF_PATH
 from runtime.driver import SensorSample, SimulatedDriver, ValveCommand
 
-pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler is installed")
+pytestmark = pytest.mark.skipif(not can_load(Ring.source), reason="no C compiler is installed")
 POSE = np.array([[0.2, 0.5, 0.1, 0.8, -0.6, 0.0]])
 
 

@@ -84,6 +84,15 @@ def background(page: Page) -> str:
     return page.frames[1].evaluate("getComputedStyle(document.documentElement).backgroundColor")
 
 
+def assert_picked(app: ViewerApp, page: Page, count: int) -> None:
+    wait_for(lambda: page.wait_for_timeout(50) or len(app.picks) >= count, "the pick")
+    session_id, (x, y, z) = app.picks[-1]
+    assert session_id == "s1"
+    assert 2.0 < x < 14.0
+    assert -9.0 < y < 4.0
+    assert z == 0.0
+
+
 def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page: Page) -> None:
     wait_state(page, "drawn")
     wait_for(
@@ -130,19 +139,11 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
         timeout_s=90.0,
     )
 
-    def assert_picked(count: int) -> None:
-        wait_for(lambda: page.wait_for_timeout(50) or len(app.picks) >= count, "the pick")
-        session_id, (x, y, z) = app.picks[-1]
-        assert session_id == "s1"
-        assert 2.0 < x < 14.0
-        assert -9.0 < y < 4.0
-        assert z == 0.0
-
     page.mouse.click(300, 190)
-    assert_picked(1)
+    assert_picked(app, page, 1)
     # A finger picks as well as a mouse.
     page.touchscreen.tap(300, 190)
-    assert_picked(2)
+    assert_picked(app, page, 2)
 
     # After a click the keys are the console's: STOP must not depend on where the focus is.
     page.wait_for_timeout(200)

@@ -168,8 +168,3 @@ def vary_day(p: Parameters, unit: int, day: int) -> None:
     p["imu_angles"] += 0.002 * normal(3)
     p["base"][:3] += 0.002 * normal(3)
     p["gyro_bias"] += 0.0005 * normal(3)
-
-
-def field_sizes(names: str) -> dict[str, int]:
-    """Sizes of the fields of the C struct in order, of its text ``name:size name:size``."""
-    return {name: int(size) for name, size in (item.split(":") for item in names.split())}

@@ -3,7 +3,6 @@
 Sources: docs/machine.md and machine/spec.json for geometry, masses and limits; the rest is this plant's own.
 """
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,11 +18,6 @@ DAY_GAIN_SD = 0.01
 DAY_BAND_SD = 0.003
 DAY_FRICTION_SD = 0.15
 DAY_MOUNTING_SD_RAD = 0.002
-
-
-def field_sizes(names: str) -> dict[str, int]:
-    """Fields of the C struct by name with their lengths, in order."""
-    return {name: int(size) or 1 for name, size in re.findall(r"(\w+):(\d+),", names)}
 
 
 def nominal(sizes: Mapping[str, int]) -> Parameters:

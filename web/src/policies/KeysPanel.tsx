@@ -12,7 +12,8 @@ export function KeysPanel() {
       <h2>Keys</h2>
       <p className={classes.note}>
         A machine loads only what a key that it trusts has signed. It is bound to one at its
-        enrolment, and trusts those that this key vouches for. Change them by downrange policy keys.
+        enrolment, and trusts those that this key vouches for. Change them by{" "}
+        <code>downrange policy keys</code>.
       </p>
       {keys.isError && (
         <p className={classes.refusal} role="alert">
