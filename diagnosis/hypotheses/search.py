@@ -24,6 +24,7 @@ from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
 from diagnosis.hypotheses.unknown_check import check, levels_of
 from diagnosis.inference.evidence import Priors, Set
+from diagnosis.inference.model_selection import NORMAL_90
 from diagnosis.linearisation.parameters import library
 from diagnosis.tuning import (
     BEAM,
@@ -39,8 +40,6 @@ from sim_twin.effects.table import EFFECTS
 
 HEALTHY_ROUNDS = 2
 """Rounds in which healthy deviations are simulated at their posterior mean."""
-CLEAR_SD = 1.645
-"""Half width of a 90 % interval, in standard deviations."""
 REFINE_ROUNDS = 3
 """Rounds of Gauss and Newton's method."""
 
@@ -82,7 +81,7 @@ def _subsets(members: Set) -> list[Set]:
 def _has_all(priors: Priors, candidate: CandidateSet) -> bool:
     """Whether the 90 % interval of some size of every effect of a candidate excludes no effect."""
     sd = np.sqrt(np.diag(candidate.covariance))
-    beyond = np.abs(candidate.sizes) - CLEAR_SD * sd
+    beyond = np.abs(candidate.sizes) - NORMAL_90 * sd
     parts = sizes_by_member(priors, candidate.members, beyond)
     return all(bool((part > 0.0).any()) for part in parts.values())
 
