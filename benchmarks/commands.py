@@ -1,6 +1,6 @@
 """Latency from fire request to acceptance and from STOP request to latch: HTTP, server, Zenoh, loopback.
 
-    python benchmarks/commands.py [--repeats 50] [--json FILE]
+    python -m benchmarks.commands [--repeats 50] [--json FILE]
 
 The machine is the tests' stand-in (tests/server/fake_machine.py), in this process like the server. The
 floor is a command over Zenoh alone, without HTTP, rights, lease and audit.

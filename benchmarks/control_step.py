@@ -1,6 +1,6 @@
 """Time of one control step for 1 and 200 machines, and of its floor: onnxruntime running the policy alone.
 
-    python benchmarks/control_step.py [--policies policies] [--mode 2d] [--ticks 2000] [--json FILE]
+    python -m benchmarks.control_step [--policies policies] [--mode 2d] [--ticks 2000] [--json FILE]
 
 Samples are recorded first, so that no plant runs while the step is timed. "policy ticks" are the ticks on
 which the step runs the policy (one in eight). Wall time includes other load of the host, CPU time does not.

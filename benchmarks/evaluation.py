@@ -1,6 +1,6 @@
 """Real-time factor of evaluation campaigns, shares of their time, and the floor: mujoco.batch alone.
 
-    python benchmarks/evaluation.py --policies policies [--mode 2d] [--throws 400] [--json FILE]
+    python -m benchmarks.evaluation --policies policies [--mode 2d] [--throws 400] [--json FILE]
 
 The control step of the runtime is in the loop. The factor counts each throw to its own end.
 """

@@ -1,6 +1,6 @@
 """Error and coverage of the identification, against the hidden parameters of virtual machines.
 
-    python benchmarks/identification.py [0 3 7] [--seeds 4] [--tests release ...] [--json FILE]
+    python -m benchmarks.identification [0 3 7] [--seeds 4] [--tests release ...] [--json FILE]
 
 Release delay, its standard deviation, friction and length are parameters of a virtual machine. Dead time
 and lag are parameters up to the contributions of oil and sensors. Limits and gains are compared between

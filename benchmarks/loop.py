@@ -1,6 +1,6 @@
 """Lateness of the 100 Hz control loop, alone and with a busy process on every core.
 
-    python benchmarks/loop.py [--ticks 2000] [--json FILE]
+    python -m benchmarks.loop [--ticks 2000] [--json FILE]
 
 Runs the loop of the control process (driver, checks, protocol, control step, rows to a socket) on the
 virtual machine in a separate process.

@@ -1,6 +1,6 @@
 """Diagnosis of throws of an independent plant, which shares geometry and masses with the twin and no code.
 
-    python benchmarks/other_plant.py [--json FILE] [--variant healthy]
+    python -m benchmarks.other_plant [--json FILE] [--variant healthy]
 
 Its drives are two lags in a row behind a pure delay. The body is integrated in steps of 1 ms by Euler's
 method with MuJoCo's friction, and the load flies by its own integration. The throws are CSV files without

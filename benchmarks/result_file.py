@@ -89,11 +89,12 @@ def describe(
 ) -> Result:
     """A result of the running program: its command line, commit, date and host are filled in."""
     script = Path(sys.argv[0]).resolve()
-    shown = str(script.relative_to(ROOT)) if script.is_relative_to(ROOT) else script.name
+    inside = script.is_relative_to(ROOT)
+    shown = ".".join(script.relative_to(ROOT).with_suffix("").parts) if inside else script.stem
     return Result(
         name=name,
         title=title,
-        command=" ".join(["python", shown, *sys.argv[1:]]),
+        command=" ".join(["python -m", shown, *sys.argv[1:]]),
         seed=seed,
         commit=current_commit(),
         date=datetime.now(UTC).date().isoformat(),

@@ -1,6 +1,6 @@
 """Time from a press of STOP to the machine's latch while another machine or caller attacks the server.
 
-    python benchmarks/stop_under_attack.py [--repeats 60] [--json FILE]
+    python -m benchmarks.stop_under_attack [--repeats 60] [--json FILE]
 
 The server runs in a process of its own, as do the attackers; the machine that is stopped is the tests'
 stand-in. The attacker has the account of machine m002, or none. Bar: p99 at most 150 ms under every attack.

@@ -1,6 +1,6 @@
 """Accuracy of a 2D policy trained on two CPU cores for at most a quarter of an hour.
 
-    python benchmarks/train_cpu.py [--minutes 15] [--seed 0] [--out FOLDER] [--json FILE]
+    python -m benchmarks.train_cpu [--minutes 15] [--seed 0] [--out FOLDER] [--json FILE]
 
 The shipped task with fewer environments, so that a batch of 8192 control steps fits the cache of a core.
 Measured on the nominal virtual machine, without registration.

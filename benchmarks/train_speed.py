@@ -1,6 +1,6 @@
 """Control steps per second of a training, updates included, on JAX's default device.
 
-    python benchmarks/train_speed.py [--mode 3d] [--environments 8192] [--unroll 1] [--json FILE]
+    python -m benchmarks.train_speed [--mode 3d] [--environments 8192] [--unroll 1] [--json FILE]
 
 The shipped configuration, timed after compilation for at most a minute. The interval is that of the slowest
 and the fastest chunk of iterations. The target applies to a GPU.

@@ -1,6 +1,6 @@
 """3D view: latency from click to marker on the wire, and CPU time of the fan-out to many browsers.
 
-    python benchmarks/viewer.py [--json FILE]
+    python -m benchmarks.viewer [--json FILE]
 
 Clients speak the view's protocol through the real proxy on loopback; no browser renders. Watching clients
 run in a separate process, so that the CPU time is the server's.

@@ -1,6 +1,6 @@
 """Open-loop measurements of the virtual machine: step responses, pump sharing, simulation speed.
 
-    python benchmarks/virtual_machine.py [--unit 0] [--json FOLDER]
+    python -m benchmarks.virtual_machine [--unit 0] [--json FOLDER]
 
 Writes three result files: virtual_machine_steps, virtual_machine_pump and virtual_machine_speed.
 """
