@@ -40,7 +40,8 @@ def test_server_dies_and_comes_back(
 def test_an_ended_session_leads_to_the_login_and_back(
     demo: Stack, open_page: Callable[..., Page], console: Console
 ) -> None:
-    console.allowed += ["401"]
+    # A request is refused with 401, a socket with 403, if the page opens it after the session ended.
+    console.allowed += ["401", "403"]
     page = open_page(demo)
     without_view(page)
     sign_in(page, demo, path="/throws?mode=2d&min=20")
