@@ -133,7 +133,7 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
         )
         return _conflict(machine, refusal, now_ns)
     if stale := why_stale(command, now_ns):
-        return machine, CommandRefusal(RejectReason.NONCE_EXPIRED, stale), ()
+        return machine, CommandRefusal(RejectReason.COMMAND_STALE, stale), ()
     if isinstance(command, ArmRequest):
         return _arm(machine, command, facts, now_ns)
     if isinstance(command, FireRequest):
@@ -194,7 +194,7 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
 def _zones(machine: ThrowMachine, command: ZonesRequest, facts: Facts, now_ns: int) -> Answer:
     """Take another set of exclusion zones; a throw goes on with the set it was armed with."""
     if stale := why_stale(command, now_ns):
-        return machine, CommandRefusal(RejectReason.NONCE_EXPIRED, stale), ()
+        return machine, CommandRefusal(RejectReason.COMMAND_STALE, stale), ()
     if machine.state in RUNNING:
         detail = f"The machine is {machine.state.value}. It takes exclusion zones when the throw has ended."
         return machine, CommandRefusal(RejectReason.BUSY, detail), ()

@@ -4,7 +4,7 @@ A link that stalls and heals delivers what it held, in order and without loss. N
 such a command from a fresh one. No clocks are compared: the echo is a time of this machine, of this boot.
 
 STOP, abort, disarm and lease have no limit: they only take permission away. The others are refused as
-NONCE_EXPIRED, whether they carry a nonce or not.
+COMMAND_STALE.
 """
 
 from typing import Final

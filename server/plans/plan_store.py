@@ -176,11 +176,11 @@ class PlanStore:
             raise from_reason(RejectReason(first["reason"]), first["detail"])
         if row.state == PlanState.FAILED.value:
             raise from_reason(
-                RejectReason.PREVIEW_REFUSED, "The preview of this plan failed. Preview again."
+                RejectReason.PREVIEW_FAILED, "The preview of this plan failed. Preview again."
             )
         if not row.is_complete:
             raise from_reason(
-                RejectReason.PREVIEW_REFUSED,
+                RejectReason.PREVIEW_INCOMPLETE,
                 "The preview of this plan is not complete: the spread of its landings has not been "
                 "checked yet. Wait for it, or preview again.",
             )
@@ -192,13 +192,13 @@ class PlanStore:
             )
         if row.fired_utc is not None:
             raise from_reason(
-                RejectReason.PLAN_EXPIRED, "The plan was thrown already. Preview the next throw."
+                RejectReason.PLAN_USED, "The plan was thrown already. Preview the next throw."
             )
         ellipse = (row.prediction or {}).get("ellipse")
         scattered = 0 if ellipse is None else ellipse["rollout_count"]
         if scattered < MIN_ROLLOUT_COUNT:
             raise from_reason(
-                RejectReason.PREVIEW_REFUSED,
+                RejectReason.PREVIEW_INCOMPLETE,
                 f"The spread of this plan's landings was checked with {scattered} throws, at least "
                 f"{MIN_ROLLOUT_COUNT} are needed. Preview with more.",
             )
@@ -206,7 +206,7 @@ class PlanStore:
         moved = max(abs(float(start[i]) - now[i]) for i in range(ACTIVE_COUNT))
         if moved > MOVED_LIMIT_RAD_M:
             raise from_reason(
-                RejectReason.PLAN_EXPIRED,
+                RejectReason.MACHINE_MOVED,
                 f"The machine moved by {moved:.3f} (rad or m) since the preview, at most "
                 f"{MOVED_LIMIT_RAD_M} allowed. Preview again.",
             )

@@ -279,7 +279,7 @@ class Planner:
             if running.row.prediction is None:
                 running.row.state = PlanState.FAILED.value
                 running.row.refusals = [
-                    {"reason": RejectReason.PREVIEW_REFUSED.value, "detail": f"Refused: {text}."}
+                    {"reason": RejectReason.PREVIEW_FAILED.value, "detail": f"Refused: {text}."}
                 ]
             self._store.save(running.row)
             view = plan_view(running.row)

@@ -149,7 +149,7 @@ class SiteStore:
         """
         if tuple(objects) != self.around(machine_id, target):
             raise from_reason(
-                RejectReason.PLAN_EXPIRED,
+                RejectReason.SITE_CHANGED,
                 "What stands around the machine was changed since the preview. Preview again.",
             )
 

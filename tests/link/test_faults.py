@@ -67,7 +67,7 @@ def test_fire_held_five_seconds_and_delivered_is_refused(patient_yard, has_echo)
     assert server.state.state is ThrowState.ARMED
     yard.relay.heal()
     wait_for(lambda: len(refusals(server)) > known)
-    assert refusals(server)[known:] == ["nonce_expired"]
+    assert refusals(server)[known:] == ["command_stale"]
     assert server.kinds(throw_id) == []
     server.wait_state(ThrowState.DISARMED, ThrowState.ARMED)
     assert server.state.joint_position_rad_m == pytest.approx(before, abs=1e-3)

@@ -39,7 +39,7 @@ def refusal(yard, plan):
         command = make(ArmRequest, epoch_count=yard.epoch, plan=plan, **server.seen())
         reply = server.send(command)
         # A busy computer may let it get too old, or the gripper still be empty.
-        return reply if reply and reply.reason not in ("nonce_expired", "no_payload") else None
+        return reply if reply and reply.reason not in ("command_stale", "no_payload") else None
 
     return wait_for(ask)
 

@@ -382,7 +382,7 @@ class Yard:
             reply = self.server.send(self.fire_command(nonce, throw_id))
             if reply is not None and reply.accepted:
                 return throw_id
-            assert reply is None or reply.reason in ("nonce_expired", "not_armed"), reply
+            assert reply is None or reply.reason in ("command_stale", "not_armed"), reply
             self.server.order(DisarmRequest, epoch_count=self.epoch)
             self.server.wait_state(ThrowState.DISARMED)
             return None

@@ -68,10 +68,10 @@ def test_stale_fire_is_refused_reported_and_leaves_the_machine_armed(bench):
     fire = bench.fire_command(bench.arm())
     bench.ticks(101)
     reply = bench.ask(fire)
-    assert (reply.accepted, reply.reason) == (False, "nonce_expired")
+    assert (reply.accepted, reply.reason) == (False, "command_stale")
     assert "on its way" in reply.detail
     assert bench.control.throw.state is ThrowState.ARMED
-    assert bench.events[-1].data["reason"] == "nonce_expired"
+    assert bench.events[-1].data["reason"] == "command_stale"
     fresh = fire.model_copy(update={"seen_t_mono_ns": bench.driver.now_ns()})
     assert bench.ask(fresh).accepted
 

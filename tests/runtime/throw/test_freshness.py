@@ -88,7 +88,7 @@ def test_no_old_command_is_executed():
         sent_ns = bench.now_ns
         bench.wait(0.500000001)
         getattr(bench, verb)(seen_t_mono_ns=sent_ns)
-        assert (bench.reply.accepted, bench.reply.reason) == (False, "nonce_expired"), verb
+        assert (bench.reply.accepted, bench.reply.reason) == (False, "command_stale"), verb
         assert bench.machine.state is before.state, verb
         assert not bench.actions.load
         getattr(bench, verb)(seen_t_mono_ns=bench.now_ns - 500_000_000, throw_id="t9") if (

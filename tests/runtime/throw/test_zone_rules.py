@@ -46,7 +46,7 @@ def test_a_set_that_was_long_on_its_way_is_not_taken():
     bench = Bench()
     for seen_ns, words in ((bench.now_ns - SECOND_NS, "on its way"), (None, "does not say")):
         actions = bench.zones(OFFICE, seen_t_mono_ns=seen_ns)
-        assert (actions.reply.reason, actions.zones) == (RejectReason.NONCE_EXPIRED, None)
+        assert (actions.reply.reason, actions.zones) == (RejectReason.COMMAND_STALE, None)
         assert words in actions.reply.detail
     assert not bench.zones(OFFICE, machine_id="m002").reply.accepted
 

@@ -103,7 +103,7 @@ def test_a_plan_whose_spread_was_not_checked_is_to_look_at_only(machine, ada):
         plan = finished(ada, create(ada, rollout_count=rollout_count))
         assert plan["state"] == "ready"
         reply = ada.post(f"/plans/{plan['plan_id']}/arm", json={})
-        assert (reply.status_code, reply.json()["error"]["code"]) == (409, "preview_refused")
+        assert (reply.status_code, reply.json()["error"]["code"]) == (409, "preview_incomplete")
         assert words in reply.json()["error"]["message"]
     assert machine.nonce is None
 
@@ -188,7 +188,7 @@ def test_an_incomplete_plan_cannot_be_armed_and_a_newer_preview_stops_it(machine
     # It has a hash as soon as its nominal throw is known, but the spread of its landings is not checked.
     plan_hash = wait_for(lambda: ada.get(path).json()["plan_hash"])
     early = ada.post(f"{path}/arm", json={"plan_hash": plan_hash})
-    assert (early.status_code, early.json()["error"]["code"]) == (409, "preview_refused")
+    assert (early.status_code, early.json()["error"]["code"]) == (409, "preview_incomplete")
     assert "not complete" in early.json()["error"]["message"]
     newer = finished(ada, create(ada))
     wait_for(lambda: ada.get(path).json()["state"] in ("failed", "previewing"))

@@ -83,7 +83,7 @@ def test_a_preview_lands_on_the_bed_and_a_changed_site_needs_a_new_one(machine, 
     ada.post("/machines/m001/lease")
     put(ada, [BED | {"height_m": 0.5}], version + 1)
     stale = ada.post(f"/plans/{plan['plan_id']}/arm", json={"plan_hash": plan["plan_hash"]})
-    assert (stale.status_code, stale.json()["error"]["code"]) == (409, "plan_expired")
+    assert (stale.status_code, stale.json()["error"]["code"]) == (409, "site_changed")
     assert "was changed since the preview" in stale.json()["error"]["message"]
     ada.post(f"{PATH}/undo")
     armed = ada.post(f"/plans/{plan['plan_id']}/arm", json={"plan_hash": plan["plan_hash"]})

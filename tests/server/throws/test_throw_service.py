@@ -86,7 +86,7 @@ def test_a_plan_is_thrown_once(running, machine, ada, plan_id):
     throw_id = ada.post(f"/plans/{plan_id}/fire").json()["throw_id"]
     assert code(ada.post(f"/plans/{plan_id}/fire")) == (409, "not_armed")
     ended(ada, throw_id)
-    assert code(ada.post(f"/plans/{plan_id}/arm", json={})) == (409, "plan_expired")
+    assert code(ada.post(f"/plans/{plan_id}/arm", json={})) == (409, "plan_used")
     assert machine.executed == [throw_id]
 
 
@@ -166,7 +166,7 @@ def test_a_machine_that_moved_needs_a_new_preview(machine, ada, plan_id):
     machine.joints = tuple(joints)
     wait_for(lambda: ada.get("/machines/m001").json()["state"]["joint_position_rad_m"] == joints)
     reply = ada.post(f"/plans/{plan_id}/arm", json={})
-    assert code(reply) == (409, "plan_expired")
+    assert code(reply) == (409, "machine_moved")
     assert "0.100" in reply.json()["error"]["message"]
 
 
