@@ -1,17 +1,20 @@
 """A running server on a free port, and people to use it."""
 
 import contextlib
+import functools
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from machine.conventions import Mode
 from machine.policy_card import load_card
+from server.app import create_app
 from server.clock import utc_now
 from server.composition import Parts
 from server.plans.preview_pool import PreviewPool
@@ -25,6 +28,12 @@ from tests.waiting import wait_for as wait_for
 
 PASSWORD = "correct horse battery"
 METRICS_TOKEN = "read-the-metrics"
+
+
+@functools.cache
+def api_paths() -> dict[str, Any]:
+    """Operations of the interface by path and method, as its description has them."""
+    return create_app(Settings(data_dir=Path("/nonexistent"))).openapi()["paths"]
 
 
 @dataclass

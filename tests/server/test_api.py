@@ -15,7 +15,7 @@ from server.routes import health
 from server.schemas.console import Request
 from server.settings import Settings
 from tests.cases import each
-from tests.server.server_bench import METRICS_TOKEN, wait_for
+from tests.server.server_bench import METRICS_TOKEN, api_paths, wait_for
 
 OPEN = {
     ("get", "/api/v1/health"),
@@ -38,8 +38,7 @@ BY_TOKEN = (*OF_MACHINES, "/api/v1/enrolments/claim")
 
 
 def operations():
-    paths = create_app(Settings(data_dir="/nonexistent")).openapi()["paths"]
-    return [(method, path) for path, methods in paths.items() for method in methods]
+    return [(method, path) for path, methods in api_paths().items() for method in methods]
 
 
 def concrete(path):

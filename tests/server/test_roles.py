@@ -1,9 +1,8 @@
 """Every operation of the interface against every role: nobody may do more than the table says."""
 
-from server.app import create_app
 from server.schemas.console import Role
-from server.settings import Settings
 from tests.cases import each
+from tests.server.server_bench import api_paths
 
 ROLES = tuple(Role)
 USERS = dict(zip(ROLES, ("vic", "ada", "sue", "eve", "root"), strict=True))
@@ -48,10 +47,9 @@ NOT_CALLED = {"stop_all", "logout"}
 
 
 def operations():
-    paths = create_app(Settings(data_dir="/nonexistent")).openapi()["paths"]
     return {
         operation["operationId"]: (method.upper(), path.removeprefix("/api/v1"))
-        for path, methods in paths.items()
+        for path, methods in api_paths().items()
         for method, operation in methods.items()
     }
 
