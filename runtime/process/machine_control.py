@@ -140,6 +140,7 @@ class MachineControl:
         self._checks: tuple[CheckResult, ...] = ()
         self._tick_count = 0
         self._fault_reason = ""
+        self._stalled_ns = -1
         self._nonce = secrets.token_hex(16)
         self._tracker = ThrowTracker(setup.spec, self._sample)
         self._policy_events: list[ThrowEvent] = []
@@ -232,6 +233,8 @@ class MachineControl:
         """
         report = TickReport(events=self._policy_events)
         self._policy_events = []
+        if skipped_count >= STALL_LIMIT_COUNT:
+            self._stalled_ns = self._now_ns
         self.driver.advance(due_ns)
         self._now_ns = now_ns = self.driver.now_ns()
         self._sample = self.driver.read()
@@ -346,6 +349,7 @@ class MachineControl:
             local_enable=bool(sample.local_enable[0]),
             emergency_stop=bool(sample.emergency_stop[0]),
             fresh_nonce=self._nonce,
+            stalled_ns=self._stalled_ns,
             zones_sha256=self._zones.sha256,
             zone_conflict=self._zone_conflict,
         )

@@ -61,7 +61,7 @@ def handle_command(
             *events,
             ThrowEvent(EventKind.COMMAND_REFUSED, data={**data, "detail": refusal.detail}),
         )
-    is_stale = refusal is not None and why_stale(command, now_ns) != ""
+    is_stale = refusal is not None and why_stale(command, now_ns, facts.stalled_ns) != ""
     if command.machine_id == machine.machine_id and not is_stale:
         machine = replace(machine, replies=keep_reply(machine.replies, command.command_id, reply))
         if isinstance(command, FireRequest) and command.epoch_count == machine.epoch_count:
@@ -132,7 +132,7 @@ def _execute(machine: ThrowMachine, command: Command, facts: Facts, now_ns: int)
             "Take the lease first.",
         )
         return _conflict(machine, refusal, now_ns)
-    if stale := why_stale(command, now_ns):
+    if stale := why_stale(command, now_ns, facts.stalled_ns):
         return machine, CommandRefusal(RejectReason.COMMAND_STALE, stale), ()
     if isinstance(command, ArmRequest):
         return _arm(machine, command, facts, now_ns)
@@ -193,7 +193,7 @@ def _lease(machine: ThrowMachine, command: LeaseNotice, now_ns: int) -> Answer:
 
 def _zones(machine: ThrowMachine, command: ZonesRequest, facts: Facts, now_ns: int) -> Answer:
     """Take another set of exclusion zones; a throw goes on with the set it was armed with."""
-    if stale := why_stale(command, now_ns):
+    if stale := why_stale(command, now_ns, facts.stalled_ns):
         return machine, CommandRefusal(RejectReason.COMMAND_STALE, stale), ()
     if machine.state in RUNNING:
         detail = f"The machine is {machine.state.value}. It takes exclusion zones when the throw has ended."

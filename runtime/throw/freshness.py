@@ -32,22 +32,33 @@ HEARTBEAT_AGE_MAX_NS: Final = round(HEARTBEAT_SILENCE_S * 1e9)
 """An older heartbeat would have run out when it came."""
 
 
-def why_stale(message: Command | OperatorHeartbeat, now_ns: int) -> str:
-    """Why a message is too old to act on, for people; empty = it is fresh, or has no limit."""
+def why_stale(message: Command | OperatorHeartbeat, now_ns: int, stalled_ns: int = -1) -> str:
+    """Why a message is too old to act on, for people; empty = it is fresh, or has no limit.
+
+    Args:
+        message: a command or a heartbeat.
+        now_ns: machine's clock. It may stand still while the computer is suspended.
+        stalled_ns: machine's time when its control loop last stood still; -1 = it never did.
+    """
     if isinstance(message, OperatorHeartbeat):
-        return _why_old(message.seen_t_mono_ns, HEARTBEAT_AGE_MAX_NS, now_ns)
+        return _why_old(message.seen_t_mono_ns, HEARTBEAT_AGE_MAX_NS, now_ns, stalled_ns)
     limit_ns = COMMAND_AGE_MAX_NS.get(type(message))
     if limit_ns is None:
         return ""
-    return _why_old(getattr(message, "seen_t_mono_ns", None), limit_ns, now_ns)
+    return _why_old(getattr(message, "seen_t_mono_ns", None), limit_ns, now_ns, stalled_ns)
 
 
-def _why_old(seen_ns: int | None, limit_ns: int, now_ns: int) -> str:
+def _why_old(seen_ns: int | None, limit_ns: int, now_ns: int, stalled_ns: int) -> str:
     if seen_ns is None:
         return "It does not say which time of this machine its sender had seen. Update the sender."
     age_ns = now_ns - seen_ns
     if age_ns < 0:
         return "It was made before this machine's last restart. Look at the machine, then send it again."
+    if seen_ns <= stalled_ns:
+        return (
+            "It was made before this machine's control loop last stood still, or its computer slept. "
+            "Look at the machine, then send it again."
+        )
     if age_ns > limit_ns:
         return (
             f"It was up to {age_ns * 1e-9:.1f} s on its way, {limit_ns * 1e-9:.1f} s are allowed. "

@@ -57,6 +57,8 @@ class Facts:
     emergency_stop: bool
     fresh_nonce: str
     """A secret that has never been given out; used if this message arms."""
+    stalled_ns: int = -1
+    """Machine's time when the control loop last stood still; -1 = it never did."""
     calibration_sha256: str = ""
     """Of valve tables and registrations on board."""
     zones_sha256: str | None = ""

@@ -53,7 +53,7 @@ def update(
     machine, events = _passing_time(machine, facts, now_ns)
     actions = Actions()
     if isinstance(message, OperatorHeartbeat):
-        machine, more = _heartbeat(machine, message, now_ns)
+        machine, more = _heartbeat(machine, message, facts, now_ns)
     elif isinstance(message, LinkLost):
         machine, more = _let_go(machine, message.cause, now_ns)
     elif isinstance(message, Tick):
@@ -65,7 +65,7 @@ def update(
 
 
 def _heartbeat(
-    machine: ThrowMachine, beat: OperatorHeartbeat, now_ns: int
+    machine: ThrowMachine, beat: OperatorHeartbeat, facts: Facts, now_ns: int
 ) -> tuple[ThrowMachine, tuple[ThrowEvent, ...]]:
     """A heartbeat counts only for the running throw, the current epoch, and once."""
     if (
@@ -79,7 +79,7 @@ def _heartbeat(
     if not beat.is_holding:
         machine = replace(machine, heartbeat_sequence_count=beat.sequence_count)
         return _let_go(machine, "the operator let go", now_ns)
-    if beat.seen_t_mono_ns is None or why_stale(beat, now_ns):
+    if beat.seen_t_mono_ns is None or why_stale(beat, now_ns, facts.stalled_ns):
         return machine, ()
     # It counts from when it can have been sent at the earliest: time on its way is silence.
     seen_ns = max(machine.heartbeat_ns, beat.seen_t_mono_ns)

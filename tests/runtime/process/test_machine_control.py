@@ -13,6 +13,7 @@ from machine.messages import (
     FireRequest,
     LeaseNotice,
     LoadRequest,
+    StopClearRequest,
     StopRequest,
     Target,
     ThrowState,
@@ -108,6 +109,53 @@ def test_blind_loop_gives_back_what_is_armed_before_a_fire_that_came_meanwhile(b
     bench.tick(fire, skipped=10)
     assert bench.control.throw.state is ThrowState.DISARMED
     assert [event.kind for event in bench.events[-2:]] == ["disarmed", "command_refused"]
+
+
+class SleepingClock:
+    """The fake driver while the computer is suspended: its clock does not go on."""
+
+    def __init__(self, driver) -> None:
+        self._advance, driver.advance = driver.advance, self._sleep
+
+    def wake(self, driver) -> None:
+        driver.advance = self._advance
+
+    def _sleep(self, until_ns) -> None:
+        return
+
+
+@pytest.mark.parametrize("ticks_after", [0, 3])
+@pytest.mark.parametrize("verb", ["arm", "load", "clear"])
+def test_what_was_sent_before_the_computer_slept_is_refused_after_it(bench, verb, ticks_after):
+    bench.arm()
+    bench.ask(make(StopRequest))
+    latch_id = bench.control.throw.latch_id
+    clear = {"latch_id": latch_id, "sighted_by": "olga", "reason": "nobody near"}
+
+    def command():
+        head = {"epoch_count": 1, **bench.seen()}
+        kinds = {
+            "arm": lambda: make(ArmRequest, plan=bench.plan(), **head),
+            "load": lambda: make(LoadRequest, **head),
+            "clear": lambda: make(StopClearRequest, **head, **clear),
+        }
+        return kinds[verb]()
+
+    if verb != "clear":
+        assert bench.ask(make(StopClearRequest, epoch_count=1, **bench.seen(), **clear)).accepted
+    early = command()
+    asleep = SleepingClock(bench.driver)
+    messages = [] if ticks_after else [early]
+    report = bench.tick(*messages, skipped=360_000)
+    asleep.wake(bench.driver)
+    bench._period -= 360_000  # neither the grid nor the machine's clock went on
+    for left in range(ticks_after - 1, -1, -1):
+        report = bench.tick(*([] if left else [early]))
+    ((_, reply),) = report.replies
+    assert (reply.accepted, reply.reason) == (False, "command_stale")
+    assert "its computer slept" in reply.detail
+    bench.tick()
+    assert bench.ask(command()).accepted
 
 
 def test_policy_that_takes_too_long_aborts_the_throw_and_says_so(bench, monkeypatch):
