@@ -9,7 +9,7 @@ import type { Machine } from "../session/live";
 import { useNow } from "../session/useNow";
 import { outcomeWord } from "../throws/outcome";
 import { useThrowPage } from "../throws/useThrows";
-import { age, count, crossrangeWords, downrangeWords, metres } from "../words/format";
+import { age, count, crossrangeWords, downrangeWords, hours, metres } from "../words/format";
 import { localStamp, zonedStamp } from "../words/time";
 import classes from "./Fleet.module.css";
 import { LinkAge } from "./FleetTable";
@@ -61,6 +61,7 @@ export function LifePanel({ machine, life }: { machine: Machine; life: MachineLi
       "Throws",
       `${counts.throw_count}: ${counts.landed_count} landed, ${counts.aborted_count} aborted`,
     ],
+    ["Operating", operatingWords(state?.operating_s, state?.idle_s)],
     ["Time in throws", age(counts.throwing_s)],
     ["Starts", counts.start_count],
     [
@@ -78,6 +79,12 @@ export function LifePanel({ machine, life }: { machine: Machine; life: MachineLi
       </dl>
     </section>
   );
+}
+
+/** Hours that the machine's computer has counted; a lost machine's are those that it said last. */
+function operatingWords(operating_s?: number | null, idle_s?: number | null): string {
+  if (operating_s == null) return "not known";
+  return idle_s == null ? hours(operating_s) : `${hours(operating_s)}, idle ${hours(idle_s)}`;
 }
 
 function Fact({ name, value }: { name: string; value: React.ReactNode }) {

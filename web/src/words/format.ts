@@ -85,6 +85,10 @@ export function age(value_s: Maybe): string {
   return `${Math.floor(whole / 86400)} d`;
 }
 
+/** Reading of an hour meter: "0.3 h", "1204.0 h". */
+export const hours = (value_s: Maybe) =>
+  missing(value_s) ? NONE : `${fixed(value_s / 3600, 1)} h`;
+
 /** File size in the unit a person would choose. */
 export function bytes(count: Maybe): string {
   if (missing(count)) return NONE;
