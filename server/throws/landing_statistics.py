@@ -4,7 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,13 +40,15 @@ def statistics_of(
     rows: Sequence[Measured], group_by: GroupBy, *, is_truncated: bool = False
 ) -> ThrowStats:
     """Statistics of measured throws."""
-    key_of = attrgetter(_KEYS[group_by])
-    keys = [key_of(row) for row in rows]
+    keys = list(map(attrgetter(_KEYS[group_by]), rows))
     groups: dict[str, list[int]] = defaultdict(list)
     for index, key in enumerate(keys):
         groups[key].append(index)
-    errors = np.array([(row.downrange_error_m, row.crossrange_error_m) for row in rows])
-    range_m = np.array([row.range_m for row in rows])
+    # By columns: attributes of each row cost as much as all the rest.
+    columns: dict[str, tuple[Any, ...]] = dict.fromkeys(Measured._fields, ())
+    columns |= zip(Measured._fields, zip(*rows, strict=True), strict=bool(rows))
+    errors = np.array([columns["downrange_error_m"], columns["crossrange_error_m"]]).T
+    range_m = np.array(columns["range_m"])
     ordered = [(key, np.array(members)) for key, members in sorted(groups.items())]
     return ThrowStats(
         considered_count=len(rows),
@@ -57,16 +59,16 @@ def statistics_of(
             for key, members in ordered
         ),
         points=tuple(
-            ScatterPoint(
-                row.throw_id,
-                key,
-                row.range_m,
-                row.downrange_error_m,
-                row.crossrange_error_m,
-                row.predicted_downrange_error_m,
-                row.predicted_crossrange_error_m,
+            map(
+                ScatterPoint,
+                columns["throw_id"],
+                keys,
+                columns["range_m"],
+                columns["downrange_error_m"],
+                columns["crossrange_error_m"],
+                columns["predicted_downrange_error_m"],
+                columns["predicted_crossrange_error_m"],
             )
-            for row, key in zip(rows, keys, strict=True)
         ),
         by_range=tuple(
             item

@@ -6,8 +6,9 @@ from server.store.models import Throw
 from server.throws.landing_statistics import Measured, statistics_of
 from server.throws.throw_history import ThrowFilter, newest_values
 
-CONSIDERED_LIMIT = 5000
-"""Newest measured throws that statistics are made of; more are neither readable nor quick."""
+CONSIDERED_LIMIT = 2000
+"""Newest measured throws that statistics are made of: they tell a scatter to 1.6 %.
+More are neither readable nor quick (benchmarks/history.py)."""
 
 _MEASURED = (
     Throw.throw_id,
