@@ -60,6 +60,7 @@ VERBS: dict[str, Verb] = {
     ),
     "train": Verb("cli.train", "train a policy", "train"),
     "user": Verb("cli.service.user", "say who may sign in to the console, and as what", "server"),
+    "router": Verb("cli.service.router", "run a further router for machines", "server"),
     "db": Verb("cli.service.db", "upgrade, downgrade or check the database", "server"),
     "openapi": Verb("cli.service.openapi", "write the description of the HTTP interface", "server"),
     "spec": Verb("cli.spec", "write machine/spec.json from the MJCF", "twin"),

@@ -31,6 +31,7 @@ from server.dossier.dossier_service import Dossiers
 from server.drift.drift_diagnosis import DriftDiagnoses
 from server.drift.drift_watch import DriftWatch
 from server.enrolment.enrolments import Enrolments
+from server.enrolment.router_accounts import router_passwords
 from server.enrolment.router_renewal import RouterRenewal
 from server.event_hub import EventHub
 from server.fleet.machine_summaries import MachineSummaries
@@ -183,7 +184,7 @@ def link_config(settings: Settings, registry: MachineRegistry) -> zenoh.Config:
         )
     return router_config(
         listen=(settings.link_listen,),
-        users=passwords,
+        users=router_passwords(settings.data_dir) | passwords,
         machines=sorted(passwords),
         site=settings.site,
         dictionary_file=settings.data_dir / "link" / "users.txt",

@@ -53,6 +53,23 @@ class RouterTls:
     private_key: Path
 
 
+@dataclass(frozen=True, slots=True)
+class Upstream:
+    """The server's router, as a further router of the site reaches it.
+
+    Zenoh gives the end that was connected to no user name; a further router knows it by its certificate.
+    """
+
+    endpoint: str
+    """``tls/HOST:PORT``."""
+    user: str
+    password: str
+    common_name: str
+    """Subject's common name in the certificate of `endpoint`."""
+    root_ca_file: Path
+    """Authority of that certificate, PEM."""
+
+
 def check_name(what: str, name: str) -> str:
     """Return `name` if it can be one chunk of a key and a user name.
 
@@ -74,9 +91,10 @@ def router_config(
     site: str,
     dictionary_file: Path,
     tls: RouterTls | None = None,
+    upstream: Upstream | None = None,
     lease_ms: int = LEASE_MS,
 ) -> zenoh.Config:
-    """Configuration of the router: passwords, and one rule a machine.
+    """Configuration of a router: passwords, and one rule a machine.
 
     Args:
         listen: Endpoints, e.g. ``("tcp/127.0.0.1:7447",)``.
@@ -86,6 +104,7 @@ def router_config(
         site: Site of these machines.
         dictionary_file: Where the passwords are written for Zenoh, mode 0600.
         tls: Needed for ``tls/...`` endpoints.
+        upstream: For a further router: the server's router, which it calls in at and lets do everything.
         lease_ms: What the router announces; machines notice a dead router after this time.
 
     Raises:
@@ -105,17 +124,29 @@ def router_config(
     # Nothing is searched for: without this the session opens half a second after the port does.
     config["scouting"]["delay"] = 0
     config["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
-    config["transport"]["auth"] = {"usrpwd": {"dictionary_file": str(dictionary_file)}}
-    config["access_control"] = _access_control(site, machine_ids, servers)
+    accounts: dict[str, str] = {"dictionary_file": str(dictionary_file)}
+    link_tls: dict[str, object] = {}
+    if tls is not None:
+        link_tls["listen_certificate"] = str(tls.certificate)
+        link_tls["listen_private_key"] = str(tls.private_key)
+        link_tls["close_link_on_expiration"] = True
+    if upstream is not None:
+        accounts |= {"user": upstream.user, "password": upstream.password}
+        link_tls["root_ca_certificate"] = str(upstream.root_ca_file)
+        config["connect"] = {
+            "endpoints": [upstream.endpoint],
+            # Its machines may call in before the server does; it goes on trying.
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": _retry(),
+        }
+    config["transport"]["auth"] = {"usrpwd": accounts}
+    config["access_control"] = _access_control(site, machine_ids, servers, upstream)
     config["transport"]["link"]["rx"] = {"max_message_size": MAX_MESSAGE_BYTES}
     config["low_pass_filter"] = _size_limits(site)
     config["downsampling"] = _rate_limits(site, machine_ids)
-    if tls is not None:
-        config["transport"]["link"]["tls"] = {
-            "listen_certificate": str(tls.certificate),
-            "listen_private_key": str(tls.private_key),
-            "close_link_on_expiration": True,
-        }
+    if link_tls:
+        config["transport"]["link"]["tls"] = link_tls
     return _built(config)
 
 
@@ -139,17 +170,21 @@ def client_config(
         "endpoints": list(connect),
         "timeout_ms": OPEN_TIMEOUT_MS,
         "exit_on_failure": False,
-        "retry": {
-            "period_init_ms": RETRY_MIN_MS,
-            "period_max_ms": RETRY_MAX_MS,
-            "period_increase_factor": 2,
-        },
+        "retry": _retry(),
     }
     if user is not None:
         config["transport"]["auth"] = {"usrpwd": {"user": user, "password": password or ""}}
     if root_ca_file is not None:
         config["transport"]["link"]["tls"] = {"root_ca_certificate": str(root_ca_file)}
     return _built(config)
+
+
+def _retry() -> dict[str, int]:
+    return {
+        "period_init_ms": RETRY_MIN_MS,
+        "period_max_ms": RETRY_MAX_MS,
+        "period_increase_factor": 2,
+    }
 
 
 def _common(lease_ms: int) -> dict[str, Any]:
@@ -163,15 +198,22 @@ def _common(lease_ms: int) -> dict[str, Any]:
     }
 
 
-def _access_control(site: str, machines: list[str], servers: list[str]) -> dict[str, Any]:
+def _access_control(
+    site: str, machines: list[str], servers: list[str], upstream: Upstream | None
+) -> dict[str, Any]:
     rules = [_rule(name, f"{machine_prefix(site, name)}/**") for name in machines]
     subjects = [{"id": name, "usernames": [name]} for name in machines]
     policies = [{"rules": [name], "subjects": [name]} for name in machines]
+    trusted: list[dict[str, Any]] = []
+    # Machine ids are lower case, so these names cannot be one of theirs.
     if servers:
-        # Machine ids are lower case, so this name cannot be one of theirs.
+        trusted.append({"id": "Servers", "usernames": servers})
+    if upstream is not None:
+        trusted.append({"id": "Upstream", "cert_common_names": [upstream.common_name]})
+    if trusted:
         rules.append(_rule("Servers", f"{KEY_ROOT}/**"))
-        subjects.append({"id": "Servers", "usernames": servers})
-        policies.append({"rules": ["Servers"], "subjects": ["Servers"]})
+        subjects += trusted
+        policies += [{"rules": ["Servers"], "subjects": [one["id"]]} for one in trusted]
     return {
         "enabled": True,
         "default_permission": "deny",

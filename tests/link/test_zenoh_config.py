@@ -11,7 +11,7 @@ import zenoh
 
 from machine.channels import KEYS, machine_key
 from machine.errors import UsageError
-from runtime.link.zenoh_config import RouterTls, client_config, router_config
+from runtime.link.zenoh_config import RouterTls, Upstream, client_config, router_config
 from tests.cases import each
 from tests.ports import free_port
 from tests.waiting import wait_for
@@ -69,7 +69,7 @@ class Site:
         authority = trustme.CA()
         self.authority = folder / "ca.pem"
         authority.cert_pem.write_to_path(self.authority)
-        issued = authority.issue_cert("127.0.0.1")
+        issued = authority.issue_cert("127.0.0.1", common_name="console")
         certificate, private_key = folder / "router.pem", folder / "router.key"
         certificate.write_bytes(b"".join(part.bytes() for part in issued.cert_chain_pems))
         issued.private_key_pem.write_to_path(private_key)
@@ -110,6 +110,45 @@ def test_an_encrypted_link_takes_its_own_machines_and_nobody_else(tmp_path, endp
         ):
             with pytest.raises(zenoh.ZError):
                 zenoh.open(client_config(user="m001", **refused))
+
+
+@each("common_name", ["console", "another"])
+def test_a_further_router_obeys_the_server_that_it_knows(tmp_path, endpoint, common_name) -> None:
+    site = Site(tmp_path)
+    encrypted = f"tls/127.0.0.1:{free_port()}"
+    config = router_config(
+        listen=[endpoint],
+        users={"m001": "one", "m002": "two"},
+        machines=["m001", "m002"],
+        site=SITE,
+        dictionary_file=tmp_path / "further.txt",
+        upstream=Upstream(encrypted, "server", "three", common_name, site.authority),
+    )
+    stolen: list[str] = []
+    with (
+        site.router(encrypted) as router,
+        zenoh.open(config),
+        zenoh.open(client_config(connect=[endpoint], user="m001", password="one")) as machine,
+        zenoh.open(client_config(connect=[endpoint], user="m002", password="two")) as other,
+    ):
+        asked = key("m001", "command")
+        machine.declare_queryable(asked, lambda q: q.reply(q.key_expr, b"own"))
+        other.declare_queryable(key("*", "command"), lambda q: q.reply(q.key_expr, b"spoof"))
+        other.declare_subscriber("downrange/**", lambda s: stolen.append(str(s.key_expr)))
+
+        def ask(by: zenoh.Session) -> list[bytes]:
+            return [bytes(r.ok.payload) for r in by.get(asked, timeout=1.0) if r.ok]
+
+        if common_name == "console":
+            assert wait_for(lambda: ask(router), 20.0) == [b"own"]
+            router.put(key("m001", "heartbeat"), b"secret")
+            assert ask(router) == [b"own"]
+        else:
+            assert wait_for(lambda: router.info.routers_zid(), 20.0)
+            assert ask(router) == []
+        # A session hears itself without a router.
+        assert ask(other) == [b"spoof"]
+        assert stolen == []
 
 
 def test_password_file_is_private(router, tmp_path) -> None:
