@@ -85,7 +85,6 @@ function Panel() {
         <TextInput
           label="Why"
           description="Kept in the history with your name"
-          classNames={{ description: classes.note }}
           value={reason}
           minLength={MIN_REASON}
           maxLength={300}

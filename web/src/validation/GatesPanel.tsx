@@ -42,29 +42,33 @@ export function GatesPanel() {
       <ScrollTable label="Gates by mode">
         <thead>
           <tr>
-            <th scope="col">Mode</th>
-            {FIELDS.map((field) => (
-              <th scope="col" key={field.key}>
-                {field.label}
+            <th scope="col">Gate</th>
+            {gates.data.map((one) => (
+              <th scope="col" key={one.mode}>
+                {one.mode.toUpperCase()}
               </th>
             ))}
-            <th scope="col">Set by</th>
           </tr>
         </thead>
         <tbody>
-          {gates.data.map((one) => (
-            <tr key={one.mode}>
-              <th scope="row">{one.mode.toUpperCase()}</th>
-              {FIELDS.map((field) => (
-                <td key={field.key}>{gateNumber(one.gates[field.key], field.unit)}</td>
+          {FIELDS.map((field) => (
+            <tr key={field.key}>
+              <th scope="row">{field.label}</th>
+              {gates.data.map((one) => (
+                <td key={one.mode}>{gateNumber(one.gates[field.key], field.unit)}</td>
               ))}
-              <td>
+            </tr>
+          ))}
+          <tr>
+            <th scope="row">Set by</th>
+            {gates.data.map((one) => (
+              <td key={one.mode}>
                 {one.set_by === null || one.set_utc === null
                   ? "defaults"
                   : `${one.set_by}, ${zonedStamp(one.set_utc)}: ${one.reason}`}
               </td>
-            </tr>
-          ))}
+            ))}
+          </tr>
         </tbody>
       </ScrollTable>
       {maySet && (

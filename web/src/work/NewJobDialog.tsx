@@ -137,7 +137,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
           size="md"
           label="Survey of the ground"
           description="CSV x_m,y_m,z_m, GeoTIFF, LAS or LAZ, in metres from the slew axis. Without it the ground is level; a trench or a heap needs one."
-          classNames={{ description: classes.note, placeholder: classes.placeholder }}
+          classNames={{ placeholder: classes.placeholder }}
           placeholder="None"
           accept={SURVEY_TYPES}
           clearable
