@@ -47,10 +47,9 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> GapProblem:
 def log_odds(model: NoiseModel, healthy: ReferenceThrows) -> dict[str, float]:
     """Of every single effect and unmodelled effect over none."""
     plan = layout(model)
-    priors = plan.priors._replace(looks_like=healthy.beside)
-    base = screen(total(information(healthy.whitened(model))), priors)
+    base = screen(total(information(healthy.whitened(model))), plan.priors)
     return {
-        ".".join(part for part in name if part): weigh(base, priors, (group,)).log_odds
+        ".".join(part for part in name if part): weigh(base, plan.priors, (group,)).log_odds
         for group, name in enumerate(plan.groups)
     }
 

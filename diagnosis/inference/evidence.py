@@ -45,9 +45,6 @@ class Information(NamedTuple):
     """v: half the log determinant of the noise, nuisances included; it can differ between hypotheses."""
 
 
-NO_PROJECTION = np.zeros((0, 0))
-
-
 class Priors(NamedTuple):
     """Priors of p parameters in g groups; a group is one effect at one joint."""
 
@@ -63,10 +60,6 @@ class Priors(NamedTuple):
     """Parameter indices of each group."""
     log_prior: Array
     """(g,) prior log odds of each group's presence."""
-    looks_like: Array = NO_PROJECTION
-    """(c, u) projection of the last u parameters, the unmodelled effects, on the first c: a set with an
-    unmodelled effect moves these, too. The scatter of healthy machines along an unmodelled effect
-    excludes them: scatter along a sensor's scale, whose mean contains a bias, would hide biases."""
 
 
 class SetEvidence(NamedTuple):
@@ -108,28 +101,14 @@ class Screen:
         return self.data_precision - _squared(self.lower, self.root.T @ self.data_precision)
 
 
-def inform(
-    residual: Array, jacobian: Array, nuisance: Array, log_volume: float = 0.0
-) -> Information:
-    """Marginalise a throw's nuisances.
-
-    Args:
-        residual: (n,) whitened.
-        jacobian: (n, p) whitened.
-        nuisance: (n, q) whitened, each column times the nuisance's standard deviation.
-        log_volume: half the log determinant of the noise.
-    """
-    table = np.column_stack([residual, jacobian, nuisance])
-    return inform_gram(table.T @ table, jacobian.shape[1], log_volume)
-
-
 def inform_gram(gram: Array, parameter_count: int, log_volume: float = 0.0) -> Information:
-    """Marginalise a throw's nuisances, from the products of all columns.
+    """Marginalise a throw's nuisances, from the products of all whitened columns.
 
     Args:
-        gram: (1 + p + q, 1 + p + q) of residual, jacobian and nuisance, side by side.
+        gram: (1 + p + q, 1 + p + q) of residual, jacobian and nuisance, side by side; each nuisance times its
+            standard deviation.
         parameter_count: p.
-        log_volume: as in `inform`.
+        log_volume: half the log determinant of the noise.
     """
     data, noise = slice(0, 1 + parameter_count), slice(1 + parameter_count, None)
     inner = gram[noise, noise] + np.eye(gram.shape[0] - 1 - parameter_count)
@@ -201,7 +180,7 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     index = members_index(priors, members)
     if index.size == 0:
         return SetEvidence((), 0.0, np.zeros(0), np.zeros((0, 0)))
-    precision, gradient = _about_sizes(base, priors, index)
+    precision, gradient = base.precision[np.ix_(index, index)], base.gradient[index]
     low, high = priors.low[index], priors.high[index]
     slabs = _slabs(priors, index, precision, gradient)
     found = [_weigh_slab(precision, gradient, slab, low, high) for slab in slabs]
@@ -209,24 +188,6 @@ def weigh(base: Screen, priors: Priors, members: Set) -> SetEvidence:
     best = found[int(np.argmax(logs))]
     log_odds = float(logsumexp(logs) - np.log(len(found)))
     return SetEvidence(members, log_odds + set_log_prior(priors, members), best[1], best[2])
-
-
-def _about_sizes(base: Screen, priors: Priors, index: IntArray) -> tuple[Array, Array]:
-    """P and g of the sizes of a hypothesis with these parameters."""
-    if index.max() < priors.slab_sd.size - priors.looks_like.shape[1]:
-        return base.precision[np.ix_(index, index)], base.gradient[index]
-    moved = _moved_by(priors, index)
-    return moved.T @ base.precision @ moved, moved.T @ base.gradient
-
-
-def _moved_by(priors: Priors, index: IntArray) -> Array:
-    """Change of all parameters (p, k) per unit size of a hypothesis with these parameters."""
-    moved = np.zeros((priors.slab_sd.size, index.size))
-    moved[index, np.arange(index.size)] = 1.0
-    shape = index - (priors.slab_sd.size - priors.looks_like.shape[1])
-    is_shape = shape >= 0
-    moved[: priors.looks_like.shape[0], is_shape] += priors.looks_like[:, shape[is_shape]]
-    return moved
 
 
 def set_log_prior(priors: Priors, members: Set) -> float:

@@ -87,11 +87,6 @@ class EffectSpec:
         """Whether it has a sensitivity at size 0."""
         return self.growth != "jumps"
 
-    @property
-    def shakes_other_joints(self) -> bool:
-        """Whether it shows at other joints, too, in another form than the twin's."""
-        return self.stops_joint or (self.part == "drive" and not self.joints)
-
     def parameter(self, name: str) -> ParameterSpec:
         """The specification of a parameter.
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.inference.evidence import screen, total, weigh
+from diagnosis.inference.evidence import total
 from diagnosis.linearisation.basis_functions import unmodelled_columns
 from diagnosis.linearisation.parameters import library
 from diagnosis.linearisation.unmodelled_effects import (
@@ -19,7 +19,6 @@ from diagnosis.linearisation.unmodelled_effects import (
 from diagnosis.loading.throw_data import LoadedSet, ThrowData
 from machine.conventions import ACTIVE_COUNT, Array
 from sim_twin.rigid_body.grip_point import gripper_axes
-from tests.cases import each
 from tests.diagnosis.twin_throws import SWITCH_LAG_S, posed, posed_healthy, throws
 
 THROWS = 6
@@ -153,38 +152,6 @@ def test_without_a_tracker_there_are_no_kick_columns() -> None:
     assert one.prepared[0].block("flight.impact") is not None
     places = unmodelled_groups()[f"{UNMODELLED}:kick", None]
     assert not unmodelled_columns(one.prepared[0], one.linear[0])[:, places].any()
-
-
-def biased(throw: ThrowData, bias_rad: float) -> ThrowData:
-    """A dipper whose sensor is off by the same everywhere; the estimate of the swing stays plumb."""
-    off = bias_rad * np.eye(ACTIVE_COUNT)[DIPPER]
-    estimate = throw.joint_position_rad_m.copy()
-    estimate[:, DIPPER] += bias_rad
-    estimate[:, ACTIVE_COUNT] -= bias_rad
-    return replace(
-        throw,
-        sensor_position_rad_m=throw.sensor_position_rad_m + off,
-        joint_position_rad_m=estimate,
-    )
-
-
-@each(("changed", "size", "is_scale"), [(scaled, 0.04, True), (biased, -0.04, False)])
-def test_scale_and_bias_of_a_sensor_are_separated(
-    changed: Callable[[ThrowData, float], ThrowData], size: float, is_scale: bool
-) -> None:
-    problem = posed(measured_as(changed, size))
-    priors, groups = (
-        problem.layout.priors._replace(looks_like=problem.beside),
-        problem.layout.groups,
-    )
-    base = screen(total(problem.information), priors)
-    scale, bias = (
-        weigh(base, priors, (groups.index((name, "dipper")),))
-        for name in (f"{UNMODELLED}:scale", "joint_sensor_bias")
-    )
-    assert (scale.log_odds > bias.log_odds) == is_scale
-    assert abs(scale.log_odds - bias.log_odds) > 10.0
-    assert (scale if is_scale else bias).mean == pytest.approx(size, rel=0.25)
 
 
 def test_unmodelled_effects_are_orthogonal_to_named_ones() -> None:
