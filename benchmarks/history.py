@@ -1,11 +1,12 @@
 """Time of a page of the throw history and of its statistics, for every kind of filter, of a million throws.
 
-    python -m benchmarks.history [--rows 1000000] [--database-url URL] [--json FILE]
+    python -m benchmarks.history [--rows 1000000] [--database-urls URL ...] [--json FILE]
 
-Pages lie at random depths; statistics are those of the newest 5 000 that match, as JSON. Without a URL the
+Pages lie at random depths; statistics are those of the newest throws that match, as JSON. Without a URL the
 database is a SQLite file in a temporary folder; a database that holds throws already is measured as it is.
 """
 
+import os
 import random
 import tempfile
 import time
@@ -107,52 +108,52 @@ FILTERS = {
 
 def main(
     rows: int = 1_000_000,
-    database_url: str | None = None,
+    database_urls: tuple[str, ...] = (),
     repeats: int = 40,
     json: Path = RESULTS / "history.json",
 ) -> None:
-    """Fill a database and time pages."""
-    with tempfile.TemporaryDirectory() as folder:
-        url = database_url or f"sqlite:///{Path(folder) / 'bench.db'}"
-        upgrade(url)
-        database = Database(url)
-        began_s = time.perf_counter()
-        if not _is_filled(database):
-            fill(database, rows)
-            print(f"{rows} throws in {time.perf_counter() - began_s:.0f} s, {database.dialect}")
-        settle_memory()
-        found = measure(ThrowHistory(database), ThrowStatistics(database), repeats)
-        title = f"Time of one page and of statistics of {rows} throws, {database.dialect}"
-        database.close()
-    write_result(describe("history", title, found, seed=2), json)
-
-
-def measure(history: ThrowHistory, statistics: ThrowStatistics, repeats: int) -> list[Row]:
-    rng = random.Random(2)
+    """Fill databases and time pages and statistics."""
     found: list[Row] = []
-    everything: list[float] = []
-    print(f"{'filter':<32}{'p50 ms':>9}{'p95 ms':>9}{'max ms':>9}")
-    for name, wanted in FILTERS.items():
-        times: list[float] = []
-        for repeat in range(repeats):
-            depth = START + timedelta(days=rng.uniform(0, 730))
-            cursor = None if repeat % 2 else id_at(depth)
-            began_s = time.perf_counter()
-            history.page(wanted, cursor, 50)
-            times.append((time.perf_counter() - began_s) * 1e3)
-        everything += times
-        found.append(summary(name, times))
-    found.append(summary("all", everything))
-    every_time: list[float] = []
-    for name, wanted in FILTERS.items():
-        times = []
-        for _ in range(repeats):
-            began_s = time.perf_counter()
-            statistics.of(wanted, GroupBy.POLICY).model_dump_json()
-            times.append((time.perf_counter() - began_s) * 1e3)
-        every_time += times
-        found.append(summary(f"statistics: {name}", times))
-    found.append(summary("statistics: all", every_time))
+    with tempfile.TemporaryDirectory() as folder:
+        for url in database_urls or (f"sqlite:///{Path(folder) / 'bench.db'}",):
+            upgrade(url)
+            database = Database(url)
+            if not _is_filled(database):
+                fill(database, rows)
+            settle_memory()
+            found += measure(database, repeats)
+            database.close()
+    title = f"Time of one page and of statistics of {rows} throws"
+    notes = f"load average of the computer meanwhile: {os.getloadavg()[0]:.0f}"
+    write_result(describe("history", title, found, seed=2, notes=notes), json)
+
+
+def measure(database: Database, repeats: int) -> list[Row]:
+    """Rows of each filter and of all together."""
+    rng = random.Random(2)
+    history, statistics = ThrowHistory(database), ThrowStatistics(database)
+
+    def page(wanted: ThrowFilter, repeat: int) -> None:
+        depth = START + timedelta(days=rng.uniform(0, 730))
+        history.page(wanted, None if repeat % 2 else id_at(depth), 50)
+
+    def figures(wanted: ThrowFilter, _: int) -> None:
+        statistics.of(wanted, GroupBy.POLICY).model_dump_json()
+
+    found: list[Row] = []
+    print(f"{'filter':<44}{'p50 ms':>9}{'p95 ms':>9}{'max ms':>9}")
+    for operation, act in (("page", page), ("statistics", figures)):
+        labels = {"operation": operation, "database": database.dialect}
+        everything: list[float] = []
+        for name, wanted in FILTERS.items():
+            times: list[float] = []
+            for repeat in range(repeats):
+                began_s = time.perf_counter()
+                act(wanted, repeat)
+                times.append((time.perf_counter() - began_s) * 1e3)
+            everything += times
+            found.append(summary(labels | {"filter": name}, times))
+        found.append(summary(labels | {"filter": "all"}, everything))
     return found
 
 
@@ -161,15 +162,18 @@ def _is_filled(database: Database) -> bool:
         return session.scalar(select(Throw.throw_id).limit(1)) is not None
 
 
-def summary(name: str, times: list[float]) -> Row:
+def summary(labels: dict[str, str], times: list[float]) -> Row:
     """Print and return percentiles of one filter."""
     values = {
         "p50_ms": percentile(times, 50),
         "p95_ms": percentile(times, 95),
         "max_ms": max(times),
     }
-    line = row(len(times), {"filter": name}, values)
-    print(f"{name:<32}" + "".join(f"{value.value:>9.1f}" for value in line.values.values()))
+    line = row(len(times), labels, values)
+    print(
+        f"{', '.join(labels.values()):<44}"
+        + "".join(f"{v.value:>9.1f}" for v in line.values.values())
+    )
     return line
 
 

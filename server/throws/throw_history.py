@@ -47,9 +47,16 @@ class ThrowFilter:
     until: datetime | None = None
 
     def conditions(
-        self, before: str | None, *, is_sqlite: bool, is_indexed: bool = True
+        self,
+        before: str | None,
+        *,
+        is_sqlite: bool,
+        is_indexed: bool = True,
+        common: InstrumentedAttribute[str] | None = None,
     ) -> list[ColumnElement[bool]]:
         """Everything but the distance; not `is_indexed` keeps SQLite from using an index for it.
+
+        Neither does it use that of the column `common`.
 
         PostgreSQL knows how common each value is and chooses by that.
         """
@@ -64,7 +71,7 @@ class ThrowFilter:
         for column, value in pairs:
             if value is not None:
                 # Half of all throws have a mode: any other index finds fewer.
-                is_common = column is Throw.mode and bool(conditions)
+                is_common = column is common or (column is Throw.mode and bool(conditions))
                 is_hidden = is_sqlite and (is_common or not is_indexed)
                 conditions.append((column.concat("") if is_hidden else column) == value)
         throw_id = _plain_id() if is_sqlite and not is_indexed else Throw.throw_id
@@ -159,7 +166,8 @@ def newest_values(
     """
     extra = (Throw.measured_downrange_error_m.is_not(None),) if is_measured else ()
     is_sqlite = database.get_bind().dialect.name == "sqlite"
-    conditions = (*wanted.conditions(before, is_sqlite=is_sqlite), *extra)
+    common = _commoner(database, wanted) if is_sqlite else None
+    conditions = (*wanted.conditions(before, is_sqlite=is_sqlite, common=common), *extra)
     walk = select(*columns).where(*conditions).order_by(Throw.throw_id.desc()).limit(limit)
     if not wanted.within(Throw.range_m):
         return _all(database, walk)
@@ -193,6 +201,20 @@ def _values_of(
 def _all(database: DatabaseSession, query: Executable) -> Sequence[Row[Any]]:
     # The session would spend as much time on its own view of these rows as the database takes.
     return database.connection().execute(query).all()
+
+
+def _commoner(database: DatabaseSession, wanted: ThrowFilter) -> InstrumentedAttribute[str] | None:
+    """Of operator and policy, if both are wanted, the one with more throws; None: both are common."""
+    pairs = ((Throw.operator, wanted.operator), (Throw.policy_sha256, wanted.policy_sha256))
+    counts: list[int] = []
+    for column, value in pairs:
+        if value is None:
+            return None
+        some = select(Throw.throw_id).where(column == value).limit(SORT_COUNT + 1)
+        counts.append(database.scalar(select(func.count()).select_from(some.subquery())) or 0)
+    if min(counts) > SORT_COUNT:
+        return None
+    return pairs[counts.index(max(counts))][0]
 
 
 def _is_rare(database: DatabaseSession, wanted: ThrowFilter, most_count: int) -> bool:
