@@ -124,7 +124,9 @@ def main(
             found += measure(database, repeats)
             database.close()
     title = f"Time of one page and of statistics of {rows} throws"
-    notes = f"load average of the computer meanwhile: {os.getloadavg()[0]:.0f}"
+    notes = f"load average of the computer: {os.getloadavg()[0]:.0f}"
+    if os.sched_getscheduler(0) == os.SCHED_FIFO:
+        notes += "; the benchmark had real-time priority (chrt -f 5)"
     write_result(describe("history", title, found, seed=2, notes=notes), json)
 
 
