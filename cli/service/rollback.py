@@ -41,6 +41,8 @@ def run(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return _ask(slots, data, chosen, timeout_s)
+        # What a machine that died has not done yet is not done on top of this.
+        (data / "policies" / ROLLBACK_FILE).unlink(missing_ok=True)
         now = slots.roll_back(chosen)
     print(f"{mode}: the machine starts with {_shown(now)}")
     return 0
@@ -50,7 +52,10 @@ def _ask(slots: PolicySlots, data: Path, mode: Mode, timeout_s: float) -> int:
     previous = slots.previous(mode)
     request = data / "policies" / ROLLBACK_FILE
     part = request.with_suffix(".part")
-    part.write_text(RollbackRequest(mode=mode).model_dump_json() + "\n", encoding="utf-8")
+    part.write_text(
+        RollbackRequest(mode=mode, policy_sha256=previous).model_dump_json() + "\n",
+        encoding="utf-8",
+    )
     part.replace(request)
     end_s = time.monotonic() + timeout_s
     while time.monotonic() < end_s:

@@ -15,7 +15,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.conventions import Mode
-from machine.errors import PolicyError, UsageError
+from machine.errors import PolicyError
 from machine.messages import EventKind
 from runtime.link.ipc import Kind
 from runtime.policies.download import (
@@ -50,10 +50,12 @@ class PolicyOffer(BaseModel):
 
 
 class RollbackRequest(BaseModel):
-    """What `downrange rollback` leaves for a running machine."""
+    """What `downrange rollback` leaves for a running machine; it stays until the machine has answered."""
 
     model_config = ConfigDict(frozen=True)
     mode: Mode
+    policy_sha256: str
+    """The version to go back to; empty: the installed one."""
 
 
 @dataclass(slots=True)
@@ -104,7 +106,7 @@ class PolicyPuller:
         self._thread.join(timeout_s)
 
     def take_event(self, kind: EventKind, data: dict[str, Any]) -> None:
-        """What the control process did with an offer; on any thread, before the event is stored."""
+        """What the control process did with an offer; on any thread, once the event is stored."""
         if kind not in (EventKind.POLICY_SWITCHED, EventKind.POLICY_REFUSED):
             return
         mode, count = Mode(data["mode"]), data.get("deployment_count")
@@ -115,6 +117,8 @@ class PolicyPuller:
                 logger.info("%s throws with policy %s", mode.value, data["policy_sha256"][:12])
             elif count is not None:
                 self._slots.note(mode, int(count))
+            elif not data["is_removed"]:
+                self._request_file.unlink(missing_ok=True)
         except OSError as error:
             # The version is in use until the next start, which begins with what the slots say.
             logger.error("the slots cannot be written: %s", error)
@@ -134,15 +138,23 @@ class PolicyPuller:
         if not self._request_file.exists():
             return
         try:
-            text = self._request_file.read_bytes()
-            mode = RollbackRequest.model_validate_json(text).mode
-            offer = PolicyOffer(mode=mode, policy_sha256=self._slots.previous(mode))
-        except (ValidationError, UsageError) as error:
+            request = RollbackRequest.model_validate_json(self._request_file.read_bytes())
+        except ValidationError as error:
             logger.warning("a rollback cannot be done: %s", error)
             self._request_file.unlink(missing_ok=True)
             return
-        if self._offer(offer):
+        if self._slots.of(request.mode).current == request.policy_sha256:
             self._request_file.unlink(missing_ok=True)
+            return
+        offer = PolicyOffer(mode=request.mode, policy_sha256=request.policy_sha256)
+        with self._lock:
+            waiting = self._offered.get(offer.mode)
+        if (
+            waiting is None
+            or waiting.offer != offer
+            or time.monotonic() - waiting.sent_s >= OFFER_PERIOD_S
+        ):
+            self._offer(offer)
 
     def poll(self) -> None:
         """Ask the server once, and do what it wants."""

@@ -286,18 +286,14 @@ class LinkProcess:
         state = self._state
         if state is None:
             return
-        draft = EventDraft(
-            EventKind(body["kind"]),
-            int(body["t_mono_ns"]),
-            body["throw_id"],
-            body["plan_id"],
-            body["data"],
-            body["t_utc"],
-        )
+        kind, t_ns, t_utc = EventKind(body["kind"]), int(body["t_mono_ns"]), body["t_utc"]
+        draft = EventDraft(kind, t_ns, body["throw_id"], body["plan_id"], body["data"], t_utc)
         self._event_number = int(body["number"])
+        is_stored = self._intake.take(ControlEvent(state.boot_id, self._event_number, draft))
+        # The event first: slots that a power cut leaves behind it are what the next start tells of.
         self._policies.take_event(draft.kind, draft.data)
         # Not acknowledged while it waits for the disk: control keeps it too.
-        if self._intake.take(ControlEvent(state.boot_id, self._event_number, draft)):
+        if is_stored:
             self._send(Kind.EVENT_ACK, {"number": self._event_number})
 
     def _event_stored(self, event: MachineEvent) -> None:
