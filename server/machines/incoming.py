@@ -5,6 +5,7 @@ get here (runtime.link.zenoh_config, with the same bounds).
 """
 
 import math
+from collections.abc import Iterable
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -88,6 +89,9 @@ def read_batch(payload: bytes, machine_id: str) -> EventBatch:
             text = getattr(event, name)
             if text is not None and len(text) > 64:
                 raise IncomingError(f"{name} of {len(text)} characters, at most 64 are taken")
+            if text is not None and "\x00" in text:
+                raise IncomingError(f"{name} holds a NUL character, which no database takes")
+        _numbers(event.data)
     return batch
 
 
@@ -101,6 +105,16 @@ def read_reply(payload: bytes) -> CommandReply:
     _count("epoch_count", reply.epoch_count, MAX_EPOCH_COUNT)
     _texts(reply)
     return reply
+
+
+def _numbers(value: object) -> None:
+    """Refuse whole numbers, at any depth, that no database column holds."""
+    if isinstance(value, int) and abs(value) > MAX_TIME_NS:
+        raise IncomingError(f"data holds a number above {MAX_TIME_NS}")
+    inside = value.values() if isinstance(value, dict) else value
+    if isinstance(inside, Iterable) and not isinstance(inside, str):
+        for item in inside:
+            _numbers(item)
 
 
 def check_size(channel: str, size_bytes: int) -> None:

@@ -40,7 +40,12 @@ class UtcDateTime(TypeDecorator[datetime]):
             return None
         if value.tzinfo is None:
             raise ValueError("a time without zone cannot be stored")
-        utc = value.astimezone(UTC)
+        try:
+            utc = value.astimezone(UTC)
+        except OverflowError:
+            # In UTC it lies before year 1 or after 9999: the nearest time that can be.
+            edge = (1, 1, 1) if value.year == 1 else (9999, 12, 31)
+            utc = datetime(*edge, tzinfo=UTC)
         return utc.replace(tzinfo=None) if dialect.name == "sqlite" else utc
 
     def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:

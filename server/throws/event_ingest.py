@@ -60,7 +60,7 @@ class EventIngest:
     def take(self, batch: EventBatch) -> EventAck:
         """Store a batch; returns what the machine may delete."""
         with self._database.write() as database:
-            fresh = self._fresh(database, batch)
+            fresh = [_cleaned(event) for event in self._fresh(database, batch)]
             for event in fresh:
                 database.add(_row(event))
                 self._apply(database, event)
@@ -158,6 +158,11 @@ class EventIngest:
         self._throws.publish(event.throw_id)
 
 
+def _cleaned(event: MachineEvent) -> MachineEvent:
+    """The event with data that every database takes: what follows from it is stored as well."""
+    return event.model_copy(update={"data": _storable(event.data)})
+
+
 def _row(event: MachineEvent) -> Event:
     return Event(
         machine_id=event.machine_id,
@@ -168,7 +173,7 @@ def _row(event: MachineEvent) -> Event:
         kind=event.kind.value,
         throw_id=event.throw_id,
         plan_id=event.plan_id,
-        data=_storable(event.data),
+        data=event.data,
         received_utc=utc_now(),
     )
 

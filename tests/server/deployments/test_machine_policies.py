@@ -90,6 +90,16 @@ def test_a_clock_that_was_set_back_or_far_ahead_does_not_hide_the_newest(assembl
     assert aboard(assembled, "m001", None)["2d"] == "c" * 64
 
 
+def test_nul_characters_in_what_a_machine_says_of_its_policies_do_no_harm(assembled, ingest):
+    ingest.on_store.append(assembled.parts.deployments.record)
+    take(ingest, booted("m001", 1, START, {"2d": "a\x00b"}))
+    data = {"mode": "2d", "policy_sha256": "c\x00", "deployment_count": 1, "detail": "\x00"}
+    event = booted("m001", 2, START + timedelta(hours=1), None)
+    take(ingest, event.model_copy(update={"kind": EventKind.POLICY_SWITCHED, "data": data}))
+    assert aboard(assembled, "m001", START)["2d"] == "ab"
+    assert aboard(assembled, "m001", None)["2d"] == "c"
+
+
 def test_an_older_machine_that_does_not_say_adds_nothing(assembled, ingest):
     take(ingest, booted("m001", 1, START, None))
     with assembled.parts.database.read() as session:
@@ -112,3 +122,16 @@ def test_the_interface_answers_with_names_and_refuses_what_is_no_time(running, m
     early = ada.get("/machines/m001/policies", params={"at": "2001-01-01T00:00:00"})
     assert early.json()["policies"] == []
     assert ada.get("/machines/m001/policies", params={"at": "soon"}).status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("at", "known"), [("0001-01-01T00:00:00+23:59", []), ("9999-12-31T23:59:59-14:00", ["a" * 64])]
+)
+def test_times_beyond_the_calendar_of_utc_are_its_first_and_last(assembled, ingest, at, known):
+    take(ingest, booted("m001", 1, START, {"2d": "a" * 64}))
+    found = aboard(assembled, "m001", datetime.fromisoformat(at))
+    assert ([found["2d"]] if found else []) == known
+    # As the machine's own time it neither fails nor hides what is newer.
+    early = booted("m002", 1, START, {"2d": "b" * 64}).model_copy(update={"t_utc": at})
+    take(ingest, early, booted("m002", 2, START, {"2d": "c" * 64}))
+    assert aboard(assembled, "m002", None)["2d"] == "c" * 64

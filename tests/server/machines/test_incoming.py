@@ -94,6 +94,9 @@ def test_garbage_is_refused_by_every_reader(payload: bytes) -> None:
         [EVENT | {"t_mono_ns": 2**80}],
         [EVENT | {"machine_id": "m002"}],
         [EVENT | {"throw_id": "x" * 65}],
+        [EVENT | {"plan_id": "x\x00"}],
+        [EVENT | {"data": {"mode": "2d", "deployment_count": 2**63}}],
+        [EVENT | {"data": {"x": [{"y": -(2**80)}]}}],
         [EVENT | {"data": {"x": "y" * KEYS["events"].max_bytes}}],
     ],
 )
