@@ -13,6 +13,7 @@ import bisect
 import contextlib
 import io
 import itertools
+import math
 import os
 import random
 import tempfile
@@ -370,9 +371,13 @@ def rows_of(kills: Kills, wrong: list[str]) -> list[Row]:
 
 
 def main(
-    count: int = 50, seed: int = SEED, json: Path = RESULTS / "policy_kills.json", scratch: str = ""
+    count: int = 50,
+    seed: int = SEED,
+    json: Path = RESULTS / "policy_kills.json",
+    scratch: str = "",
+    minutes: float = math.inf,
 ) -> None:
-    """Kill `count` times; `scratch`: folder for the temporary one."""
+    """Kill `count` times, or as often as `minutes` allow; `scratch`: folder for the temporary one."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(dir=scratch or None) as name:
         yard = Yard(Path(name), rng)
@@ -380,6 +385,8 @@ def main(
             kills = Kills(yard, rng)
             begin_s = time.time()
             for number, (step, victim) in enumerate(plan(count, rng), 1):
+                if time.time() - begin_s > 60.0 * minutes:
+                    break
                 print(f"{number:>3} ", end="")
                 kills.run(step, victim)
             wrong = kills.history(begin_s)
@@ -393,9 +400,10 @@ def main(
             found.problems += late
             break
     problems = [text for found in kills.figures.values() for text in found.problems]
+    done = sum(len(found.outcomes) for found in kills.figures.values())
     title = "Kills during work on policy versions"
     notes = (
-        f"{count} kills, {len(problems)} violations. Within {NEAR_S:.2f} s of a change either version "
+        f"{done} kills, {len(problems)} violations. Within {NEAR_S:.2f} s of a change either version "
         f"counts as right. Load of the host: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores."
     )
     write_result(

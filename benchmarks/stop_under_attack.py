@@ -3,7 +3,8 @@
     python -m benchmarks.stop_under_attack [--repeats 60] [--json FILE]
 
 The server runs in a process of its own, as do the attackers; the machine that is stopped is the tests'
-stand-in. The attacker has the account of machine m002, or none. Bar: p99 at most 150 ms under every attack.
+stand-in. The attacker has the account of machine m002 or of a person, or none. Bar: p99 at most 150 ms under
+every attack.
 """
 
 import contextlib
@@ -23,6 +24,9 @@ from pathlib import Path
 import httpx
 import tyro
 import zenoh
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from machine.channels import machine_key
@@ -43,6 +47,14 @@ class Place:
     url: str
     link: str
     password: str
+    cookies: dict[str, str]
+    """Of a person who is signed in: some attackers are."""
+
+    def client(self) -> httpx.Client:
+        headers = {"Origin": self.url, "X-Requested-With": "downrange"}
+        return httpx.Client(
+            base_url=f"{self.url}/api/v1", headers=headers, cookies=self.cookies, timeout=10.0
+        )
 
 
 def session_of(place: Place) -> zenoh.Session:
@@ -135,6 +147,75 @@ def idle_connections(place: Place, end: Event) -> None:
             held.pop(0).close()
 
 
+def slow_stops(place: Place, end: Event) -> None:
+    """Presses of STOP that never end: 100 connections send a byte of their headers now and then."""
+    address = place.url.removeprefix("http://").split(":")
+    begin = f"POST /api/v1/machines/m001/stop HTTP/1.1\r\nHost: {':'.join(address)}\r\nX-Slow: "
+    held: list[socket.socket] = []
+    while not end.is_set():
+        with contextlib.suppress(OSError):
+            held.append(socket.create_connection((address[0], int(address[1])), timeout=1.0))
+            held[-1].sendall(begin.encode())
+        if len(held) > 100:
+            held.pop(0).close()
+        for connection in held:
+            with contextlib.suppress(OSError):
+                connection.sendall(b"x")
+
+
+def sockets(place: Place, end: Event) -> None:
+    """As many event sockets as one person may have, each sending what nobody asked for."""
+    headers = {"Cookie": "; ".join(f"{name}={value}" for name, value in place.cookies.items())}
+    address = place.url.replace("http://", "ws://") + "/api/v1/events/socket"
+    with contextlib.ExitStack() as stack:
+        opened: list[ClientConnection] = []
+        while not end.is_set():
+            if len(opened) < 40:
+                with contextlib.suppress(OSError, WebSocketException):
+                    found = connect(address, origin=Origin(place.url), additional_headers=headers)
+                    opened.append(stack.enter_context(found))
+            for connection in list(opened):
+                try:
+                    connection.send("x" * 10_000)
+                except (OSError, WebSocketException):
+                    opened.remove(connection)
+
+
+def queries(place: Place, end: Event) -> None:
+    """Statistics, exports and comparisons with every filter, by one who is signed in."""
+    paths = ("/throws/stats", "/throws/export.csv", "/throws", "/fleet", "/audit", "/policies")
+    filters = {
+        "operator": "%" * 64,
+        "min_range_m": 0.0,
+        "max_range_m": 100.0,
+        "until": "9999-12-31",
+    }
+    with place.client() as client:
+        while not end.is_set():
+            for path in paths:
+                with contextlib.suppress(httpx.HTTPError):
+                    client.get(path, params=filters)
+
+
+def lease_grabs(place: Place, end: Event) -> None:
+    """The lease of the machine that is stopped, taken and given back without pause."""
+    with place.client() as client:
+        while not end.is_set():
+            with contextlib.suppress(httpx.HTTPError):
+                client.post("/machines/m001/lease/take", json={"reason": "it is mine"})
+                client.delete("/machines/m001/lease")
+
+
+def broken_uploads(place: Place, end: Event) -> None:
+    """Uploads of versions whose parts never end, of the largest size."""
+    body = b"--b\r\n" + b"A: b\r\n" * 1_000_000
+    headers = {"Content-Type": "multipart/form-data; boundary=b"}
+    with place.client() as client:
+        while not end.is_set():
+            with contextlib.suppress(httpx.HTTPError):
+                client.post("/policies", content=body, headers=headers)
+
+
 Attack = Callable[[Place, Event], None]
 ATTACKS: dict[str, Attack | None] = {
     "none": None,
@@ -145,6 +226,11 @@ ATTACKS: dict[str, Attack | None] = {
     "logs of unknown throws": log_uploads,
     "guessed logins, forged addresses": logins,
     "idle connections": idle_connections,
+    "presses of STOP that never end": slow_stops,
+    "event sockets, flooded": sockets,
+    "queries with every filter": queries,
+    "grabs of the lease": lease_grabs,
+    "uploads that never end": broken_uploads,
 }
 
 
@@ -211,7 +297,6 @@ def main(
             machine_id: (folder / "machines" / f"{machine_id}.password").read_text().strip()
             for machine_id in ("m001", ATTACKER)
         }
-        place = Place(url, link, passwords[ATTACKER])
         logged_in = dict(
             line.split() for line in (folder / "demo-login.txt").read_text().splitlines()
         )
@@ -222,6 +307,7 @@ def main(
         ):
             body = {"username": "admin", "password": logged_in["admin"]}
             client.post("/auth/login", json=body).raise_for_status()
+            place = Place(url, link, passwords[ATTACKER], dict(client.cookies))
             wait_for(lambda: client.get("/machines/m001").json()["link"]["is_connected"])
             for attack, act in ATTACKS.items():
                 end = spawn.Event()
