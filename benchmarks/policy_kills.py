@@ -16,6 +16,8 @@ import itertools
 import math
 import os
 import random
+import signal
+import sys
 import tempfile
 import threading
 import time
@@ -282,7 +284,7 @@ class Kills:
         for one in self.yard.machines:
             found += one.problems()
             with contextlib.suppress(TimeoutError):
-                wait_until(lambda one=one: self._is_told(one), "history", 30.0)
+                wait_until(lambda one=one: self._is_in_history(one), "history", 30.0)
                 continue
             found.append(f"{one.machine_id}: the history is not what the machine holds")
         figures.problems += found
@@ -307,10 +309,10 @@ class Kills:
         else:
             machine.kill_child(victim)
 
-    def _is_told(self, machine: Machine) -> bool:
+    def _is_in_history(self, machine: Machine) -> bool:
         view = self.yard.client.get(f"/machines/{machine.machine_id}/policies").json()
-        told = {one["mode"]: one["policy_sha256"] for one in view["policies"]}
-        return told == machine.log()[-1]["held"]
+        shown = {one["mode"]: one["policy_sha256"] for one in view["policies"]}
+        return shown == machine.log()[-1]["held"]
 
     # History --------------------------------------------------------------------------------------
 
@@ -326,8 +328,8 @@ class Kills:
             near_s = min(abs(t_s - times[k]) for k in (after - 1, after) if 0 <= k < len(times))
             at = datetime.fromtimestamp(t_s, UTC).isoformat()
             view = self.yard.client.get(f"/machines/{machine_id}/policies", params={"at": at})
-            told = {one["mode"]: one["policy_sha256"] for one in view.json()["policies"]}
-            if near_s > NEAR_S and told != held[after - 1]:
+            shown = {one["mode"]: one["policy_sha256"] for one in view.json()["policies"]}
+            if near_s > NEAR_S and shown != held[after - 1]:
                 wrong.append(f"{machine_id} at {at}, {near_s:.2f} s from a change")
         return wrong
 
@@ -378,6 +380,8 @@ def main(
     minutes: float = math.inf,
 ) -> None:
     """Kill `count` times, or as often as `minutes` allow; `scratch`: folder for the temporary one."""
+    # Ended from outside, it ends what it started.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(dir=scratch or None) as name:
         yard = Yard(Path(name), rng)

@@ -28,7 +28,6 @@ from machine.spec import load_spec
 from runtime.control.policy import PolicyRunner, find_policy
 from runtime.policies.slots import PolicySlots
 from scripts.golden_vectors import add_golden_vectors
-from tests.leftovers import end_with_run, has_ended
 from tests.link.relay import Relay
 from tests.ports import free_port
 
@@ -92,14 +91,12 @@ class Group:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        end_with_run(self.process)
 
     def kill(self) -> None:
         """As a power cut: the whole group at once."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
-        has_ended(self.process)
 
 
 class Machine:
