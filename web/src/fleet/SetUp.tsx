@@ -1,7 +1,7 @@
 import { Button, CopyButton } from "@mantine/core";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
-import { localStamp, zonedStamp } from "../words/time";
+import { zonedStamp } from "../words/time";
 import classes from "./Fleet.module.css";
 import { type Enrolment, type EnrolmentToken, useEnrolment, useNewToken } from "./useEnrolment";
 
@@ -35,7 +35,7 @@ export function TokenBox({ enrolment }: { enrolment: EnrolmentToken }) {
   return (
     <div className={classes.token} role="status">
       <p>
-        Type this at the machine's computer before {localStamp(enrolment.expires_utc)}; it works
+        Type this at the machine's computer before {zonedStamp(enrolment.expires_utc)}; it works
         once. The machine then calls in at {enrolment.link_address}, and loads only policies of the
         site's key {enrolment.site_key_id}: it refuses a server that shows another.
       </p>
@@ -54,7 +54,7 @@ export function TokenBox({ enrolment }: { enrolment: EnrolmentToken }) {
 function stageWords(enrolment: Enrolment): string {
   switch (enrolment.stage) {
     case "waiting":
-      return `Waits for its token to be used, until ${localStamp(enrolment.expires_utc)}.`;
+      return `Waits for its token to be used, until ${zonedStamp(enrolment.expires_utc)}.`;
     case "expired":
       return "Its token has expired unused. Make a new one.";
     case "claimed":
