@@ -31,8 +31,8 @@ from runtime.driver import SensorSample, ValveCommand
 from runtime.guard.drive_envelope import motion_ratio
 from runtime.guard.release_window import DEFAULT_RADIUS_M, tool_load
 from sim_twin.effects.table import EFFECTS
-from sim_twin.faults.fault import PlantEffect
-from sim_twin.faults.off_table import OFF_TABLE_FAULTS, TABLE_FAULTS
+from sim_twin.faults.fault import Fault
+from sim_twin.faults.fault_tables import TABLE_FAULTS, UNLISTED_FAULTS
 from sim_twin.virtual_machine import Condition, VirtualMachine
 
 SPEC = load_spec()
@@ -192,7 +192,7 @@ class Throws(NamedTuple):
     size: int
     seed: int
     ticks: int
-    effects: tuple[PlantEffect, ...] = ()
+    effects: tuple[Fault, ...] = ()
 
 
 def simulate(
@@ -354,9 +354,9 @@ def trip_row(name: str, outcomes: Sequence[Outcome]) -> Row:
     return Row(labels={"throws": name, "reason": reasons}, n=len(noticed), values=values)
 
 
-def usual_effects() -> dict[str, list[PlantEffect]]:
+def usual_effects() -> dict[str, list[Fault]]:
     """Each effect on each of its joints and in each direction, at its usual size."""
-    found: dict[str, list[PlantEffect]] = {}
+    found: dict[str, list[Fault]] = {}
     for name, fault in TABLE_FAULTS.items():
         spec = EFFECTS[name]
         signs = (1.0, -1.0) if any(low < 0.0 for low, _ in fault.bounds.values()) else (1.0,)
@@ -366,14 +366,14 @@ def usual_effects() -> dict[str, list[PlantEffect]]:
                     p.name: float(np.clip(sign * p.prior_sd, *fault.bounds[p.name]))
                     for p in spec.parameters
                 }
-                found.setdefault(name, []).append(PlantEffect(name, joint, sizes))
-    for name, fault in OFF_TABLE_FAULTS.items():
+                found.setdefault(name, []).append(Fault(name, joint, sizes))
+    for name, fault in UNLISTED_FAULTS.items():
         strong = fault.strength or next(iter(fault.bounds))
         sizes = {
             key: 0.5 * high if key == strong else 0.5 * (low + high)
             for key, (low, high) in fault.bounds.items()
         }
-        found[name] = [PlantEffect(name, joint, sizes) for joint in fault.joints or (None,)]
+        found[name] = [Fault(name, joint, sizes) for joint in fault.joints or (None,)]
     return found
 
 

@@ -33,8 +33,8 @@ from runtime.control.control_loop import ControlOutputs, ControlParams
 from runtime.driver import SensorSample, SimulatedDriver, ValveCommand
 from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import EFFECTS
-from sim_twin.faults.fault import PlantEffect
-from sim_twin.faults.off_table import FAULTS, TABLE_FAULTS
+from sim_twin.faults.fault import Fault
+from sim_twin.faults.fault_tables import FAULTS, TABLE_FAULTS
 from sim_twin.throws.campaign import ThrowResult, run_throws
 from sim_twin.virtual_machine import Condition, VirtualMachine
 
@@ -135,7 +135,7 @@ def record_commands(machine: HealthyMachine, policies: Path) -> Commands:
 
 
 def replay(
-    commands: Commands, machine: HealthyMachine, effects: tuple[PlantEffect, ...], scatter: int = 0
+    commands: Commands, machine: HealthyMachine, effects: tuple[Fault, ...], scatter: int = 0
 ) -> Observed:
     """Replay commands open loop; `scatter` > 0 takes other noise and other nuisance."""
     unit = machine.unit
@@ -179,7 +179,7 @@ class Meter:
         moved = np.stack(others)[:, self._window]
         self.channel_sd = np.maximum(np.sqrt(np.nanmean(moved**2, axis=(0, 1))), SENSOR_SD)
 
-    def score(self, effect: PlantEffect) -> float:
+    def score(self, effect: Fault) -> float:
         """Size of an effect relative to the limit, by its largest visible change; 1 is at the limit."""
         seen = replay(self._commands, self._machine, (effect,))
         shift = np.abs(seen.channels - self._healthy.channels)[self._window]
@@ -202,7 +202,7 @@ class Meter:
         bound = max(hidden.bounds[parameter])
 
         def score(size: float) -> float:
-            return self.score(PlantEffect(effect, joint, {parameter: size, **others}))
+            return self.score(Fault(effect, joint, {parameter: size, **others}))
 
         size = 0.2 * bound
         for _ in range(ROUNDS):

@@ -12,8 +12,8 @@ from machine.errors import UsageError
 from sim_twin.effects.pairs import CONFUSABLE_PAIRS
 from sim_twin.effects.schema import DRIFT
 from sim_twin.effects.table import EFFECTS, effects_where
-from sim_twin.faults.fault import PlantEffect
-from sim_twin.faults.off_table import FAULTS, OFF_TABLE_FAULTS, TABLE_FAULTS, FaultSpec
+from sim_twin.faults.fault import Fault
+from sim_twin.faults.fault_tables import FAULTS, TABLE_FAULTS, UNLISTED_FAULTS, FaultSpec
 
 
 class Tier(StrEnum):
@@ -59,9 +59,9 @@ class TrueEffect(_Part):
     multiple_ratio: float
     """Size over its detection limit."""
 
-    def in_plant(self) -> PlantEffect:
+    def in_plant(self) -> Fault:
         """The effect as the virtual machine takes it."""
-        return PlantEffect(self.effect, self.joint, self.parameters)
+        return Fault(self.effect, self.joint, self.parameters)
 
 
 class SetTruth(_Part):
@@ -90,7 +90,7 @@ def draw_truths(
     units = [0, *(int(u) for u in rng.integers(1, 10_000, UNIT_SEEDS - 1))]
     kinds = _shares(count, tiers)
     singles = _Deck([*_slots(TABLE_FAULTS, limits), *[(DRIFT, None)] * DRIFT_SLOTS], rng)
-    unknowns = _Deck(_slots(OFF_TABLE_FAULTS, limits), rng)
+    unknowns = _Deck(_slots(UNLISTED_FAULTS, limits), rng)
     drawn: list[tuple[Tier, tuple[TrueEffect, ...]]] = []
     for index, tier in enumerate(kinds):
         strong = index % 2 == 1
@@ -299,7 +299,7 @@ def _confounded_slots(limits: Mapping[str, float]) -> list[list[tuple[str, str |
 def _unknown(
     effect: str, joint: str | None, limits: Mapping[str, float], rng: np.random.Generator
 ) -> TrueEffect:
-    hidden = OFF_TABLE_FAULTS[effect]
+    hidden = UNLISTED_FAULTS[effect]
     grows = tuple(hidden.bounds) if hidden.strength is None else (hidden.strength,)
     multiple = _multiple(rng, strong=True)
     weights = dict(zip(grows, _weights(effect, grows, rng), strict=True))

@@ -23,7 +23,7 @@ from evaluation.spread import measure_spread_parts
 from machine.policy_card import load_card
 from runtime.driver import SimulatedDriver
 from sim_twin.effects.effect import Effect
-from sim_twin.faults.fault import PlantEffect
+from sim_twin.faults.fault import Fault
 from sim_twin.throws.campaign import ThrowResult
 from sim_twin.throws.plants import TWIN, VIRTUAL
 from sim_twin.throws.throw_logs import FailureRecorder, LogContext
@@ -142,7 +142,7 @@ def _maker(campaign: Campaign, options: CampaignOptions) -> EffectPlantMaker | N
     if options.plant == VIRTUAL:
 
         def virtual(count: int, effects: tuple[Effect, ...]) -> SimulatedDriver:
-            faults = tuple(PlantEffect(e.effect, e.joint, e.parameters) for e in effects)
+            faults = tuple(Fault(e.effect, e.joint, e.parameters) for e in effects)
             condition = Condition(effects=faults)
             return VirtualMachine(count=count, unit_seed=options.unit_seed, condition=condition)
 

@@ -17,7 +17,7 @@ from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SensorSample, ValveCommand
 from sim_twin.faults.body_faults import FaultyBody
-from sim_twin.faults.fault import PlantEffect
+from sim_twin.faults.fault import Fault
 from sim_twin.faults.machine_faults import make_faults
 from sim_twin.faults.sensing_faults import FaultySensing
 from sim_twin.virtual.body import (
@@ -50,7 +50,7 @@ THREADS = 2
 class Condition:
     """Faults of N machines, and time step of the simulation."""
 
-    effects: tuple[PlantEffect, ...] = ()
+    effects: tuple[Fault, ...] = ()
     place_ratio: Array | None = None
     """(N,) position of each copy in its set of throws, for drifting effects: 0 first, 1 last."""
     unit: MachineUnit | None = None

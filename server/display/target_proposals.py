@@ -188,7 +188,7 @@ class TargetProposals:
             self._show_zones(session_id, machine_id)
 
     def _show_zones(self, session_id: str, machine_id: str) -> None:
-        active = self._zones.active(machine_id).zones
+        active = self._zones.approved(machine_id).zones
         self._scene.set_zones(session_id, active, self._zones.draft(machine_id))
 
     def show_site(self, machine_id: str) -> None:
@@ -235,7 +235,7 @@ class TargetProposals:
 
     def _zone_refusal(self, machine_id: str, target: Target) -> str:
         """Why no load may lie at the target; empty if one may."""
-        zones = ZoneCheck(self._zones.active(machine_id).zones, self._ball_radius_m)
+        zones = ZoneCheck(self._zones.approved(machine_id).zones, self._ball_radius_m)
         refusal = zones.target_refusal(target)
         return "" if refusal is None else refusal.detail
 

@@ -98,7 +98,7 @@ class YardMap:
                 machine_id=known.machine_id,
                 place=_view(places.get(known.machine_id)),
                 objects=self._sites.objects(known.machine_id),
-                zones=self._zones.active(known.machine_id).zones,
+                zones=self._zones.approved(known.machine_id).zones,
                 impacts=self._impacts(known.machine_id),
             )
             for known in self._registry.listed()

@@ -116,7 +116,7 @@ class JobPlans:
         model = measured_model(
             card, self._spec, job.material, [USUAL_SCATTER], middle_height_m(job)
         )
-        zones = self._zones.active(machine_id).zones
+        zones = self._zones.approved(machine_id).zones
         LoadPlanner(job.goal, job.field, model, file.grab_m3, zones)
 
     def moved(
@@ -132,7 +132,7 @@ class JobPlans:
         kept = self._models.get(row.job_id)
         if kept is None:
             raise ConflictError("not_planned", "The next loads are being planned; wait for them.")
-        zones = self._zones.active(row.machine_id).zones
+        zones = self._zones.approved(row.machine_id).zones
         planner = LoadPlanner(ground.job.goal, ground.job.field, kept[1], file.grab_m3, zones)
         load = planner.load_at(field, to.x_m, to.y_m, to.volume_m3)
         return self._proposal(load, to.proposal_count, file, self._sites.objects(row.machine_id))
@@ -164,7 +164,7 @@ class JobPlans:
                 ground=record.ground,
                 height_m=plan.field.height_m,
                 passed_m=tuple((float(x), float(y)) for x, y in row.passed_m),
-                zones=self._zones.active(row.machine_id).zones,
+                zones=self._zones.approved(row.machine_id).zones,
                 policy_dir=policy.folder,
                 card=policy.card,
                 landing=landing,

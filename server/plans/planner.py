@@ -148,7 +148,7 @@ class Planner:
             model_sha256=self._spec.sha256,
             twin_profile_version=self._twins.profile_version(machine_id),
             site=dump(self._sites.around(machine_id, target)),
-            zones=dump_zones(self._zones.active(machine_id).zones),
+            zones=dump_zones(self._zones.approved(machine_id).zones),
             swept_path_rad_m=[],
             refusals=[],
             prediction=None,
@@ -193,7 +193,7 @@ class Planner:
 
     def _zone_refusal(self, state: MachineState) -> RefusedError | None:
         """Refusal while the machine has other exclusion zones than those that are approved."""
-        approved = self._zones.active(state.machine_id)
+        approved = self._zones.approved(state.machine_id)
         is_older = state.protocol_version < ZONES_VERSION
         aboard = "" if is_older else state.zones_sha256
         if aboard == approved.sha256:

@@ -45,21 +45,23 @@ class ZoneStore:
         self._hub = hub
         self._is_four_eyes = is_four_eyes
         self._lock = threading.Lock()
-        self._active: dict[str, ZoneSet] = {}
+        self._approved_sets: dict[str, ZoneSet] = {}
         """Looked up at every state of a machine; written with the lock held."""
         self.on_change: list[Callable[[str], None]] = []
         """Called with the machine's id."""
 
-    def active(self, machine_id: str) -> ZoneSet:
+    def approved(self, machine_id: str) -> ZoneSet:
         """The approved set; an empty one before the first approval."""
-        known = self._active.get(machine_id)
+        known = self._approved_sets.get(machine_id)
         if known is not None:
             return known
         with self._lock:
-            if machine_id not in self._active:
+            if machine_id not in self._approved_sets:
                 with self._database.read() as database:
-                    self._active[machine_id] = _set_of(self._approved(database, machine_id))
-            return self._active[machine_id]
+                    self._approved_sets[machine_id] = _set_of(
+                        self._newest_approved(database, machine_id)
+                    )
+            return self._approved_sets[machine_id]
 
     def draft(self, machine_id: str) -> tuple[Zone, ...]:
         """Zones of the newest version, where they are not approved; else none."""
@@ -75,22 +77,22 @@ class ZoneStore:
         self._registry.get(machine_id)
         with self._database.read() as database:
             newest = self._newest(database, machine_id)
-            approved = self._approved(database, machine_id)
+            approval = self._newest_approved(database, machine_id)
             drawn_by = self._drawn_by(database, machine_id)
-        active = _set_of(approved)
+        approved = _set_of(approval)
         return ZonesView(
             machine_id=machine_id,
             version_count=0 if newest is None else newest.version_count,
             zones=_zones_of(newest),
-            is_approved=newest is None or newest.zones_sha256 == active.sha256,
-            active=active.zones,
-            active_version_count=active.version_count,
-            active_sha256=active.sha256,
+            is_approved=newest is None or newest.zones_sha256 == approved.sha256,
+            approved=approved.zones,
+            approved_version_count=approved.version_count,
+            approved_sha256=approved.sha256,
             reason="" if newest is None else newest.reason,
             changed_by=None if newest is None else newest.created_by,
             changed_utc=None if newest is None else newest.created_utc,
-            approved_by=None if approved is None else approved.approved_by,
-            approved_utc=None if approved is None else approved.approved_utc,
+            approved_by=None if approval is None else approval.approved_by,
+            approved_utc=None if approval is None else approval.approved_utc,
             undo_version_count=None if newest is None else newest.before_version_count,
             drawn_by=drawn_by,
             is_four_eyes=self._is_four_eyes(),
@@ -193,16 +195,16 @@ class ZoneStore:
             )
             self._audit.append(database, entry)
             approved = _set_of(newest)
-        self._active[machine_id] = approved
+        self._approved_sets[machine_id] = approved
         return self._announced_view(machine_id)
 
-    def require_active(self, machine_id: str, sha256: str | None) -> None:
+    def require_approved(self, machine_id: str, sha256: str | None) -> None:
         """Refuse what was previewed with other zones than those that are approved.
 
         Raises:
             ApiError: the zones were changed.
         """
-        if (sha256 or "") != self.active(machine_id).sha256:
+        if (sha256 or "") != self.approved(machine_id).sha256:
             raise from_reason(
                 RejectReason.ZONES_MISMATCH,
                 "Other exclusion zones were approved since the preview. Preview again.",
@@ -229,7 +231,7 @@ class ZoneStore:
         ).first()
 
     @staticmethod
-    def _approved(database: DatabaseSession, machine_id: str) -> ZoneVersion | None:
+    def _newest_approved(database: DatabaseSession, machine_id: str) -> ZoneVersion | None:
         return database.scalars(
             select(ZoneVersion)
             .where(ZoneVersion.machine_id == machine_id, ZoneVersion.approved_utc.is_not(None))
@@ -243,7 +245,7 @@ class ZoneStore:
 
         All of them count: a later version may keep what an earlier one drew.
         """
-        active_sha256 = _set_of(cls._approved(database, machine_id)).sha256
+        approved_sha256 = _set_of(cls._newest_approved(database, machine_id)).sha256
         query = (
             select(ZoneVersion.zones_sha256, ZoneVersion.created_by)
             .where(ZoneVersion.machine_id == machine_id)
@@ -251,7 +253,7 @@ class ZoneStore:
         )
         names: set[str] = set()
         for sha256, created_by in database.execute(query):
-            if sha256 == active_sha256:
+            if sha256 == approved_sha256:
                 break
             names.add(created_by)
         return tuple(sorted(names))

@@ -51,16 +51,16 @@ class ZonesView(View):
     """As the newest version says."""
     is_approved: bool
     """The newest version says what is approved."""
-    active: Zones
+    approved: Zones
     """Approved: what previews and the machine keep out of."""
-    active_version_count: int
-    active_sha256: str
+    approved_version_count: int
+    approved_sha256: str
     """As the machine's state names the set on board; empty for no zones."""
     reason: str
     changed_by: str | None
     changed_utc: datetime | None
     approved_by: str | None
-    """Of the active version."""
+    """Of the approved version."""
     approved_utc: datetime | None
     undo_version_count: int | None
     """Version that undo goes back to; null when there is none."""

@@ -83,7 +83,7 @@ class ThrowService:
             raise from_reason(RejectReason.MACHINE_LOST, self._commands.lost_text(machine_id))
         plan = self._plans.freeze(plan_id, shown_hash, state)
         self._sites.require_unchanged(machine_id, plan.target, plan.site)
-        self._zones.require_active(machine_id, plan.zones_sha256)
+        self._zones.require_approved(machine_id, plan.zones_sha256)
         self._aim.require_current(plan)
         self.forget(machine_id)
         request = ArmRequest(

@@ -8,7 +8,7 @@ import numpy as np
 from machine.conventions import Array, BoolArray
 from machine.spec import MachineSpec
 from sim_twin.faults.fault import EffectSizes
-from sim_twin.faults.off_table_valve import OffTableValve
+from sim_twin.faults.unlisted_valve_faults import UnlistedValveFaults
 from sim_twin.virtual.hydraulics import Hydraulics
 from sim_twin.virtual.sizing import TANK_PRESSURE_PA
 
@@ -54,7 +54,9 @@ class FaultyDrive:
         self._breakaway = sizes.joints("stiction", "breakaway_rad_m_per_s")
         self._load_torque = np.zeros((sizes.count, 4))
         self._holds = bool((self._gap > 0.0).any() or (self._breakaway > 0.0).any())
-        self._off_table = OffTableValve(sizes, step_s) if OffTableValve.is_in(sizes) else None
+        self._unlisted = (
+            UnlistedValveFaults(sizes, step_s) if UnlistedValveFaults.is_in(sizes) else None
+        )
         one = (sizes.count, 4)
         self._steady = np.zeros(one)
         self._slack, self._anchor = np.zeros(one), np.zeros(one)
@@ -82,14 +84,14 @@ class FaultyDrive:
         self._free[:] = False
         self._slack[:] = np.where(self._load_torque >= 0.0, 0.5, -0.5) * self._gap
         self._anchor[:] = position_rad_m
-        if self._off_table is not None:
-            self._off_table.reset(position_rad_m, seed)
+        if self._unlisted is not None:
+            self._unlisted.reset(position_rad_m, seed)
 
     def command(self, command_ratio: Array, position_rad_m: Array) -> Array:
         """What reaches the valves (N, 4) of what was commanded."""
-        if self._off_table is None:
+        if self._unlisted is None:
             return command_ratio
-        return self._off_table.command(command_ratio, position_rad_m)
+        return self._unlisted.command(command_ratio, position_rad_m)
 
     def meter(self, opening_ratio: Array, position_rad_m: Array) -> None:
         """Change openings (2, N, 4) in place by load, and note the speed that they stand for."""
@@ -97,8 +99,8 @@ class FaultyDrive:
         load = self._loss * load_ratio
         opening_ratio[0] *= np.maximum(1.0 - load, 0.0)
         opening_ratio[1] *= np.maximum(1.0 + load, 0.0)
-        if self._off_table is not None:
-            self._off_table.meter(opening_ratio, position_rad_m, load_ratio)
+        if self._unlisted is not None:
+            self._unlisted.meter(opening_ratio, position_rad_m, load_ratio)
         rated = self._rated
         np.subtract(opening_ratio[0] * rated[0], opening_ratio[1] * rated[1], out=self._steady)
 

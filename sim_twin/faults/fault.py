@@ -12,10 +12,10 @@ import numpy as np
 from machine.conventions import ACTIVE_COUNT, ACTIVE_JOINTS, Array
 from machine.errors import PlantError
 from sim_twin.effects.schema import DRIFT, PartName
-from sim_twin.faults.off_table import FAULTS
+from sim_twin.faults.fault_tables import FAULTS
 
 
-class PlantEffect(NamedTuple):
+class Fault(NamedTuple):
     """One effect at its size."""
 
     effect: str
@@ -26,7 +26,7 @@ class PlantEffect(NamedTuple):
 class EffectSizes:
     """Sizes of all parameters on each of N machines: constant, plus drift times place in the set."""
 
-    def __init__(self, effects: Sequence[PlantEffect], place_ratio: Array) -> None:
+    def __init__(self, effects: Sequence[Fault], place_ratio: Array) -> None:
         """Add up the effects.
 
         Args:
@@ -88,7 +88,7 @@ class EffectSizes:
         return float(size[0])
 
 
-def _check(item: PlantEffect) -> None:
+def _check(item: Fault) -> None:
     if item.effect not in (DRIFT, *FAULTS):
         raise PlantError(
             f"the virtual machine has no effect '{item.effect}'; it has {[DRIFT, *FAULTS]}"

@@ -9,7 +9,7 @@ from machine.conventions import Array
 from machine.spec import MachineSpec
 from sim_twin.faults.body_faults import FaultyBody, altered_unit, drive_limits
 from sim_twin.faults.drive_faults import FaultyDrive
-from sim_twin.faults.fault import EffectSizes, PlantEffect
+from sim_twin.faults.fault import EffectSizes, Fault
 from sim_twin.faults.load_faults import FaultyLoad
 from sim_twin.faults.sensing_faults import FaultySensing
 from sim_twin.virtual.units import MachineUnit
@@ -27,7 +27,7 @@ class PlantFaults(NamedTuple):
 
 
 def make_faults(
-    effects: Sequence[PlantEffect],
+    effects: Sequence[Fault],
     place_ratio: Array,
     spec: MachineSpec,
     unit: MachineUnit,

@@ -24,7 +24,7 @@ from machine.errors import UsageError
 from machine.spec import MachineSpec, load_spec
 from runtime.records.log_reader import read_throw_log
 from sim_twin.effects.schema import DRIFT
-from sim_twin.faults.off_table import FAULTS
+from sim_twin.faults.fault_tables import FAULTS
 from sim_twin.twin.profile import TwinProfile, nominal_profile
 from sim_twin.virtual.units import nominal_unit
 

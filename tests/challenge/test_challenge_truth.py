@@ -11,7 +11,7 @@ from machine.errors import UsageError
 from sim_twin.effects.pairs import CONFUSABLE_PAIRS
 from sim_twin.effects.schema import DRIFT
 from sim_twin.faults.fault import EffectSizes
-from sim_twin.faults.off_table import FAULTS
+from sim_twin.faults.fault_tables import FAULTS
 
 LIMITS = load_limits()
 TRUTHS = draw_truths(11, 400, LIMITS)

@@ -97,9 +97,9 @@ def test_a_zone_is_drawn_approved_obeyed_and_changed(
     page.get_by_label("To, m", exact=True).fill("2.5")
     _approve(page, "it is lower than that")
     with client(demo, "admin") as api:
-        active = api.get(ZONES).json()["active"]
+        active = api.get(ZONES).json()["approved"]
         assert [(zone["name"], zone["top_m"]) for zone in active] == [("Office", 2.5)]
-        sha256 = api.get(ZONES).json()["active_sha256"]
+        sha256 = api.get(ZONES).json()["approved_sha256"]
         until(
             lambda: api.get("/machines/m001").json()["state"]["zones_sha256"] == sha256,
             "the machine to have the zone",

@@ -37,7 +37,7 @@ def sue(running):
     """A supervisor; leaves no zones."""
     with running.client("sue") as client:
         yield client
-        if client.get(PATH).json()["active"]:
+        if client.get(PATH).json()["approved"]:
             with running.client("ada") as ada:
                 change(ada, [])
             assert approve(client).status_code == 200
@@ -51,18 +51,18 @@ def test_a_draft_is_in_force_once_a_supervisor_approves_it(running, ada, sue):
     first = ada.get(PATH).json()["version_count"]
     draft = change(ada, [OFFICE]).json()
     assert (draft["version_count"], draft["changed_by"]) == (first + 1, "ada")
-    assert (draft["is_approved"], draft["active"], draft["active_sha256"]) == (False, [], "")
+    assert (draft["is_approved"], draft["approved"], draft["approved_sha256"]) == (False, [], "")
     assert approve(ada).status_code == 403
     stale = approve(sue, first)
     assert (stale.status_code, stale.json()["error"]["code"]) == (409, "zones_changed")
     active = approve(sue).json()
     assert (active["is_approved"], active["approved_by"]) == (True, "sue")
-    assert active["active_sha256"] == zones_sha256((Zone.model_validate(OFFICE),))
+    assert active["approved_sha256"] == zones_sha256((Zone.model_validate(OFFICE),))
     again = approve(sue)
     assert (again.status_code, again.json()["error"]["code"]) == (409, "zones_approved")
     # A change leaves what is approved in force; undo goes back to it, and needs no approval then.
     moved = change(ada, [OFFICE | {"top_m": 4.0}], "it has another floor").json()
-    assert (moved["is_approved"], moved["active"][0]["top_m"]) == (False, 3.0)
+    assert (moved["is_approved"], moved["approved"][0]["top_m"]) == (False, 3.0)
     back = ada.post(f"{PATH}/undo").json()
     assert (back["is_approved"], back["zones"][0]["top_m"]) == (True, 3.0)
     listed = ada.get(f"{PATH}/versions").json()
@@ -136,7 +136,7 @@ def test_an_approved_set_is_sent_and_binds_plans(running, machine, ada, sue):
     with Listener(ada) as mine:
         approve(sue)
         wait_for(lambda: mine.of("zones.updated"))
-    sha256 = sue.get(PATH).json()["active_sha256"]
+    sha256 = sue.get(PATH).json()["approved_sha256"]
     on_board(running, sha256)
     ada.post("/machines/m001/lease")
     stale = ada.post(f"/plans/{before['plan_id']}/arm", json={})
@@ -154,7 +154,7 @@ def test_an_approved_set_is_sent_and_binds_plans(running, machine, ada, sue):
 def test_a_click_and_a_plan_into_a_zone_are_refused(running, machine, ada, sue):
     change(ada, [OFFICE])
     approve(sue)
-    on_board(running, sue.get(PATH).json()["active_sha256"])
+    on_board(running, sue.get(PATH).json()["approved_sha256"])
     with Listener(ada) as mine:
         ada.put("/machines/m001/target", json=NEAR)
         wait_for(lambda: mine.of("target.proposed"))
@@ -171,10 +171,10 @@ def test_a_machine_with_other_zones_is_sent_them_and_not_planned_for(running, ma
     plan = finished(ada, create(ada))
     assert plan["refusals"][0]["reason"] == "zones_mismatch"
     machine.ignores.clear()
-    on_board(running, sue.get(PATH).json()["active_sha256"])
+    on_board(running, sue.get(PATH).json()["approved_sha256"])
     # As after a restart with records that cannot be read.
     machine.zones_sha256 = None
-    on_board(running, sue.get(PATH).json()["active_sha256"])
+    on_board(running, sue.get(PATH).json()["approved_sha256"])
 
 
 def test_zones_outlive_a_restart_of_the_server(tmp_path, swing_policies):
@@ -183,9 +183,9 @@ def test_zones_outlive_a_restart_of_the_server(tmp_path, swing_policies):
         add_people(first.parts)
         with first.client("ada") as ada, first.client("sue") as sue:
             change(ada, [FAR])
-            sha256 = approve(sue).json()["active_sha256"]
+            sha256 = approve(sue).json()["approved_sha256"]
     with running_server(settings) as second, second.machine() as machine:
-        assert second.parts.zones.active("m001").sha256 == sha256
+        assert second.parts.zones.approved("m001").sha256 == sha256
         wait_for(lambda: machine.zones_sha256 == sha256)
         with second.parts.database.read() as database:
             row = database.get(ZoneVersion, ("m001", 1))

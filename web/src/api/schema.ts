@@ -6667,16 +6667,16 @@ export interface components {
          * @description Exclusion zones of a machine, frame `machine`.
          */
         ZonesView: {
-            /** Active */
-            active: components["schemas"]["Zone"][];
-            /** Active Sha256 */
-            active_sha256: string;
-            /** Active Version Count */
-            active_version_count: number;
+            /** Approved */
+            approved: components["schemas"]["Zone"][];
             /** Approved By */
             approved_by: string | null;
+            /** Approved Sha256 */
+            approved_sha256: string;
             /** Approved Utc */
             approved_utc: string | null;
+            /** Approved Version Count */
+            approved_version_count: number;
             /** Changed By */
             changed_by: string | null;
             /** Changed Utc */

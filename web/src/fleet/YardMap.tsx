@@ -44,7 +44,7 @@ export function YardMap({ rows }: { rows: readonly FleetRow[] }) {
         ...one,
         // Changes since the page was opened come by themselves.
         objects: sites[one.machine_id]?.objects ?? one.objects,
-        zones: zones[one.machine_id]?.active ?? one.zones,
+        zones: zones[one.machine_id]?.approved ?? one.zones,
       },
     ]),
   );

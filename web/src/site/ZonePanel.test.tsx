@@ -30,9 +30,9 @@ const view = (changes: Partial<Zones>): Zones => ({
   version_count: 4,
   zones: [OFFICE],
   is_approved: true,
-  active: [OFFICE],
-  active_version_count: 4,
-  active_sha256: "s",
+  approved: [OFFICE],
+  approved_version_count: 4,
+  approved_sha256: "s",
   reason: "the yard's plan",
   changed_by: "ada",
   changed_utc: "2026-11-27T10:00:00Z",
@@ -134,7 +134,7 @@ describe("the panel of exclusion zones", () => {
   });
 
   it("lets the right person approve a draft", async () => {
-    render(<Page zones={view({ is_approved: false, active: [], active_version_count: 0 })} />);
+    render(<Page zones={view({ is_approved: false, approved: [], approved_version_count: 0 })} />);
     await waitFor(() =>
       expect(screen.getByRole("button", { name: /Approve/ })).toHaveProperty("disabled", false),
     );

@@ -24,7 +24,7 @@ export function useZones(machineId: string) {
     (!data ||
       live.version_count > data.version_count ||
       (live.version_count === data.version_count &&
-        live.active_version_count > data.active_version_count));
+        live.approved_version_count > data.approved_version_count));
   return { ...zones, data: isNewer ? live : data };
 }
 

@@ -48,9 +48,9 @@ describe("drawing a zone", () => {
 
 describe("what is in force", () => {
   const zones = {
-    active_version_count: 3,
-    active_sha256: "a",
-    active: [{}],
+    approved_version_count: 3,
+    approved_sha256: "a",
+    approved: [{}],
     approved_by: "sue",
   } as unknown as Zones;
 
@@ -60,6 +60,6 @@ describe("what is in force", () => {
     );
     for (const other of ["", null, undefined])
       expect(forceWords(zones, other, "m001")).toMatch(/does not have them yet, and does not arm/);
-    expect(forceWords({ ...zones, active_version_count: 0 }, "", "m001")).toMatch(/^None is/);
+    expect(forceWords({ ...zones, approved_version_count: 0 }, "", "m001")).toMatch(/^None is/);
   });
 });

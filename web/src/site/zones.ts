@@ -62,13 +62,13 @@ export const isSame = (a: readonly Zone[], b: readonly Zone[]) =>
 
 /** What is in force, and whether the machine has it. */
 export function forceWords(zones: Zones, onBoard: string | null | undefined, machine: string) {
-  if (zones.active_version_count === 0) return "None is in force yet.";
-  const count = zones.active.length;
+  if (zones.approved_version_count === 0) return "None is in force yet.";
+  const count = zones.approved.length;
   const what = count === 0 ? "No zone is" : count === 1 ? "1 zone is" : `${count} zones are`;
   const where =
-    onBoard === zones.active_sha256
+    onBoard === zones.approved_sha256
       ? `${machine} has them.`
       : `${machine} does not have them yet, and does not arm until it does.`;
-  const by = `(version ${zones.active_version_count}, approved by ${zones.approved_by})`;
+  const by = `(version ${zones.approved_version_count}, approved by ${zones.approved_by})`;
   return `${what} in force ${by}. ${where}`;
 }

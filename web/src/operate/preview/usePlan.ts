@@ -50,7 +50,7 @@ export function usePlan(
   const isLoaded = machine?.state?.payload_held ?? false;
   // A plan knows what stood around the machine: it cannot be armed once that was changed.
   const site = useLive((live) => (machineId ? live.sites[machineId]?.version_count : 0)) ?? 0;
-  const zones = useLive((live) => (machineId ? live.zones[machineId]?.active_sha256 : "")) ?? "";
+  const zones = useLive((live) => (machineId ? live.zones[machineId]?.approved_sha256 : "")) ?? "";
   const key =
     target && machineId && policy
       ? [machineId, mode, policy, isLoaded, site, zones, pace_ratio, pointKey(target), round].join(

@@ -1,13 +1,13 @@
-"""Faults of valves and commands that the table of effects does not have (off_table.py)."""
+"""Faults of valves and commands that the table of effects does not have (fault_tables.py)."""
 
 import numpy as np
 
 from machine.conventions import Array, BoolArray
 from sim_twin.faults.fault import EffectSizes
-from sim_twin.faults.off_table import OFF_TABLE_FAULTS
+from sim_twin.faults.fault_tables import UNLISTED_FAULTS
 
 
-class OffTableValve:
+class UnlistedValveFaults:
     """Valves of N machines: drop-outs, command steps, fading hysteresis, changing gain, crosstalk."""
 
     def __init__(self, sizes: EffectSizes, step_s: float) -> None:
@@ -32,7 +32,7 @@ class OffTableValve:
     @staticmethod
     def is_in(sizes: EffectSizes) -> bool:
         """Whether one of these faults is there."""
-        return sizes.has(*(f.name for f in OFF_TABLE_FAULTS.values() if f.part == "drive"))
+        return sizes.has(*(f.name for f in UNLISTED_FAULTS.values() if f.part == "drive"))
 
     def reset(self, position_rad_m: Array, seed: int) -> None:
         """A throw starts at active positions (N, 4)."""

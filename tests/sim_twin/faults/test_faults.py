@@ -12,8 +12,8 @@ from machine.spec import load_spec
 from machine.starts import safe_pose, sample_starts
 from runtime.driver import ValveCommand
 from sim_twin.effects.schema import DRIFT
-from sim_twin.faults.fault import PlantEffect
-from sim_twin.faults.off_table import FAULTS, OFF_TABLE_FAULTS, TABLE_FAULTS
+from sim_twin.faults.fault import Fault
+from sim_twin.faults.fault_tables import FAULTS, TABLE_FAULTS, UNLISTED_FAULTS
 from sim_twin.virtual_machine import Condition, VirtualMachine
 from tests.cases import each
 
@@ -22,13 +22,13 @@ TICK_S = CONTROL_PERIOD_NS * 1e-9
 RNG = np.random.default_rng(5)
 
 
-def machine(*effects: PlantEffect, count: int = 1, places: Array | None = None) -> VirtualMachine:
+def machine(*effects: Fault, count: int = 1, places: Array | None = None) -> VirtualMachine:
     condition = Condition(effects=effects, place_ratio=places)
     return VirtualMachine(count=count, unit_seed=0, tracker=False, condition=condition)
 
 
-def effect(name: str, joint: str | None = None, **parameters: float) -> PlantEffect:
-    return PlantEffect(name, joint, parameters)
+def effect(name: str, joint: str | None = None, **parameters: float) -> Fault:
+    return Fault(name, joint, parameters)
 
 
 def drive(
@@ -106,7 +106,7 @@ def test_dead_band_eats_the_command_one_way_only() -> None:
 def test_gain_scales_the_steady_speed(joint: str, size: float) -> None:
     side = "positive_ratio" if size > 0.0 else "negative_ratio"
     seconds = 3.0 if joint == "slew" else 1.0
-    gained = PlantEffect("valve_gain", joint, {side: 0.3})
+    gained = Fault("valve_gain", joint, {side: 0.3})
     more = steady(machine(gained), joint, size, seconds)
     assert more / steady(machine(), joint, size, seconds) == pytest.approx(1.3, abs=0.05)
 
@@ -171,7 +171,7 @@ def test_a_weaker_pump_slows_only_what_needs_it_all() -> None:
     )
 
 
-def swing(*effects: PlantEffect) -> Array:
+def swing(*effects: Fault) -> Array:
     """Pitch about plumb of a gripper let go 0.3 rad aside, arm at rest, (ticks,)."""
     pose = safe_pose()
     pose[4] += 0.3
@@ -202,7 +202,7 @@ def test_a_hose_pulls_towards_the_start_angle() -> None:
     assert angle[-200:].mean() > swing()[-200:].mean() + 0.03
 
 
-def throw(*effects: PlantEffect) -> VirtualMachine:
+def throw(*effects: Fault) -> VirtualMachine:
     """A load that swings and is let go after 0.5 s, until it has landed."""
     plant = machine(*effects)
     pose = safe_pose()
@@ -211,7 +211,7 @@ def throw(*effects: PlantEffect) -> VirtualMachine:
     return plant
 
 
-def landed(*effects: PlantEffect) -> Array:
+def landed(*effects: Fault) -> Array:
     point = throw(*effects).truth().impact_position_m[0]
     assert np.isfinite(point).all()
     return point
@@ -257,7 +257,7 @@ def test_payload_offset_shifts_the_load_in_the_gripper() -> None:
 
 
 def test_base_effects_turn_and_lift_everything() -> None:
-    def ball(*effects: PlantEffect) -> Array:
+    def ball(*effects: Fault) -> Array:
         plant = machine(*effects)
         plant.reset(safe_pose()[None], seed=3)
         return plant.truth().ball_position_m[0]
@@ -311,7 +311,7 @@ def test_sensor_faults_change_the_readings() -> None:
 
 
 def test_a_late_imu_shows_the_past() -> None:
-    def gyro(*effects: PlantEffect) -> Array:
+    def gyro(*effects: Fault) -> Array:
         plant = machine(*effects)
         pose = safe_pose()
         pose[4] += 0.4
@@ -342,7 +342,7 @@ def test_drift_grows_from_the_first_to_the_last_throw() -> None:
     assert np.diff(onset) == pytest.approx([0.1, 0.1], abs=0.02)
 
 
-OFF_TABLE_SIZES = {
+UNLISTED_SIZES = {
     "turntable_torsion": {"windup_rad": 0.03},
     "gain_oscillation": {"amplitude_ratio": 0.4, "frequency_hz": 1.5},
     "command_dropouts": {"rate_per_s": 3.0, "length_s": 0.2},
@@ -360,7 +360,7 @@ def test_every_fault_off_the_table_changes_a_throw() -> None:
     def busy(t_s: float) -> Array:
         return np.array([0.5, 0.45, 0.0, 0.3]) * np.sign(np.sin(5.0 * t_s + 0.1))
 
-    def outcome(*effects: PlantEffect) -> Array:
+    def outcome(*effects: Fault) -> Array:
         plant = machine(*effects)
         pose = safe_pose()
         pose[4] -= 0.9
@@ -369,9 +369,9 @@ def test_every_fault_off_the_table_changes_a_throw() -> None:
         return np.concatenate([seen, plant.truth().impact_position_m[0]])
 
     plain, idle = outcome(), []
-    for name, fault in OFF_TABLE_FAULTS.items():
+    for name, fault in UNLISTED_FAULTS.items():
         joint = "boom" if fault.joints else None
-        change = outcome(effect(name, joint, **OFF_TABLE_SIZES[name])) - plain
+        change = outcome(effect(name, joint, **UNLISTED_SIZES[name])) - plain
         if not np.nanmax(np.abs(change)) > 5e-3:
             idle.append((name, change))
     assert not idle
@@ -387,7 +387,7 @@ def test_wrong_names_are_refused() -> None:
     with pytest.raises(PlantError, match="has no parameter"):
         machine(effect("wind", z_m_per_s=1.0))
     with pytest.raises(PlantError, match="cannot drift"):
-        leaning = PlantEffect(DRIFT, None, {"base_tilt.roll_rad": 0.1})
+        leaning = Fault(DRIFT, None, {"base_tilt.roll_rad": 0.1})
         machine(leaning, count=2, places=np.array([0.0, 1.0]))
 
 
@@ -396,7 +396,7 @@ def test_columns_of_the_faults_are_consistent() -> None:
         assert fault.name == name
         assert fault.strength is None or fault.strength in fault.bounds
         assert all(low <= high for low, high in fault.bounds.values())
-    assert not TABLE_FAULTS.keys() & OFF_TABLE_FAULTS.keys()
+    assert not TABLE_FAULTS.keys() & UNLISTED_FAULTS.keys()
 
 
 def test_every_effect_of_the_table_changes_a_throw() -> None:
@@ -405,7 +405,7 @@ def test_every_effect_of_the_table_changes_a_throw() -> None:
     def busy(t_s: float) -> Array:
         return np.array([0.5, 0.45, 0.3, 0.5]) * np.sign(np.sin(5.0 * t_s + 0.1))
 
-    def outcome(*effects: PlantEffect) -> Array:
+    def outcome(*effects: Fault) -> Array:
         plant = machine(*effects)
         pose = safe_pose()
         pose[4:6] += (-0.9, 0.2)

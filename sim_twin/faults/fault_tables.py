@@ -1,7 +1,7 @@
 """All faults of the virtual machine: one for each effect of the table, and some that the table does not have.
 
 A fault of the first kind (`TABLE_FAULTS`) realises the effect of the same name, by physics independent of the
-twin's; a diagnosis names it. Those of the second kind (`OFF_TABLE_FAULTS`) it must call unknown.
+twin's; a diagnosis names it. Those of the second kind (`UNLISTED_FAULTS`) it must call unknown.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ def _of_table(spec: EffectSpec) -> FaultSpec:
     return FaultSpec(spec.name, spec.stage, spec.part, bounds, spec.joints)
 
 
-_OFF_TABLE = (
+_UNLISTED = (
     FaultSpec("turntable_torsion", "aim", "base", {"windup_rad": (0.0, 0.05)}),
     FaultSpec(
         "gain_oscillation",
@@ -83,7 +83,7 @@ TABLE_FAULTS: Mapping[str, FaultSpec] = {
     spec.name: _of_table(spec) for spec in EFFECTS.values() if spec.name != DRIFT
 }
 """The effects of the table, in its order."""
-OFF_TABLE_FAULTS: Mapping[str, FaultSpec] = {spec.name: spec for spec in _OFF_TABLE}
+UNLISTED_FAULTS: Mapping[str, FaultSpec] = {spec.name: spec for spec in _UNLISTED}
 """The faults that the table does not have; the code of their part says what each does."""
-FAULTS: Mapping[str, FaultSpec] = {**TABLE_FAULTS, **OFF_TABLE_FAULTS}
+FAULTS: Mapping[str, FaultSpec] = {**TABLE_FAULTS, **UNLISTED_FAULTS}
 """All that the virtual machine can have."""
