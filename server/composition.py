@@ -323,7 +323,7 @@ def assemble(
         views=MachineViews(registry, leases, policies, throws, stops, hub, scene, metrics),
         sites=sites,
         zones=zones,
-        zone_notices=ZoneNotices(zones.active, registry, commands),
+        zone_notices=ZoneNotices(zones.approved, registry, commands),
         targets=TargetProposals(scene, policies, sites, zones, hub, impacts, registry, spec),
         scene=scene,
     )
