@@ -30,6 +30,7 @@ from typing import Any
 import httpx
 import tyro
 
+from benchmarks.observed_machine import ALIVE_PERIOD_S
 from benchmarks.policy_yard import MACHINES, MODE, Machine, Yard, wait_until
 from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from cli.service import rollback
@@ -229,7 +230,7 @@ class Kills:
             newest = wait_until(ended, f"deployment to {machine.machine_id}", FINISH_S)
             if newest["outcome"] == "switched":
                 wait_until(
-                    lambda: yard.held(machine.machine_id) == wanted, "the version in use", 30.0
+                    lambda: yard.held(machine.machine_id) == wanted, "the version in use", FINISH_S
                 )
                 return "went on"
             if not newest["detail"]:
@@ -253,7 +254,7 @@ class Kills:
             return machine.slots.of(MODE).current == target
 
         def finish() -> str:
-            wait_until(is_back, f"rollback at {machine.machine_id}", 60.0)
+            wait_until(is_back, f"rollback at {machine.machine_id}", FINISH_S)
             wait_until(
                 lambda: self.yard.held(machine.machine_id) == target, "the version in use", 60.0
             )
@@ -319,12 +320,15 @@ class Kills:
     def history(self, begin_s: float) -> list[str]:
         """Compare the server's history with the machines' own notes at random times since `begin_s`."""
         wrong: list[str] = []
+        rows = {machine.machine_id: machine.log() for machine in self.yard.machines}
         logs = {machine.machine_id: changes_of(machine.log()) for machine in self.yard.machines}
         for _ in range(TIMES_COUNT):
             machine_id = self.rng.choice(MACHINES)
             times, held = logs[machine_id]
             t_s = self.rng.uniform(begin_s, time.time())
             after = bisect.bisect_right(times, t_s)
+            if is_off(rows[machine_id], t_s):
+                continue
             near_s = min(abs(t_s - times[k]) for k in (after - 1, after) if 0 <= k < len(times))
             at = datetime.fromtimestamp(t_s, UTC).isoformat()
             view = self.yard.client.get(f"/machines/{machine_id}/policies", params={"at": at})
@@ -332,6 +336,14 @@ class Kills:
             if near_s > NEAR_S and shown != held[after - 1]:
                 wrong.append(f"{machine_id} at {at}, {near_s:.2f} s from a change")
         return wrong
+
+
+def is_off(log: list[dict[str, Any]], t_s: float) -> bool:
+    """Whether no control process wrote into a machine's log around a time: it held nothing then."""
+    after = bisect.bisect_right([line["t_s"] for line in log], t_s)
+    last, following = log[after - 1], log[after] if after < len(log) else None
+    is_other_boot = following is not None and following["boot_id"] != last["boot_id"]
+    return is_other_boot and t_s - last["t_s"] > ALIVE_PERIOD_S
 
 
 def changes_of(log: list[dict[str, Any]]) -> tuple[list[float], list[dict[str, str]]]:
