@@ -88,19 +88,25 @@ def _query(trust: SiteTrust | None) -> str:
     return "?" + urllib.parse.urlencode([("list", trust.serial_count), *keys])
 
 
+def has_version(wanted: WantedPolicy, slots: PolicySlots) -> bool:
+    """Whether the version is complete on the disk, with the files that the server names."""
+    folder = slots.version_folder(wanted.policy_sha256)
+    is_usable = {file.name for file in wanted.files} >= {POLICY_FILE, CARD_FILE}
+    return is_usable and all(_hash(folder / f.name) == f.sha256 for f in wanted.files)
+
+
 def fetch_version(target: UploadTarget, wanted: WantedPolicy, slots: PolicySlots) -> Path:
     """The complete folder of a version, fetched where it is not there already.
 
     Raises:
         TransferError: it is not complete yet; what has come is kept.
     """
-    folder = slots.version_folder(wanted.policy_sha256)
+    if has_version(wanted, slots):
+        return slots.version_folder(wanted.policy_sha256)
     if not {file.name for file in wanted.files} >= {POLICY_FILE, CARD_FILE}:
         raise TransferError(
             f"the server does not have policy {wanted.policy_sha256[:12]}... any more"
         )
-    if all(_hash(folder / file.name) == file.sha256 for file in wanted.files):
-        return folder
     incoming = slots.incoming / wanted.policy_sha256
     try:
         incoming.mkdir(parents=True, exist_ok=True)

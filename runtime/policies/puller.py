@@ -23,6 +23,7 @@ from runtime.policies.download import (
     WantedPolicy,
     fetch_version,
     fetch_wanted,
+    has_version,
 )
 from runtime.policies.slots import PolicySlots
 from runtime.records.log_upload import UploadTarget
@@ -65,7 +66,7 @@ class _Offered:
 
 
 class PolicyPuller:
-    """A thread of the link process."""
+    """Two threads of the link process: a rollback at the machine does not wait for a transfer."""
 
     def __init__(
         self,
@@ -94,16 +95,23 @@ class PolicyPuller:
         self._said = ""
         self._recheck: set[Mode] = set()
         self._is_closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="policies", daemon=True)
+        self._threads = (
+            threading.Thread(target=self._repeat, args=(self._poll_if_due,), name="policies"),
+            threading.Thread(target=self._repeat, args=(self._look_for_rollback,), name="rollback"),
+        )
 
     def start(self) -> None:
         """Begin to look."""
-        self._thread.start()
+        for thread in self._threads:
+            thread.daemon = True
+            thread.start()
 
     def close(self, timeout_s: float = 2.0) -> None:
         """Stop; a transfer goes on at the next start where it was."""
         self._is_closing.set()
-        self._thread.join(timeout_s)
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(timeout_s)
 
     def take_event(self, kind: EventKind, data: dict[str, Any]) -> None:
         """What the control process did with an offer; on any thread, once the event is stored."""
@@ -125,14 +133,16 @@ class PolicyPuller:
         with self._lock:
             self._offered.pop(mode, None)
 
-    def _run(self) -> None:
+    def _repeat(self, look: Callable[[], None]) -> None:
         while not self._is_closing.wait(LOOK_PERIOD_S):
             try:
-                self._look_for_rollback()
-                if time.monotonic() - self._polled_s >= self._wait_s:
-                    self.poll()
+                look()
             except OSError as error:
                 logger.error("policies: %s", error)
+
+    def _poll_if_due(self) -> None:
+        if time.monotonic() - self._polled_s >= self._wait_s:
+            self.poll()
 
     def _look_for_rollback(self) -> None:
         if not self._request_file.exists():
@@ -170,11 +180,10 @@ class PolicyPuller:
                 )
                 self._recheck = set(Mode)
             self._check_again()
-            for wanted in found.policies:
-                self._follow(self._target, wanted)
-            self._wait_s, self._said = POLL_PERIOD_S, ""
+            is_fetched = [self._follow(self._target, wanted) for wanted in found.policies]
+            self._wait_s, self._said = 0.0 if any(is_fetched) else POLL_PERIOD_S, ""
         except (TransferError, PolicyError) as error:
-            self._wait_s = min(self._wait_s * 2.0, POLL_PERIOD_MAX_S)
+            self._wait_s = min(max(self._wait_s * 2.0, POLL_PERIOD_S), POLL_PERIOD_MAX_S)
             if str(error) != self._said:
                 self._said = str(error)
                 logger.info("%s", error)
@@ -185,9 +194,10 @@ class PolicyPuller:
             if self._send(Kind.POLICY, offer.model_dump(mode="json")):
                 self._recheck.discard(mode)
 
-    def _follow(self, target: UploadTarget, wanted: WantedPolicy) -> None:
+    def _follow(self, target: UploadTarget, wanted: WantedPolicy) -> bool:
+        """Fetch a version, or offer one that is here; whether it was fetched."""
         if wanted.deployment_count <= self._slots.of(wanted.mode).deployment_count:
-            return
+            return False
         with self._lock:
             waiting = self._offered.get(wanted.mode)
         is_waiting = (
@@ -197,8 +207,11 @@ class PolicyPuller:
             and time.monotonic() - waiting.sent_s < OFFER_PERIOD_S
         )
         if is_waiting:
-            return
-        fetch_version(target, wanted, self._slots)
+            return False
+        if not has_version(wanted, self._slots):
+            fetch_version(target, wanted, self._slots)
+            # It may have been taken back during the transfer: offered only if it is still wanted.
+            return True
         self._offer(
             PolicyOffer(
                 mode=wanted.mode,
@@ -207,6 +220,7 @@ class PolicyPuller:
             )
         )
         self._slots.remove_unused(frozenset({wanted.policy_sha256}))
+        return False
 
     def _offer(self, offer: PolicyOffer) -> bool:
         # Noted before it is sent: the answer may come on another thread at once.

@@ -6,6 +6,7 @@ import pytest
 
 from cli.main import main
 from machine.conventions import Mode
+from machine.messages import ArmRequest, LoadRequest, ThrowState
 from machine.policy_approval import (
     SiteTrust,
     approve,
@@ -14,6 +15,8 @@ from machine.policy_approval import (
     sign_list,
 )
 from machine.policy_card import file_sha256, load_card, read_policy
+from runtime.process.policy_switch import SWITCHING
+from runtime.records.log_reader import read_throw_log
 from tests.link.yard import MACHINE, Machine, Yard
 from tests.runtime.policies.policy_server import policy_server
 from tests.runtime.quick_policy import write_policies, write_policy
@@ -123,6 +126,45 @@ def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
     wait_for(lambda: len(yard.server.states) > known and yard.server.state.policy_sha256.get("2d"))
     wait_for(lambda: aboard(yard) == wanted, 120.0)
     assert yard.server.state.policy_sha256.get("3d")
+
+
+def test_a_version_that_comes_while_a_plan_is_armed_waits_for_the_end_of_the_throw(place):
+    yard, server, folder = place
+    yard.ready()
+    before = aboard(yard)
+    yard.plan = yard.plan.model_copy(update={"policy_sha256": before})
+    for number in range(4):
+        nonce, throw_id = yard.arm(), yard.new_throw_id()
+        wanted = server.want(version(folder, f"late-{number}-2d", 0.35 + number / 100), 20 + number)
+        came = folder / MACHINE / "policies" / "versions" / wanted
+        # A plan that is not fired ends after 10 s; a busy computer may need longer for the transfer.
+        wait_for(lambda came=came: came.is_dir() or yard.server.state.state is ThrowState.DISARMED)
+        if yard.server.send(yard.fire_command(nonce, throw_id)).accepted:
+            break
+        wait_for(lambda wanted=wanted: aboard(yard) == wanted, 90.0)
+        before = wanted
+        yard.plan = yard.plan.model_copy(update={"policy_sha256": before})
+    else:
+        raise AssertionError("four plans in a row ended before the version had come")
+    yard.server.hold_button(throw_id, yard.epoch)
+    wait_for(lambda: "throw_ended" in yard.server.kinds(throw_id))
+    yard.server.go_silent()
+    wait_for(lambda: aboard(yard) == wanted, 90.0)
+    moving = [s for s in yard.server.states if s.throw_id == throw_id]
+    assert {s.policy_sha256["2d"] for s in moving if s.state not in SWITCHING} == {before}
+    happened = [(e.kind.value, e.throw_id, e.data.get("policy_sha256")) for e in yard.server.events]
+    ended = next(n for n, e in enumerate(happened) if e[:2] == ("throw_ended", throw_id))
+    switch = next(n for n, e in enumerate(happened) if (e[0], e[2]) == ("policy_switched", wanted))
+    assert ended < switch
+    yard.wait_for_log(throw_id)
+    log = read_throw_log(yard.log_path(throw_id))
+    assert log.metadata["plan_hash"] == yard.plan.plan_hash
+    # The plan that has just been thrown was made with the version before.
+    yard.server.order(LoadRequest, epoch_count=yard.epoch, **yard.server.seen())
+    refused = yard.server.order(
+        ArmRequest, epoch_count=yard.epoch, plan=yard.plan, **yard.server.seen()
+    )
+    assert (refused.accepted, refused.reason) == (False, "policy_mismatch")
 
 
 def trust_of(*folders, serial_count=1):

@@ -23,6 +23,9 @@ class PolicyServer(ThreadingHTTPServer):
         self.ranges: list[str] = []
         self.asked: list[str] = []
         """Queries of the requests for what is wanted."""
+        self.may_answer = threading.Event()
+        """Cleared: files are asked for and do not come."""
+        self.may_answer.set()
         self.has_ranges = True
         self.spoils = False
         self.trust: dict[str, Any] | None = None
@@ -72,6 +75,7 @@ class Handler(BaseHTTPRequestHandler):
             content = content[:-1] + bytes([content[-1] ^ 1])
         asked = self.headers.get("Range", "")
         self.server.ranges.append(asked)
+        self.server.may_answer.wait()
         if asked and self.server.has_ranges:
             first = int(asked.removeprefix("bytes=").rstrip("-"))
             self._answer(206, content[first:])

@@ -5,7 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +128,39 @@ def test_what_was_changed_on_the_servers_disk_after_its_approval_is_not_deployed
     body = WHY | {"policy_sha256": sha256}
     reply = eve.post("/machines/m001/policies/2d/deploy", json=body)
     assert reply.json()["error"]["code"] == code
+
+
+def at_once(monkeypatch, module, name, *calls):
+    """Results of calls on threads of their own, none of which goes on before all are checked."""
+    barrier, check = threading.Barrier(len(calls)), getattr(module, name)
+
+    def check_together(*arguments):
+        check(*arguments)
+        barrier.wait(60.0)
+
+    monkeypatch.setattr(module, name, check_together)
+    with ThreadPoolExecutor(len(calls)) as pool:
+        return [future.result() for future in [pool.submit(call) for call in calls]]
+
+
+@pytest.mark.parametrize("is_same_network", [True, False])
+def test_of_two_uploads_at_once_one_is_taken(
+    running, eve, version, tmp_path, monkeypatch, is_same_network
+):
+    other = tmp_path / "other" / version.name
+    write_policy(other, Mode.PLANAR, 0.444)
+    both = contents(version), contents(version if is_same_network else other)
+    calls = [lambda files=files: send(eve, files) for files in both]
+    replies = at_once(monkeypatch, policy_uploads, "check_in_child", *calls)
+    assert sorted(reply.status_code for reply in replies) == [201, 409]
+    taken = next(n for n, reply in enumerate(replies) if reply.status_code == 201)
+    code = "policy_known" if is_same_network else "policy_name"
+    assert replies[1 - taken].json()["error"]["code"] == code
+    folder = running.settings.data_dir / "uploaded-policies" / version.name
+    assert contents(folder) == both[taken]
+    known = [one for one in eve.get("/policies").json() if one["policy_id"] == version.name]
+    assert len(known) == 1
+    assert len(eve.get(f"/policies/{known[0]['policy_sha256']}/history").json()) == 1
 
 
 def test_a_name_is_given_once(running, eve, version, tmp_path):

@@ -1,5 +1,7 @@
 import json
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from sqlalchemy import select
@@ -10,7 +12,7 @@ from machine.errors import PolicyError
 from server.deployments import approval_basis, site_approvals
 from server.deployments.site_approvals import ApprovalError, SiteApprovals
 from server.errors import ConflictError, NotFoundError
-from server.plans.policy_life import change_state
+from server.plans.policy_life import change_state, history
 from server.schemas.console import Role
 from server.schemas.deployments import DeployRequest
 from server.schemas.policies import PolicyState
@@ -62,6 +64,56 @@ def test_an_approval_is_withdrawn_and_given_again_by_a_person(assembled, approva
     assert again.is_approved(policy)
     with pytest.raises(NotFoundError):
         approvals.approve("0" * 64, WHY, eve, is_without_validation=True)
+
+
+@pytest.fixture
+def approve_at_once(assembled, approvals, monkeypatch):
+    """Withdraws two versions and approves them on two threads, neither before both are checked."""
+    barrier, check = threading.Barrier(2), approval_basis.check_version
+
+    def check_together(*arguments):
+        check(*arguments)
+        barrier.wait(60.0)
+
+    def approve(sha256, name):
+        session = assembled.session(name, Role.ENGINEER)
+        try:
+            approvals.approve(sha256, WHY, session, is_without_validation=True)
+        except ConflictError as error:
+            return error.code
+        return name
+
+    def run(*hashes):
+        for sha256 in dict.fromkeys(hashes):
+            approvals.withdraw(sha256, WHY, assembled.session("eve", Role.ENGINEER))
+        monkeypatch.setattr(approval_basis, "check_version", check_together)
+        with ThreadPoolExecutor(2) as pool:
+            return list(pool.map(approve, hashes, ("eve", "eli")))
+
+    return run
+
+
+def test_of_two_approvals_of_a_version_at_once_one_is_given(assembled, approvals, approve_at_once):
+    sha256 = versions(assembled)["waits-2d"].card.policy_sha256
+    before = approvals.trust().serial_count
+    found = approve_at_once(sha256, sha256)
+    assert "approved" in found
+    (by,) = {*found} - {"approved"}
+    given = [one for one in approvals.trust().approvals if one.policy_sha256 == sha256]
+    assert [one.approved_by for one in given] == [by]
+    assert approvals.trust().serial_count == before + 2  # one withdrawal, one approval
+    with assembled.parts.database.read() as database:
+        assert history(database, sha256)[-1].actor == by
+
+
+def test_two_approvals_of_two_versions_at_once_are_both_kept(assembled, approvals, approve_at_once):
+    here = versions(assembled)
+    hashes = [here[name].card.policy_sha256 for name in ("waits-2d", "waits-3d")]
+    assert approve_at_once(*hashes) == ["eve", "eli"]
+    assert {*hashes} <= {one.policy_sha256 for one in approvals.trust().approvals}
+    again = fresh(assembled, assembled.parts.settings.data_dir)
+    again.start()
+    assert again.trust() == approvals.trust()
 
 
 @pytest.mark.parametrize("damage", ["no key", "no list", "other key", "torn list"])

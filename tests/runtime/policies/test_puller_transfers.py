@@ -1,0 +1,98 @@
+"""What is asked for while a version is being transferred: rollbacks at the machine and by the server."""
+
+import threading
+
+import pytest
+
+from machine.conventions import Mode
+from machine.messages import EventKind
+from runtime.policies import download
+from runtime.policies.puller import ROLLBACK_FILE, PolicyPuller
+from runtime.policies.slots import INSTALLED, PolicySlots
+from runtime.records.log_upload import UploadTarget
+from tests.runtime.policies.policy_server import policy_server
+from tests.runtime.quick_policy import write_policy
+from tests.waiting import wait_for
+
+
+@pytest.fixture
+def server():
+    with policy_server() as found:
+        yield found
+        found.may_answer.set()
+
+
+@pytest.fixture
+def versions(tmp_path):
+    for name, move_rad in (("old-2d", 0.2), ("new-2d", 0.3)):
+        write_policy(tmp_path / name, Mode.PLANAR, move_rad)
+    return tmp_path / "old-2d", tmp_path / "new-2d"
+
+
+@pytest.fixture
+def slots(tmp_path):
+    return PolicySlots(tmp_path / "slots")
+
+
+@pytest.fixture
+def offers():
+    return []
+
+
+@pytest.fixture
+def puller(server, slots, offers, tmp_path, monkeypatch):
+    """Longer than the test: only an answer, or what does not wait for it, lets it go on."""
+    monkeypatch.setattr(download, "TIMEOUT_S", 600.0)
+
+    def send(_, body):
+        offers.append((body["policy_sha256"], body["deployment_count"]))
+        return True
+
+    found = PolicyPuller(tmp_path / "slots", UploadTarget(server.url, "m001", "token"), send)
+    yield found
+    server.may_answer.set()
+    found.close()
+
+
+def switched(puller, slot, count):
+    data = {"mode": "2d", "policy_sha256": "c" * 64, "slot": slot, "deployment_count": count}
+    puller.take_event(EventKind.POLICY_SWITCHED, data)
+
+
+def test_a_rollback_at_the_machine_does_not_wait_for_a_transfer(
+    server, versions, slots, offers, puller, tmp_path
+):
+    slots.switch(Mode.PLANAR, "a" * 64, 1)
+    new = server.want(versions[1], 2)
+    server.may_answer.clear()
+    puller.start()
+    wait_for(lambda: server.ranges)
+    (tmp_path / "slots" / ROLLBACK_FILE).write_text('{"mode": "2d", "policy_sha256": ""}')
+    wait_for(lambda: offers)
+    assert offers[0] == (INSTALLED, None)
+    switched(puller, INSTALLED, None)
+    # What the server wants still comes: nobody has taken it back.
+    server.may_answer.set()
+    wait_for(lambda: (new, 2) in offers)
+    assert slots.of(Mode.PLANAR).current == INSTALLED
+
+
+def test_a_version_that_is_taken_back_during_its_transfer_is_never_offered(
+    server, versions, slots, offers, puller
+):
+    server.want(versions[1], 2)
+    server.may_answer.clear()
+    polling = threading.Thread(target=puller.poll)
+    polling.start()
+    wait_for(lambda: server.ranges)
+    old = server.want(versions[0], 3)
+    server.may_answer.set()
+    polling.join()
+    assert offers == []
+    puller.poll()
+    puller.poll()
+    assert offers == [(old, 3)]
+    switched(puller, old, 3)
+    puller.poll()
+    assert offers == [(old, 3)]
+    assert slots.of(Mode.PLANAR).current == old
