@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulk.footprint import Footprint, footprint, pour_points, release_towards
+from bulk.footprint import POUR_COUNT, Footprint, footprint, pour_points, release_towards
 from bulk.height_field import HeightField
 from bulk.job_file import BulkJob
 from bulk.simulation import dig_heap
+from machine.conventions import Array
 from machine.spec import MachineSpec
 
 MIN_RANGE_M = 5.0
@@ -23,6 +24,8 @@ class LandedLoad(NamedTuple):
     x_m: float
     y_m: float
     volume_m3: float
+    covariance_m2: tuple[float, float, float] | None = None
+    """xx, xy and yy of its places as measured; None: as predicted."""
 
 
 class LoadPlacement:
@@ -47,8 +50,12 @@ class LoadPlacement:
             if dug is None:
                 return surface
             surface, volume_m3 = dug
-        mark = self._mark(math.hypot(load.x_m, load.y_m))
-        points = pour_points(mark, (load.x_m, load.y_m), np.random.default_rng(number))
+        rng = np.random.default_rng(number)
+        if load.covariance_m2 is not None:
+            points = np.array((load.x_m, load.y_m)) + _spread(load.covariance_m2, rng)
+        else:
+            mark = self._mark(math.hypot(load.x_m, load.y_m))
+            points = pour_points(mark, (load.x_m, load.y_m), rng)
         return surface.pour(points, volume_m3 / len(points), self._job.material.slope_ratio)
 
     def _mark(self, range_m: float) -> Footprint:
@@ -62,6 +69,17 @@ class LoadPlacement:
                 np.random.default_rng(0),
             )
         return self._marks[step_m]
+
+
+def _spread(covariance_m2: tuple[float, float, float], rng: np.random.Generator) -> Array:
+    """(POUR_COUNT, 2) points of mean 0 that have a covariance exactly."""
+    xx, xy, yy = covariance_m2
+    drawn = rng.standard_normal((POUR_COUNT, 2))
+    drawn -= drawn.mean(axis=0)
+    # Of orthonormal columns, the covariance is 1 / POUR_COUNT.
+    sides, _ = np.linalg.qr(drawn)
+    size, axes = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+    return math.sqrt(POUR_COUNT) * (sides * np.sqrt(size.clip(0.0))) @ axes.T
 
 
 def middle_height_m(job: BulkJob) -> float:

@@ -15,14 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.registration import MAX_CORRECTION_M
 from machine.site.objects import SiteObjects
+from machine.site.thrown_material import MaterialFootprint, ThrownMaterial
 from machine.site.zones import ZoneSet
 
 SCHEMA_VERSION = 1
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 """What a machine of this software understands. 2: age of every command, clears that name their latch.
-3: exclusion zones."""
+3: exclusion zones. 4: bulk material of a plan."""
 ZONES_VERSION = 3
 """First protocol version with exclusion zones."""
+MATERIAL_VERSION = 4
+"""First protocol version whose plans name bulk material."""
 
 
 class ThrowState(StrEnum):
@@ -177,6 +180,8 @@ class ThrowPlan(_ToMachine):
     machine with exclusion zones checks them; None = the preview saw no zones."""
     aim: AimShift | None = None
     """None = the policy aims at the target; the machine's registration counts in any case."""
+    material: ThrownMaterial | None = None
+    """Bulk material that is thrown for a job; None = the ball. It changes nothing of the motion."""
 
     @property
     def aim_target(self) -> Target:
@@ -187,7 +192,7 @@ class ThrowPlan(_ToMachine):
     def plan_hash(self) -> str:
         """sha256 of the canonical JSON: sorted keys, no spaces, full float precision."""
         content = self.model_dump(mode="json")
-        for name in ("allowed_radius_m", "zones_sha256", "swept_path_rad_m", "aim"):
+        for name in ("allowed_radius_m", "zones_sha256", "swept_path_rad_m", "aim", "material"):
             if content[name] is None:
                 # As hashed by software that does not know the field.
                 del content[name]
@@ -447,6 +452,8 @@ class ImpactSurvey(_FromMachine):
     position_m: tuple[float, float, float]
     sd_m: float
     source: Literal["survey", "tracker", "manual"]
+    footprint: MaterialFootprint | None = None
+    """Of bulk material; `position_m` is then its centre. None = a ball, or not measured."""
 
 
 class ThrowEnd(_FromMachine):

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from machine.conventions import Array, BoolArray, IntArray
 from machine.site.solids import Solids
+from machine.site.thrown_material import ThrownMaterial
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,10 @@ class SensorSample:
     """(N, 3) surveyed point where the load touched down, frame `machine`."""
     impact_sd_m: Array
     """(N,) standard deviation of the survey, each horizontal axis."""
+    impact_volume_m3: Array | None = None
+    """(N,) volume of bulk material that landed; NaN: a ball. None = such loads are not measured."""
+    impact_covariance_m2: Array | None = None
+    """(N, 3) xx, xy and yy of its places about the impact, frame `machine`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +125,15 @@ class LandingDriver(Protocol):
 
     def set_solids(self, solids: Solids) -> None:
         """Ground and objects, frame `machine`, from now on."""
+        ...
+
+
+@runtime_checkable
+class MaterialDriver(Protocol):
+    """A driver that simulates loads of bulk material too."""
+
+    def set_material(self, material: ThrownMaterial | None) -> None:
+        """What the grippers hold from now on; None: the ball."""
         ...
 
 

@@ -426,6 +426,7 @@ def _connect(parts: Parts, ingest: EventIngest, impacts: ImpactDisplay) -> None:
     parts.zones.on_change.append(parts.targets.show_zones)
     parts.sites.on_change.append(parts.jobs.note_surroundings)
     parts.sites.surface_at = parts.jobs.surface_at
+    parts.planner.material_of = parts.jobs.thrown_material
     parts.zones.on_change.append(parts.jobs.note_surroundings)
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.holds.revoke(machine_id))
     parts.leases.on_new_epoch.append(lambda machine_id, _: parts.views.publish(machine_id))

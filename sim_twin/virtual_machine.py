@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 from machine.conventions import ACTIVE_COUNT, JOINT_COUNT, Array, BoolArray, IntArray
 from machine.errors import PlantError
 from machine.site.solids import Solids
+from machine.site.thrown_material import ThrownMaterial
 from machine.spec import load_spec
 from machine.starts import safe_pose
 from runtime.driver import SensorSample, ValveCommand
@@ -28,10 +29,11 @@ from sim_twin.virtual.body import (
     GYRO,
     build_body,
 )
+from sim_twin.virtual.grain_flight import GrainFlight
 from sim_twin.virtual.hydraulics import Hydraulics
 from sim_twin.virtual.sensors import BallTracker, GripperImu, ImpactSurveyor, JointSensors
-from sim_twin.virtual.thrown_load import GripMotion, ThrownLoad
-from sim_twin.virtual.truth import PlantTruth
+from sim_twin.virtual.thrown_load import ThrownLoad
+from sim_twin.virtual.truth import GripMotion, PlantTruth
 from sim_twin.virtual.units import MachineUnit, ThrowConditions, draw_conditions, make_unit
 
 STEP_NS = 2_000_000
@@ -44,6 +46,8 @@ START_NS = 1_000_000_000
 SWING_STICK_RAD_PER_S = 0.005
 """Rate at which the Coulomb friction of the free joints is fully developed."""
 THREADS = 2
+MATERIAL_GYRATION_M = 0.3
+"""Radius of gyration of bulk material in the gripper: of about half a cubic metre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +122,11 @@ class VirtualMachine:
         self._true_sensors: Array = batch.bind("sensordata")
         self._contact_count: IntArray = batch.bind("ncon")
         self._site_rotation: Array = batch.bind("site_xmat")
+        payload = self._body.model.body("payload")
+        self._payload_body = int(payload.id)
+        self._ball_gyration_m2 = float(payload.inertia[0] / payload.mass[0])
+        self._material_kg = np.zeros(count)
+        self._material: ThrownMaterial | None = None
         self._grip_site = int(self._body.model.site("grip_centre").id)
         self._hydraulics = Hydraulics(spec, unit, count, step_s)
         self._joint_sensors = JointSensors(unit, count, step_s, faults.sensing)
@@ -167,6 +176,7 @@ class VirtualMachine:
         now_ns, count = self._now_ns, self.count
         imu_ns, gyro, accel = self._imu.newest(now_ns)
         impact_ns, impact_m, impact_sd_m = self._survey.read(now_ns)
+        volume_m3, covariance_m2 = self._survey.material(now_ns)
         if self._tracker is not None:
             ball_ns, ball_m = self._tracker.newest(now_ns)
         else:
@@ -188,6 +198,8 @@ class VirtualMachine:
             impact_t_mono_ns=impact_ns,
             impact_position_m=impact_m,
             impact_sd_m=impact_sd_m,
+            impact_volume_m3=volume_m3,
+            impact_covariance_m2=covariance_m2,
         )
 
     def write(self, command: ValveCommand) -> None:
@@ -285,6 +297,15 @@ class VirtualMachine:
         """Set the objects that loads land on instead of a plane at `target_height_m`."""
         self._load.solids = solids
 
+    def set_material(self, material: ThrownMaterial | None) -> None:
+        """Bulk material in the grippers from now on; None: balls."""
+        if material == self._material:
+            return
+        self._material = material
+        rng = np.random.default_rng([self._seed, self._unit_seed, 0xB1, self._now_ns // STEP_NS])
+        self._load.grains = None if material is None else GrainFlight(material, self.count, rng)
+        self._weigh()
+
     def true_impact_m(self) -> Array:
         """True impact points (N, 3), NaN before the impact."""
         return self._load.impact_m.copy()
@@ -319,6 +340,7 @@ class VirtualMachine:
 
     def _take_load(self, which: BoolArray, conditions: ThrowConditions) -> None:
         self._load.take(which, conditions)
+        self._weigh()
         self._survey.clear(which)
         if self._tracker is not None:
             self._tracker.clear(which)
@@ -370,6 +392,9 @@ class VirtualMachine:
         if self._derived_ns % SENSOR_PERIOD_NS == self._imu_phase_ns:
             true = self._true_sensors
             self._imu.sample(self._derived_ns, true[:, GYRO], true[:, ACCEL], self._rng)
+        if self._load.grains is not None:
+            self._load.leave(self._physics_ns, self._grip_motion())
+            self._weigh()
         if self._load.is_due(self._physics_ns):
             self._load.release_due(self._physics_ns, self._grip_motion())
         if self._physics_ns % SENSOR_PERIOD_NS == 0 and self._load.flying.any():
@@ -386,11 +411,27 @@ class VirtualMachine:
                 self._whole_position, self._whole_velocity
             )
 
+    def _weigh(self) -> None:
+        """Give the payload's body the mass that the grippers hold."""
+        grains, ball_kg = self._load.grains, self._unit.ball_mass_kg
+        # Without material the payload's body stays a ball, thrown or not.
+        held_kg = np.zeros(self.count) if grains is None else grains.held_kg()
+        if np.array_equal(held_kg, self._material_kg):
+            return
+        self._material_kg = held_kg
+        gyration_m2 = np.where(held_kg > ball_kg, MATERIAL_GYRATION_M**2, self._ball_gyration_m2)
+        mass = np.maximum(held_kg, ball_kg)
+        self._batch.expand("body_mass")[:, self._payload_body] = mass
+        self._batch.expand("body_inertia")[:, self._payload_body] = (mass * gyration_m2)[:, None]
+        self._batch.set_const()
+
     def _fly(self) -> None:
         now_ns = self._physics_ns
         landed = self._load.fly(now_ns, self.target_height_m, self.wind_m_per_s)
         if landed.which.size:
             self._survey.note(landed.which, landed.time_ns, landed.point_m, self._rng)
+            if landed.volume_m3 is not None and landed.covariance_m2 is not None:
+                self._survey.note_material(landed.which, landed.volume_m3, landed.covariance_m2)
         if self._tracker is not None and now_ns % TRACKER_PERIOD_NS == 0:
             self._tracker.sample(now_ns, self._load.position_m, self._load.flying, self._rng)
 

@@ -38,7 +38,7 @@ from runtime.control.control_loop import (
 from runtime.control.imu_estimator import ImuEstimate
 from runtime.control.policy import PolicyRunner
 from runtime.control.policy_step import initial_throw
-from runtime.driver import Driver, LandingDriver, SensorSample, ValveCommand
+from runtime.driver import Driver, LandingDriver, MaterialDriver, SensorSample, ValveCommand
 from runtime.guard.release_window import DEFAULT_RADIUS_M
 from runtime.process.machine_zones import NO_ZONES, MachineZones
 from runtime.process.policy_switch import LoadedPolicy
@@ -300,6 +300,8 @@ class MachineControl:
         self._allowed_radius_m = plan.allowed_radius_m or DEFAULT_RADIUS_M
         if isinstance(self.driver, LandingDriver):
             self.driver.set_solids(Solids.around(plan.site, target))
+        if isinstance(self.driver, MaterialDriver):
+            self.driver.set_material(plan.material)
         if plan.mode is not self._mode:
             self._mode = plan.mode
             self._state = replace(self._state, throw=initial_throw(plan.mode, 1))

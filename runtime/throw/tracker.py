@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from machine.kinematics import grip_centre
 from machine.messages import EventKind, ImpactSurvey
+from machine.site.thrown_material import MaterialFootprint
 from machine.spec import MachineSpec
 from machine.telemetry import BALL_ROW, IMU_ROW
 from runtime.driver import SensorSample
@@ -100,7 +101,10 @@ class ThrowTracker:
         self._throw = replace(throw, has_impact=True)
         x, y, z = (float(value) for value in sample.impact_position_m[0])
         survey = ImpactSurvey(
-            position_m=(x, y, z), sd_m=float(sample.impact_sd_m[0]), source="survey"
+            position_m=(x, y, z),
+            sd_m=float(sample.impact_sd_m[0]),
+            source="survey",
+            footprint=_footprint(sample),
         )
         data = {**survey.model_dump(mode="json"), "t_mono_ns": t_ns}
         return ThrowEvent(EventKind.IMPACT, throw.throw_id, throw.plan_id, data)
@@ -136,3 +140,16 @@ class ThrowTracker:
             return None
         self._is_logging = False
         return throw.result
+
+
+def _footprint(sample: SensorSample) -> MaterialFootprint | None:
+    """Of bulk material, where the driver measures it."""
+    if sample.impact_volume_m3 is None or sample.impact_covariance_m2 is None:
+        return None
+    xx, xy, yy = (float(value) for value in sample.impact_covariance_m2[0])
+    volume_m3 = float(sample.impact_volume_m3[0])
+    try:
+        return MaterialFootprint(volume_m3=volume_m3, covariance_m2=(xx, xy, yy))
+    except ValueError:
+        # NaN for a ball; and what a driver measures must not stop the control loop.
+        return None

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from sqlalchemy import Select, select
+from sqlalchemy import Select, exists, select
 from sqlalchemy.orm import Session
 
 from diagnosis.loading.kept_reference import LEAST_REFERENCE_COUNT, KeptReference
@@ -16,7 +16,7 @@ from server.errors import ConflictError
 from server.schemas.gap import MAX_THROWS_COUNT, MIN_THROWS_COUNT, GapRunRequest
 from server.schemas.history import Outcome
 from server.store.database import Database
-from server.store.models import Throw
+from server.store.models import Impact, Throw
 
 
 class ChosenThrows(NamedTuple):
@@ -81,6 +81,8 @@ def _usable(machine_id: str) -> Select[str]:
             Throw.machine_id == machine_id,
             Throw.has_log.is_(True),
             Throw.outcome == Outcome.LANDED.value,
+            # The twin throws balls.
+            ~exists().where(Impact.throw_id == Throw.throw_id, Impact.footprint.is_not(None)),
         )
         .order_by(Throw.throw_id.desc())
     )
@@ -94,8 +96,8 @@ def _named(
     if missing:
         raise ConflictError(
             code,
-            f"{len(missing)} of {len(wanted)} {what} are not landed throws of {machine_id} with a "
-            f"log: {', '.join(missing[:3])}. Leave them out.",
+            f"{len(missing)} of {len(wanted)} {what} are not landed throws of a ball by {machine_id} "
+            f"with a log: {', '.join(missing[:3])}. Leave them out.",
             {"throw_ids": list(missing)},
         )
     return tuple(reversed(rows))

@@ -6,7 +6,7 @@ from bulk.height_field import HeightField
 from bulk.job_report import job_html, progress_json, surfaces_json
 from machine.conventions import Array
 from server.jobs.job_ground import JobGround, JobState
-from server.jobs.job_store import JobRecord
+from server.jobs.job_store import JobRecord, spread_of
 from server.jobs.job_views import JobSurface
 from server.store.job_tables import JobLoad
 
@@ -60,6 +60,9 @@ def thrown_job_html(record: JobRecord, ground: JobGround, surface: JobState, pol
 def _reported(load: JobLoad) -> dict[str, object]:
     """A load for the report."""
     where = f"{load.landed_by} at x {load.x_m:.2f} m, y {load.y_m:.2f} m"
+    spread_m = spread_of(load)
+    if spread_m is not None:
+        where += f", spread {spread_m[0]:.2f} m by {spread_m[1]:.2f} m (standard deviation)"
     named = "" if load.throw_id is None else f"; throw {load.throw_id}"
     return {
         "x_m": load.x_m,

@@ -15,6 +15,7 @@ from bulk.job_file import JobFile
 from bulk.job_report import progress_json
 from bulk.material import Material
 from bulk.placement import LandedLoad
+from machine.site.thrown_material import MaterialFootprint
 from server.errors import ConflictError, NotFoundError
 from server.jobs.job_ground import Ground, NumberedLoad, SurveyedSurface, pack, unpacked
 from server.jobs.job_views import (
@@ -87,7 +88,7 @@ class JobRecord:
         last = self.last_survey
         since = 0 if last is None else last.version_count
         return [
-            NumberedLoad(load.load_count, LandedLoad(load.x_m, load.y_m, load.volume_m3))
+            NumberedLoad(load.load_count, _landed(load))
             for load in self.counted
             if load.version_count > since
         ]
@@ -114,6 +115,21 @@ class JobRecord:
                 f"Job {self.row.name} is at version {self.row.version_count} now, you changed version "
                 f"{version_count}. Look at it again.",
             )
+
+
+def _landed(load: JobLoad) -> LandedLoad:
+    if load.covariance_m2 is None:
+        return LandedLoad(load.x_m, load.y_m, load.volume_m3)
+    xx, xy, yy = load.covariance_m2
+    return LandedLoad(load.x_m, load.y_m, load.volume_m3, (xx, xy, yy))
+
+
+def spread_of(load: JobLoad) -> tuple[float, float] | None:
+    """Standard deviations of a load's places as measured, along the longest axis and across."""
+    if load.covariance_m2 is None:
+        return None
+    xx, xy, yy = load.covariance_m2
+    return MaterialFootprint(volume_m3=load.volume_m3, covariance_m2=(xx, xy, yy)).sd_m
 
 
 def _ground_of(survey: JobSurvey) -> Ground:
@@ -280,6 +296,7 @@ def _load_view(load: JobLoad) -> JobLoadView:
         x_m=load.x_m,
         y_m=load.y_m,
         volume_m3=load.volume_m3,
+        spread_m=spread_of(load),
         landed_by=(
             "measured"
             if load.landed_by == "measured"

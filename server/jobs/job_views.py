@@ -162,6 +162,8 @@ class JobLoadView(View):
     x_m: float
     y_m: float
     volume_m3: float
+    spread_m: tuple[float, float] | None
+    """Standard deviations of its places as measured, along the longest axis and across."""
     landed_by: LandedBy
     recorded_by: str
     at_utc: datetime

@@ -14,9 +14,11 @@ from sqlalchemy import select
 from bulk.job_file import material_of
 from machine.conventions import Mode
 from machine.errors import UsageError
+from machine.messages import Target
+from machine.site.thrown_material import ThrownMaterial
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
-from server.accounts.audit_chain import SERVER, Actor, AuditChain
+from server.accounts.audit_chain import SERVER, AuditChain
 from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.event_hub import EventHub
@@ -56,9 +58,13 @@ from server.jobs.throw_loads import (
     ThrowLanding,
     aimed_at,
     counted_ids,
+    follow,
+    footprints_of,
     landed_throws,
     landing_of,
+    new_load,
     offers,
+    thrown_material,
 )
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore
@@ -73,7 +79,6 @@ from server.viewer.shapes import LaidMaterial
 logger = logging.getLogger(__name__)
 
 MAX_LOAD_COUNT: Final = 500
-SAME_LANDING_M: Final = 1e-3
 CLOSE_S: Final = 5.0
 
 
@@ -179,6 +184,11 @@ class Jobs:
         """Height of the surface of a machine's open job at a point; None without one, and on walls."""
         record = self._book.open_record(machine_id)
         return None if record is None else self._book.surface(record).field.surface_m(x_m, y_m)
+
+    def thrown_material(self, machine_id: str, target: Target) -> ThrownMaterial | None:
+        """What a machine's open job wants thrown at a target; None where it proposes no load there."""
+        record = self._book.open_record(machine_id)
+        return None if record is None else thrown_material(record, target)
 
     def material(self, machine_id: str) -> LaidMaterial | None:
         """What lies on the ground of a machine's open job, and its next loads; None without one."""
@@ -301,9 +311,9 @@ class Jobs:
                 raise ConflictError("job_full", f"A job has at most {MAX_LOAD_COUNT} loads.")
             volume_m3, throw = body.volume_m3, None
             if body.throw_id is not None:
-                throw = self._landed_throw(record, body.throw_id)
-                landing = landing_of(throw)
+                throw, landing = self._landed_throw(record, body.throw_id)
                 aimed = aimed_at(throw, record.row.offered)
+                volume_m3 = volume_m3 or landing.volume_m3
                 if volume_m3 is None and aimed is not None:
                     volume_m3 = aimed.volume_m3
             else:
@@ -317,7 +327,7 @@ class Jobs:
                         f"{grid.y_m[-1]:.1f} m.",
                     )
             volume_m3 = volume_m3 or record.file.grab_m3
-            load = _add(record, throw, landing, volume_m3, session.actor)
+            load = new_load(record, throw, landing, volume_m3, session.actor)
             self._book.commit_loads(record, session.actor, "job.load", [load])
         return self.view(job_id)
 
@@ -398,17 +408,19 @@ class Jobs:
                 record = read_record(database, job_id)
                 throws = {one.throw_id: one for one in landed_throws(database, record.row)}
                 counted = counted_ids(database, throws.values())
+                lies = footprints_of(database, throws)
             changed: list[JobLoad] = []
             for load in record.counted:
                 throw = throws.get(load.throw_id or "")
-                if throw is not None and _follow(load, landing_of(throw)):
+                if throw is not None and follow(load, landing_of(throw, lies)):
                     changed.append(load)
             for throw_id, throw in throws.items():
                 aimed = aimed_at(throw, record.row.offered)
                 is_room = len(record.loads) < MAX_LOAD_COUNT
                 if throw_id not in counted and aimed is not None and is_room:
-                    landing = landing_of(throw)
-                    changed.append(_add(record, throw, landing, aimed.volume_m3, SERVER))
+                    landing = landing_of(throw, lies)
+                    volume_m3 = landing.volume_m3 or aimed.volume_m3
+                    changed.append(new_load(record, throw, landing, volume_m3, SERVER))
             if changed:
                 self._book.commit_loads(record, SERVER, "job.load", changed)
 
@@ -436,13 +448,14 @@ class Jobs:
 
     # Parts -----------------------------------------------------------------------------------------
 
-    def _landed_throw(self, record: JobRecord, throw_id: str) -> Throw:
+    def _landed_throw(self, record: JobRecord, throw_id: str) -> tuple[Throw, ThrowLanding]:
         with self._database.read() as database:
             throw = database.get(Throw, throw_id)
             query = select(JobLoad.job_id).where(
                 JobLoad.throw_id == throw_id, JobLoad.is_withdrawn.is_(False)
             )
             counted = database.scalars(query).first()
+            lies = footprints_of(database, [throw_id])
         if throw is None or throw.machine_id != record.row.machine_id:
             raise NotFoundError(
                 "no_throw", f"{record.row.machine_id} has no throw '{throw_id[:40]}'."
@@ -451,39 +464,7 @@ class Jobs:
             raise ConflictError("throw_not_landed", "The throw has not landed (yet).")
         if counted is not None:
             raise ConflictError("throw_counted", "The throw is a load already.")
-        return throw
-
-
-def _add(
-    record: JobRecord, throw: Throw | None, landing: ThrowLanding, volume_m3: float, actor: Actor
-) -> JobLoad:
-    """A new last load of a job."""
-    load = JobLoad(
-        job_id=record.row.job_id,
-        load_count=len(record.loads) + 1,
-        version_count=record.row.version_count + 1,
-        throw_id=None if throw is None else throw.throw_id,
-        x_m=landing.x_m,
-        y_m=landing.y_m,
-        volume_m3=volume_m3,
-        landed_by=landing.landed_by,
-        recorded_by=actor.name,
-        at_utc=utc_now() if throw is None else throw.created_utc,
-        is_withdrawn=False,
-        filled_ratio=None,
-        spill_ratio=None,
-    )
-    record.loads.append(load)
-    return load
-
-
-def _follow(load: JobLoad, landing: ThrowLanding) -> bool:
-    """Move a load to where its throw landed by what is known now; whether it moved."""
-    away_m = max(abs(load.x_m - landing.x_m), abs(load.y_m - landing.y_m))
-    if away_m <= SAME_LANDING_M and load.landed_by == landing.landed_by:
-        return False
-    load.x_m, load.y_m, load.landed_by = landing
-    return True
+        return throw, landing_of(throw, lies)
 
 
 def _proposal(record: JobRecord, number: int) -> JobProposal:

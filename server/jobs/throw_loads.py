@@ -1,7 +1,7 @@
 """Throws as loads of a job: where they landed, what they were aimed at, how they scatter."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Final, NamedTuple
 
@@ -9,14 +9,19 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
+from bulk.job_file import material_of
 from bulk.throw_model import LandingScatter
 from machine.conventions import Array
+from machine.messages import Target
+from machine.site.thrown_material import MaterialFootprint, ThrownMaterial
+from server.accounts.audit_chain import Actor
 from server.clock import first_id_at, utc_now
+from server.jobs.job_store import JobRecord
 from server.jobs.job_views import JobProposal, LandedBy
 from server.plans.landing_errors import point_of
 from server.schemas.history import Outcome
 from server.store.job_tables import JobLoad, JobRow
-from server.store.models import Throw
+from server.store.models import Impact, Throw
 from server.throws.impacts import target_of
 
 SAME_TARGET_M: Final = 0.05
@@ -25,6 +30,7 @@ OFFERED_COUNT: Final = 12
 """Proposals of the last plans, which a throw may have been aimed at."""
 SCATTER_COUNT: Final = 20
 """Measured throws of about one range that give their scatter to a sixth."""
+SAME_LANDING_M: Final = 1e-3
 NEWEST_COUNT: Final = 300
 BIN_M: Final = 1.0
 LEAST_SD_M: Final = 0.01
@@ -36,9 +42,35 @@ class ThrowLanding(NamedTuple):
     x_m: float
     y_m: float
     landed_by: LandedBy
+    footprint: MaterialFootprint | None = None
+    """As measured."""
+
+    @property
+    def volume_m3(self) -> float | None:
+        """Measured."""
+        return None if self.footprint is None else self.footprint.volume_m3
+
+    @property
+    def covariance_m2(self) -> tuple[float, float, float] | None:
+        """Measured."""
+        return None if self.footprint is None else self.footprint.covariance_m2
 
 
-def landing_of(throw: Throw) -> ThrowLanding:
+Footprints = Mapping[str, MaterialFootprint]
+"""Newest measured footprints by throw."""
+
+
+def footprints_of(database: DatabaseSession, throw_ids: Iterable[str]) -> Footprints:
+    """Measured footprints of throws that have one."""
+    query = select(Impact).where(Impact.throw_id.in_(list(throw_ids)))
+    return {
+        row.throw_id: MaterialFootprint.model_validate(row.footprint)
+        for row in database.scalars(query.order_by(Impact.impact_id))
+        if row.footprint is not None
+    }
+
+
+def landing_of(throw: Throw, footprints: Footprints) -> ThrowLanding:
     """The measured impact that counts; without one the predicted one, without that the target."""
     along_m, across_m = throw.measured_downrange_error_m, throw.measured_crossrange_error_m
     landed_by: LandedBy = "measured"
@@ -46,7 +78,8 @@ def landing_of(throw: Throw) -> ThrowLanding:
         landed_by = "predicted"
         along_m = throw.predicted_downrange_error_m or 0.0
         across_m = throw.predicted_crossrange_error_m or 0.0
-    return ThrowLanding(*point_of(target_of(throw), along_m, across_m), landed_by)
+    lies = footprints.get(throw.throw_id) if landed_by == "measured" else None
+    return ThrowLanding(*point_of(target_of(throw), along_m, across_m), landed_by, lies)
 
 
 def landed_throws(database: DatabaseSession, job: JobRow) -> Sequence[Throw]:
@@ -92,6 +125,66 @@ def aimed_at(throw: Throw, offered: Sequence[object]) -> JobProposal | None:
         if away_m <= SAME_TARGET_M and offer.offered_utc <= throw.created_utc:
             return offer
     return None
+
+
+def thrown_material(record: JobRecord, target: Target) -> ThrownMaterial | None:
+    """The load that an open job wants at a target, the newest of several; None: no proposal is there."""
+    for item in record.row.offered:
+        offer = JobOffer.model_validate(item)
+        if math.hypot(target.x_m - offer.x_m, target.y_m - offer.y_m) <= SAME_TARGET_M:
+            stuff = material_of(record.file)
+            return ThrownMaterial(
+                name=stuff.name,
+                volume_m3=offer.volume_m3,
+                mass_kg=stuff.mass_kg(offer.volume_m3),
+                grain_diameter_m=stuff.grain_diameter_m,
+                grain_spread_ratio=stuff.grain_spread_ratio,
+                grain_density_kg_per_m3=stuff.grain_density_kg_per_m3,
+                drag_coefficient_ratio=stuff.drag_coefficient_ratio,
+            )
+    return None
+
+
+def new_load(
+    record: JobRecord, throw: Throw | None, landing: ThrowLanding, volume_m3: float, actor: Actor
+) -> JobLoad:
+    """Add a last load to a job."""
+    load = JobLoad(
+        job_id=record.row.job_id,
+        load_count=len(record.loads) + 1,
+        version_count=record.row.version_count + 1,
+        throw_id=None if throw is None else throw.throw_id,
+        x_m=landing.x_m,
+        y_m=landing.y_m,
+        volume_m3=volume_m3,
+        covariance_m2=_listed(landing.covariance_m2),
+        landed_by=landing.landed_by,
+        recorded_by=actor.name,
+        at_utc=utc_now() if throw is None else throw.created_utc,
+        is_withdrawn=False,
+        filled_ratio=None,
+        spill_ratio=None,
+    )
+    record.loads.append(load)
+    return load
+
+
+def follow(load: JobLoad, landing: ThrowLanding) -> bool:
+    """Move a load to where its throw landed by what is known now; whether anything changed."""
+    away_m = max(abs(load.x_m - landing.x_m), abs(load.y_m - landing.y_m))
+    spread = _listed(landing.covariance_m2)
+    is_same = load.landed_by == landing.landed_by and load.covariance_m2 == spread
+    if away_m <= SAME_LANDING_M and is_same:
+        return False
+    load.x_m, load.y_m, load.landed_by = landing.x_m, landing.y_m, landing.landed_by
+    if landing.volume_m3 is not None and load.covariance_m2 is None:
+        load.volume_m3 = landing.volume_m3
+    load.covariance_m2 = spread
+    return True
+
+
+def _listed(covariance_m2: tuple[float, float, float] | None) -> list[float] | None:
+    return None if covariance_m2 is None else list(covariance_m2)
 
 
 def measured_scatter(

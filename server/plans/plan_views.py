@@ -10,6 +10,7 @@ import numpy as np
 from machine.conventions import Mode
 from machine.messages import MAX_PATH_COUNT, AimShift, Target, ThrowPlan
 from machine.site.objects import GROUND, SiteObject
+from machine.site.thrown_material import ThrownMaterial
 from machine.site.zones import Zone, zones_sha256
 from server.clock import utc_now
 from server.plans.landing_errors import errors_of
@@ -46,6 +47,11 @@ def plan_zones(row: Plan) -> tuple[Zone, ...]:
 def plan_aim(row: Plan) -> AimShift | None:
     """The aim correction of a plan."""
     return None if row.aim is None else AimShift.model_validate(row.aim)
+
+
+def plan_material(row: Plan) -> ThrownMaterial | None:
+    """The bulk material of a plan."""
+    return None if row.material is None else ThrownMaterial.model_validate(row.material)
 
 
 def prediction_of(target: Target, preview: ThrowPreview) -> PredictionView | None:
@@ -164,6 +170,7 @@ def throw_plan(row: Plan) -> ThrowPlan | None:
         zones_sha256=zones_sha256(plan_zones(row)) or None,
         swept_path_rad_m=tuple(tuple(pose) for pose in row.swept_path_rad_m or ()) or None,
         aim=plan_aim(row),
+        material=plan_material(row),
     )
 
 

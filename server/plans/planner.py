@@ -13,8 +13,16 @@ import numpy as np
 
 from machine.conventions import JOINT_COUNT, Mode
 from machine.errors import RefusedError
-from machine.messages import ZONES_VERSION, AimShift, MachineState, RejectReason, Target
+from machine.messages import (
+    MATERIAL_VERSION,
+    ZONES_VERSION,
+    AimShift,
+    MachineState,
+    RejectReason,
+    Target,
+)
 from machine.reach import check_target
+from machine.site.thrown_material import ThrownMaterial
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.clock import new_id, utc_now
@@ -49,6 +57,8 @@ logger = logging.getLogger(__name__)
 
 AimOf = Callable[[str, Mode, Target], AimShift | None]
 """Aim correction in force for a machine, a mode and a target."""
+MaterialOf = Callable[[str, Target], ThrownMaterial | None]
+"""Bulk material that a machine's open job wants at a target."""
 
 FIRST_NUMBERS_WAIT_S = 1.0
 """A plan is answered after this time even if its first numbers are not there yet."""
@@ -84,6 +94,7 @@ class Planner:
         self._spec = spec
         self._ttl = timedelta(seconds=ttl_s)
         self._aim_of = aim_of
+        self.material_of: MaterialOf = _no_material
         self._lock = threading.Lock()
         self._newest: dict[str, str] = {}
 
@@ -128,6 +139,8 @@ class Planner:
     ) -> Plan:
         target = request.target.target()
         aim = self._aim_of(machine_id, request.mode, target)
+        is_older = state.protocol_version < MATERIAL_VERSION
+        material = None if is_older else self.material_of(machine_id, target)
         now = utc_now()
         return Plan(
             plan_id=new_id(),
@@ -153,6 +166,7 @@ class Planner:
             refusals=[],
             prediction=None,
             aim=None if aim is None else aim.model_dump(mode="json"),
+            material=None if material is None else material.model_dump(mode="json"),
             calibration_sha256=state.calibration_sha256,
             start_rad_m=list(state.joint_position_rad_m),
             plan_json=None,
@@ -308,6 +322,10 @@ class Planner:
             impact_m=preview.impact_m,
             ellipse=preview.ellipse,
         )
+
+
+def _no_material(_machine_id: str, _target: Target) -> None:
+    return None
 
 
 def _aim_refusal(policy: StoredPolicy, row: Plan, target: Target) -> RefusedError | None:

@@ -55,6 +55,8 @@ class JobLoad(Base):
     x_m: Mapped[float]
     y_m: Mapped[float]
     volume_m3: Mapped[float]
+    covariance_m2: Mapped[list[Any] | None] = mapped_column(JSON(none_as_null=True))
+    """xx, xy and yy of its places as measured, frame `machine`; None: as predicted."""
     landed_by: Mapped[str] = mapped_column(String(16))
     recorded_by: Mapped[str] = mapped_column(String(64))
     at_utc: Mapped[datetime]

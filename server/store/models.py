@@ -224,6 +224,8 @@ class Plan(Base):
     """Poses of the previewed motion, of a plan with exclusion zones."""
     aim: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     """JSON of machine.messages.AimShift; None where the policy aims at the target."""
+    material: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    """JSON of machine.site.thrown_material.ThrownMaterial; None for a ball."""
     calibration_sha256: Mapped[str | None] = mapped_column(String(64))
     """Of the machine's calibration when the plan was made; None from older software."""
     start_rad_m: Mapped[list[Any]]
@@ -298,6 +300,8 @@ class Impact(Base):
     downrange_error_m: Mapped[float]
     crossrange_error_m: Mapped[float]
     sd_m: Mapped[float | None]
+    footprint: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    """JSON of machine.site.thrown_material.MaterialFootprint; None for a ball, and where not measured."""
     recorded_by: Mapped[str] = mapped_column(String(64))
     note: Mapped[str] = mapped_column(String(500), default="")
     created_utc: Mapped[datetime]

@@ -126,6 +126,7 @@ class EventIngest:
                     survey.source,
                     sd_m=survey.sd_m if math.isfinite(survey.sd_m) else None,
                     recorded_by=event.machine_id,
+                    footprint=survey.footprint,
                 )
         elif event.kind is EventKind.THROW_ENDED:
             end = ThrowEnd.model_validate(event.data)

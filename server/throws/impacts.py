@@ -6,6 +6,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
 from machine.messages import Target
+from machine.site.thrown_material import MaterialFootprint
 from server.clock import new_id, utc_now
 from server.plans.landing_errors import errors_of
 from server.schemas.history import ImpactView
@@ -28,6 +29,7 @@ def add_impact(
     sd_m: float | None,
     recorded_by: str,
     note: str = "",
+    footprint: MaterialFootprint | None = None,
 ) -> Impact:
     """Add a record; the throw then shows the one that counts: the newest mark, else the newest survey."""
     downrange_m, crossrange_m = errors_of(target_of(throw), position_m[0], position_m[1])
@@ -41,6 +43,7 @@ def add_impact(
         downrange_error_m=downrange_m,
         crossrange_error_m=crossrange_m,
         sd_m=sd_m,
+        footprint=None if footprint is None else footprint.model_dump(mode="json"),
         recorded_by=recorded_by,
         note=note,
         created_utc=utc_now(),

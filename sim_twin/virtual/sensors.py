@@ -212,11 +212,14 @@ class ImpactSurveyor:
     def __init__(self, count: int) -> None:
         self._time_ns = np.zeros(count, dtype=np.int64)
         self._point_m = np.full((count, 3), np.nan)
+        self._volume_m3 = np.full(count, np.nan)
+        self._covariance_m2 = np.full((count, 3), np.nan)
 
     def clear(self, which: BoolArray | slice = slice(None)) -> None:
         """Discard the impacts of machines with a new load."""
         self._time_ns[which] = 0
-        self._point_m[which] = np.nan
+        for values in (self._point_m, self._volume_m3, self._covariance_m2):
+            values[which] = np.nan
 
     def note(
         self, which: IntArray, impact_ns: IntArray, impact_m: Array, rng: np.random.Generator
@@ -227,8 +230,21 @@ class ImpactSurveyor:
         error[:, 2] = 0.0
         self._point_m[which] = impact_m + error
 
+    def note_material(self, which: IntArray, volume_m3: Array, covariance_m2: Array) -> None:
+        """Note how the material of machines `which` (M,) lies: volumes (M,), xx, xy, yy (M, 3)."""
+        self._volume_m3[which], self._covariance_m2[which] = volume_m3, covariance_m2
+
+    def material(self, now_ns: int) -> tuple[Array, Array]:
+        """Volumes (N,) and covariances (N, 3) of material; NaN: none yet, or a ball."""
+        known = self._is_known(now_ns)
+        volume = np.where(known, self._volume_m3, np.nan)
+        return volume, np.where(known[:, None], self._covariance_m2, np.nan)
+
     def read(self, now_ns: int) -> tuple[IntArray, Array, Array]:
         """Times of impact (N,), points (N, 3) and standard deviations (N,); 0 and NaN: none yet."""
-        known = (self._time_ns > 0) & (self._time_ns + int(SURVEY_DELAY_S * 1e9) <= now_ns)
+        known = self._is_known(now_ns)
         point = np.where(known[:, None], self._point_m, np.nan)
         return np.where(known, self._time_ns, 0), point, np.where(known, SURVEY_SD_M, np.nan)
+
+    def _is_known(self, now_ns: int) -> BoolArray:
+        return (self._time_ns > 0) & (self._time_ns + int(SURVEY_DELAY_S * 1e9) <= now_ns)

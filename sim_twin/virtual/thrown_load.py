@@ -4,7 +4,6 @@ Times are those of the driver's clock. The claws are not modelled: the released 
 grip at its offset, plus a random velocity from the opening claws.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -13,21 +12,10 @@ from machine.ballistics import drag_per_m, step_flight
 from machine.conventions import GRAVITY_M_PER_S2, Array, BoolArray, IntArray
 from machine.site.solids import Solids, touch_share
 from machine.spec import Ball, MachineSpec
+from sim_twin.virtual.grain_flight import GrainFlight
 from sim_twin.virtual.sensors import NEVER_NS
+from sim_twin.virtual.truth import GripMotion
 from sim_twin.virtual.units import MachineUnit, ThrowConditions
-
-
-@dataclass(frozen=True, slots=True)
-class GripMotion:
-    """True motion of the grip centres, frame `machine`, leading axis N."""
-
-    time_ns: int
-    position_m: Array
-    velocity_m_per_s: Array
-    rate_rad_per_s: Array
-    """(N, 3) angular velocity of the gripper."""
-    rotation: Array
-    """(N, 3, 3) gripper to `machine`."""
 
 
 class LoadFaults(Protocol):
@@ -50,6 +38,10 @@ class Landed(NamedTuple):
     which: IntArray
     time_ns: IntArray
     point_m: Array
+    volume_m3: Array | None = None
+    """(M,) of bulk material, as measured; None: balls."""
+    covariance_m2: Array | None = None
+    """(M, 3) xx, xy, yy of its places."""
 
 
 class ThrownLoad:
@@ -68,6 +60,8 @@ class ThrownLoad:
         self.radius_m = unit.ball_radius_m
         self.solids: Solids | None = None
         """Objects around the machine; None for the target's plane only."""
+        self.grains: GrainFlight | None = None
+        """Bulk material that is thrown instead of balls."""
         self._drag_per_m = drag_per_m(ball)
         self.held = np.ones(count, dtype=np.bool_)
         self.flying = np.zeros(count, dtype=np.bool_)
@@ -102,6 +96,8 @@ class ThrownLoad:
         switch_ns = (conditions.switch_delay_s * 1e9).astype(np.int64)
         self._switch_delay_ns[which] = switch_ns[which]
         self._next_release_ns = int(self.release_ns.min())
+        if self.grains is not None:
+            self.grains.take(which)
 
     def close_grippers(self) -> None:
         """Close the grippers without a command edge, as in a reset."""
@@ -144,6 +140,8 @@ class ThrownLoad:
 
     def fly(self, now_ns: int, plane_m: Array, wind_m_per_s: Array) -> Landed:
         """Advance loads in flight to this time, up to solids or target surfaces at heights (N,)."""
+        if self.grains is not None:
+            return self._fly_grains(self.grains, now_ns, plane_m, wind_m_per_s)
         rows = np.flatnonzero(self.flying)
         step_s: Array = (now_ns - self._time_ns[rows]).astype(np.float64) * 1e-9
         p0, v0 = self.position_m[rows], self.velocity_m_per_s[rows]
@@ -171,6 +169,25 @@ class ThrownLoad:
             point[:, 2] = plane_m[landed]
             self._touch(landed, point, touch_s)
         return self._moved(rows, landed, p1, v1, now_ns)
+
+    def leave(self, now_ns: int, grip: GripMotion) -> None:
+        """Let go of grains that are due, at most 2 ms after `grip`."""
+        if self.grains is not None:
+            self.grains.leave(self.release_ns, now_ns, grip)
+
+    def _fly_grains(
+        self, grains: GrainFlight, now_ns: int, plane_m: Array, wind_m_per_s: Array
+    ) -> Landed:
+        landed = grains.fly(now_ns, plane_m, wind_m_per_s, self.solids)
+        rows = np.flatnonzero(self.flying)
+        self.position_m[rows] = grains.centre_m()[rows]
+        self.flying[landed.which] = False
+        self.velocity_m_per_s[landed.which] = 0.0
+        self.impact_m[landed.which], self.impact_ns[landed.which] = landed.centre_m, landed.time_ns
+        volume_m3 = grains.measured_volume_m3(landed.which)
+        return Landed(
+            landed.which, landed.time_ns, landed.centre_m, volume_m3, landed.covariance_m2
+        )
 
     def _meet(
         self,

@@ -1,4 +1,4 @@
-"""True state of the virtual machine, for scoring and tests only."""
+"""True state of the virtual machine, never for its control."""
 
 from dataclasses import dataclass
 
@@ -26,3 +26,16 @@ class PlantTruth:
     """(N, 3) contact point on the target surface."""
     pump_flow_m3_per_s: Array
     """(N,) pump flow."""
+
+
+@dataclass(frozen=True, slots=True)
+class GripMotion:
+    """True motion of the grip centres, frame `machine`, leading axis N."""
+
+    time_ns: int
+    position_m: Array
+    velocity_m_per_s: Array
+    rate_rad_per_s: Array
+    """(N, 3) angular velocity of the gripper."""
+    rotation: Array
+    """(N, 3, 3) gripper to `machine`."""

@@ -15,14 +15,27 @@ from machine.messages import (
     Command,
     CommandReply,
     FireRequest,
+    ImpactSurvey,
     StopRequest,
     Target,
     ThrowPlan,
     ThrowState,
 )
+from machine.site.thrown_material import MaterialFootprint, ThrownMaterial
 from tests.cases import each
 
 COMMAND = TypeAdapter[Command](Command)
+
+
+GRAVEL = ThrownMaterial(
+    name="gravel",
+    volume_m3=0.25,
+    mass_kg=380.0,
+    grain_diameter_m=0.016,
+    grain_spread_ratio=0.4,
+    grain_density_kg_per_m3=2650.0,
+    drag_coefficient_ratio=1.0,
+)
 
 
 def plan(**changes) -> ThrowPlan:
@@ -60,7 +73,7 @@ def test_plan_hash_changes_with_any_field(change):
     assert plan(**change).plan_hash != plan().plan_hash
 
 
-def test_a_plan_without_an_aim_correction_has_the_hash_that_older_software_knows():
+def test_a_plan_of_a_ball_without_an_aim_correction_has_the_hash_that_older_software_knows():
     aim = AimShift(
         version_count=1,
         downrange_m=0.1,
@@ -69,12 +82,26 @@ def test_a_plan_without_an_aim_correction_has_the_hash_that_older_software_knows
         calibration_sha256="b" * 64,
     )
     content = plan().model_dump(
-        mode="json", exclude={"allowed_radius_m", "zones_sha256", "swept_path_rad_m", "aim"}
+        mode="json",
+        exclude={"allowed_radius_m", "zones_sha256", "swept_path_rad_m", "aim", "material"},
     )
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     assert plan().plan_hash == hashlib.sha256(text.encode()).hexdigest()
     hashes = {plan(aim=aim.model_copy(update={"downrange_m": m})).plan_hash for m in (0.1, 0.2)}
     assert len(hashes | {plan().plan_hash}) == 3
+    assert plan(material=GRAVEL).plan_hash not in hashes | {plan().plan_hash}
+
+
+def test_how_material_lies_comes_with_its_impact_and_must_be_a_covariance():
+    lies = MaterialFootprint(volume_m3=0.25, covariance_m2=(0.25, 0.12, 0.16))
+    sent = ImpactSurvey(position_m=(8.0, 0.0, 0.3), sd_m=0.02, source="survey", footprint=lies)
+    assert ImpactSurvey.model_validate_json(sent.model_dump_json()) == sent
+    older = sent.model_dump(exclude={"footprint"})
+    assert ImpactSurvey.model_validate(older).footprint is None
+    along, across = lies.sd_m
+    assert along**2 + across**2 == pytest.approx(0.41) and along * across == pytest.approx(0.16)
+    with pytest.raises(ValueError, match="no covariance"):
+        MaterialFootprint(volume_m3=0.25, covariance_m2=(0.25, 0.3, 0.16))
 
 
 @each("value", [float("nan"), float("inf"), 61.0, "far"])

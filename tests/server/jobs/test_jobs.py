@@ -15,6 +15,7 @@ from bulk.throw_model import LandingScatter
 from machine.messages import Target
 from machine.policy_card import load_card
 from machine.site.objects import SiteObject
+from machine.site.thrown_material import MaterialFootprint
 from machine.site.zones import Zone
 from machine.spec import load_spec
 from server.child_process import ChildFailedError, ChildKilledError
@@ -183,6 +184,38 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     assert again.version_count == undone.version_count, "a withdrawn throw is not recorded again"
     body = JobLoadRequest(version_count=again.version_count, throw_id=throw_id)
     assert yard.jobs.add_load(begun.job_id, body, yard.ada).load_count == 1, "but by a person"
+
+
+def test_a_load_lies_as_it_was_measured(yard):
+    begun = yard.create()
+    first = begun.next[0]
+    wanted = yard.jobs.thrown_material("m001", Target(x_m=first.x_m, y_m=first.y_m + 0.03))
+    assert (wanted.name, wanted.volume_m3, wanted.mass_kg) == ("gravel", 0.2, pytest.approx(304.0))
+    assert yard.jobs.thrown_material("m001", Target(x_m=first.x_m + 0.3, y_m=first.y_m)) is None
+    assert yard.jobs.thrown_material("m002", Target(x_m=first.x_m, y_m=first.y_m)) is None
+    throw_id = yard.throw((first.x_m, first.y_m))
+    predicted = yard.planned(begun.job_id)
+    assert predicted.loads[0].spread_m is None
+    lies = MaterialFootprint(volume_m3=0.17, covariance_m2=(0.04, 0.0, 0.09))
+    with yard.parts.database.write() as database:
+        throw = database.get(Throw, throw_id)
+        add_impact(
+            database,
+            throw,
+            (8.0, 0.2, 0.3),
+            "survey",
+            sd_m=0.02,
+            recorded_by="m001",
+            footprint=lies,
+        )
+    yard.jobs.take_throws("m001")
+    (load,) = yard.planned(begun.job_id).loads
+    assert (load.volume_m3, load.landed_by) == (0.17, "measured")
+    assert load.spread_m == pytest.approx((0.3, 0.2))
+    surface = yard.jobs.surface(begun.job_id)
+    rise = np.array(surface.height_m) - np.array(surface.start_m)
+    assert rise.sum() * 0.01 == pytest.approx(0.17, rel=0.01), "what fell, not what was planned"
+    assert "spread 0.30 m by 0.20 m" in yard.jobs.report(begun.job_id)
 
 
 def test_a_skipped_place_is_left_out_until_the_next_load_and_a_moved_one_is_checked(yard):

@@ -3832,6 +3832,11 @@ export interface components {
             recorded_by: string;
             /** Spill Ratio */
             spill_ratio: number | null;
+            /** Spread M */
+            spread_m: [
+                number,
+                number
+            ] | null;
             /** Throw Id */
             throw_id: string | null;
             /** Volume M3 */

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Job } from "./job";
-import { courseOf, figures, leftWords, noPlanWords, reasonWords } from "./words";
+import { courseOf, figures, landedWords, leftWords, noPlanWords, reasonWords } from "./words";
 
 const LOAD = {
   load_count: 1,
@@ -8,6 +8,7 @@ const LOAD = {
   x_m: 8,
   y_m: 1,
   volume_m3: 0.25,
+  spread_m: null,
   landed_by: "measured",
   recorded_by: "eve",
   at_utc: "2026-11-27T09:00:00Z",
@@ -65,6 +66,14 @@ describe("a reason", () => {
     expect(reasonWords("left rear: 0.30 m3 missing; spill risk 0.4 %")).toBe(
       "left rear: 0.30\u00a0m³ missing; spill risk 0.4\u00a0%",
     );
+  });
+});
+
+describe("where a load landed", () => {
+  it("tells how it lies where that was measured", () => {
+    expect(landedWords(LOAD)).toBe("measured");
+    const spread = landedWords({ ...LOAD, spread_m: [0.5, 0.41] });
+    expect(spread).toMatch(/^measured, spread 0\.50 × 0\.41\sm \(1σ\)$/);
   });
 });
 

@@ -41,7 +41,11 @@ const LANDED: Record<JobLoad["landed_by"], string> = {
   entered: "entered by hand",
 };
 
-export const landedWords = (load: JobLoad) => LANDED[load.landed_by];
+export function landedWords(load: Pick<JobLoad, "landed_by" | "spread_m">): string {
+  if (load.spread_m === null) return LANDED[load.landed_by];
+  const [along, across] = load.spread_m;
+  return `${LANDED[load.landed_by]}, spread ${fixed(along, 2)} × ${metres(across)} (1σ)`;
+}
 
 /** A proposal's reason as it is set on a page. */
 export const reasonWords = (sentence: string) =>
