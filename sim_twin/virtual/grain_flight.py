@@ -65,7 +65,7 @@ class GrainFlight:
         self.velocity_m_per_s = np.full((*shape, 3), np.nan)
         self._time_ns = np.zeros(shape, dtype=np.int64)
         self._land_ns = np.zeros(shape, dtype=np.int64)
-        self._told = np.zeros(count, dtype=np.bool_)
+        self._reported = np.zeros(count, dtype=np.bool_)
         self.take(np.ones(count, dtype=np.bool_))
 
     def take(self, which: BoolArray) -> None:
@@ -94,7 +94,7 @@ class GrainFlight:
         solid_ratio = material.mass_kg / material.volume_m3 / material.grain_density_kg_per_m3
         solid_m3 = self.volume_m3[which] * solid_ratio
         self._grain_area_m2[which] = 1.5 * solid_m3 * (1.0 / grain_m).mean(axis=1)
-        self.left[which] = self.landed[which] = self._told[which] = False
+        self.left[which] = self.landed[which] = self._reported[which] = False
 
     def leave(self, release_ns: IntArray, now_ns: int, grip: GripMotion) -> None:
         """Let go of parcels whose moment has come.
@@ -185,8 +185,8 @@ class GrainFlight:
         return (self._grain_drag_per_m * exposed[:, None])[flying]
 
     def _news(self) -> LandedGrains:
-        which = np.flatnonzero(self.landed.all(axis=1) & ~self._told)
-        self._told[which] = True
+        which = np.flatnonzero(self.landed.all(axis=1) & ~self._reported)
+        self._reported[which] = True
         places = self.position_m[which]
         centre = places.mean(axis=1)
         away = places - centre[:, None]
