@@ -96,8 +96,8 @@ def _named(
     if missing:
         raise ConflictError(
             code,
-            f"{len(missing)} of {len(wanted)} {what} are not landed throws of a ball by {machine_id} "
-            f"with a log: {', '.join(missing[:3])}. Leave them out.",
+            f"{len(missing)} of {len(wanted)} {what} are not landed throws of {machine_id} with a "
+            f"log and a ball: {', '.join(missing[:3])}. Leave them out.",
             {"throw_ids": list(missing)},
         )
     return tuple(reversed(rows))
