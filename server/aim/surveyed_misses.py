@@ -11,6 +11,7 @@ from server.aim.bias_map import Misses
 from server.schemas.history import Outcome
 from server.store.database import Database
 from server.store.models import Plan, Throw
+from server.store.throw_filters import threw_a_ball
 
 CONSIDERED_COUNT: Final = 1000
 """Newest throws."""
@@ -54,6 +55,7 @@ def surveyed_misses(
             Throw.mode == mode.value,
             Throw.policy_sha256 == policy_sha256,
             Throw.outcome == Outcome.LANDED.value,
+            threw_a_ball(),
             Plan.calibration_sha256 == calibration_sha256,
             Plan.twin_profile_version == twin_profile_version,
             *(column.is_not(None) for column in columns),

@@ -12,6 +12,7 @@ from server.drift.drift_test import Change, Drift, DriftTest, ThrowMiss
 from server.schemas.history import Outcome
 from server.store.database import Database
 from server.store.models import Plan, Throw
+from server.store.throw_filters import threw_a_ball
 
 CONSIDERED_COUNT: Final = 3000
 """Newest measured throws of a mode and version."""
@@ -79,6 +80,7 @@ def _tested_throws(
             Throw.machine_id == machine_id,
             Throw.mode == mode.value,
             Throw.policy_sha256 == policy_sha256,
+            threw_a_ball(),
             *(column.is_not(None) for column in columns),
             Throw.predicted_sd_downrange_m > 0.0,
             Throw.predicted_sd_crossrange_m > 0.0,

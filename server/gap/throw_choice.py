@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from sqlalchemy import Select, exists, select
+from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from diagnosis.loading.kept_reference import LEAST_REFERENCE_COUNT, KeptReference
@@ -16,7 +16,8 @@ from server.errors import ConflictError
 from server.schemas.gap import MAX_THROWS_COUNT, MIN_THROWS_COUNT, GapRunRequest
 from server.schemas.history import Outcome
 from server.store.database import Database
-from server.store.models import Impact, Throw
+from server.store.models import Throw
+from server.store.throw_filters import threw_a_ball
 
 
 class ChosenThrows(NamedTuple):
@@ -81,8 +82,7 @@ def _usable(machine_id: str) -> Select[str]:
             Throw.machine_id == machine_id,
             Throw.has_log.is_(True),
             Throw.outcome == Outcome.LANDED.value,
-            # The twin throws balls.
-            ~exists().where(Impact.throw_id == Throw.throw_id, Impact.footprint.is_not(None)),
+            threw_a_ball(),
         )
         .order_by(Throw.throw_id.desc())
     )

@@ -15,6 +15,7 @@ from server.rollouts.rollout_views import ThrowFigures
 from server.rollouts.stage_test import Regression, StageFinding, StageThrow
 from server.schemas.history import Outcome
 from server.store.models import Throw
+from server.store.throw_filters import threw_a_ball
 
 REFERENCE_LIMIT: Final = 300
 """Newest throws with the version before: its spread is then known to 4 %."""
@@ -59,7 +60,7 @@ def machine_throws(
         Throw.predicted_sd_crossrange_m,
         Throw.outcome,
     )
-    common = (Throw.machine_id == machine_id, Throw.mode == mode)
+    common = (Throw.machine_id == machine_id, Throw.mode == mode, threw_a_ball())
     landed = (Throw.outcome == Outcome.LANDED.value) & Throw.measured_downrange_error_m.is_not(None)
     old = (
         select(*columns)

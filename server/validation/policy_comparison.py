@@ -21,6 +21,7 @@ from server.schemas.validation import (
 )
 from server.store.database import Database
 from server.store.models import Throw
+from server.store.throw_filters import threw_a_ball
 from server.throws.landing_statistics import RANGE_BIN_M, Measured, statistics_of
 from server.validation.validation_store import ValidationStore
 from sim_twin.throws.accuracy import AccuracyReport, TargetAccuracy
@@ -154,6 +155,7 @@ class PolicyComparison:
             )
             .where(
                 Throw.policy_sha256 == policy_sha256,
+                threw_a_ball(),
                 Throw.outcome.in_(FAILED) | ((Throw.outcome == Outcome.LANDED) & is_measured),
             )
             .order_by(Throw.throw_id.desc())

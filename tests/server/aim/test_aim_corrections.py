@@ -15,7 +15,7 @@ from tests.waiting import wait_for
 AIM = "/machines/m001/aim"
 
 
-def thrown(running, policy_sha256: str, count: int, miss_m: float, aim=None) -> None:
+def thrown(running, policy_sha256: str, count: int, miss_m: float, aim=None, material=None) -> None:
     """Throws at 5.6 to 7 m that land this long, each with its plan."""
     rng = np.random.default_rng(count)
     with running.parts.database.write() as database:
@@ -45,6 +45,7 @@ def thrown(running, policy_sha256: str, count: int, miss_m: float, aim=None) -> 
                 start_rad_m=[],
                 plan_json=None,
                 aim=aim,
+                material=material,
                 calibration_sha256="c" * 64,
             )
             along, across = rng.normal(0.0, 0.05, 2).tolist()
@@ -84,6 +85,7 @@ def test_a_correction_is_proposed_applied_held_by_plans_and_undone(
     running, machine, ada, policy_sha256
 ):
     thrown(running, policy_sha256, 19, 0.3)
+    thrown(running, policy_sha256, 5, 1.0, material={"name": "gravel"})
     assert "19 measured throws" in two_d(ada.get(AIM).json())["problem"]
     thrown(running, policy_sha256, 21, 0.3)
     shown = two_d(ada.get(AIM).json())
