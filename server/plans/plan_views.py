@@ -190,6 +190,7 @@ def plan_view(row: Plan) -> PlanView:
         model_sha256=row.model_sha256,
         twin_profile_version=row.twin_profile_version,
         aim=plan_aim(row),
+        material=plan_material(row),
         plan_hash=None if message is None else message.plan_hash,
         is_complete=row.is_complete,
         refusals=tuple(

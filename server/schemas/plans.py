@@ -9,6 +9,7 @@ from pydantic import Field
 from machine.conventions import DEFAULT_PACE_RATIO, Mode
 from machine.messages import AimShift, LandingEllipse
 from machine.site.objects import GROUND
+from machine.site.thrown_material import ThrownMaterial
 from server.schemas.console import Request, TargetRequest, TargetView, View
 
 
@@ -87,6 +88,8 @@ class PlanView(View):
     twin_profile_version: int
     aim: AimShift | None
     """Aim correction that the machine throws with."""
+    material: ThrownMaterial | None
+    """Bulk material of the load; the prediction is for a ball."""
     plan_hash: str | None
     """Binds what is shown to what runs; changes until the preview is complete, fixed by arming."""
     is_complete: bool

@@ -4817,6 +4817,7 @@ export interface components {
             is_complete: boolean;
             /** Machine Id */
             machine_id: string;
+            material: components["schemas"]["ThrownMaterial"] | null;
             mode: components["schemas"]["Mode"];
             /** Model Sha256 */
             model_sha256: string;
@@ -6170,6 +6171,26 @@ export interface components {
              */
             kind: "throw.updated";
             throw: components["schemas"]["ThrowRow"];
+        };
+        /**
+         * ThrownMaterial
+         * @description A grab of bulk material as it is planned; what the grab really holds differs.
+         */
+        ThrownMaterial: {
+            /** Drag Coefficient Ratio */
+            drag_coefficient_ratio: number;
+            /** Grain Density Kg Per M3 */
+            grain_density_kg_per_m3: number;
+            /** Grain Diameter M */
+            grain_diameter_m: number;
+            /** Grain Spread Ratio */
+            grain_spread_ratio: number;
+            /** Mass Kg */
+            mass_kg: number;
+            /** Name */
+            name: string;
+            /** Volume M3 */
+            volume_m3: number;
         };
         /**
          * TrainingRecord

@@ -13,6 +13,7 @@ export function landingVerdict(thrown: Throw, plan: Plan | null): Verdict | null
   const { measured_downrange_error_m: along, measured_crossrange_error_m: across } = thrown;
   const prediction = plan?.prediction;
   if (along === null || across === null || !prediction?.ellipse) return null;
+  if (plan?.material) return { isInside: true, text: "The ellipse is that of a ball." };
   const sigma = sigmaDistance(prediction.ellipse, along, across);
   if (sigma === null) return null;
   if (sigma <= 2)

@@ -20,10 +20,12 @@ export function PreviewNumbers({
   prediction,
   isComplete,
   aim,
+  material,
 }: {
   prediction: Prediction;
   isComplete: boolean;
   aim: Schema["AimShift"] | null;
+  material: Schema["ThrownMaterial"] | null;
 }) {
   const { ellipse } = prediction;
   const nearest = nearestClearance(prediction.clearances);
@@ -37,6 +39,14 @@ export function PreviewNumbers({
       <dd>{downrangeWords(prediction.downrange_error_m)}</dd>
       <dt />
       <dd>{crossrangeWords(prediction.crossrange_error_m)}</dd>
+      {material && (
+        <>
+          <dt>Load</dt>
+          <dd>
+            {fixed(material.volume_m3)} m³ of {material.name}; the prediction is for a ball
+          </dd>
+        </>
+      )}
       {aim && (
         <>
           <dt>Aim correction v{aim.version_count}</dt>

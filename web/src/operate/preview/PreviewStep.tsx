@@ -53,6 +53,7 @@ export function PreviewStep({ machine, plan, estimate, gate }: Props) {
             prediction={prediction}
             isComplete={plan?.is_complete ?? false}
             aim={plan?.aim ?? null}
+            material={plan?.material ?? null}
           />
         </div>
       )}
