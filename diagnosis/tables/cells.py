@@ -102,6 +102,12 @@ def split_unit(cells: pd.Series) -> tuple[pd.Series, str]:
     return (parts[0].where(has_unit, cells), units.pop()) if is_same else (cells, "")
 
 
+def find_units(cells: pd.Series) -> list[str]:
+    """The units that follow the numbers of a column's cells; empty unless each number has one."""
+    units = cells[cells != ""].str.extract(f"^{_WITH_UNIT.pattern}$")[1]
+    return sorted(set(units.str.strip())) if units.notna().all() else []
+
+
 def find_form(cells: pd.Series) -> NumberForm | None:
     """The form that a column's cells are written in; None if several fit.
 

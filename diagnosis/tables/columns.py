@@ -15,19 +15,8 @@ from machine.conventions import Array
 
 TIME_WORDS: Final = (
     *("time", "t", "timestamp", "stamp", "seconds", "sec", "secs", "epoch", "clock", "datetime"),
-    *(
-        "date",
-        "millis",
-        "micros",
-        "elapsed",
-        "zeit",
-        "zeitstempel",
-        "datum",
-        "uhrzeit",
-        "temps",
-        "tiempo",
-        "tempo",
-    ),
+    *("date", "millis", "micros", "elapsed", "zeit", "zeitstempel", "datum", "uhrzeit", "temps"),
+    *("tiempo", "tempo"),
 )
 """Names of time columns."""
 FRAME_WORDS: Final = ("frame", "frames", "framenumber", "image", "bild")
@@ -42,22 +31,12 @@ COMMAND_WORDS: Final = (
 )
 """Names of lever and valve commands."""
 REFERENCE_WORDS: Final = (
-    "reference",
-    "ref",
-    "desired",
-    "target",
-    "demand",
-    "request",
-    "goal",
-    "soll",
-    "sollwert",
+    *("reference", "ref", "desired", "target", "demand", "request", "goal", "soll", "sollwert"),
 )
 """Names of reference positions or velocities: the command of a servo, if no lever or valve was logged."""
-FALLBACK_COMMAND_WORDS: Final = ("current", "voltage", "signal", "spannung", "strom")
-"""Names of electrical signals, taken as the command if nothing else fits."""
 POSITION_WORDS: Final = (
-    *("position", "pos", "angle", "q", "theta", "extension", "encoder", "stroke", "winkel", "weg"),
-    *("displacement", "counts", "hub", "istwert"),
+    *("position", "pos", "angle", "q", "theta", "extension", "encoder", "stroke", "winkel"),
+    *("weg", "displacement", "counts", "hub", "istwert"),
 )
 VELOCITY_WORDS: Final = (
     *("velocity", "vel", "speed", "omega", "qd", "rate", "gyro", "rpm", "dps", "drehzahl"),
@@ -75,32 +54,9 @@ OTHER_QUANTITY_WORDS: Final = (
 """Words of quantities that are not positions."""
 HEIGHT_WORDS: Final = ("z", "height", "altitude", "alt", "h", "höhe")
 RUN_WORDS: Final = (
-    *(
-        "run",
-        "trial",
-        "test",
-        "throw",
-        "drop",
-        "flight",
-        "swing",
-        "rep",
-        "repetition",
-        "take",
-        "track",
-    ),
-    *(
-        "ball",
-        "object",
-        "id",
-        "experiment",
-        "shot",
-        "rally",
-        "group",
-        "label",
-        "set",
-        "episode",
-        "name",
-    ),
+    *("run", "trial", "test", "throw", "drop", "flight", "swing", "rep", "repetition", "take"),
+    *("track", "ball", "object", "id", "experiment", "shot", "rally", "group", "label", "set"),
+    *("episode", "name"),
 )
 """Names of columns of whole numbers that label runs."""
 _UNIT_WORDS: Final = frozenset(["rad", "deg", "m", "mm", "cm", "pct", "percent", "ratio", "norm"])
@@ -288,9 +244,9 @@ def _is_run_number(table: Table, name: str) -> bool:
 
 
 def find_command_column(table: Table, time: str, output: str | None) -> str:
-    """The command column: a lever or valve, else a reference position, else a current or voltage."""
+    """The command column: a lever or valve, else a reference position."""
     without = {time, *([] if output is None else [output])}
-    for words in (COMMAND_WORDS, REFERENCE_WORDS, FALLBACK_COMMAND_WORDS):
+    for words in (COMMAND_WORDS, REFERENCE_WORDS):
         if any(w in words for n in table.columns if n not in without for w in split_name(n)):
             return table.guess("command", "--command", words, without)
     return table.guess("command", "--command", COMMAND_WORDS, without)
@@ -299,8 +255,7 @@ def find_command_column(table: Table, time: str, output: str | None) -> str:
 def find_output_columns(table: Table, used: Collection[str]) -> tuple[list[str], bool]:
     """The position column, else the velocity column, and whether it is a velocity.
 
-    If no name fits: the only other column with a unit of motion, or the only other one that shares a word
-    with the command.
+    If no name fits: the only other column, or the only one with a unit of motion.
     """
     words = {*COMMAND_WORDS, *REFERENCE_WORDS}
     commands = [n for n in table.columns if any(w in words for w in split_name(n))]
@@ -314,9 +269,7 @@ def find_output_columns(table: Table, used: Collection[str]) -> tuple[list[str],
             others = [n for n in table.columns if n not in without and table.is_numeric(n)]
             moving = [n for n in others if _has_motion_unit(table, n)]
             places = [n for n in moving if not _is_velocity_or_rate(table, n)]
-            mine = {w for n in used for w in split_name(n)} - words
-            alike = [n for n in others if mine & set(split_name(n))]
-            for found in (others, moving, places, alike):
+            for found in (others, moving, places):
                 if len(found) == 1:
                     what = "velocity" if _is_velocity_or_rate(table, found[0]) else "position"
                     table.notes.append(f"column {found[0]!r} taken as the {what}: no other fits")

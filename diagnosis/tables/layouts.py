@@ -43,20 +43,6 @@ class RawTable(NamedTuple):
     """Assumptions made while reading, for the user."""
 
 
-class _Grid(NamedTuple):
-    """Cells of all lines; the index holds the number of each line."""
-
-    cells: pd.DataFrame
-
-    def top(self, count: int) -> list[list[str]]:
-        """The first rows without trailing blank cells."""
-        return [_without_trailing_blanks(row) for row in self.cells.head(count).to_numpy().tolist()]
-
-    def below(self, begin: int) -> pd.DataFrame:
-        """Rows from `begin` on."""
-        return self.cells.iloc[begin:]
-
-
 def read_raw_table(path: Path) -> RawTable:
     """Read a delimited text file; the separator is comma, semicolon, bar, tab or blank.
 
@@ -80,7 +66,7 @@ def read_raw_table(path: Path) -> RawTable:
     else:
         comments = [_COMMENT.sub("", line, 1).lstrip("#%/ ") for line in lines[:first]]
         names = [
-            _split_lines([text], np.array([1]), separator).top(1)[0]
+            _top(_split_lines([text], np.array([1]), separator), 1)[0]
             for text in comments
             if text.strip()
         ]
@@ -89,8 +75,11 @@ def read_raw_table(path: Path) -> RawTable:
     return _check_rows(path, raw._replace(notes=[*notes, *raw.notes]))
 
 
-def _split_lines(lines: Sequence[str], numbers: IntArray, separator: str) -> _Grid:
-    """Cells of lines; a quotation mark that is never closed, or far too late, is a character like others."""
+def _split_lines(lines: Sequence[str], numbers: IntArray, separator: str) -> pd.DataFrame:
+    """Cells of lines, the index holds their numbers.
+
+    A quotation mark that is never closed, or far too late, is a character like others.
+    """
     width = 1 + max(line.count(separator) for line in lines)
     if separator == " ":
         width = max(len(line.split()) for line in lines)
@@ -111,14 +100,19 @@ def _split_lines(lines: Sequence[str], numbers: IntArray, separator: str) -> _Gr
             continue
         if len(cells) == len(lines):
             cells.index = pd.Index(numbers)
-            return _Grid(cells.apply(lambda column: column.str.strip()))
+            return cells.apply(lambda column: column.str.strip())
         breaks = cells.apply(lambda column: column.str.count("\n")).sum(axis=1).to_numpy()
         joined = cells.apply(lambda column: column.str.count(re.escape(separator))).to_numpy()
         if np.sum(breaks) + len(cells) == len(lines) and np.max(joined) < max(width - 1, 1):
             begins = np.concatenate([[0], np.cumsum(breaks + 1)[:-1]]).astype(np.int64)
             cells.index = pd.Index(numbers[begins])
-            return _Grid(cells.apply(lambda column: column.str.strip()))
+            return cells.apply(lambda column: column.str.strip())
     raise RefusedTableError("its lines cannot be split into cells: check its quotation marks")
+
+
+def _top(grid: pd.DataFrame, count: int) -> list[list[str]]:
+    """The first rows without trailing blank cells."""
+    return [_without_trailing_blanks(row) for row in grid.head(count).to_numpy().tolist()]
 
 
 def _without_trailing_blanks(row: list[str]) -> list[str]:
@@ -134,9 +128,9 @@ def _widths(cells: pd.DataFrame) -> IntArray:
     return np.where(np.any(filled, axis=1), last, 1)
 
 
-def _read_controldesk(grid: _Grid) -> RawTable | None:
+def _read_controldesk(grid: pd.DataFrame) -> RawTable | None:
     """Layout of dSPACE ControlDesk, rows that begin with trace_names and trace_values; else None."""
-    top = grid.top(MAX_HEADER_LINES)
+    top = _top(grid, MAX_HEADER_LINES)
     marks = {row[0]: k for k, row in enumerate(top)}
     if not {"trace_names", "trace_values"} <= set(marks):
         return None
@@ -145,17 +139,17 @@ def _read_controldesk(grid: _Grid) -> RawTable | None:
     note = (
         "ControlDesk: names from trace_names, units from trace_units, the first column is the time"
     )
-    body = grid.below(marks["trace_values"]).iloc[:, 1:]
+    body = grid.iloc[marks["trace_values"] :, 1:]
     return _name_columns(names, body, units, [note])
 
 
-def _read_twincat(path: Path, grid: _Grid) -> RawTable | None:
+def _read_twincat(path: Path, grid: pd.DataFrame) -> RawTable | None:
     """Layout of TwinCAT Scope: properties, then a time in ms and a value for each channel; else None.
 
     Raises:
         RefusedTableError: the channels have clocks of their own.
     """
-    top = grid.top(MAX_HEADER_LINES)
+    top = _top(grid, MAX_HEADER_LINES)
     heads = [k for k, r in enumerate(top) if len(r) > 3 and set(r[::2]) == {"Name"}]
     if not heads or not any(row[0].startswith("SampleTime") for row in top):
         return None
@@ -164,7 +158,7 @@ def _read_twincat(path: Path, grid: _Grid) -> RawTable | None:
         (k for k in range(heads[0], len(top)) if all(is_number(c) for c in top[k])), len(top)
     )
     unit_row = next((r for r in top[heads[0] : begin] if r and set(r[::2]) == {"Unit"}), [])
-    body = grid.below(begin).iloc[:, : 2 * len(channels)]
+    body = grid.iloc[begin:, : 2 * len(channels)]
     times = body.iloc[:, ::2]
     if not times.eq(times.iloc[:, 0], axis=0).all(axis=None):
         raise RefusedTableError(
@@ -179,13 +173,13 @@ def _read_twincat(path: Path, grid: _Grid) -> RawTable | None:
     return _name_columns(names, values, units, [note])
 
 
-def _read_tracker(grid: _Grid) -> RawTable:
+def _read_tracker(grid: pd.DataFrame) -> RawTable:
     """Layout of Tracker with several bodies: their names above columns t, x, y, x, y; a row for each body.
 
     Raises:
         RefusedTableError: the names of bodies and columns do not belong together.
     """
-    first, names = grid.top(2)
+    first, names = _top(grid, 2)
     bodies = [name for name in first if name]
     width, left = divmod(len(names) - 1, max(len(bodies), 1))
     own = names[1 : 1 + width]
@@ -196,15 +190,15 @@ def _read_tracker(grid: _Grid) -> RawTable:
         )
     parts: list[pd.DataFrame] = []
     for k, body in enumerate(bodies):
-        part = grid.below(2).iloc[:, [0, *range(1 + k * width, 1 + (k + 1) * width)]]
+        part = grid.iloc[2:, [0, *range(1 + k * width, 1 + (k + 1) * width)]]
         parts.append(part.set_axis(range(1 + width), axis=1).assign(body=body))
     note = f"Tracker: {len(bodies)} bodies ({', '.join(bodies)}), each with its own rows"
     return _name_columns([names[0], *own, "body"], pd.concat(parts), [], [note])
 
 
-def _read_common(path: Path, grid: _Grid, comments: Sequence[list[str]]) -> RawTable:
+def _read_common(path: Path, grid: pd.DataFrame, comments: Sequence[list[str]]) -> RawTable:
     """A header line, with lines above it and a row of units below it or not."""
-    top = grid.top(MAX_HEADER_LINES)
+    top = _top(grid, MAX_HEADER_LINES)
     begin, width = _find_first_row(path, grid, top)
     above = top[:begin] or list(comments)
     names_at = [k for k, row in enumerate(above) if len(row) >= width and any(row)]
@@ -221,10 +215,10 @@ def _read_common(path: Path, grid: _Grid, comments: Sequence[list[str]]) -> RawT
         notes.append("units taken from the row below the header")
     if len(above) > 1 + bool(units):
         notes.append("lines above the header left out")
-    return _name_columns(names, grid.below(begin), units, notes)
+    return _name_columns(names, grid.iloc[begin:], units, notes)
 
 
-def _find_first_row(path: Path, grid: _Grid, top: list[list[str]]) -> tuple[int, int]:
+def _find_first_row(path: Path, grid: pd.DataFrame, top: list[list[str]]) -> tuple[int, int]:
     """Index of the first row of numbers, and the width of the rows.
 
     It holds a number, and text only in columns that hold text further down, or below a row of names.
@@ -232,7 +226,7 @@ def _find_first_row(path: Path, grid: _Grid, top: list[list[str]]) -> tuple[int,
     Raises:
         RefusedTableError: none is found.
     """
-    tail = grid.cells.iloc[-max(MIN_ROWS, len(grid.cells) // 5) :]
+    tail = grid.iloc[-max(MIN_ROWS, len(grid) // 5) :]
     tail = tail.iloc[:: max(1, len(tail) // TYPICAL_ROWS)]
     typical = [_without_trailing_blanks(row) for row in tail.to_numpy().tolist()]
     width = Counter(len(row) for row in typical).most_common(1)[0][0]
@@ -275,17 +269,17 @@ def _is_time(cell: str) -> bool:
 
 
 def _no_header_error(
-    path: Path, grid: _Grid, begin: int, width: int, above: Sequence[Sequence[str]]
+    path: Path, grid: pd.DataFrame, begin: int, width: int, above: Sequence[Sequence[str]]
 ) -> RefusedTableError:
     if not above:
-        first = ", ".join(grid.top(1)[0][:4])
+        first = ", ".join(_top(grid, 1)[0][:4])
         return RefusedTableError(
             f"the first line of {path.name} holds numbers ({first}...); the columns need names: add a header "
             "line"
         )
     return RefusedTableError(
         f"no line of {path.name} above its numbers names its {width} columns; the last one (row "
-        f"{grid.cells.index[max(begin - 1, 0)]}) is {', '.join(above[-1])[:60]!r}. Add a header line"
+        f"{grid.index[max(begin - 1, 0)]}) is {', '.join(above[-1])[:60]!r}. Add a header line"
     )
 
 

@@ -20,6 +20,7 @@ from diagnosis.tables.cells import (
     are_blank,
     clean_cells,
     find_form,
+    find_units,
     parse_cells,
     parse_times_s,
     settle_form,
@@ -190,14 +191,21 @@ class Table:
         text = self.columns[name].iloc[first]
         place = f"row {self.columns.index[first]} of {self.path.name}, column {name!r}"
         share = float(np.mean(is_text[(self.cells(name) != "").to_numpy()]))
+        if len(units := find_units(self.cells(name))) > 1:
+            return (
+                f"{place}: {text!r} is no number: the units {' and '.join(units)} are mixed. Write one unit "
+                "in all rows"
+            )
         if share > MIN_NUMBERS_RATIO:
             return (
                 f"{place}: {text!r} is no number; the column holds a number in {1.0 - share:.0%} of its "
                 "rows; choose another column"
             )
+        more = int(np.sum(is_text)) - 1
+        below = f", nor are {more} more cells below" if more else ""
         return (
-            f"{place}: {text!r} is no number ({form.describe()}), nor {int(np.sum(is_text)) - 1} more cells "
-            f"below. Correct them; if they stand for no value, give --missing {text.strip()}"
+            f"{place}: {text!r} is no number ({form.describe()}){below}. Correct them; if "
+            f"they stand for no value, give --missing {text.strip()!r}"
         )
 
     def _form_of(self, name: str, cells: pd.Series) -> NumberForm:

@@ -108,6 +108,12 @@ def test_a_goal_is_a_command_and_a_duplicate_time_column_is_ignored(tmp_path: Pa
     assert find_command_column(found, "time", None) == "goal_rad"
 
 
+def test_a_current_may_be_a_response_and_is_not_taken_as_the_command(tmp_path: Path) -> None:
+    found = table(tmp_path / "a.csv", "time,motor_current,pos_rad", TIME_S, TIME_S, TIME_S)
+    with pytest.raises(RefusedTableError, match="give --command COLUMN"):
+        find_command_column(found, "time", "pos_rad")
+
+
 def test_a_position_is_preferred_to_its_speed(tmp_path: Path) -> None:
     columns = [TIME_S] * 4
     both = table(tmp_path / "a.csv", "time_s,joystick,slew_rad_per_s,slew_rad", *columns)

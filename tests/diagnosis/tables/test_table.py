@@ -275,7 +275,7 @@ def test_units_and_switches_in_cells(tmp_path: Path) -> None:
         assert table.units["v"] == unit
         assert any("from the cells" in note for note in table.notes)
     mixed = [f"{k} {'mm' if k % 2 else 'cm'}" for k in COUNT]
-    with pytest.raises(RefusedTableError, match="'0 cm' is no number"):
+    with pytest.raises(RefusedTableError, match="'0 cm' is no number: the units cm and mm"):
         read_table(write(tmp_path / "a.csv", "t,v", COUNT, mixed)).numbers("v")
     for on, off in (("TRUE", "FALSE"), ("on", "off")):
         path = write(tmp_path / "a.csv", "t,v", COUNT, [on if k % 3 else off for k in COUNT])
