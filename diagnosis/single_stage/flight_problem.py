@@ -223,9 +223,22 @@ def _list_options(
             "drag_crisis",
             (
                 FreeParameter(
-                    "critical_speed_m_per_s", "m/s", 0.3 * top, 0.95 * top, (0.6 * top, 0.8 * top)
+                    "critical_speed_m_per_s",
+                    "m/s",
+                    0.3 * top,
+                    0.95 * top,
+                    (0.6 * top, 0.8 * top),
+                    is_absent_at_low=False,
                 ),
-                FreeParameter("above_ratio", "1", 0.05, 1.0, (0.4, 0.7)),
+                FreeParameter(
+                    "above_ratio",
+                    "1",
+                    0.05,
+                    1.0,
+                    (0.4, 0.7),
+                    is_absent_at_high=True,
+                    is_absent_at_low=False,
+                ),
             ),
         ),
         EffectOption(
