@@ -83,7 +83,7 @@ def main() -> None:
     if options.slew is not None:
         rows, verdict = slew_rows(options.slew)
         title = "Slew of a 40 t material handler, from two published networks of its response"
-        notes = f"Verdict: {verdict}; these are the parameters of its best explanation."
+        notes = f"Verdict: {verdict}."
         made.append(describe("single_stage_slew", title, rows, seed=None, notes=notes))
     for result in made:
         write_result(result.model_copy(update={"interval": "90 %"}))

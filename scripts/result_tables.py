@@ -157,6 +157,12 @@ def decimals(rows: list[Row], names: tuple[str, ...]) -> dict[str, int]:
     return found
 
 
+def ends(value: Value, name: str) -> list[float]:
+    """A value and its interval, as they are shown."""
+    known = [v for v in (value.value, value.low, value.high) if v is not None]
+    return [scale(name) * v for v in known]
+
+
 def result_table(result: Result, layout: Layout) -> str:
     """The table of one result file and, below it, where the numbers come from."""
     rows = [row for row in result.rows if all(row.labels[k] == v for k, v in layout.where.items())]
@@ -179,7 +185,7 @@ def result_table(result: Result, layout: Layout) -> str:
     lines = [line(heads), "|" + "---|" * len(heads)]
     for key, members in groups.items():
         if "unit" in labels:
-            digits = decimals(members, names)
+            digits = {name: digits_of(ends(members[0].values[name], name)) for name in names}
         cells = [str(members[0].n) if key in alike else ""] * has_n
         if columns:
             shows_n = len(count) > 1 and not (has_n and key in alike)
