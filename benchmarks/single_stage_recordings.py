@@ -1,10 +1,10 @@
-"""Diagnose public recordings of single stages: eleven balls dropped from 35 m, the slew of a material handler.
+"""Diagnose public recordings of single stages: balls dropped from 35 m, the slew of a material handler.
 
     python -m benchmarks.single_stage_recordings --drops ball_drops.csv --slew slew.csv
 
-The drops are those of github.com/briandesilva/discovery-of-physics-from-data (MIT), as one CSV with the columns
-ball, drop, time_s, height_m, velocity_m_per_s. `tests/diagnosis/slew_networks.py` makes slew.csv. Writes
-``single_stage_drops.json`` and ``single_stage_slew.json``: the cause named, or under ``unknown`` the best one.
+The drops are those of github.com/briandesilva/discovery-of-physics-from-data (MIT), as one CSV with the
+columns ball, drop, time_s, height_m, velocity_m_per_s. `tests/diagnosis/slew_networks.py` makes slew.csv.
+Writes ``single_stage_drops.json`` and ``single_stage_slew.json``: the likeliest known cause, and the verdict.
 """
 
 import argparse
