@@ -308,7 +308,8 @@ def one(sample, index):
     values = {}
     for f in fields(sample):
         value = getattr(sample, f.name)
-        values[f.name] = value if isinstance(value, int) else value[index : index + 1]
+        is_array = not (value is None or isinstance(value, int))
+        values[f.name] = value[index : index + 1] if is_array else value
     return type(sample)(**values)
 
 

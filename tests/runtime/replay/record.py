@@ -85,6 +85,8 @@ def _stack(samples: list[SensorSample], shift_ns: int) -> Channels:
     stacked: Channels = {}
     for field in fields(SensorSample):
         first = getattr(samples[0], field.name)
+        if first is None:
+            continue
         if isinstance(first, int):
             values = np.array([getattr(sample, field.name) for sample in samples])
         else:

@@ -4,7 +4,7 @@ A recording is one compressed file in tests/runtime/data. Its inputs never chang
 `replay` gives for these inputs, and are replaced when a change is accepted (record.py).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -59,7 +59,7 @@ class Recording:
     motion: Array
     """(T,) conventions.Motion"""
     samples: Channels
-    """Fields of `SensorSample`, each (T, ...), without the machine axis."""
+    """Fields of `SensorSample` that the driver measured, each (T, ...), without the machine axis."""
     outputs: Channels
 
 
@@ -121,14 +121,14 @@ def _params(mode: Mode) -> ControlParams:
 def _sample(recording: Recording, tick: int) -> SensorSample:
     """The sample of one tick, with the machine axis."""
     values: dict[str, object] = {}
-    for field in fields(SensorSample):
-        value = recording.samples[field.name][tick]
-        if field.name == "t_mono_ns":
-            values[field.name] = int(value)
+    for name, channel in recording.samples.items():
+        value = channel[tick]
+        if name == "t_mono_ns":
+            values[name] = int(value)
         elif value.dtype == np.float32:
-            values[field.name] = value[None].astype(np.float64)
+            values[name] = value[None].astype(np.float64)
         else:
-            values[field.name] = value[None]
+            values[name] = value[None]
     return SensorSample(**values)  # pyright: ignore[reportArgumentType]
 
 

@@ -81,7 +81,7 @@ def desk(scene: Scene, registry: SimpleNamespace) -> TargetProposals:
     quiet = SimpleNamespace(
         objects=lambda _: (), watch=lambda *_: None, publish=lambda *_: None, end_session=print
     )
-    zones = SimpleNamespace(active=lambda _: ZoneSet(version_count=0), draft=lambda _: ())
+    zones = SimpleNamespace(approved=lambda _: ZoneSet(version_count=0), draft=lambda _: ())
     found = TargetProposals(scene, Shelf(), quiet, zones, quiet, quiet, registry, load_spec())
     found.set_view("s", ViewRequest(machine_id="m001", mode=Mode.PLANAR))
     return found
