@@ -39,7 +39,9 @@ class EffectOption(NamedTuple):
     effect: str
     parameters: tuple[FreeParameter, ...]
     least: float = 0.0
-    """Smallest magnitude worth naming; the effect is insignificant if all its parameters are smaller."""
+    """Smallest distance from `null` worth naming; an effect is insignificant if all its parameters are nearer."""
+    null: float = 0.0
+    """Value of its parameters at which it is absent."""
     least_difference: float = 0.0
     """Smallest difference of the first two parameters worth two of them; 0 for any."""
     stands_for: str = ""

@@ -16,10 +16,12 @@ from diagnosis.single_stage.fit_problem import EffectOption, FreeParameter
 from machine.conventions import Array
 from sim_twin.recurrences import apply_play, lag_two_sided, limit_rate
 
-MIN_TIME_PERIODS: Final = 0.5
+MIN_TIME_PERIODS: Final = 1.0
 """Smallest dead time or lag worth naming, in sample periods."""
-MIN_BAND_RATIO: Final = 0.005
-"""Smallest dead band worth naming, as a share of full command."""
+MIN_BAND_RATIO: Final = 0.02
+"""Smallest dead band worth naming, as a share of full command: levers and valves resolve about 1 %."""
+MIN_CURVE_RATIO: Final = 0.05
+"""Smallest distance of a valve curve's exponent from 1 worth naming: 2 % of the largest speed."""
 MIN_SLOPE_RATIO: Final = 0.03
 """Smallest change of the speed over half the range of positions worth naming."""
 MIN_DRIFT_RATIO: Final = 0.1
@@ -172,6 +174,8 @@ def _list_static_options() -> tuple[EffectOption, ...]:
                     "exponent_ratio", "1", 0.3, 3.0, (1.05, 1.5, 0.7), is_absent_at_low=False
                 ),
             ),
+            least=MIN_CURVE_RATIO,
+            null=1.0,
         ),
         EffectOption(
             "valve_hysteresis",

@@ -254,17 +254,16 @@ def _rank_structures(
         held_out = max(estimate_held_out_mean_square(problem, found), found.mean_square)
         scored_mean_square = found.mean_square if is_noise_like else held_out
         score = -0.5 * independent * math.log(scored_mean_square + floor) - penalty + prior
+        effects = {option.effect for option in found.options}
+        simpler = [item for item in scored.values() if set(item.effects) < effects]
         if {"valve_dead_band_plain", "valve_gain"} <= key or _has_insignificant_effect(
             problem, found, correlation
         ):
-            score += INSIGNIFICANT_LOG_PRIOR
-        for option in found.options:
-            rest = tuple(sorted({o.effect for o in found.options if o.key != option.key}))
-            for simpler in [item for item in scored.values() if item.effects == rest]:
-                gain = simpler.fit.mean_square - found.mean_square
-                # An effect at its smallest magnitude or without a relevant gain is not better than none.
-                if _is_at_lower_bound(found, option) or gain < relevant**2:
-                    score = min(score, simpler.score + INSIGNIFICANT_LOG_PRIOR)
+            best = max((item.score for item in simpler), default=score)
+            score = min(score, best) + INSIGNIFICANT_LOG_PRIOR
+        # Effects may cancel each other: no set of them is better than one of fewer that explains as much.
+        alike = [s for s in simpler if s.fit.mean_square - found.mean_square < relevant**2]
+        score = min([score, *(item.score + INSIGNIFICANT_LOG_PRIOR for item in alike)])
         scored[key] = ScoredStructure(found, held_out, score)
     items = sorted(scored.values(), key=lambda item: -item.score)
     probabilities = softmax([item.score for item in items])
@@ -288,10 +287,10 @@ def _has_insignificant_effect(problem: FitProblem, found: StructureFit, correlat
             tested = names if first.low <= 0.0 else names[:1]
             if not any(is_nonzero[name] for name in tested) or _is_at_lower_bound(found, option):
                 return True
-            if max(abs(values[name]) for name in names) < option.least:
-                return True
             if abs(values[names[0]] - values[names[-1]]) < option.least_difference:
                 return True
+        if max(abs(values[name] - option.null) for name in names) < option.least:
+            return True
         for p, name in zip(option.parameters, names, strict=True):
             if p.is_absent_at_high and values[name] > 0.98 * p.high:
                 return True
