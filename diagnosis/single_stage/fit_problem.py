@@ -39,7 +39,7 @@ class EffectOption(NamedTuple):
     effect: str
     parameters: tuple[FreeParameter, ...]
     least: float = 0.0
-    """Smallest distance from `null` worth naming; an effect is insignificant if all its parameters are nearer."""
+    """Smallest distance from `null` worth naming; an effect with all parameters nearer is insignificant."""
     null: float = 0.0
     """Value of its parameters at which it is absent."""
     least_difference: float = 0.0

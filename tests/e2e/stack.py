@@ -85,13 +85,13 @@ def logins(data: Path) -> dict[str, str]:
 
 
 class Demo:
-    """`downrange demo`: server, router, console and one virtual machine; it starts while others go on."""
+    """`downrange demo`: server, router, console, virtual machines; it starts while others go on."""
 
-    def __init__(self, data: Path) -> None:
+    def __init__(self, data: Path, machine_count: int = 1) -> None:
         self._data = data
         self._command = Command(
             data / "demo.log",
-            *("demo", "--port", "0", "--data", str(data)),
+            *("demo", "--port", "0", "--data", str(data), "--machines", str(machine_count)),
             # The browser of these tests draws without graphics hardware.
             DOWNRANGE_VIEW_SHADOWS="0",
         )
@@ -106,9 +106,9 @@ class Demo:
 
 
 @contextlib.contextmanager
-def running_demo(data: Path) -> Iterator[Stack]:
+def running_demo(data: Path, machine_count: int = 1) -> Iterator[Stack]:
     """A demo of one's own."""
-    demo = Demo(data)
+    demo = Demo(data, machine_count)
     try:
         yield demo.ready()
     finally:

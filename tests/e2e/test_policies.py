@@ -1,7 +1,6 @@
-"""Policy versions: uploaded, approved, retired, deployed, rolled back, validated, compared."""
+"""Policy versions on one machine: uploaded, approved, retired, deployed, rolled back, a rollout aborted."""
 
 import base64
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,16 +10,14 @@ import onnx
 from onnx import numpy_helper
 from playwright.sync_api import Page, expect
 
-from machine.policy_card import CARD_FILE, GOLDEN_FILE, POLICY_FILE, file_sha256
-from scripts.golden_vectors import add_golden_vectors
+from machine.policy_card import POLICY_FILE
 from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
+from tests.e2e.retrained_policy import RETRAINED, files_of, retrained, write_card
 from tests.e2e.stack import Stack, client, until
 
 OLDER, NEWER = "m545-2d-v6", "m545-2d-v7"
-VALIDATION_MS = 300_000
-"""Two registrations and a few throws, at low priority on a busy computer."""
 
 
 def _on_board(demo: Stack) -> str:
@@ -95,25 +92,6 @@ def test_a_rollout_asks_the_machine_and_an_abort_takes_it_back(
     until(lambda: _on_board(demo) == NEWER, f"m001 throws with {NEWER}")
 
 
-ROOT = Path(__file__).parents[2]
-RETRAINED = "m545-2d-retrained"
-
-
-def _retrained(folder: Path) -> Path:
-    """The active version with slightly other weights, under a name of its own, as an export writes it."""
-    shutil.copytree(ROOT / "policies" / NEWER, folder)
-    model = onnx.load(str(folder / POLICY_FILE))
-    for tensor in model.graph.initializer:
-        if tensor.name == "weights_1":
-            weights = 1.001 * numpy_helper.to_array(tensor)
-            tensor.CopyFrom(numpy_helper.from_array(weights.astype(np.float32), tensor.name))
-    (folder / POLICY_FILE).write_bytes(model.SerializeToString())
-    _write_card(folder)
-    (folder / GOLDEN_FILE).unlink()
-    add_golden_vectors(folder)
-    return folder
-
-
 def _permute_inputs(folder: Path) -> None:
     """As an exporter that sorts its inputs: the file is sound, its golden vectors tell."""
     model = onnx.load(str(folder / POLICY_FILE))
@@ -122,17 +100,7 @@ def _permute_inputs(folder: Path) -> None:
             values = np.roll(numpy_helper.to_array(tensor), 1, axis=0)
             tensor.CopyFrom(numpy_helper.from_array(values.copy(), tensor.name))
     (folder / POLICY_FILE).write_bytes(model.SerializeToString())
-    _write_card(folder)
-
-
-def _write_card(folder: Path) -> None:
-    card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-    card |= {"policy_id": RETRAINED, "policy_sha256": file_sha256(folder / POLICY_FILE)}
-    (folder / CARD_FILE).write_text(json.dumps(card), encoding="utf-8")
-
-
-def _files(folder: Path) -> list[Path]:
-    return [folder / name for name in (POLICY_FILE, CARD_FILE, GOLDEN_FILE)]
+    write_card(folder)
 
 
 def _drop(page: Page, files: list[Path]) -> None:
@@ -156,7 +124,7 @@ def test_a_version_is_uploaded_approved_and_retired(
     demo: Stack, open_page: Callable[..., Page], console: Console, tmp_path: Path
 ) -> None:
     console.allowed.append("400 (Bad Request)")  # the refused upload
-    good = _retrained(tmp_path / "good")
+    good = retrained(tmp_path / "good")
     bad = Path(shutil.copytree(good, tmp_path / "bad"))
     _permute_inputs(bad)
     page = open_page(demo)
@@ -167,16 +135,16 @@ def test_a_version_is_uploaded_approved_and_retired(
     card = page.get_by_role("article", name=RETRAINED)
 
     # Not all files: said before anything is sent.
-    _drop(page, _files(bad)[:2])
+    _drop(page, files_of(bad)[:2])
     expect(panel).to_contain_text("golden_vectors.json is missing")
     expect(send).to_be_disabled()
-    _drop(page, _files(bad))
+    _drop(page, files_of(bad))
     panel.get_by_label("Why").fill("retrained in the yard")
     send.click()
     expect(panel.get_by_role("alert")).to_contain_text("not those that it was trained with")
     expect(card).to_have_count(0)
 
-    panel.locator("input[type=file]").set_input_files(_files(good))
+    panel.locator("input[type=file]").set_input_files(files_of(good))
     send.click()
     expect(panel.get_by_role("status")).to_contain_text(f"{RETRAINED} is uploaded")
     expect(card).to_contain_text("Not approved")
@@ -222,39 +190,3 @@ def test_what_the_machine_runs_is_not_retired(
     page.get_by_role("dialog").get_by_label("Why").fill("a mistake")
     page.get_by_role("button", name=f"Retire {NEWER} for good").click()
     expect(page.get_by_role("dialog").get_by_role("alert")).to_contain_text("m001")
-
-
-def test_a_version_is_validated_and_compared(demo: Stack, open_page: Callable[..., Page]) -> None:
-    page = open_page(demo)
-    without_view(page)
-    sign_in(page, demo, "admin", path="/policies")
-    gates = page.get_by_role("region", name="Gates of validations")
-    expect(gates).to_contain_text("defaults")
-    panel = page.get_by_role("region", name=f"Validation of {OLDER}")
-    expect(panel).to_contain_text("Not validated yet.")
-
-    # By keyboard: few throws, the nominal machine alone.
-    panel.get_by_role("button", name=f"Validate {OLDER}").focus()
-    page.keyboard.press("Enter")
-    dialog = page.get_by_role("dialog")
-    dialog.get_by_label("Throws at each target").fill("2")
-    dialog.get_by_label("Machines that served no training").fill("0")
-    dialog.get_by_role("button", name="Validate", exact=True).press("Enter")
-    expect(panel.get_by_role("progressbar")).to_be_visible()
-    table = panel.get_by_role("region", name=f"Gates of {OLDER}")
-    expect(table).to_be_visible(timeout=VALIDATION_MS)
-    expect(table).to_contain_text(f"Spread along beside {NEWER}")
-    expect(table.get_by_role("row", name="Same seed, same throws")).to_contain_text("passed")
-    panel.get_by_text(f"Throws with {OLDER}").click()
-    expect(panel.get_by_role("region", name="virtual machine 0").first).to_contain_text("of 2")
-
-    compare = page.get_by_role("region", name="Compare two versions")
-    for label, version in (("First version", NEWER), ("Second version", OLDER)):
-        compare.get_by_label(label, exact=True).and_(page.locator("input")).click()
-        page.get_by_role("option", name=version).click()
-        expect(page.get_by_role("option")).to_have_count(0)
-    by_validation = compare.get_by_role("region", name="By validations", exact=True)
-    expect(by_validation).to_contain_text("6 and 6 throws with 1 virtual machine")
-    expect(by_validation).to_contain_text("cannot tell from")
-    expect(by_validation.get_by_role("img", name="Impacts in throw coordinates")).to_be_visible()
-    assert findings_of_both_schemes(page) == []
