@@ -137,7 +137,7 @@ def test_a_version_goes_from_upload_to_the_fleet_and_back(
         expect(row).to_contain_text(f"{THROW_COUNT} of 12")
         assert findings_of_both_schemes(page) == []
 
-        _change(page, "Promote", "ten throws as before")
+        _change(page, "End the stage now", "ten throws as before")
         until(lambda: set(_versions(demo).values()) == {RETRAINED}, f"all throw with {RETRAINED}")
         _change(page, "Abort", "end of the trial")
         until(lambda: set(_versions(demo).values()) == {BEFORE}, f"all throw with {BEFORE} again")
