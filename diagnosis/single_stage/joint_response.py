@@ -211,8 +211,10 @@ def _list_limit_options(period_s: float, top_speed: float, unit: str) -> tuple[E
                     "limit_rad_m_per_s2",
                     f"{unit}/s2",
                     0.02 * top_speed,
-                    top_speed / max(period_s, 0.01),
+                    # A ramp that takes less than two samples is not seen.
+                    0.5 * top_speed / max(period_s, 0.01),
                     (4.0 * top_speed, top_speed, 0.4 * top_speed),
+                    is_absent_at_high=True,
                     is_absent_at_low=False,
                 ),
             ),

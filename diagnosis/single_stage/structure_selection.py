@@ -249,21 +249,24 @@ def _rank_structures(
             for option in found.options
         )
         optimistic = -0.5 * independent * math.log(found.mean_square + floor) - penalty + prior
-        if found.options and optimistic < -limit - 40.0:
+        is_far = found.mean_square - richest.mean_square >= relevant**2
+        if found.options and is_far and optimistic < -limit - 40.0:
             continue
         held_out = max(estimate_held_out_mean_square(problem, found), found.mean_square)
         scored_mean_square = found.mean_square if is_noise_like else held_out
         score = -0.5 * independent * math.log(scored_mean_square + floor) - penalty + prior
-        effects = {option.effect for option in found.options}
-        simpler = [item for item in scored.values() if set(item.effects) < effects]
         if {"valve_dead_band_plain", "valve_gain"} <= key or _has_insignificant_effect(
             problem, found, correlation
         ):
-            best = max((item.score for item in simpler), default=score)
-            score = min(score, best) + INSIGNIFICANT_LOG_PRIOR
-        # Effects may cancel each other: no set of them is better than one of fewer that explains as much.
-        alike = [s for s in simpler if s.fit.mean_square - found.mean_square < relevant**2]
-        score = min([score, *(item.score + INSIGNIFICANT_LOG_PRIOR for item in alike)])
+            score += INSIGNIFICANT_LOG_PRIOR
+        effects = {option.effect for option in found.options}
+        for simpler in [item for item in scored.values() if set(item.effects) < effects]:
+            more = [option for option in found.options if option.effect not in simpler.effects]
+            is_alike = simpler.fit.mean_square - found.mean_square < relevant**2
+            # Effects may cancel each other: those without a relevant gain together, or at their smallest
+            # magnitudes, are not better than none.
+            if is_alike or all(_is_at_lower_bound(found, option) for option in more):
+                score = min(score, simpler.score + INSIGNIFICANT_LOG_PRIOR)
         scored[key] = ScoredStructure(found, held_out, score)
     items = sorted(scored.values(), key=lambda item: -item.score)
     probabilities = softmax([item.score for item in items])

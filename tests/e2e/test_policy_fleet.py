@@ -1,13 +1,20 @@
 """A new policy version from upload to the fleet and back, on a demo with three machines."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from cli.service.throw_client import ThrowClient
 from tests.e2e.axe_findings import findings_of_both_schemes
-from tests.e2e.operator_page import sign_in, take_control, throw_until_landed, without_view
+from tests.e2e.operator_page import (
+    open_step,
+    sign_in,
+    take_control,
+    throw_until_landed,
+    without_view,
+)
 from tests.e2e.retrained_policy import RETRAINED, files_of, retrained
 from tests.e2e.stack import Stack, client, running_demo, until
 
@@ -100,47 +107,54 @@ def _change(page: Page, change: str, why: str) -> None:
     dialog.get_by_role("button", name=change, exact=True).click()
 
 
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """A demo with three machines; it ends after the pages are closed."""
+    with running_demo(tmp_path_factory.mktemp("fleet"), machine_count=len(MACHINES)) as demo:
+        yield demo
+
+
 def test_a_version_goes_from_upload_to_the_fleet_and_back(
-    open_page: Callable[..., Page], tmp_path: Path
+    fleet: Stack, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
     folder = retrained(tmp_path / "retrained")
-    with running_demo(tmp_path, machine_count=len(MACHINES)) as demo:
-        page = open_page(demo, 1280, 800)
-        page.emulate_media(color_scheme="light")
-        without_view(page)
-        sign_in(page, demo, "admin", path="/policies")
-        until(
-            lambda: set(_versions(demo).values()) == {BEFORE}, "three machines say what they have"
-        )
-        _upload_and_validate(page, folder)
-        _compare(page)
-        assert findings_of_both_schemes(page) == []
-        _approve(page)
-        _start_rollout(page)
-        rollout = page.get_by_role("article", name=f"Rollout of {RETRAINED} in 2D")
-        expect(rollout.get_by_role("row", name=CANARY)).to_contain_text("0 of 12")
-        until(lambda: _versions(demo)[CANARY] == RETRAINED, f"{CANARY} throws with {RETRAINED}")
-        assert [_versions(demo)[one] for one in ("m001", "m003")] == [BEFORE, BEFORE]
+    page = open_page(fleet, 1280, 800)
+    page.emulate_media(color_scheme="light")
+    without_view(page)
+    sign_in(page, fleet, "admin", path="/policies")
+    until(lambda: set(_versions(fleet).values()) == {BEFORE}, "three machines say what they have")
+    _upload_and_validate(page, folder)
+    _compare(page)
+    assert findings_of_both_schemes(page) == []
+    _approve(page)
+    _start_rollout(page)
+    rollout = page.get_by_role("article", name=f"Rollout of {RETRAINED} in 2D")
+    expect(rollout.get_by_role("row", name=CANARY)).to_contain_text("0 of 12")
+    until(lambda: _versions(fleet)[CANARY] == RETRAINED, f"{CANARY} throws with {RETRAINED}")
+    assert [_versions(fleet)[one] for one in ("m001", "m003")] == [BEFORE, BEFORE]
 
-        operator = open_page(demo, 1280, 800)
-        without_view(operator)
-        sign_in(operator, demo, path="/operate?mode=2d&range=8.5")
-        _choose(operator, CANARY)
-        take_control(operator)
-        throw_until_landed(operator, "key")
-        operator.get_by_role("button", name="Give back control").click()
-        with ThrowClient(demo.url, "operator", demo.passwords["operator"]) as thrower:
-            for number in range(1, THROW_COUNT):
-                target_m = (7.5 + 0.25 * number, 0.0, 0.0)
-                assert thrower.throw(CANARY, "2d", target_m, 60.0).state == "landed"
-        row = rollout.get_by_role("row", name=CANARY)
-        expect(row).to_contain_text(f"{THROW_COUNT} of 12")
-        assert findings_of_both_schemes(page) == []
+    operator = open_page(fleet, 1280, 800)
+    without_view(operator)
+    sign_in(operator, fleet, path="/operate")
+    _choose(operator, CANARY)
+    take_control(operator)
+    open_step(operator, "Target")
+    operator.get_by_label("Range, m").fill("8.5")
+    operator.get_by_label("Range, m").press("Tab")
+    throw_until_landed(operator, "key")
+    operator.get_by_role("button", name="Give back control").click()
+    with ThrowClient(fleet.url, "operator", fleet.passwords["operator"]) as thrower:
+        for number in range(1, THROW_COUNT):
+            target_m = (7.5 + 0.25 * number, 0.0, 0.0)
+            assert thrower.throw(CANARY, "2d", target_m, 60.0).state == "landed"
+    row = rollout.get_by_role("row", name=CANARY)
+    expect(row).to_contain_text(f"{THROW_COUNT} of 12")
+    assert findings_of_both_schemes(page) == []
 
-        _change(page, "End the stage now", "ten throws as before")
-        until(lambda: set(_versions(demo).values()) == {RETRAINED}, f"all throw with {RETRAINED}")
-        _change(page, "Abort", "end of the trial")
-        until(lambda: set(_versions(demo).values()) == {BEFORE}, f"all throw with {BEFORE} again")
-        expect(page.get_by_role("region", name="Rollouts", exact=True)).to_contain_text(
-            "No rollout is open"
-        )
+    _change(page, "End the stage now", "ten throws as before")
+    until(lambda: set(_versions(fleet).values()) == {RETRAINED}, f"all throw with {RETRAINED}")
+    _change(page, "Abort", "end of the trial")
+    until(lambda: set(_versions(fleet).values()) == {BEFORE}, f"all throw with {BEFORE} again")
+    expect(page.get_by_role("region", name="Rollouts", exact=True)).to_contain_text(
+        "No rollout is open"
+    )

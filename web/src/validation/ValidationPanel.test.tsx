@@ -27,19 +27,27 @@ let asked: unknown[] = [];
 function serve(newest: unknown, permissions = ["policy.validate"]) {
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
   vi.spyOn(api, "GET").mockImplementation(((path: string) =>
-    answer(path.endsWith("/auth/me") ? { permissions } : newest)) as never);
+    answer(
+      path.endsWith("/auth/me")
+        ? { permissions }
+        : typeof newest === "function"
+          ? newest()
+          : newest,
+    )) as never);
   for (const method of ["POST", "DELETE"] as const)
     vi.spyOn(api, method).mockImplementation(((path: string, options: unknown) => {
       asked.push([method, path, options]);
       return answer({});
     }) as never);
+  const client = new QueryClient();
   render(
-    <QueryClientProvider client={new QueryClient()}>
+    <QueryClientProvider client={client}>
       <MantineProvider>
         <ValidationPanel policy={POLICY} />
       </MantineProvider>
     </QueryClientProvider>,
   );
+  return client;
 }
 
 beforeAll(stubResizeObserver);
@@ -63,6 +71,18 @@ describe("validation of a version", () => {
       "/api/v1/policies/{policy_sha256}/validation",
       { body: { protocol: "short", throws_per_target: 2, unseen_unit_count: 2 } },
     ]);
+  });
+
+  it("asks for the versions again when it ends, for it changes their state", async () => {
+    let newest: unknown = OPEN;
+    const client = serve(() => newest);
+    const renewed = vi.spyOn(client, "invalidateQueries");
+    await screen.findByText(/with virtual machine 0, 40 %/);
+    expect(renewed).not.toHaveBeenCalled();
+    newest = null;
+    await waitFor(() => expect(renewed).toHaveBeenCalledWith({ queryKey: ["policies"] }), {
+      timeout: 4_000,
+    });
   });
 
   it("shows progress and cancels by one press", async () => {

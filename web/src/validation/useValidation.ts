@@ -1,6 +1,7 @@
 /** Validations of versions and the gates that they are checked against. */
 
 import { useMutation, useQuery, useQueryClient } from "@tanstack/react-query";
+import { useEffect, useRef } from "react";
 import { api, type Schema, take } from "../session/client";
 
 export type Validation = Schema["ValidationView"];
@@ -16,9 +17,10 @@ const QUIET_MS = 30_000;
 export const isOpen = (one: Validation | null | undefined) =>
   one?.state === "queued" || one?.state === "running";
 
-/** The newest validation of a version; asked again often while it is open. */
+/** The newest validation of a version; asked again often while it is open. Its end changes the version's state. */
 export function useValidation(policy_sha256: string) {
-  return useQuery({
+  const client = useQueryClient();
+  const validation = useQuery({
     queryKey: [VALIDATION, policy_sha256],
     queryFn: async () =>
       (await take(
@@ -28,6 +30,13 @@ export function useValidation(policy_sha256: string) {
       )) ?? null,
     refetchInterval: (query) => (isOpen(query.state.data) ? OPEN_MS : QUIET_MS),
   });
+  const open = isOpen(validation.data);
+  const wasOpen = useRef(open);
+  useEffect(() => {
+    if (wasOpen.current && !open) void client.invalidateQueries({ queryKey: ["policies"] });
+    wasOpen.current = open;
+  }, [open, client]);
+  return validation;
 }
 
 export function useValidationActions(policy_sha256: string) {
