@@ -118,6 +118,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         yield demo
 
 
+@pytest.mark.timeout(1200)
 def test_a_version_goes_from_upload_to_the_fleet_and_back(
     fleet: Stack, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
