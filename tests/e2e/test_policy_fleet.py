@@ -1,12 +1,13 @@
 """A new policy version from upload to the fleet and back, on a demo with three machines."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from cli.service.throw_client import ThrowClient
+from cli.service.throw_client import ServerError, ThrowClient
 from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.operator_page import (
     sign_in,
@@ -105,7 +106,9 @@ def _throw(demo: Stack) -> None:
     with ThrowClient(demo.url, "operator", demo.passwords["operator"]) as thrower:
         for number in range(2 * THROW_COUNT):
             target_m = (7.5 + 0.25 * (number % THROW_COUNT), 0.0, 0.0)
-            landed += thrower.throw(CANARY, "2d", target_m, 60.0).state == "landed"
+            # So it may let an order get too old, which is refused.
+            with contextlib.suppress(ServerError):
+                landed += thrower.throw(CANARY, "2d", target_m, 60.0).state == "landed"
             if landed == THROW_COUNT:
                 return
     raise AssertionError(f"{landed} of {2 * THROW_COUNT} throws landed")
@@ -127,7 +130,9 @@ def test_a_version_goes_from_upload_to_the_fleet_and_back(
     page.emulate_media(color_scheme="light")
     without_view(page)
     sign_in(page, fleet, "admin", path="/policies")
-    until(lambda: set(_versions(fleet).values()) == {BEFORE}, "three machines say what they have")
+    until(
+        lambda: set(_versions(fleet).values()) == {BEFORE}, "all machines say what they have", 180.0
+    )
     _upload_and_validate(page, folder)
     _compare(page)
     assert findings_of_both_schemes(page) == []
@@ -135,7 +140,7 @@ def test_a_version_goes_from_upload_to_the_fleet_and_back(
     _start_rollout(page)
     rollout = page.get_by_role("article", name=f"Rollout of {RETRAINED} in 2D")
     expect(rollout.get_by_role("row", name=CANARY)).to_contain_text("0 of 12")
-    until(lambda: _versions(fleet)[CANARY] == RETRAINED, f"{CANARY} throws with {RETRAINED}")
+    until(lambda: _versions(fleet)[CANARY] == RETRAINED, f"{CANARY} throws with {RETRAINED}", 180.0)
     assert [_versions(fleet)[one] for one in ("m001", "m003")] == [BEFORE, BEFORE]
 
     _throw(fleet)
@@ -144,9 +149,13 @@ def test_a_version_goes_from_upload_to_the_fleet_and_back(
     assert findings_of_both_schemes(page) == []
 
     _change(page, "End the stage now", "ten throws as before")
-    until(lambda: set(_versions(fleet).values()) == {RETRAINED}, f"all throw with {RETRAINED}")
+    until(
+        lambda: set(_versions(fleet).values()) == {RETRAINED}, f"all throw with {RETRAINED}", 180.0
+    )
     _change(page, "Abort", "end of the trial")
-    until(lambda: set(_versions(fleet).values()) == {BEFORE}, f"all throw with {BEFORE} again")
+    until(
+        lambda: set(_versions(fleet).values()) == {BEFORE}, f"all throw with {BEFORE} again", 180.0
+    )
     expect(page.get_by_role("region", name="Rollouts", exact=True)).to_contain_text(
         "No rollout is open"
     )
