@@ -181,7 +181,7 @@ class ThrowPlan(_ToMachine):
     aim: AimShift | None = None
     """None = the policy aims at the target; the machine's registration counts in any case."""
     material: ThrownMaterial | None = None
-    """Bulk material that is thrown for a job; None = the ball. It changes nothing of the motion."""
+    """Bulk material that is thrown for a job; None = the ball. The motion is planned for the ball."""
 
     @property
     def aim_target(self) -> Target:
