@@ -19,7 +19,7 @@ from sim_twin.recurrences import apply_play, lag_two_sided, limit_rate
 MIN_TIME_PERIODS: Final = 1.0
 """Smallest dead time or lag worth naming, in sample periods."""
 MIN_BAND_RATIO: Final = 0.02
-"""Smallest dead band worth naming, as a share of full command: levers and valves resolve about 1 %."""
+"""Smallest dead band worth naming, as a share of full command; a curve can cancel a smaller one."""
 MIN_CURVE_RATIO: Final = 0.05
 """Smallest distance of a valve curve's exponent from 1 worth naming: 2 % of the largest speed."""
 MIN_SLOPE_RATIO: Final = 0.03
