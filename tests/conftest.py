@@ -2,6 +2,8 @@
 
 import json
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 # Before numpy is loaded, and for processes that tests start: BLAS threads of two test processes on two cores
@@ -24,8 +26,25 @@ settings.register_profile("downrange", deadline=None, derandomize=True, max_exam
 settings.register_profile("explore", deadline=None, max_examples=1000)
 settings.load_profile("downrange")
 
-WHOLE_FOLDERS = ("server", "training")
-"""Their session fixtures, a running server and compiled environments, are built once, not in every worker."""
+MEMORY = Path("/dev/shm")
+MEMORY_LEAST_BYTES = 3_000_000_000
+"""A run leaves less than 0.5 GB in its folders."""
+
+
+def pytest_configure() -> None:
+    """Folders of tests lie in memory if there is enough.
+
+    Databases sync after every transaction, for which a computer's disk may take a hundredth of a second.
+    """
+    if "TMPDIR" in os.environ or not os.access(MEMORY, os.W_OK):
+        return
+    if shutil.disk_usage(MEMORY).free > MEMORY_LEAST_BYTES:
+        os.environ["TMPDIR"] = str(MEMORY)
+        tempfile.tempdir = None
+
+
+WHOLE_FOLDERS = ("training",)
+"""Compiled environments of the session take long to build: once, not in every worker."""
 
 
 class FolderScheduling(LoadFileScheduling):

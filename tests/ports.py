@@ -7,7 +7,8 @@ from itertools import count
 FIRST_PORT, PORT_COUNT = 20_000, 12_000
 """Below the ports that Linux gives to outgoing connections (32768 and up): none of those can take one of
 these between this choice and the server's start, as it could with a port that the system chose."""
-_numbers = count(os.getpid() * 97)
+_numbers = count(os.getpid() * 1009)
+"""Processes that start one after the other begin far from each other."""
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:

@@ -9,6 +9,7 @@ from machine.spec import load_spec
 from server.clock import new_id, utc_now
 from server.store.aim_tables import AimCorrection
 from server.store.models import Plan, Throw
+from tests.server.gap_bench import forget_throws
 from tests.server.throws.test_throw_service import code, make_plan
 from tests.waiting import wait_for
 
@@ -73,8 +74,9 @@ def two_d(view):
 
 @pytest.fixture
 def policy_sha256(running, machine, ada):
-    """Of the version on board; afterwards no throw or correction is left."""
+    """Of the version on board; before and afterwards there is no throw or correction."""
     wait_for(lambda: running.parts.registry.get("m001").state)
+    forget_throws(running.parts)
     yield machine.state_message().policy_sha256["2d"]
     with running.parts.database.write() as database:
         database.execute(delete(AimCorrection))
