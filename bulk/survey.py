@@ -79,6 +79,8 @@ def _require_place(x_m: Array, y_m: Array, z_m: Array, name: str) -> None:
     """Refuse coordinates that are no metres, or not those of the machine."""
     if min(len(x_m), len(y_m)) < 2 or len(z_m) < MIN_POINT_COUNT:
         raise UsageError(f"{name} has {len(z_m)} points, {MIN_POINT_COUNT} or more are needed")
+    if not all(np.isfinite(values).all() for values in (x_m, y_m, z_m)):
+        raise UsageError(f"{name} has coordinates that are not finite numbers")
     for values, axis in ((x_m, "x"), (y_m, "y")):
         extent = float(np.ptp(values))
         if extent > MAX_EXTENT_M:

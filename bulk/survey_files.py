@@ -22,6 +22,9 @@ KEYS_TAG: Final = 34735
 NO_DATA_TAG: Final = 42113
 """GDAL's tag for the value of cells without a measurement."""
 WKT_RECORD: Final = 2112
+RECORD_COUNTS: Final = ((100, 54, 227), (243, 60, 375))
+"""Of variable length records and of extended ones (LAS 1.4): place of their number in the header, bytes of
+each record's own header, and the least size of a file header that has it."""
 METRE: Final = 9001
 """EPSG code of the unit."""
 GEOGRAPHIC: Final = 2
@@ -75,6 +78,7 @@ def _las_points(content: bytes, name: str, max_count: int) -> Array:
     # Imported here: few surveys are of this kind, and processes start often.
     import laspy
 
+    _require_records(name, content)
     with laspy.open(io.BytesIO(content)) as file:
         header: Any = file.header
         _require_count(name, int(header.point_count), max_count)
@@ -123,11 +127,23 @@ def _tiff_raster(content: bytes, name: str, max_count: int) -> Raster:
     if nothing is not None:
         height[height == float(str(nothing).strip("\0 "))] = np.nan
     (column, row, _, x_m, y_m, _), (dx_m, dy_m) = tags[TIEPOINT_TAG][:6], tags[SCALE_TAG][:2]
+    if not (dx_m > 0.0 and dy_m > 0.0):
+        raise UsageError(f"{name} has cells of {dx_m:g} m x {dy_m:g} m; their sizes are above 0")
     middle = 0.0 if known.get(RASTER_TYPE_KEY) == PIXEL_IS_POINT else 0.5
     x = x_m + (np.arange(height.shape[1]) + middle - column) * dx_m
     # Rows run from north to south.
     y = y_m - (np.arange(height.shape[0]) + middle - row) * dy_m
     return Raster(x, y[::-1].copy(), height[::-1].copy())
+
+
+def _require_records(name: str, content: bytes) -> None:
+    """Refuse more variable length records than the file has room for: the library reads on at its end."""
+    for place, head_bytes, since_bytes in RECORD_COUNTS:
+        if len(content) < since_bytes or int.from_bytes(content[94:96], "little") < since_bytes:
+            continue
+        count = int.from_bytes(content[place : place + 4], "little")
+        if count * head_bytes > len(content):
+            raise UsageError(f"{name} declares {count} records, more than its bytes hold")
 
 
 def _require_count(name: str, count: int, max_count: int) -> None:

@@ -19,8 +19,8 @@ from server.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-WEBSOCKET_MAX_BYTES = 64 * 1024 * 1024
-"""The 3D view's own limit is 50 MiB."""
+WEBSOCKET_MAX_BYTES = 16 * 1024
+"""Of a message from a browser; the largest, of the 3D view's camera, may have 4 KiB."""
 SHUTDOWN_S = 3
 
 

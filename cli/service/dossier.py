@@ -67,7 +67,14 @@ def verify(file: Annotated[Path, tyro.conf.Positional], /, *, key: str | None = 
 
 
 def in_words(verdict: DossierVerdict) -> list[str]:
-    """What was found, as lines."""
+    """What was found, as lines; what the file says cannot begin another line or steer the terminal."""
+    return [
+        "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)
+        for line in _words(verdict)
+    ]
+
+
+def _words(verdict: DossierVerdict) -> list[str]:
     if not verdict.is_whole:
         return [f"FAILED: {problem}" for problem in verdict.problems]
     manifest, key = verdict.manifest, verdict.key

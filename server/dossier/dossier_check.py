@@ -51,6 +51,10 @@ MAX_READ_BYTES: Final = 64 * 1024 * 1024
 """Largest member that is read as a whole, to check what it says."""
 
 
+_UNREADABLE: Final = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+"""What members raise that are signed but of another form: anybody can sign with a key of their own."""
+
+
 @dataclass(slots=True)
 class DossierVerdict:
     """What was found."""
@@ -168,7 +172,7 @@ class _Reader:
             return
         try:
             check_contents(self._verdict, self._kept)
-        except (ValueError, KeyError, TypeError) as error:
+        except _UNREADABLE as error:
             problems.append(f"signed as it is, but its members cannot be read: {error}")
 
     def _first(self, name: str) -> bytes:

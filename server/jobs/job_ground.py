@@ -18,11 +18,13 @@ from bulk.height_field import WALL, Grid, HeightField
 from bulk.job_file import BulkJob, JobFile, area_grid, surveyed_job
 from bulk.placement import LandedLoad, LoadPlacement
 from bulk.survey import parse_survey
+from bulk.survey_files import is_survey_file
 from machine.conventions import Array
 from machine.errors import UsageError
 from machine.spec import MachineSpec
 from server.jobs.job_views import JobProposal
 from server.jobs.laid_material import load_footprint
+from server.limits.limited_process import READ_S, LimitedProcess, LimitExceededError
 from server.viewer.shapes import LoadFootprint
 
 MAX_CELL_COUNT: Final = 40_000
@@ -33,6 +35,9 @@ JOB_COUNT: Final = 8
 """Jobs whose surfaces are kept."""
 BELOW_M: Final = 0.3
 """A survey that lies this far below what cannot move was taken in another frame."""
+
+NAME: Final = "the survey"
+"""What people call what they sent."""
 
 Ground = tuple[Grid, Array]
 
@@ -193,14 +198,32 @@ class JobGrounds:
                 self._kept.popitem(last=False)
 
 
-def stored_survey(content: bytes, cell_m: float) -> Ground:
-    """Grid and heights of a survey that was sent, rounded as they are stored.
+class SurveyReader:
+    """Reads surveys that people send; files that are not text in a process with limits."""
 
-    Raises:
-        UsageError: no survey; with numbers.
-    """
-    grid, heights = parse_survey(content, "the survey", cell_m)
-    return grid, unpacked(pack(heights), grid)
+    def __init__(self, read_s: float = READ_S) -> None:
+        self._process = LimitedProcess(read_s)
+
+    def read(self, content: bytes, cell_m: float) -> Ground:
+        """Grid and heights of a survey, rounded as they are stored.
+
+        Raises:
+            UsageError: no survey, or it needs too much time or memory; with numbers.
+        """
+        if not is_survey_file(content):
+            grid, heights = parse_survey(content, NAME, cell_m)
+        else:
+            try:
+                grid, heights = self._process.run(parse_survey, content, NAME, cell_m)
+            except LimitExceededError as error:
+                raise UsageError(
+                    f"{NAME} took {error} to read; save it uncompressed, with fewer points"
+                ) from error
+        return grid, unpacked(pack(heights), grid)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.close()
 
 
 def pack(height_m: Array) -> bytes:

@@ -23,7 +23,7 @@ from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.event_hub import EventHub
 from server.jobs.job_book import JobBook, job_entry
-from server.jobs.job_ground import stored_survey
+from server.jobs.job_ground import SurveyReader
 from server.jobs.job_planning import PlanLoads, plan_in_child
 from server.jobs.job_plans import JobPlans
 from server.jobs.job_reports import job_surface, thrown_job_html
@@ -101,6 +101,7 @@ class Jobs:
         self._audit = audit
         self._registry = registry
         self._sites = sites
+        self._surveys = SurveyReader()
         self.plans = JobPlans(database, registry, policies, sites, zones, spec, plan)
         self._book = JobBook(database, audit, hub, spec, self.plans.submit)
         self.plans.on_planned.append(self._book.take_plan)
@@ -125,6 +126,7 @@ class Jobs:
         if self._thread.is_alive():
             self._thread.join(CLOSE_S)
             self.plans.close()
+        self._surveys.close()
 
     def note_throw(self, machine_id: str) -> None:
         """A throw of a machine has news."""
@@ -213,7 +215,7 @@ class Jobs:
         surveyed = None
         try:
             if body.survey is not None:
-                surveyed = stored_survey(body.survey, file.cell_m)
+                surveyed = self._surveys.read(body.survey, file.cell_m)
             ground = self._book.grounds.make(file, surveyed)
             self.plans.require_reachable(machine_id, file, ground)
         except UsageError as error:
@@ -359,7 +361,7 @@ class Jobs:
         """
         try:
             cell_m = self._book.read(job_id).file.cell_m
-            surveyed = stored_survey(body.survey or b"", cell_m)
+            surveyed = self._surveys.read(body.survey or b"", cell_m)
             with self._book.lock:
                 record = self._book.for_change(job_id, body)
                 ground = self._book.ground(record)

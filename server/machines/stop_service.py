@@ -20,6 +20,7 @@ from sqlalchemy import select, update
 from machine.messages import CommandReply, MachineState, StopRequest
 from server.accounts.audit_chain import SERVER, Actor, AuditChain, Entry, intent_of
 from server.clock import new_id, utc_now
+from server.errors import ConflictError
 from server.event_hub import EventHub
 from server.machines.machine_link import MachineLink, MachineLostError, NoAnswerError
 from server.machines.machine_registry import KnownMachine, MachineRegistry
@@ -43,6 +44,8 @@ class PendingStop:
     request: StopRequest
     actor: Actor
     since_s: float
+    earlier_latch_id: str = ""
+    """The machine's latch when STOP was pressed: it confirms nothing. Empty: none or unknown."""
     is_persisted: bool = False
 
 
@@ -104,9 +107,22 @@ class StopService:
         with self._lock:
             return machine_id in self._pending
 
+    def require_confirmed(self, machine_id: str) -> None:
+        """Refuse to clear while a stop has not arrived: the clear would name an earlier latch.
+
+        Raises:
+            ConflictError: one is still being repeated.
+        """
+        if self.is_pending(machine_id):
+            raise ConflictError(
+                "stop_pending",
+                f"STOP was pressed and {machine_id} has not confirmed it yet; it is repeated 10 times a "
+                "second. Clear it when the machine shows it.",
+            )
+
     @contextmanager
     def suspended(self, machine_id: str) -> Generator[None]:
-        """Suspend the repetition while the stop is cleared.
+        """Suspend the repetition while a machine is retired.
 
         If that fails the repetition goes on; else the stop is withdrawn.
         """
@@ -121,7 +137,7 @@ class StopService:
                 self._work.set()
             raise
         if pending is not None:
-            self._writer.submit(self._record_end, pending, "withdrawn", "cleared on purpose")
+            self._writer.submit(self._record_end, pending, "withdrawn", "the machine was retired")
 
     def stop(self, machine_ids: list[str], actor: Actor) -> list[StopView]:
         """Stop machines; answers as soon as each has confirmed or half a second has passed."""
@@ -153,7 +169,10 @@ class StopService:
                 logger.exception("STOP is sent without an audit row")
 
     def _begin(self, machine_id: str, actor: Actor) -> PendingStop:
-        pending = PendingStop(self._request(machine_id, actor), actor, time.monotonic())
+        state = self._registry.get(machine_id).state
+        earlier_latch_id = "" if state is None else state.latch_id
+        request = self._request(machine_id, actor)
+        pending = PendingStop(request, actor, time.monotonic(), earlier_latch_id)
         with self._lock:
             self._pending[machine_id] = pending
         self._link.put_stop(pending.request)
@@ -182,12 +201,13 @@ class StopService:
     def _take_state(self, known: KnownMachine, state: MachineState) -> None:
         with self._lock:
             pending = self._pending.get(known.machine_id)
-        # A state that was on its way when STOP was pressed may tell of an earlier latch.
-        if (
-            pending is not None
-            and state.stop_latched
-            and time.monotonic() - pending.since_s > STATE_DELAY_S
-        ):
+        if pending is None or not state.stop_latched:
+            return
+        # Every STOP makes a latch of its own. That of an earlier one may be cleared by somebody who has not
+        # seen this press.
+        is_earlier = bool(state.latch_id) and state.latch_id == pending.earlier_latch_id
+        # A state that was on its way when STOP was pressed may tell of an earlier latch as well.
+        if not is_earlier and time.monotonic() - pending.since_s > STATE_DELAY_S:
             self._confirm(known.machine_id, pending, "seen in its state")
 
     def _confirm(self, machine_id: str, pending: PendingStop, text: str) -> None:

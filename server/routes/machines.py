@@ -139,6 +139,7 @@ def clear_stop(
             f"{machine_id} was stopped again since this was shown ({state.latched_reason}). "
             "Look at the machine again, then clear what is latched now.",
         )
+    stops.require_confirmed(machine_id)
     request = StopClearRequest(
         command_id=new_id(),
         machine_id=machine_id,
@@ -148,8 +149,7 @@ def clear_stop(
         sighted_by=session.username,
         reason=body.reason,
     )
-    with stops.suspended(machine_id):
-        return _view(commands.send(request, session.actor))
+    return _view(commands.send(request, session.actor))
 
 
 @leases_router.post("/machines/{machine_id}/lease")

@@ -1,5 +1,7 @@
 import io
 import json
+import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -140,7 +142,7 @@ SLOPE_M = 0.1 * SLOPE_X_M[None, :] - 0.05 * SLOPE_Y_M[:, None]
 
 def tiff(
     *, x_m: float = 6.0, holes: int = 0, keys: tuple[int, ...] = (), has_scale: bool = True,
-    end: int | None = None, **options: Any,
+    end: int | None = None, cell_m: float = 0.2, **options: Any,
 ) -> bytes:  # fmt: skip
     """A GeoTIFF of a slope, its first row in the north."""
     height = SLOPE_M[::-1].astype(np.float32)
@@ -149,7 +151,7 @@ def tiff(
         value for key, number in zip(keys[::2], keys[1::2], strict=True) for value in (key, 0, 1, number)
     ))  # fmt: skip
     tags = [
-        (33550 if has_scale else 65000, "d", 3, (0.2, 0.2, 0.0), True),
+        (33550 if has_scale else 65000, "d", 3, (cell_m, 0.2, 0.0), True),
         (33922, "d", 6, (0.0, 0.0, 0.0, x_m, 2.0, 0.0), True),
         (34735, "H", len(directory), directory, True),
         (42113, "s", 0, "-9999", True),
@@ -160,9 +162,10 @@ def tiff(
 
 
 def las(
-    *, scale: float = 1.0, wkt: str = "", is_packed: bool = True, end: int | None = None
-) -> bytes:
-    """A point cloud of the same slope, sixteen points a cell."""
+    *, scale: float = 1.0, wkt: str = "", is_packed: bool = True, end: int | None = None,
+    header: tuple[str, int, float] | None = None,
+) -> bytes:  # fmt: skip
+    """A point cloud of the same slope, sixteen points a cell; a field of its header may be another."""
     x, y = (
         axis.ravel() for axis in np.meshgrid(np.arange(6.0, 10.0, 0.05), np.arange(-2.0, 2.0, 0.05))
     )
@@ -176,7 +179,10 @@ def las(
         cloud.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     file = io.BytesIO()
     cloud.write(file, do_compress=is_packed)
-    return file.getvalue()[:end]
+    content = bytearray(file.getvalue()[:end])
+    if header is not None:
+        struct.pack_into(*header[:1], content, *header[1:])
+    return bytes(content)
 
 
 @each(
@@ -211,6 +217,15 @@ def test_a_survey_is_a_geotiff_or_the_point_cloud_of_a_scanner(
         (tiff, {"holes": 4}, r"in 4 of 400 cells of 0\.2 m, the first at x 6\.10 m, y 1\.30 m"),
         (tiff, {"end": 700}, "cannot be read"),
         (tiff, {"has_scale": False}, "does not say where it lies"),
+        (tiff, {"cell_m": math.nan}, "sizes are above 0"),
+        (tiff, {"cell_m": -0.2}, "sizes are above 0"),
+        (tiff, {"cell_m": math.inf}, "not finite"),
+        (tiff, {"x_m": math.nan}, "not finite"),
+        (las, {"header": ("<d", 131, math.nan)}, "not finite"),
+        (las, {"header": ("<d", 155, math.inf)}, "not finite"),
+        (las, {"header": ("<I", 100, 2**32 - 1)}, "4294967295 records"),
+        (las, {"header": ("<I", 243, 2**32 - 1)}, "4294967295 records"),
+        (las, {"header": ("<Q", 247, 10**9)}, "1000000000 points"),
         (las, {"scale": 1000.0}, "millimetres"),
         (las, {"wkt": 'PROJCS["x",UNIT["US survey foot",0.3048006]]'}, "unit US survey foot"),
         (las, {"wkt": 'GEOGCS["y",UNIT["degree",0.0174]]'}, "is in degrees"),

@@ -83,6 +83,7 @@ class FakeMachine:
         self._outbox: list[MachineEvent] = []
         self._sequence = 0
         self._replies: dict[str, CommandReply] = {}
+        self._stops: set[str] = set()
         self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
         self._open_queries: list[zenoh.Query] = []
@@ -226,7 +227,7 @@ class FakeMachine:
         if command.kind in self.refuses:
             return self._reply(command, self.refuses[command.kind])
         if command.kind == "stop":
-            self._latch()
+            self._stop(command.command_id)
             return self._reply(command)
         if command.kind == "zones":
             self.zones_sha256 = command.zone_set.sha256
@@ -329,17 +330,22 @@ class FakeMachine:
             self.state = ThrowState.DISARMED
             self.event(EventKind.DISARMED)
 
+    def _stop(self, command_id: str) -> None:
+        # Each STOP makes a latch of its own, once, also where the machine is stopped already.
+        if command_id not in self._stops:
+            self._stops.add(command_id)
+            self._latch()
+
     def _latch(self) -> None:
-        if not self.stop_latched:
-            self.stop_latched, self.state, self.nonce = True, ThrowState.STOPPED, None
-            self.latch_id = uuid.uuid4().hex
-            self.event(EventKind.STOP_LATCHED)
+        self.stop_latched, self.state, self.nonce = True, ThrowState.STOPPED, None
+        self.latch_id = uuid.uuid4().hex
+        self.event(EventKind.STOP_LATCHED)
 
     def _take_stop(self, sample: zenoh.Sample) -> None:
         with self._lock:
             self.stops_received += 1
             if "stop_put" not in self.ignores:
-                self._latch()
+                self._stop(json.loads(sample.payload.to_bytes())["command_id"])
 
     def _take_heartbeat(self, sample: zenoh.Sample) -> None:
         heartbeat = OperatorHeartbeat.model_validate_json(sample.payload.to_bytes())

@@ -30,6 +30,7 @@ from server.errors import ConflictError, NotFoundError, TooManyRequestsError
 from server.schemas.console import Role
 from server.schemas.history import Outcome
 from server.throws.throw_history import ThrowFilter
+from tests.cases import each
 from tests.server.fleet.test_machine_summaries import add_throws
 from tests.server.server_bench import PASSWORD, wait_for
 
@@ -99,6 +100,42 @@ def test_what_was_altered_is_named():
     assert problems(SMALL + b"\x00") == ["there are bytes after the end of the dossier"]
     for length in range(0, len(SMALL), 7):
         assert problems(SMALL[:length]), length
+
+
+DEEP = b"[" * 100_000
+FIRED = {"action": "fire", "phase": "fact", "throw_id": "t"}
+
+
+@each(
+    "members",
+    [
+        {"audit.jsonl": DEEP},
+        {"audit.jsonl": b"[]\n"},
+        {"audit.jsonl": b"1\n"},
+        {"audit.jsonl": b"\xff"},
+        {"audit.jsonl": b'{"sequence_count":' + b"9" * 9000 + b"}"},
+        {"audit.jsonl": audit_line(**FIRED, detail_json="[]")},
+        {"audit.jsonl": audit_line(**FIRED, detail_json=DEEP.decode())},
+        {"audit.jsonl": audit_line(**FIRED | {"throw_id": []}, detail_json='{"plan_hash":"x"}')},
+        {"throws/t/throw.json": DEEP, "throws/t/plan.json": b"{}"},
+        {"throws/t/throw.json": b"[]", "throws/t/plan.json": DEEP},
+        {"site_keys.json": DEEP},
+        {"site_keys.json": b"[]"},
+    ],
+)
+def test_members_that_are_signed_but_of_another_form_are_a_problem_and_no_crash(members):
+    (found,) = problems(archive(members))
+    assert found.startswith("signed as it is, but its members cannot be read")
+
+
+def test_what_a_file_says_can_neither_add_a_line_nor_steer_a_terminal(tmp_path, capsys):
+    path = tmp_path / "dossier.zip"
+    hostile = "1\x1b[2J\nwhole: throw t of m001, site yard"
+    path.write_bytes(archive({"audit.jsonl": audit_line({"sequence_count": hostile})}))
+    assert main(["dossier", "verify", str(path)]) == 3
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown and "\nwhole" not in shown
+    assert r"audit row 1\x1b[2J\nwhole: throw t" in shown
 
 
 def test_other_tools_read_it_but_do_not_write_the_same_file():

@@ -5,7 +5,7 @@ import pytest
 import zenoh
 
 from machine.channels import machine_key
-from machine.messages import RejectReason, ThrowState
+from machine.messages import ThrowState
 from runtime.link.zenoh_config import client_config
 from server.store.models import Audit, Machine
 from tests.server.server_bench import (
@@ -105,16 +105,55 @@ def test_stop_is_repeated_until_confirmed(running, machine, clear):
     clear()
 
 
-def test_a_failed_clear_does_not_end_the_repetition(running, machine, clear):
-    machine.ignores |= {"stop", "stop_put"}
-    machine.refuses["stop_clear"] = RejectReason.FAULT
+def test_an_earlier_latch_neither_confirms_a_stop_nor_can_be_cleared_before_it_arrives(
+    running, machine, clear
+):
+    with running.client("vic") as viewer, running.client("sue") as sue:
+        assert viewer.post("/machines/m001/stop").json()["is_latched"]
+        first = wait_for(lambda: sue.get("/machines/m001").json()["state"]["latch_id"])
+        machine.ignores |= {"stop", "stop_put"}
+        assert viewer.post("/machines/m001/stop").json()["is_pending"]
+        received = machine.stops_received
+        # The machine's states tell of the first latch all the while.
+        wait_for(lambda: machine.stops_received > received + 8)
+        assert running.parts.stops.is_pending("m001")
+        reply = clear_stop(sue, first)
+        assert (reply.status_code, reply.json()["error"]["code"]) == (409, "stop_pending")
+        assert machine.stop_latched and machine.latch_id == first
+        assert running.parts.stops.is_pending("m001")
+        machine.ignores.clear()
+        wait_for(lambda: not running.parts.stops.is_pending("m001"))
+        assert machine.latch_id != first
+        assert clear_stop(sue, first).status_code == 409
+        assert machine.stop_latched
+    clear()
+
+
+def test_of_many_clears_at_once_none_undoes_a_later_stop(running, machine, clear):
     with running.client("vic") as viewer, running.client("sue") as sue:
         viewer.post("/machines/m001/stop")
-        assert clear_stop(sue).status_code == 409
-    assert running.parts.stops.is_pending("m001")
-    machine.ignores.clear()
-    wait_for(lambda: machine.stop_latched)
-    machine.refuses.clear()
+        first = wait_for(lambda: sue.get("/machines/m001").json()["state"]["latch_id"])
+        end, answers = threading.Event(), []
+
+        def clear_first():
+            with running.client("sue") as another:
+                while not end.is_set():
+                    answers.append(clear_stop(another, first).status_code)
+
+        threads = [threading.Thread(target=clear_first) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        try:
+            wait_for(lambda: not machine.stop_latched)
+            assert viewer.post("/machines/m001/stop").json()["is_latched"]
+            count = len(answers)
+            wait_for(lambda: len(answers) > count + 8)
+            assert machine.stop_latched
+            assert set(answers[count + 4 :]) == {409}
+        finally:
+            end.set()
+            for thread in threads:
+                thread.join()
     clear()
 
 

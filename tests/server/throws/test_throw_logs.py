@@ -199,10 +199,10 @@ def test_a_log_that_takes_too_long_ends_its_process_and_the_next_is_read(tmp_pat
     reader = LimitedLogReader()
     try:
         assert len(reader.read(path).control) == TICKS
-        reader._read_s = 0.0
+        reader._process._read_s = 0.0
         with pytest.raises(LogError, match="more than 0 s"):
             reader.read(path)
-        reader._read_s = 60.0
+        reader._process._read_s = 60.0
         assert len(reader.read(path).control) == TICKS
     finally:
         reader.close()
