@@ -129,7 +129,7 @@ def greedy(planner: LoadPlanner, job: Setting) -> Rule:
     def choose(surface: HeightField, _: int) -> PlannedLoad | None:
         missing = np.where(job.goal.region, job.goal.wanted_m - surface.height_m, 0.0)
         score = np.array([missing[mask].sum() for mask in near])
-        score[~planner.reachable(surface.height_m)] = -np.inf
+        score[~planner.reachable(surface.height_m, GRAB_M3)] = -np.inf
         if not score.max() > 0.0:
             return None
         return plain_load(surface, *planner.places_m[int(score.argmax())].tolist())

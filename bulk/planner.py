@@ -111,7 +111,8 @@ class LoadPlanner:
         is_free = _free_of_zones(x_m, y_m, covariance, zones)
         height = goal.wanted_m[row, column]
         name = f"the {goal.kind.value}"
-        _refuse_unreachable(name, throws, np.hypot(x_m, y_m), height, is_free)
+        least_m3 = grab_m3 * min(VOLUME_RATIOS)
+        _refuse_unreachable(name, throws, np.hypot(x_m, y_m), height, is_free, least_m3)
         self._row, self._column = row[is_free], column[is_free]
         self._x_m, self._y_m = x_m[is_free], y_m[is_free]
         self._range_m = np.hypot(self._x_m, self._y_m)
@@ -127,9 +128,10 @@ class LoadPlanner:
         """(N, 2) candidate targets."""
         return np.stack([self._x_m, self._y_m], axis=-1)
 
-    def reachable(self, height_m: Array) -> BoolArray:
-        """(N) which candidates can be thrown at on a surface."""
-        return self._throws.reachable(self._range_m, height_m[self._row, self._column])
+    def reachable(self, height_m: Array, volume_m3: float) -> BoolArray:
+        """(N) which candidates can be thrown at with a volume on a surface."""
+        height = height_m[self._row, self._column]
+        return self._throws.reachable(self._range_m, height, volume_m3)
 
     def next_loads(
         self, field: HeightField, passed_m: Sequence[tuple[float, float]] = ()
@@ -173,7 +175,7 @@ class LoadPlanner:
                 f"x {x_m:.2f} m, y {y_m:.2f} m lies in an exclusion zone, behind one, or within "
                 f"{ZONE_MARGIN_M:.1f} m and 3 standard deviations of it; choose another place"
             )
-        _refuse_unreachable("the place", self._throws, np.hypot(x, y), height, is_free)
+        _refuse_unreachable("the place", self._throws, np.hypot(x, y), height, is_free, volume_m3)
         prediction = self._predict((np.array([row]), np.array([column])), covariance)
         effects = prediction.effects(field.height_m, np.array([volume_m3]))
         return PlannedLoad(
@@ -191,8 +193,9 @@ class LoadPlanner:
         """A node's best loads that improve it, at places that are allowed (N)."""
         volumes = self._grab_m3 * np.asarray(VOLUME_RATIOS)
         effects = self._prediction.effects(node.height_m, volumes)
-        possible = allowed & self.reachable(node.height_m)
-        cost = np.where(possible[:, None], effects.cost, np.inf)
+        able = [self.reachable(node.height_m, volume) for volume in volumes.tolist()]
+        possible = allowed[:, None] & np.stack(able, axis=-1)
+        cost = np.where(possible, effects.cost, np.inf)
         found: list[_Node] = []
         for index in np.argsort(cost, axis=None)[:BEAM_COUNT].tolist():
             place, volume = divmod(index, len(volumes))
@@ -245,18 +248,27 @@ def _free_of_zones(
 
 
 def _refuse_unreachable(
-    name: str, throws: ThrowModel, range_m: Array, height_m: Array, is_free: BoolArray
-) -> None:
+    name: str, throws: ThrowModel, range_m: Array, height_m: Array, is_free: BoolArray,
+    volume_m3: float,
+) -> None:  # fmt: skip
     card = throws.card
     if not is_free.any():
         raise UsageError(
             f"every place of {name} lies in an exclusion zone, behind one, or within "
             f"{ZONE_MARGIN_M:.1f} m and 3 standard deviations of it; move the goal or the zone"
         )
-    can = throws.reachable(range_m, height_m)
+    can = throws.reachable(range_m, height_m, volume_m3)
     if not (can & is_free).any():
         level = float(np.median(height_m))
-        farthest = throws.farthest_m(level)
+        farthest = throws.farthest_m(level, volume_m3)
+        load_kg = throws.material.mass_kg(volume_m3)
+        if throws.reachable(range_m, height_m, 0.0).any():
+            far = f"{farthest:.1f} m far" if farthest >= throws.nearest_m else "no target"
+            raise UsageError(
+                f"{name} lies {range_m.min():.1f} to {range_m.max():.1f} m from the slew axis; with "
+                f"{load_kg:.0f} kg of {throws.material.name} {card.policy_id} reaches {far} there. "
+                "Take smaller grabs, or move the goal or the machine"
+            )
         raise UsageError(
             f"{name} lies {range_m.min():.1f} to {range_m.max():.1f} m from the slew axis "
             f"at heights up to {height_m.max():.2f} m; {card.policy_id} throws {throws.nearest_m:.1f} to "

@@ -22,6 +22,8 @@ MAX_POINT_COUNT = 2_000_000
 MAX_HEIGHT_M = 50.0
 MAX_EXTENT_M = 120.0
 """Larger areas or heights are most likely in other units or in a national grid."""
+REPLACED = "\ufffd"
+"""What a browser makes of bytes that are no text."""
 MAX_SPACING_M = 1.0
 """A coarser grid of heights shows no piles."""
 
@@ -56,6 +58,10 @@ def parse_survey(content: bytes, name: str, cell_m: float) -> tuple[Grid, Array]
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise UsageError(f"{name} is no CSV text, GeoTIFF, LAS or LAZ: {error}") from error
+        if not text.strip():
+            raise UsageError(f"{name} is empty")
+        if REPLACED in text or "\0" in text:
+            raise UsageError(f"{name} is no CSV text, GeoTIFF, LAS or LAZ")
         found = _read_points(text.splitlines(), name)
     raster = found if isinstance(found, Raster) else _regular(found)
     if raster is not None:
@@ -150,8 +156,8 @@ def _require_whole(grid: Grid, heights: Array, name: str) -> None:
         row, column = holes[0]
         raise UsageError(
             f"{name} has no point in {len(holes)} of {heights.size} cells of {grid.cell_m:g} m, the first at "
-            f"x {grid.x_m[column]:.2f} m, y {grid.y_m[row]:.2f} m; survey the holes, choose larger "
-            "cells (cell_m) or cut the area"
+            f"x {grid.x_m[column]:.2f} m, y {grid.y_m[row]:.2f} m; survey the holes, cut the "
+            "area, or give larger cells (cell_m of the job file)"
         )
 
 

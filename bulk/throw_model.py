@@ -12,7 +12,7 @@ from bulk.material import Material
 from machine.conventions import Array, BoolArray
 from machine.errors import UsageError
 from machine.policy_card import PolicyCard
-from machine.reach import MIN_RANGE_M, reach_m
+from machine.reach import MIN_RANGE_M, load_reach_ratio, reach_m
 from machine.spec import MachineSpec
 
 
@@ -37,13 +37,14 @@ class ThrowModel:
     footprints: tuple[Footprint, ...]
     """One at each range."""
 
-    def reachable(self, range_m: Array, height_m: Array) -> BoolArray:
-        """Whether targets at ranges and heights (...) can be thrown at."""
+    def reachable(self, range_m: Array, height_m: Array, volume_m3: float) -> BoolArray:
+        """Whether targets at ranges and heights (...) can be thrown at with a volume."""
         card = self.card
         farthest = np.full(np.shape(range_m), card.target_range_max_m)
         if card.reach_at_height_m:
             heights, ranges = zip(*card.reach_at_height_m, strict=True)
             farthest = np.minimum(farthest, np.interp(height_m, heights, ranges))
+        farthest = farthest * load_reach_ratio(card.mode, self.material.mass_kg(volume_m3))
         is_level = (height_m >= card.target_height_min_m) & (height_m <= card.target_height_max_m)
         return (range_m >= self.nearest_m) & (range_m <= farthest) & is_level
 
@@ -52,9 +53,9 @@ class ThrowModel:
         """Smallest target range."""
         return max(self.card.target_range_min_m, MIN_RANGE_M[self.card.mode])
 
-    def farthest_m(self, height_m: float) -> float:
-        """Largest target range at a height."""
-        return reach_m(self.card, height_m)
+    def farthest_m(self, height_m: float, volume_m3: float) -> float:
+        """Largest target range at a height with a volume."""
+        return reach_m(self.card, height_m, self.material.mass_kg(volume_m3))
 
     def covariance_m2(self, x_m: Array, y_m: Array) -> Array:
         """(N, 2, 2) of grains about targets (N): landing scatter and footprint together, frame `machine`."""

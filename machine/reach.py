@@ -12,13 +12,29 @@ from machine.policy_card import PolicyCard
 MIN_RANGE_M = {Mode.PLANAR: 5.5, Mode.SPATIAL: 5.0}
 """Smallest range: nearer throws pass over the machine's legs and wheels."""
 
+REACH_WITH_LOAD: dict[Mode, tuple[tuple[float, float], ...]] = {
+    Mode.PLANAR: (
+        (0.0, 1.0), (190.0, 0.975), (380.0, 0.925), (570.0, 0.875), (760.0, 0.775), (1140.0, 0.675),
+    ),
+    Mode.SPATIAL: ((0.0, 1.0), (190.0, 1.0), (380.0, 0.975)),
+}  # fmt: skip
+"""Mass of a load, kg, and up to which share of the card's reach it is thrown: policies learn with a ball.
+Measured with gravel on the virtual machine: `python -m benchmarks.load_reach`."""
 
-def reach_m(card: PolicyCard, height_m: float) -> float:
-    """Largest target range of a policy at a height, m."""
+
+def reach_m(card: PolicyCard, height_m: float, load_kg: float = 0.0) -> float:
+    """Largest target range of a policy at a height with a load of bulk material (0: its ball), m."""
+    share = load_reach_ratio(card.mode, load_kg)
     if not card.reach_at_height_m:
-        return card.target_range_max_m
+        return share * card.target_range_max_m
     heights, ranges = zip(*card.reach_at_height_m, strict=True)
-    return min(card.target_range_max_m, float(np.interp(height_m, heights, ranges)))
+    return share * min(card.target_range_max_m, float(np.interp(height_m, heights, ranges)))
+
+
+def load_reach_ratio(mode: Mode, load_kg: float) -> float:
+    """Share of a card's reach that a load is thrown to; 0 beyond the masses that were thrown."""
+    masses_kg, shares = zip(*REACH_WITH_LOAD[mode], strict=True)
+    return float(np.interp(load_kg, masses_kg, shares, right=0.0))
 
 
 def check_pace(pace_ratio: float) -> None:
@@ -31,8 +47,8 @@ def check_pace(pace_ratio: float) -> None:
         raise UsageError(f"pace {pace_ratio:g}: it lies between 0 (careful) and 1 (fast)")
 
 
-def check_target(card: PolicyCard, target: Target) -> None:
-    """Refuse a target outside the policy's range and heights.
+def check_target(card: PolicyCard, target: Target, load_kg: float = 0.0) -> None:
+    """Refuse a target outside the policy's range and heights, with a load of bulk material (0: its ball).
 
     Raises:
         RefusedError: too near, out of reach or outside the heights, with numbers and remedy.
@@ -47,8 +63,16 @@ def check_target(card: PolicyCard, target: Target) -> None:
             "Move the target outward.",
         )
     farthest = reach_m(card, target.z_m)
+    raised = f" at height {target.z_m:+.2f} m" if target.z_m else ""
+    loaded_m = reach_m(card, target.z_m, load_kg)
+    if loaded_m + 1e-9 < range_m <= farthest + 1e-9:
+        loaded = f"reaches {loaded_m:.2f} m" if loaded_m >= nearest else "reaches no target"
+        raise RefusedError(
+            RejectReason.TARGET_OUT_OF_REACH,
+            f"Refused: target {range_m:.2f} m, {label} {loaded}{raised} with {load_kg:.0f} kg. "
+            "Take a smaller grab or move the target closer.",
+        )
     if range_m > farthest + 1e-9:
-        raised = f" at height {target.z_m:+.2f} m" if target.z_m else ""
         raise RefusedError(
             RejectReason.TARGET_OUT_OF_REACH,
             f"Refused: target {range_m:.2f} m, {label} reaches {farthest:.2f} m{raised}. "

@@ -20,7 +20,7 @@ from machine.conventions import NAME_PATTERN
 
 GROUND = "ground"
 """Name of the ground."""
-UNDESCRIBED = "ground that nobody described"
+UNDESCRIBED = "surface at the target's height"
 """Name of ground whose height is known from a target on it only."""
 SWING_CIRCLE_M = 2.7
 """Smallest distance of objects from the slew axis: the chassis' corner is at 2.65 m, the tail of the turning

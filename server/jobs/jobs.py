@@ -23,7 +23,7 @@ from server.clock import new_id, utc_now
 from server.errors import ApiError, ConflictError, InfeasibleError, NotFoundError
 from server.event_hub import EventHub
 from server.jobs.job_book import JobBook, job_entry
-from server.jobs.job_ground import SurveyReader
+from server.jobs.job_ground import Ground, SurveyReader
 from server.jobs.job_planning import PlanLoads, plan_in_child
 from server.jobs.job_plans import JobPlans
 from server.jobs.job_reports import job_surface, thrown_job_html
@@ -198,7 +198,8 @@ class Jobs:
         if record is None:
             return None
         ground, field = self._book.ground(record), self._book.surface(record).field
-        return laid_material(field, ground.footprints(field, proposals_of(record)))
+        footprints = ground.footprints(field, proposals_of(record))
+        return laid_material(field, footprints, ground.job.file.objects)
 
     # People ---------------------------------------------------------------------------------------
 
@@ -212,10 +213,8 @@ class Jobs:
         self._registry.get(machine_id)
         objects = self._sites.objects(machine_id)
         file = body.file.model_copy(update={"objects": objects})
-        surveyed = None
+        surveyed = self._read_survey(body.survey, file.cell_m)
         try:
-            if body.survey is not None:
-                surveyed = self._surveys.read(body.survey, file.cell_m)
             ground = self._book.grounds.make(file, surveyed)
             self.plans.require_reachable(machine_id, file, ground)
         except UsageError as error:
@@ -259,6 +258,19 @@ class Jobs:
             self._book.grounds.keep(row.job_id, ground)
             self._book.submit(self._book.read(row.job_id))
         return self.view(row.job_id)
+
+    def _read_survey(self, content: bytes | None, cell_m: float) -> Ground | None:
+        """Grid and heights of a survey that came with a new job; None without one.
+
+        Raises:
+            InfeasibleError: it cannot be used, with the reason; its detail names the survey.
+        """
+        if content is None:
+            return None
+        try:
+            return self._surveys.read(content, cell_m)
+        except UsageError as error:
+            raise _refused(error, "survey") from error
 
     def skip(self, job_id: str, body: JobSkipRequest, session: Session) -> JobView:
         """Pass a proposal over until the next load.
@@ -476,6 +488,8 @@ def _proposal(record: JobRecord, number: int) -> JobProposal:
     raise ConflictError("no_proposal", f"There is no proposal {number} now.")
 
 
-def _refused(error: UsageError) -> InfeasibleError:
+def _refused(error: UsageError, field: str | None = None) -> InfeasibleError:
     text = str(error)
-    return InfeasibleError("job_refused", f"{text[:1].upper()}{text[1:]}.")
+    sentence = f"{text[:1].upper()}{text[1:]}."
+    detail: JsonValue = {"problems": [{"field": field, "problem": sentence}]} if field else None
+    return InfeasibleError("job_refused", sentence, detail)

@@ -1,11 +1,15 @@
 """The material of a job as a mesh with contour lines, for the 3D view."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
-from bulk.height_field import WALL, HeightField
+from bulk.height_field import OPEN, WALL, HeightField, Rectangle
 from bulk.job_report import contour_lines
 from machine.conventions import Array, BoolArray, IntArray
-from server.viewer.shapes import LaidMaterial, LoadFootprint
+from machine.site.objects import SiteObject
+from server.viewer.shapes import LaidMaterial, LoadFootprint, SurveyedGround
 
 LEAST_M = 0.01
 """Thinner layers are not drawn."""
@@ -15,15 +19,45 @@ CONTOUR_M = 0.1
 MAX_CONTOUR_COUNT = 40
 
 
-def laid_material(field: HeightField, next_loads: tuple[LoadFootprint, ...] = ()) -> LaidMaterial:
+def laid_material(
+    field: HeightField,
+    next_loads: tuple[LoadFootprint, ...] = (),
+    objects: Sequence[SiteObject] = (),
+) -> LaidMaterial:
     """Mesh over the cells on which material lies; walls of containers are left out.
 
     Args:
         field: what lies there.
         next_loads: that are proposed.
+        objects: of the site, which are drawn elsewhere.
     """
     lies = (field.height_m - field.base_m > LEAST_M) & (field.container_index != WALL)
-    return LaidMaterial(*_mesh(field, lies, LIFT_M), _contours(field, lies), next_loads)
+    mesh = _mesh(field, lies, LIFT_M)
+    return LaidMaterial(*mesh, _contours(field, lies), next_loads, _surveyed_ground(field, objects))
+
+
+def _surveyed_ground(field: HeightField, objects: Sequence[SiteObject]) -> SurveyedGround | None:
+    """The ground under the material where it is not level; None where it is."""
+    grid, base_m = field.grid, field.base_m
+    free = field.container_index == OPEN
+    for item in objects:
+        foot = (item.length_m + 2.0 * grid.cell_m, item.width_m + 2.0 * grid.cell_m)
+        free &= ~Rectangle(item.x_m, item.y_m, *foot, item.turn_rad).mask(grid)
+    drawn = free & (np.abs(base_m) > LEAST_M)
+    if not drawn.any():
+        return None
+    low, hole = drawn & (base_m < 0.0), None
+    if low.any():
+        (top, bottom), (left, right) = (
+            (max(int(at.min()) - 1, 0), min(int(at.max()) + 1, size - 1))
+            for at, size in zip(np.nonzero(low), base_m.shape, strict=True)
+        )
+        x, y = grid.x_m[[left, right]], grid.y_m[[top, bottom]]
+        hole = np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])])
+        inside = np.s_[top + 1 : bottom, left + 1 : right]
+        drawn[inside] = free[inside]
+    vertices, faces = _mesh(replace(field, height_m=base_m), drawn, 0.0)
+    return SurveyedGround(vertices, faces, hole)
 
 
 def load_footprint(

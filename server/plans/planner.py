@@ -35,6 +35,7 @@ from server.plans.plan_views import (
     frames_of,
     pack_frames,
     plan_aim,
+    plan_material,
     plan_site,
     plan_view,
     plan_zones,
@@ -116,7 +117,10 @@ class Planner:
         policy = self._policies.on_machine(request.mode, aboard)
         row = self._new_row(machine_id, request, session, known.state, policy)
         target = request.target.target()
-        refusal = self._refusal(policy, known.state, target) or _aim_refusal(policy, row, target)
+        load_kg = _load_kg(row)
+        refusal = self._refusal(policy, known.state, target, load_kg) or _aim_refusal(
+            policy, row, target, load_kg
+        )
         if refusal is not None:
             row.state = PlanState.REFUSED.value
             row.refusals = [{"reason": refusal.reason.value, "detail": refusal.detail}]
@@ -177,10 +181,10 @@ class Planner:
         )
 
     def _refusal(
-        self, policy: StoredPolicy, state: MachineState, target: Target
+        self, policy: StoredPolicy, state: MachineState, target: Target, load_kg: float
     ) -> RefusedError | None:
         try:
-            check_target(policy.card, target)
+            check_target(policy.card, target, load_kg)
         except RefusedError as error:
             return error
         if state.model_sha256 != self._spec.sha256:
@@ -328,13 +332,21 @@ def _no_material(_machine_id: str, _target: Target) -> None:
     return None
 
 
-def _aim_refusal(policy: StoredPolicy, row: Plan, target: Target) -> RefusedError | None:
+def _load_kg(row: Plan) -> float:
+    """Mass of the bulk material of a plan; 0: the ball."""
+    material = plan_material(row)
+    return 0.0 if material is None else material.mass_kg
+
+
+def _aim_refusal(
+    policy: StoredPolicy, row: Plan, target: Target, load_kg: float
+) -> RefusedError | None:
     """Refusal of a target whose corrected aim is out of the policy's reach."""
     aim = plan_aim(row)
     if aim is None:
         return None
     try:
-        check_target(policy.card, aim.aimed(target))
+        check_target(policy.card, aim.aimed(target), load_kg)
     except RefusedError as error:
         detail = f"With aim correction v{aim.version_count}: {error.detail}"
         return RefusedError(error.reason, detail)

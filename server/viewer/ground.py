@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
+from machine.conventions import Array
 from machine.site.objects import SiteKind, SiteObject
 from server.viewer import shapes
 from server.viewer.theme import Theme
@@ -36,7 +37,9 @@ class GroundNodes:
         self._shadows = shadows
         self._site: list[viser.SceneNodeHandle] = []
         self._material: list[viser.SceneNodeHandle] = []
-        self._ground = self._lay(())
+        self._pits: list[Array] = []
+        self._hole: list[Array] = []
+        self._ground = self._lay()
         self._nodes: list[viser.SceneNodeHandle] = [
             scene.add_light_directional(
                 "/sun",
@@ -66,10 +69,10 @@ class GroundNodes:
             ),
         ]
 
-    def _lay(self, pits: Sequence[SiteObject]) -> viser.SceneNodeHandle:
+    def _lay(self) -> viser.SceneNodeHandle:
         return self._scene.add_mesh_simple(
             "/ground",
-            *shapes.ground_mesh(GROUND_RADIUS_M, pits),
+            *shapes.ground_mesh(GROUND_RADIUS_M, [*self._pits, *self._hole]),
             color=self._theme.ground,
             cast_shadow=False,
             receive_shadow=self._theme.shadow_ratio if self._shadows else False,
@@ -81,10 +84,14 @@ class GroundNodes:
         for node in reversed(self._site):
             node.remove()
         self._site.clear()
-        self._ground.remove()
-        self._ground = self._lay([item for item in objects if item.kind is SiteKind.PIT])
+        self._pits = [shapes.site_outline(item) for item in objects if item.kind is SiteKind.PIT]
+        self._lay_anew()
         for index, item in enumerate(objects):
             self._add(f"/site/{index}", item)
+
+    def _lay_anew(self) -> None:
+        self._ground.remove()
+        self._ground = self._lay()
 
     def _add(self, name: str, item: SiteObject) -> None:
         theme, is_pit = self._theme, item.kind is SiteKind.PIT
@@ -124,6 +131,7 @@ class GroundNodes:
         for node in reversed(self._material):
             node.remove()
         self._material.clear()
+        self._draw_surveyed(None if material is None else material.ground)
         if material is None:
             return
         if len(material.faces):
@@ -149,6 +157,27 @@ class GroundNodes:
                     anchor="bottom-center",
                 ),
             ]
+
+    def _draw_surveyed(self, ground: shapes.SurveyedGround | None) -> None:
+        """Ground that is not level; below level it takes the level ground's place."""
+        hole = [] if ground is None or ground.hole_m is None else [ground.hole_m]
+        if not np.array_equal(hole, self._hole):
+            self._hole = hole
+            self._lay_anew()
+        if ground is not None:
+            self._material.append(
+                self._scene.add_mesh_simple(
+                    "/surveyed",
+                    ground.vertices_m.astype(np.float32),
+                    ground.faces.astype(np.uint32),
+                    color=self._theme.ground,
+                    flat_shading=True,
+                    side="double",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                    position=(0.0, 0.0, GROUND_LIFT_M),
+                )
+            )
 
     def _lay_material(self, material: shapes.LaidMaterial) -> None:
         self._material.append(

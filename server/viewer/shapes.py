@@ -36,6 +36,18 @@ class LoadFootprint:
 
 
 @dataclass(frozen=True)
+class SurveyedGround:
+    """Ground that is not level, frame `machine`."""
+
+    vertices_m: Array
+    """(N, 3)."""
+    faces: IntArray
+    """(M, 3)."""
+    hole_m: Array | None
+    """(4, 2) counterclockwise outline of the level ground that it replaces; None: it lies above."""
+
+
+@dataclass(frozen=True)
 class LaidMaterial:
     """Bulk material on the ground, frame `machine`."""
 
@@ -47,6 +59,8 @@ class LaidMaterial:
     """(L, 2, 3) lines of equal height."""
     next_loads: tuple[LoadFootprint, ...] = ()
     """Those that are proposed."""
+    ground: SurveyedGround | None = None
+    """None: level."""
 
 
 def circle(radius_m: float, count: int = RING_POINTS) -> Array:
@@ -206,14 +220,14 @@ def site_edges(item: SiteObject) -> Array:
     return np.concatenate(parts)
 
 
-def ground_mesh(radius_m: float, pits: Sequence[SiteObject]) -> Mesh:
-    """A disc of ground with a hole for every pit."""
-    corners = np.concatenate([site_outline(pit) for pit in pits]) if pits else np.zeros((1, 2))
+def ground_mesh(radius_m: float, holes_m: Sequence[Array]) -> Mesh:
+    """A disc of ground with holes, each a convex outline (M, 2), counterclockwise."""
+    corners = np.concatenate(holes_m) if holes_m else np.zeros((1, 2))
     # Only the ground near the pits is cut: triangles that are long and narrow flicker at the horizon.
     inner_m = max(NEAR_GROUND_M, 5.0 + float(np.linalg.norm(corners, axis=1).max()))
     pieces = [circle(inner_m, GROUND_SECTORS)[:-1, :2]]
-    for pit in pits:
-        pieces = [rest for piece in pieces for rest in _without(piece, site_outline(pit))]
+    for hole in holes_m:
+        pieces = [rest for piece in pieces for rest in _without(piece, hole)]
     far_vertices, far_faces = annulus(inner_m, radius_m, GROUND_SECTORS)
     vertices: list[Array] = [far_vertices.astype(np.float64)]
     faces: list[IntArray] = [far_faces.astype(np.int64)]

@@ -231,6 +231,8 @@ def test_a_survey_is_a_geotiff_or_the_point_cloud_of_a_scanner(
         (las, {"wkt": 'GEOGCS["y",UNIT["degree",0.0174]]'}, "is in degrees"),
         (las, {"end": 3000}, "cannot be read"),
         (lambda: b"\xff\xd8\xff a photo", {}, "is no CSV text, GeoTIFF, LAS or LAZ"),
+        (lambda: "\ufffd\ufffd\n".encode(), {}, "is no CSV text, GeoTIFF, LAS or LAZ"),
+        (lambda: b"\n", {}, "is empty"),
     ],
 )
 def test_a_survey_in_other_units_or_another_frame_is_refused(

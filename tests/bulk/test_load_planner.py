@@ -58,6 +58,22 @@ def test_out_of_reach_and_zones_are_refused_with_numbers():
         LoadPlanner(truck_goal(start, 0, 1.0), start, throws(), 0.25, [fence])
 
 
+def test_heavy_grabs_are_aimed_nearer_and_refused_where_none_reaches():
+    start = level_field(GRID)
+    goal = pile_goal(start, Rectangle(9.0, 0.0, 4.0, 2.0), 1.0, 0.7)
+    light, heavy = (
+        LoadPlanner(goal, start, throws(), volume_m3).reachable(start.height_m, volume_m3)
+        for volume_m3 in (0.05, 0.5)
+    )
+    assert 0 < heavy.sum() < light.sum()
+    loads = LoadPlanner(goal, start, throws(), 0.5).next_loads(start)
+    for load in loads:
+        reach = throws().farthest_m(load.z_m, load.volume_m3)
+        assert math.hypot(load.x_m, load.y_m) <= reach + 1e-9
+    with pytest.raises(UsageError, match=r"with 1520 kg of gravel .* reaches no target there"):
+        LoadPlanner(goal, start, throws(), 2.0)
+
+
 def test_a_simulated_truck_is_filled_and_its_volume_closes():
     start = level_field(GRID, [BED])
     goal = truck_goal(start, 0, 0.95)

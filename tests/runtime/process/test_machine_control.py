@@ -61,7 +61,7 @@ def test_what_stands_around_reaches_a_driver_that_simulates_the_landing(bench):
     given = []
     bench.driver.set_solids = given.append
     bench.arm()
-    assert [solids.names for solids in given] == [("ground that nobody described",)]
+    assert [solids.names for solids in given] == [("surface at the target's height",)]
     assert given[0].ground_m == 0.5  # nothing of that height is described: the ground is
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from machine.conventions import Mode, Motion
 from machine.messages import CheckResult, RejectReason, Target, ThrowState
+from machine.site.thrown_material import ThrownMaterial
 from runtime.throw.protocol import REPLY_MEMORY_COUNT
 from tests.cases import each
 from tests.runtime.protocol_bench import Bench, card, plan
@@ -31,6 +32,11 @@ def refused(bench: Bench, reason: RejectReason) -> str:
 ERROR = CheckResult(
     check_id="p", passed=False, severity="error", text="Pressure 14.2 MPa.", remedy="Wait."
 )
+
+GRAB_760_KG = ThrownMaterial(
+    name="gravel", volume_m3=0.5, mass_kg=760.0, grain_diameter_m=0.016, grain_spread_ratio=0.4,
+    grain_density_kg_per_m3=2650.0, drag_coefficient_ratio=1.0,
+)  # fmt: skip
 
 # Addresses, epochs, leases
 
@@ -172,6 +178,10 @@ def test_arm_in_every_state(state):
         ({"target": Target(x_m=5.4, y_m=0.0)}, R.TARGET_TOO_NEAR),
         ({"target": Target(x_m=11.0, y_m=0.0)}, R.TARGET_OUT_OF_REACH),
         ({"target": Target(x_m=8.0, y_m=0.0, z_m=0.5)}, R.TARGET_OUT_OF_REACH),
+        (
+            {"target": Target(x_m=10.0, y_m=0.0), "material": GRAB_760_KG},
+            R.TARGET_OUT_OF_REACH,
+        ),
     ],
 )
 def test_plans_that_do_not_fit_this_machine(change, reason):

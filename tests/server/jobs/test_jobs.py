@@ -75,8 +75,9 @@ class Yard:
         parts.sites.surface_at = self.jobs.surface_at
         return self.jobs
 
-    def create(self, **changes):
-        body = JobRequest(machine_id="m001", file=JobFile.model_validate(FILE | changes))
+    def create(self, survey_csv=None, **changes):
+        file = JobFile.model_validate(FILE | changes)
+        body = JobRequest(machine_id="m001", file=file, survey_csv=survey_csv)
         return self.planned(self.jobs.create(body, self.ada).job_id)
 
     def planned(self, job_id):
@@ -247,6 +248,9 @@ def test_what_cannot_be_done_is_refused_with_its_reason(yard):
         yard.create(containers=far)
     with pytest.raises(InfeasibleError, match="at most 40000"):
         yard.create(cell_m=0.02)
+    with pytest.raises(InfeasibleError, match="survey is empty") as refused:
+        yard.create("", survey="ground.csv", area=None)
+    assert refused.value.detail["problems"][0]["field"] == "survey"
     begun = yard.create()
     with pytest.raises(ConflictError, match="Job truck 7 of m001 is open"):
         yard.create()

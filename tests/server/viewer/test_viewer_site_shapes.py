@@ -29,7 +29,7 @@ def covers(mesh: shapes.Mesh, x_m: float, y_m: float) -> int:
 
 
 def test_the_ground_has_holes_where_pits_are_and_covers_all_else_once() -> None:
-    ground = shapes.ground_mesh(400.0, PITS)
+    ground = shapes.ground_mesh(400.0, [shapes.site_outline(pit) for pit in PITS])
     for x_m, y_m in np.random.default_rng(3).uniform((4.0, -7.0), (13.0, 0.0), (400, 2)):
         over_pit = any(pit.distance_m(x_m, y_m) == 0.0 for pit in PITS)
         assert covers(ground, x_m, y_m) == (0 if over_pit else 1), (x_m, y_m)

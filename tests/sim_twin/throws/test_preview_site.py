@@ -108,7 +108,7 @@ def test_a_target_in_the_air_beside_a_bed_is_refused(request_2d: PreviewRequest)
     assert "+0.00 m lies inside bed, whose top there is at +0.40 m" in inside.refused[0].detail
     assert inside.refused[0].surface_m == pytest.approx(0.4)
     far = preview(replace(request_2d, target=Target(x_m=6.0, y_m=0.0, z_m=0.4)))
-    assert far.lands_on == "ground that nobody described"
+    assert far.lands_on == "surface at the target's height"
     assert far.refused == ()
 
 

@@ -15,7 +15,7 @@ import type { SiteObject } from "../site/objects";
 import { errorWords } from "../words/errors";
 import { fixed } from "../words/format";
 import { fieldOf } from "./fieldErrors";
-import { fillsBed, firstForm, goalChoices, type JobForm, jobFile } from "./goal";
+import { fillsBed, firstForm, goalChoices, type JobForm, jobFile, loadReachWords } from "./goal";
 import { SURVEY_TYPES, surveyOf } from "./survey";
 import { useStartJob } from "./useJobs";
 import classes from "./Work.module.css";
@@ -132,7 +132,11 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
           value={form.mode}
           onChange={(mode) => set({ mode: mode as "2d" | "3d" })}
         />
-        {reach && <p className={classes.note}>{reachWords(reach)}</p>}
+        {reach && (
+          <p className={classes.note}>
+            {reachWords(reach)} {loadReachWords(reach, grabKg(form))}
+          </p>
+        )}
         <FileInput
           size="md"
           label="Survey of the ground"
@@ -143,6 +147,7 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
           clearable
           clearButtonProps={{ "aria-label": "Without a survey" }}
           value={survey}
+          error={errorAt("survey")}
           onChange={setSurvey}
         />
         <TextInput
@@ -168,6 +173,11 @@ export function NewJobDialog({ machine, objects, onStarted, onClose }: Props) {
       </form>
     </Modal>
   );
+}
+
+function grabKg({ material, grab_m3 }: JobForm): number {
+  const found = Object.entries(MATERIALS).find(([known]) => known === material)?.[1];
+  return grab_m3 * (found?.density_kg_per_m3 ?? 0);
 }
 
 function materialWords(name: string, grab_m3: number): string {

@@ -50,7 +50,7 @@ function drawn(
     marginBottom: 34,
     marginLeft: 44,
     style: { background: "transparent", fontSize: "11px", overflow: "visible" },
-    x: { label: AXES[direction], labelAnchor: "center", labelArrow: "none", ticks: 6 },
+    x: { label: AXES[direction], labelAnchor: "center", labelArrow: "none", tickSpacing: 50 },
     y: { label: "Height, m", labelArrow: "none", nice: true, grid: true, ticks: 4 },
     marks: [
       Plot.line(points, {

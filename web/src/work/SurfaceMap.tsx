@@ -5,7 +5,7 @@ import { toCsv } from "../charts/export";
 import { niceStep } from "../charts/scale";
 import { useSize } from "../charts/useSize";
 import { fixed, signed } from "../words/format";
-import { goalPlace } from "./goal";
+import { goalPlace, heapOf } from "./goal";
 import type { Job, Surface } from "./job";
 import { cornersOf, type Point, type Rectangle } from "./rectangle";
 import classes from "./SurfaceMap.module.css";
@@ -41,9 +41,12 @@ export function SurfaceMap({ job, surface, moving, onPoint }: Props) {
   const [read, setRead] = useState<Point | null>(null);
   const place = goalPlace(job.file);
   const corners = place ? cornersOf(place) : [];
+  const heap = heapOf(job.file);
+  const heapCorners = heap ? cornersOf(heap) : [];
   const loads = job.loads.filter((load) => !load.is_withdrawn);
   const points: Point[] = [
     ...corners,
+    ...heapCorners,
     ...job.next.map(({ x_m, y_m }) => [x_m, y_m] as const),
     ...loads.map(({ x_m, y_m }) => [x_m, y_m] as const),
   ];
@@ -100,6 +103,18 @@ export function SurfaceMap({ job, surface, moving, onPoint }: Props) {
               ))}
               {corners.length > 0 && (
                 <polygon points={view.polygon(corners)} className={classes.wanted} />
+              )}
+              {heap && (
+                <>
+                  <polygon points={view.polygon(heapCorners)} className={classes.heap} />
+                  <text
+                    x={view.x(heap.x_m)}
+                    y={view.y(Math.max(...heapCorners.map(([, y]) => y))) - 6}
+                    className={classes.heapName}
+                  >
+                    heap
+                  </text>
+                </>
               )}
               {loads.map((load, index) => {
                 const isRecent = index >= loads.length - NUMBERED_COUNT;

@@ -2,7 +2,16 @@
 
 import { ApiError } from "../session/client";
 
-const FIELDS = ["name", "material", "grab_m3", "wall_m", "height_m", "length_m", "width_m"];
+const FIELDS = [
+  "name",
+  "material",
+  "grab_m3",
+  "wall_m",
+  "height_m",
+  "length_m",
+  "width_m",
+  "survey",
+];
 
 type Problems = { problems?: readonly { field: string }[] } | null;
 

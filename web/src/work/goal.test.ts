@@ -2,7 +2,16 @@ import { describe, expect, it } from "vitest";
 import { ApiError } from "../session/client";
 import type { SiteObject } from "../site/objects";
 import { fieldOf } from "./fieldErrors";
-import { firstForm, goalChoices, goalPlace, goalWords, jobFile, modeFor } from "./goal";
+import {
+  firstForm,
+  goalChoices,
+  goalPlace,
+  goalWords,
+  jobFile,
+  loadReachRatio,
+  loadReachWords,
+  modeFor,
+} from "./goal";
 
 const object = (change: Partial<SiteObject>) =>
   ({ turn_rad: 0, base_height_m: 0, top_ratio: 0, ...change }) as SiteObject;
@@ -43,6 +52,8 @@ describe("a new job", () => {
     expect(values(false)).toEqual(["truck:truck bed", "pit:pit", "pile"]);
     expect(values(true)).toEqual([...values(false), "trench", "clear:truck bed"]);
     expect(goalChoices([], false).map((one) => one.value)).toEqual(["pile"]);
+    const names = goalChoices([BED], true).map((one) => firstForm(one, MODES, null).name);
+    expect(names).toEqual(["truck bed", "pile", "trench", "truck bed"]);
   });
 
   it("fills the inside of a bed from its top to its walls, on ground around it", () => {
@@ -93,6 +104,17 @@ describe("a goal", () => {
   });
 });
 
+describe("reach with a load", () => {
+  it("falls with the mass, and ends with the masses that were thrown", () => {
+    expect(loadReachRatio("2d", 0)).toBe(1);
+    expect(loadReachRatio("2d", 475)).toBeCloseTo(0.8875, 6);
+    expect(loadReachRatio("2d", 5000)).toBeNull();
+    const reach = { mode: "2d" as const, height_min_m: 0, height_max_m: 0, range_max_m: 10 };
+    expect(loadReachWords(reach, 380)).toBe("With 380 kg it reaches 9.00 m on the ground.");
+    expect(loadReachWords(reach, 5000)).toContain("take a smaller grab");
+  });
+});
+
 describe("a refusal", () => {
   const refused = (status: number, detail: unknown) =>
     fieldOf(new ApiError(status, "invalid", "no", detail));
@@ -100,6 +122,7 @@ describe("a refusal", () => {
   it("stands beside its field, and beside the goal where it speaks of its place", () => {
     expect(refused(422, { problems: [{ field: "body.file.grab_m3" }] })).toBe("grab_m3");
     expect(refused(422, { problems: [{ field: "body.file.containers.0.wall_m" }] })).toBe("wall_m");
+    expect(refused(422, { problems: [{ field: "survey" }] })).toBe("survey");
     expect(refused(422, null)).toBe("goal");
     expect(refused(409, null)).toBeNull();
     expect(fieldOf(new Error("no"))).toBeNull();

@@ -1,5 +1,6 @@
 /** What a new job can be here, from what stands around the machine; and goals in words. */
 
+import { REACH_WITH_LOAD } from "../api/vocabulary";
 import { azimuthOf, rangeOf, type SiteObject, topOf } from "../site/objects";
 import { bearingWords, fixed, metres, percent, signed } from "../words/format";
 import type { JobFile } from "./job";
@@ -69,6 +70,25 @@ export const fillsBed = (kind: GoalKind) => kind === "truck" || kind === "clear"
 
 type Reach = { mode: "2d" | "3d"; height_min_m: number; height_max_m: number };
 
+/** Share of a policy's reach that a load is thrown to; null beyond the masses that were thrown. */
+export function loadReachRatio(mode: "2d" | "3d", load_kg: number): number | null {
+  const table = REACH_WITH_LOAD[mode];
+  const next = table.findIndex(([mass_kg]) => mass_kg >= load_kg);
+  const [above, below] = [table[next], table[next - 1]];
+  if (!above) return null;
+  if (!below) return above[1];
+  const part = (load_kg - below[0]) / (above[0] - below[0]);
+  return below[1] + part * (above[1] - below[1]);
+}
+
+/** "With 380 kg: to 9.81 m." */
+export function loadReachWords(reach: Reach & { range_max_m: number }, load_kg: number): string {
+  const share = loadReachRatio(reach.mode, load_kg);
+  const load = `With ${fixed(load_kg, 0)} kg`;
+  if (share === null) return `${load} nothing is thrown: take a smaller grab.`;
+  return `${load} it reaches ${metres(share * reach.range_max_m)} on the ground.`;
+}
+
 /** A mode whose policy was trained for a height; else the first. */
 export function modeFor(height_m: number, modes: readonly Reach[]): "2d" | "3d" {
   const able = modes.filter((one) => height_m >= one.height_min_m && height_m <= one.height_max_m);
@@ -86,7 +106,7 @@ export function firstForm(
   at: { range_m: number; azimuth_rad: number } | null,
 ): JobForm {
   return {
-    name: choice.item?.name ?? "pile",
+    name: choice.item?.name ?? choice.kind,
     goal: choice.value,
     mode: modeFor(goalHeight(choice), modes),
     material: "gravel",
@@ -170,6 +190,10 @@ export function goalPlace(file: JobFile): Rectangle | null {
   if (work.kind === "trench") return work.place;
   return file.containers?.find((item) => item.name === work.container) ?? null;
 }
+
+/** Where the material of a job is dug; null: it comes from elsewhere. */
+export const heapOf = ({ work }: JobFile): Rectangle | null =>
+  work.kind === "clear" ? work.heap : null;
 
 /** "Fill truck bed to 95 % of its walls, 1.20 to 1.80 m". */
 export function goalWords(file: JobFile): string {
