@@ -105,7 +105,7 @@ def test_the_reach_falls_with_the_height():
         check_target(card, Target(x_m=9.4, y_m=0.0, z_m=2.0))
     check_target(card, Target(x_m=8.3, y_m=0.0, z_m=2.0), load_kg=380.0)
     with pytest.raises(
-        RefusedError, match=r"9\.20 m, 2D reaches 8\.37 m at height \+2\.00 m with 380 kg"
+        RefusedError, match=r"9\.20 m, 2D reaches 8\.60 m at height \+2\.00 m with 380 kg"
     ):
         check_target(card, Target(x_m=9.2, y_m=0.0, z_m=2.0), load_kg=380.0)
     with pytest.raises(RefusedError, match=r"2D reaches no target at height .* with 4000 kg"):

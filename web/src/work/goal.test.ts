@@ -107,10 +107,10 @@ describe("a goal", () => {
 describe("reach with a load", () => {
   it("falls with the mass, and ends with the masses that were thrown", () => {
     expect(loadReachRatio("2d", 0)).toBe(1);
-    expect(loadReachRatio("2d", 475)).toBeCloseTo(0.8875, 6);
+    expect(loadReachRatio("2d", 475)).toBeCloseTo(0.9, 6);
     expect(loadReachRatio("2d", 5000)).toBeNull();
     const reach = { mode: "2d" as const, height_min_m: 0, height_max_m: 0, range_max_m: 10 };
-    expect(loadReachWords(reach, 380)).toBe("With 380 kg it reaches 9.00 m on the ground.");
+    expect(loadReachWords(reach, 380)).toBe("With 380 kg it reaches 9.25 m on the ground.");
     expect(loadReachWords(reach, 5000)).toContain("take a smaller grab");
   });
 });
