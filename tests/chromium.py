@@ -16,3 +16,15 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+COARSE_PICTURES = """
+if (location.pathname.startsWith("/viewer")) {
+  const draw = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (callback) => setTimeout(() => draw(callback), 400);
+  const getContext = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    return getContext.call(this, kind, { ...options, antialias: false });
+  };
+}
+"""
+"""For pages with the 3D view: without graphics hardware one of its pictures takes most of a second of a core,
+which the machine, the server and the rest of the page need."""

@@ -47,8 +47,23 @@ WHOLE_FOLDERS = ("training",)
 """Compiled environments of the session take long to build: once, not in every worker."""
 
 
+SLOW_FILES = (
+    "tests/server/machines/test_second_router.py",
+    "tests/server/test_viewer_browser.py",
+    "tests/server/validation/test_shadow_runs.py",
+    "tests/evaluation/test_accuracy_report.py",
+)
+"""Few and slow tests: the scheduler would take files with few tests last, and one worker ran on alone."""
+
+
 class FolderScheduling(LoadFileScheduling):
     """Tests of a file, or of a whole folder, run in one worker."""
+
+    def schedule(self) -> None:
+        super().schedule()
+        for path in reversed(SLOW_FILES):
+            if path in self.workqueue:
+                self.workqueue.move_to_end(path, last=False)
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.split("::", 1)[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.chromium import CHROMIUM, FLAGS
+from tests.chromium import CHROMIUM, COARSE_PICTURES, FLAGS
 from tests.e2e.browser_console import Console
 from tests.e2e.stack import CONSOLE, Demo, ServerAlone, Stack
 
@@ -16,10 +16,20 @@ TIMEOUT_MS = 60_000
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests with processes of their own come last: they have both cores once the shared demo has ended."""
     for item in items:
-        if Path(__file__).parent in item.path.parents:
+        if _is_here(item):
             item.add_marker(pytest.mark.e2e)
             item.add_marker(pytest.mark.timeout(600))
+    items.sort(key=lambda item: _is_here(item) and not _uses(item, "demo"))
+
+
+def _is_here(item: pytest.Item) -> bool:
+    return Path(__file__).parent in item.path.parents
+
+
+def _uses(item: pytest.Item | None, fixture: str) -> bool:
+    return fixture in getattr(item, "fixturenames", ())
 
 
 STARTED = pytest.StashKey[tuple[Demo, tempfile.TemporaryDirectory[str]]]()
@@ -27,17 +37,30 @@ STARTED = pytest.StashKey[tuple[Demo, tempfile.TemporaryDirectory[str]]]()
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """The demo measures its machine for a minute, on one core, while tests before those of the demo run."""
-    needs = any("demo" in getattr(item, "fixturenames", ()) for item in session.items)
+    needs = any(_uses(item, "demo") or _uses(item, "measured") for item in session.items)
     is_one_of_several = hasattr(session.config, "workerinput")
     if needs and CONSOLE.is_file() and not (is_one_of_several or session.config.option.collectonly):
-        start_demo(session.config)
+        shared_demo(session.config)
 
 
-def start_demo(config: pytest.Config) -> Demo:
-    folder = tempfile.TemporaryDirectory()
-    demo = Demo(Path(folder.name))
-    config.stash[STARTED] = demo, folder
+def shared_demo(config: pytest.Config) -> Demo:
+    """The demo of this run; it is started with the first use, and again after it was stopped."""
+    if STARTED not in config.stash:
+        folder = tempfile.TemporaryDirectory()
+        config.stash[STARTED] = Demo(Path(folder.name)), folder
+    demo = config.stash[STARTED][0]
+    demo.start()
     return demo
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    """The demo ends after the last test that uses it, once the pages of that are closed."""
+    try:
+        return (yield)
+    finally:
+        if STARTED in item.config.stash and _uses(item, "demo") and not _uses(nextitem, "demo"):
+            item.config.stash[STARTED][0].stop()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
@@ -58,11 +81,19 @@ def browser() -> Iterator[Browser]:
         opened.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def demo(pytestconfig: pytest.Config) -> Stack:
     """One demo for all tests of a run; tests leave it disarmed and without a lease."""
-    started = pytestconfig.stash.get(STARTED, None)
-    return (start_demo(pytestconfig) if started is None else started[0]).ready()
+    return shared_demo(pytestconfig).ready()
+
+
+@pytest.fixture(scope="module")
+def measured(pytestconfig: pytest.Config) -> Path:
+    """Folder with profile and calibration of the shared demo's machine m001; that demo has ended."""
+    shared = shared_demo(pytestconfig)
+    shared.ready()
+    shared.stop()
+    return shared.machines
 
 
 @pytest.fixture
@@ -93,6 +124,7 @@ def open_page(browser: Browser, console: Console) -> Iterator[Callable[..., Page
         )
         # For pages that a test opens beside the first, too.
         context.set_default_timeout(TIMEOUT_MS)
+        context.add_init_script(COARSE_PICTURES)
         contexts.append(context)
         page = context.new_page()
         page.on("console", console.take)

@@ -89,26 +89,45 @@ class Demo:
 
     def __init__(self, data: Path, machine_count: int = 1) -> None:
         self._data = data
+        self._machine_count = machine_count
+        self._starts_count = 0
+        self._command: Command | None = None
+
+    @property
+    def machines(self) -> Path:
+        """Folder of the machines' profiles and calibrations."""
+        return self._data / "machines"
+
+    def start(self) -> None:
+        """Start it unless it runs; a demo that was stopped starts with its data, at another address."""
+        if self._command is not None:
+            return
+        self._starts_count += 1
         self._command = Command(
-            data / "demo.log",
-            *("demo", "--port", "0", "--data", str(data), "--machines", str(machine_count)),
+            self._data / f"demo-{self._starts_count}.log",
+            *("demo", "--port", "0", "--data", str(self._data)),
+            *("--machines", str(self._machine_count)),
             # The browser of these tests draws without graphics hardware.
             DOWNRANGE_VIEW_SHADOWS="0",
         )
 
     def ready(self) -> Stack:
         """Wait until it can be used."""
+        assert self._command is not None, "it is not started"
         url = self._command.wait_for(r"Downrange is at (http://\S+)", 500.0).group(1)
         return Stack(url, logins(self._data))
 
     def stop(self) -> None:
-        self._command.stop()
+        if self._command is not None:
+            self._command.stop()
+            self._command = None
 
 
 @contextlib.contextmanager
 def running_demo(data: Path, machine_count: int = 1) -> Iterator[Stack]:
     """A demo of one's own."""
     demo = Demo(data, machine_count)
+    demo.start()
     try:
         yield demo.ready()
     finally:
