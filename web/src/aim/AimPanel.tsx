@@ -64,7 +64,6 @@ function Actions({ machineId, shown }: { machineId: string; shown: AimMode }) {
           <Button
             size="sm"
             disabled={!mayApply}
-            title={mayApply ? undefined : "An engineer may apply it."}
             loading={apply.isPending}
             onClick={() => apply.mutate(proposal_sha256)}
           >
@@ -76,7 +75,6 @@ function Actions({ machineId, shown }: { machineId: string; shown: AimMode }) {
             size="sm"
             variant="default"
             disabled={!mayApply}
-            title={mayApply ? undefined : "An engineer may undo it."}
             loading={undo.isPending}
             onClick={() => undo.mutate()}
           >
@@ -84,6 +82,9 @@ function Actions({ machineId, shown }: { machineId: string; shown: AimMode }) {
           </Button>
         )}
       </div>
+      {!mayApply && (proposal_sha256 !== null || in_force) && (
+        <p className={classes.sub}>Your role may look. An engineer applies and undoes it.</p>
+      )}
       {error && (
         <p className={classes.refusal} role="alert">
           {errorWords(error)}

@@ -29,10 +29,9 @@ export function LeaseControl({ machine }: { machine: Machine }) {
           size="sm"
           loading={release.isPending}
           disabled={isThrowing}
-          title={isThrowing ? "Not during a throw: let go of the button, or press STOP" : undefined}
           onClick={() => release.mutate()}
         >
-          Give back control
+          {isThrowing ? "Give back after the throw" : "Give back control"}
         </Button>
       )}
       {!holder && mayLease && (

@@ -2,6 +2,7 @@ import { Link } from "@tanstack/react-router";
 import type { Schema } from "../session/client";
 import { ValidationPanel } from "../validation/ValidationPanel";
 import { count, fixed, metres, shortHash } from "../words/format";
+import { Hash } from "../words/Hash";
 import { zonedStamp } from "../words/time";
 import { EvaluationTable } from "./EvaluationTable";
 import { LifeStepper } from "./LifeStepper";
@@ -38,9 +39,13 @@ export function PolicyCard({ policy, isOnBoard, machineId }: Props) {
         <dt>Targets</dt>
         <dd>{targetWords(card)}</dd>
         <dt>Version</dt>
-        <dd title={policy.policy_sha256}>{shortHash(policy.policy_sha256)}</dd>
+        <dd>
+          <Hash value={policy.policy_sha256} name="Version" />
+        </dd>
         <dt>Machine model</dt>
-        <dd title={card.model_sha256}>{shortHash(card.model_sha256)}</dd>
+        <dd>
+          <Hash value={card.model_sha256} name="Machine model" />
+        </dd>
         <dt>Trained</dt>
         <dd>
           {training.environment_step_count.toExponential(1).replace("e+", "e")} steps in{" "}

@@ -4,15 +4,8 @@ import { paceWords } from "../operate/target/pace";
 import type { Schema } from "../session/client";
 import { useMay } from "../session/useSession";
 import { outcomeSentence } from "../throws/outcome";
-import {
-  bearingWords,
-  bytes,
-  heightWords,
-  metres,
-  seconds,
-  shortHash,
-  speed,
-} from "../words/format";
+import { bearingWords, bytes, heightWords, metres, seconds, speed } from "../words/format";
+import { Hash } from "../words/Hash";
 import { localStamp, zoneName } from "../words/time";
 import classes from "./Facts.module.css";
 
@@ -21,7 +14,7 @@ type Detail = Schema["ThrowDetail"];
 /** People and versions: who threw what, with which policy, twin and model. */
 export function Facts({ detail }: { detail: Detail }) {
   const { row, plan } = detail;
-  const facts: [string, React.ReactNode, string?][] = [
+  const facts: [string, React.ReactNode][] = [
     ["Outcome", outcomeSentence(row)],
     [
       "Target",
@@ -33,19 +26,24 @@ export function Facts({ detail }: { detail: Detail }) {
     [`Time, ${zoneName(new Date(row.created_utc))}`, localStamp(row.created_utc)],
     ["Release speed", speed(row.release_speed_m_per_s)],
     ["Duration", seconds(row.throw_duration_s, 1)],
-    ["Policy", `${row.policy_id} ${shortHash(row.policy_sha256)}`, row.policy_sha256],
-    ["Machine model", shortHash(plan?.model_sha256), plan?.model_sha256],
+    [
+      "Policy",
+      <span key="policy">
+        {row.policy_id} <Hash value={row.policy_sha256} name="Policy" />
+      </span>,
+    ],
+    ["Machine model", <Hash key="model" value={plan?.model_sha256} name="Machine model" />],
     ["Twin profile", plan ? `version ${plan.twin_profile_version}` : "–"],
-    ["Plan", shortHash(plan?.plan_hash), plan?.plan_hash ?? undefined],
+    ["Plan", <Hash key="plan" value={plan?.plan_hash} name="Plan" />],
     ["Control epoch", detail.epoch_count],
     ["Throw", row.throw_id],
   ];
   return (
     <dl className={classes.facts}>
-      {facts.map(([name, value, title]) => (
+      {facts.map(([name, value]) => (
         <div key={name}>
           <dt>{name}</dt>
-          <dd title={title}>{value}</dd>
+          <dd>{value}</dd>
         </div>
       ))}
     </dl>
@@ -102,8 +100,8 @@ function LogFiles({ detail }: { detail: Detail }) {
       <Anchor size="sm" href={`/api/v1/throws/${encodeURIComponent(row.throw_id)}/csv`} download>
         The same as CSV
       </Anchor>
-      <p className={classes.note} title={log.log_sha256}>
-        sha256 {shortHash(log.log_sha256)}, received {localStamp(log.received_utc)}
+      <p className={classes.note}>
+        sha256 <Hash value={log.log_sha256} name="Log" />, received {localStamp(log.received_utc)}
       </p>
     </>
   );

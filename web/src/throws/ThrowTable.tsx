@@ -79,8 +79,8 @@ export function ThrowTable(props: Props) {
                 </button>
               </th>
             ))}
-            <th scope="col" className={classes.right} title="0 careful, 1 fast">
-              Pace
+            <th scope="col" className={classes.right}>
+              Pace, 0–1
             </th>
           </tr>
         </thead>
