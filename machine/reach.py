@@ -16,13 +16,10 @@ REACH_WITH_LOAD: dict[Mode, tuple[tuple[float, float], ...]] = {
     Mode.PLANAR: (
         (0.0, 1.0), (190.0, 1.0), (380.0, 0.925), (570.0, 0.875), (760.0, 0.775), (1140.0, 0.675),
     ),
-    Mode.SPATIAL: (
-        (0.0, 1.0), (190.0, 1.0), (380.0, 0.975), (570.0, 0.875), (760.0, 0.775), (1140.0, 0.675),
-    ),
+    Mode.SPATIAL: ((0.0, 1.0), (190.0, 1.0), (380.0, 0.975), (570.0, 0.9), (760.0, 0.75)),
 }  # fmt: skip
 """Mass of a load, kg, and up to which share of the card's reach it is thrown: policies learn with a ball.
-Measured with gravel on the virtual machine: `python -m benchmarks.load_reach`; above 380 kg 3D is taken as
-2D."""
+Measured with gravel on the virtual machine: `python -m benchmarks.load_reach`."""
 
 
 def reach_m(card: PolicyCard, height_m: float, load_kg: float = 0.0) -> float:
