@@ -127,6 +127,8 @@ class NoiseModel(BaseModel):
     """Impact gap of healthy machines by mode, root mean square, with the healthy filters."""
     unknown_level: Mapping[str, tuple[float, float]]
     """By block: mean and standard deviation over healthy sets of the log residual power per row."""
+    dropped_ratio: float = 0.0
+    """Share of a set's throws, those with most residual power, that `unknown_level` leaves out."""
 
     def scatter(self, names: Sequence[str]) -> Array:
         """Covariance (n, n) of the deviations of one healthy set, in the order of names."""

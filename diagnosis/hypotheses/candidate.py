@@ -6,7 +6,7 @@ comparable whatever their effects do.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.special import log_ndtr, logsumexp
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, Products
 from diagnosis.inference.evidence import Priors, Set, members_index
 from diagnosis.linearisation.parameters import (
+    NONSMOOTH_EFFECTS,
     Parameter,
     ParameterLayout,
     ReplayKind,
@@ -25,7 +26,7 @@ from diagnosis.linearisation.sensitivities import LinearThrow, relinearise
 from diagnosis.population.machine_baseline import SMOOTH_EFFECTS
 from diagnosis.tuning import FURTHER_LOG_PRIOR, SLAB_SCALES_RATIO
 from diagnosis.worker_process import WorkerProcess
-from machine.conventions import Array, IntArray
+from machine.conventions import Array, BoolArray, IntArray
 from sim_twin.effects.effect import Effect
 
 StartingPoint = tuple[Set, Array]
@@ -188,6 +189,57 @@ def _about_healthy_mean(throws: Throws, candidates: Sequence[CandidateSet]) -> l
         ]
         found.append(_candidate(likelihood, one.members, one.sizes, changes, slopes))
     return found
+
+
+def with_jumps_at_no_size(throws: Throws, candidates: Sequence[CandidateSet]) -> list[CandidateSet]:
+    """The candidates with nonsmooth effects, these at no size.
+
+    A joint that may stick is replayed by rules of its own, which use where the recorded one rested. What
+    these rules gain at no size is no evidence for the effect.
+    """
+    layout = throws.likelihood.problem.layout
+    points: list[StartingPoint] = []
+    for one in candidates:
+        jumps = _is_nonsmooth(layout, one.members)
+        if jumps.any():
+            points.append((one.members, np.where(jumps, 0.0, one.sizes)))
+    return evaluate(throws, points)
+
+
+def without_absent_jumps(likelihood: MarginalLikelihood, one: CandidateSet) -> CandidateSet:
+    """A candidate whose nonsmooth effects have no size (`with_jumps_at_no_size`) as the set without them."""
+    layout = likelihood.problem.layout
+    is_absent = _is_nonsmooth(layout, one.members) & (one.sizes == 0.0)
+    if not is_absent.any():
+        return one
+    stay = ~is_absent
+    sizes = sizes_by_member(layout.priors, one.members, stay.astype(np.float64))
+    members = tuple(m for m, is_there in sizes.items() if is_there.any())
+    covariance = np.linalg.inv(np.linalg.inv(one.covariance)[np.ix_(stay, stay)])
+    volume = 0.5 * float(np.linalg.slogdet(covariance)[1]) + 0.5 * int(stay.sum()) * LOG_TWO_PI
+    columns = np.concatenate([[True], stay, stay])
+    prior = log_prior(layout.priors, members, one.sizes[stay])
+    return replace(
+        one,
+        members=members,
+        sizes=one.sizes[stay],
+        log_evidence=one.log_likelihood + prior + volume,
+        step=one.step[stay],
+        covariance=covariance,
+        products=[
+            Products(p.own[np.ix_(columns, columns)], p.with_healthy[:, columns])
+            for p in one.products
+        ],
+    )
+
+
+def _is_nonsmooth(layout: ParameterLayout, members: Set) -> BoolArray:
+    """Whether each size of a set (k,) is of a nonsmooth effect."""
+    index = members_index(layout.priors, members)
+    constants = library()
+    return np.array(
+        [i < len(constants) and constants[i].effect in NONSMOOTH_EFFECTS for i in index], dtype=bool
+    )
 
 
 def _constants(layout: ParameterLayout, members: Set) -> list[int]:

@@ -105,7 +105,8 @@ def pose_problem(
         found = replace(found, model=model, layout=beside(layout_of(model), profile.effects))
     none = screen(total(found.information), found.layout.priors)
     shift = prior_shift(found.layout.priors.scatter, none.covariance, none.mean)
-    return replace(found, none_levels=levels(found.whitened, none.mean), none_shift=shift)
+    level = levels(found.whitened, none.mean, found.model.dropped_ratio)
+    return replace(found, none_levels=level, none_shift=shift)
 
 
 def _whitened(

@@ -19,6 +19,8 @@ from diagnosis.hypotheses.candidate import (
     no_effect,
     refined,
     sizes_by_member,
+    with_jumps_at_no_size,
+    without_absent_jumps,
 )
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
@@ -68,9 +70,11 @@ def search(throws: Throws, tick: Callable[[float], None]) -> list[CandidateSet]:
     found = _best(_best_of_each([c for c in found if _has_all(problem.layout.priors, c)]))
     simpler = {one for c in found[:2] for one in _subsets(c.members)}
     final = found[:FINAL_COUNT] + [c for c in found[FINAL_COUNT:] if c.members in simpler]
+    final += with_jumps_at_no_size(throws, final)
     for _ in range(HEALTHY_ROUNDS):
         final = about_healthy_mean(throws, final)
-    return _best([c for c in final if _has_all(problem.layout.priors, c)])
+    final = [without_absent_jumps(throws.likelihood, c) for c in final]
+    return _best(_best_of_each([c for c in final if _has_all(problem.layout.priors, c)]))
 
 
 def _subsets(members: Set) -> list[Set]:

@@ -13,7 +13,7 @@ from scipy.special import expit
 from diagnosis.hypotheses.gap_problem import GapProblem
 from diagnosis.hypotheses.marginal_likelihood import MarginalLikelihood, stage_of
 from diagnosis.hypotheses.prior_conflict import prior_shift
-from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS
+from diagnosis.linearisation.residual_power import INSENSITIVE_BLOCKS, log_level, throw_powers
 from diagnosis.tuning import (
     CONFLICT_SD,
     FORM_LEFT_RATIO,
@@ -41,15 +41,15 @@ class Left(NamedTuple):
 
 
 def levels_of(likelihood: MarginalLikelihood, left: list[Array]) -> dict[str, float]:
-    """Log power per row of every channel."""
-    power: dict[str, float] = {}
-    rows: dict[str, int] = {}
-    for p, rest in zip(likelihood.problem.prepared, left, strict=True):
-        for block in p.blocks:
-            own = rest[block.rows]
-            power[block.name] = power.get(block.name, 0.0) + float(own @ own)
-            rows[block.name] = rows.get(block.name, 0) + own.size
-    return {name: float(np.log(max(power[name], 1e-12) / rows[name])) for name in power}
+    """Log power per row of every channel, as of healthy throws (`log_level`)."""
+    problem = likelihood.problem
+    power = throw_powers(
+        [
+            {b.name: (float(rest[b.rows] @ rest[b.rows]), rest[b.rows].size) for b in p.blocks}
+            for p, rest in zip(problem.prepared, left, strict=True)
+        ]
+    )
+    return {name: log_level(one, problem.model.dropped_ratio) for name, one in power.items()}
 
 
 def check(problem: GapProblem, levels: Mapping[str, float]) -> dict[str, Left]:

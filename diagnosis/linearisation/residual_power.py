@@ -1,6 +1,6 @@
 """Residual power of a throw after a set of effects, block by block."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -58,12 +58,23 @@ def residual_power(whitened: Whitened, mean: Array) -> dict[str, tuple[float, in
     return power
 
 
-def levels(whitened: Sequence[Whitened], mean: Array) -> dict[str, float]:
-    """Log residual power per row of every block over all throws, after the parameters `mean`."""
-    power: dict[str, float] = {}
-    rows: dict[str, int] = {}
-    for one in whitened:
-        for name, (square, count) in residual_power(one, mean).items():
-            power[name] = power.get(name, 0.0) + square
-            rows[name] = rows.get(name, 0) + count
-    return {name: float(np.log(power[name] / rows[name])) for name in power if rows[name]}
+def levels(whitened: Sequence[Whitened], mean: Array, dropped_ratio: float) -> dict[str, float]:
+    """Log residual power per row of every block, after the parameters `mean` (`log_level`)."""
+    power = throw_powers([residual_power(one, mean) for one in whitened])
+    return {name: log_level(values, dropped_ratio) for name, values in power.items()}
+
+
+def throw_powers(power: Sequence[Mapping[str, tuple[float, int]]]) -> dict[str, Array]:
+    """Power per row of every throw that has rows of a block, from power and rows of each block."""
+    found: dict[str, list[float]] = {}
+    for one in power:
+        for name, (square, count) in one.items():
+            if count:
+                found.setdefault(name, []).append(square / count)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def log_level(power: Array, dropped_ratio: float) -> float:
+    """Log of the mean power (n,) per row, without the throws that have most: this share, rounded down."""
+    kept = np.sort(power)[: power.size - int(dropped_ratio * power.size)]
+    return float(np.log(max(kept.mean(), 1e-12)))

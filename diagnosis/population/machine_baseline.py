@@ -14,15 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.healthy.noise import ChannelNoise, NoiseModel, Scatter, whiten, whitener
+from diagnosis.healthy.noise import NoiseModel, Scatter
 from diagnosis.inference.evidence import Information, screen, total
 from diagnosis.linearisation.model_error import factors
 from diagnosis.linearisation.parameters import layout, library, scatter_names
-from diagnosis.linearisation.residual_power import in_units, residual_after
+from diagnosis.linearisation.residual_power import (
+    in_units,
+    log_level,
+    residual_after,
+    residual_power,
+    throw_powers,
+)
 from diagnosis.linearisation.sensitivities import LinearThrow
 from diagnosis.linearisation.whitening import Whitened, information, whiten_throw
 from diagnosis.loading.prepared import PreparedThrow
-from diagnosis.population.channel_fit import Row, fitted_channel
+from diagnosis.population.channel_fit import fitted_channel
 from diagnosis.population.hierarchical_prior import Levels, of_machine, set_likelihood
 from machine.conventions import Array
 from sim_twin.effects.table import effects_where
@@ -35,6 +41,9 @@ OWN_EFFECTS = effects_where(
 """Those that a machine's twin takes from its reference throws."""
 MEASURED_STAGES = ("actuation", "swing")
 """Stages whose channels have enough samples in a throw for a covariance of their own."""
+DROPPED_RATIO = 1.0 / 6.0
+"""Share of throws whose residual power does not count: fewer than those of a fault that shows in one throw of
+three."""
 LEAST_LEVEL_SD = 0.08
 """Least standard deviation of a machine's log residual power from day to day."""
 
@@ -60,7 +69,8 @@ def machine_model(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
     wide = with_wide_priors(model)
     measured = with_measured_noise(wide, reference)
     tolerant = with_set_tolerance(measured)
-    return with_posterior(tolerant, information(reference.whitened(tolerant)))
+    own = with_posterior(tolerant, information(reference.whitened(tolerant)))
+    return with_usual_level(own, reference)
 
 
 def with_wide_priors(model: NoiseModel) -> NoiseModel:
@@ -74,12 +84,12 @@ def with_wide_priors(model: NoiseModel) -> NoiseModel:
 
 
 def with_measured_noise(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
-    """The model with this machine's channel covariances, and the level of residual that they leave.
+    """The model with this machine's channel covariances.
 
     Covariances are fitted to the residuals of one half of the throws after the parameters of the other half.
     """
     residuals = _held_out_residuals(model, reference)
-    channels, levels = dict(model.channels), dict(model.unknown_level)
+    channels = dict(model.channels)
     for name, of_type in model.channels.items():
         rows = [
             (block, residual[block.rows])
@@ -89,13 +99,7 @@ def with_measured_noise(model: NoiseModel, reference: ReferenceThrows) -> NoiseM
         if not name.startswith(MEASURED_STAGES) or len(rows) < len(residuals):
             continue
         channels[name] = fitted_channel(of_type, rows)
-        if name in levels:
-            power = np.array([_power(channels[name], row) for row in rows])
-            scatter = float(np.std(power, ddof=1) / power.mean())
-            # Of the mean of these throws, and of that of a set of half as many.
-            sd = float(np.hypot(LEAST_LEVEL_SD, scatter * np.sqrt(3.0 / power.size)))
-            levels[name] = float(np.log(power.mean())), sd
-    return model.model_copy(update={"channels": channels, "unknown_level": levels})
+    return model.model_copy(update={"channels": channels})
 
 
 def with_set_tolerance(model: NoiseModel) -> NoiseModel:
@@ -132,6 +136,33 @@ def with_posterior(model: NoiseModel, data: Sequence[Information]) -> NoiseModel
     )
 
 
+def with_usual_level(model: NoiseModel, reference: ReferenceThrows) -> NoiseModel:
+    """The model with the residual power that sets of this machine leave while it is healthy.
+
+    Each half of the throws is taken as a set: with deviations of its own, as a diagnosed set has. Single
+    throws of a healthy machine can leave many times the usual, so that those with most are left out.
+    """
+    white = reference.whitened(model)
+    priors = layout(model).priors
+    powers: list[dict[str, tuple[float, int]]] = []
+    for half in (0, 1):
+        own = white[half::2]
+        mean = screen(total(information(own)), priors).mean
+        powers += [residual_power(one, mean) for one in own]
+    usual = dict(model.unknown_level)
+    for name, power in throw_powers(powers).items():
+        if name not in usual or power.size < len(white):
+            continue
+        # Standard error of a trimmed mean by winsorised deviations (Tukey and McLaughlin 1963).
+        most = np.sort(power)[power.size - 1 - int(DROPPED_RATIO * power.size)]
+        error = float(np.std(np.minimum(power, most), ddof=1)) / (1.0 - DROPPED_RATIO)
+        error /= np.sqrt(power.size) * np.exp(log_level(power, DROPPED_RATIO))
+        # Of the level of these throws, and of that of a set of half as many.
+        sd = float(np.hypot(LEAST_LEVEL_SD, error * np.sqrt(3.0)))
+        usual[name] = log_level(power, DROPPED_RATIO), sd
+    return model.model_copy(update={"unknown_level": usual, "dropped_ratio": DROPPED_RATIO})
+
+
 def _held_out_residuals(model: NoiseModel, reference: ReferenceThrows) -> list[Array]:
     """Residual of every throw (n,) in the channels' units, after the parameters of the other half."""
     white = reference.whitened(model)
@@ -141,10 +172,3 @@ def _held_out_residuals(model: NoiseModel, reference: ReferenceThrows) -> list[A
         in_units(p, factors(p, model), residual_after(w, means[i % 2]))
         for i, (p, w) in enumerate(zip(reference.prepared, white, strict=True))
     ]
-
-
-def _power(channel: ChannelNoise, row: Row) -> float:
-    """Mean square of a whitened residual."""
-    block, residual = row
-    white = whiten(whitener(channel, block.t_s, block.rate, block.push), residual)
-    return float(white @ white) / white.size

@@ -13,6 +13,8 @@ from diagnosis.hypotheses.candidate import (
     no_effect,
     refined,
     sizes_by_member,
+    with_jumps_at_no_size,
+    without_absent_jumps,
 )
 from diagnosis.hypotheses.marginal_likelihood import marginal_likelihood
 from sim_twin.effects.effect import Effect
@@ -62,3 +64,23 @@ def test_a_healthy_deviation_is_simulated_as_the_effect_of_its_size() -> None:
         np.testing.assert_allclose(one + along_slope, other, atol=1e-9)
         # Friction that stops a joint has no single slope.
         assert np.abs(one).max() > 0.0
+
+
+def test_what_a_sticking_joint_gains_at_no_size_is_no_evidence_for_it() -> None:
+    problem = posed_healthy(3)
+    asked = Throws(likelihood := marginal_likelihood(problem), likelihood)
+    groups = problem.layout.groups
+    stiction, length = groups.index(("stiction", "slew")), groups.index(("gripper_length", None))
+    members = tuple(sorted((stiction, length)))
+    sizes = np.array([0.05 if m == stiction else 0.02 for m in members])
+    sticking, smooth = evaluate(asked, [(members, sizes), ((length,), np.array([0.02]))])
+    assert with_jumps_at_no_size(asked, [smooth]) == []
+    (still,) = with_jumps_at_no_size(asked, [sticking])
+    without = without_absent_jumps(likelihood, still)
+    assert without.members == (length,)
+    np.testing.assert_array_equal(without.sizes, [0.02])
+    # No further effect: neither its prior odds nor the volume of its size.
+    assert without.log_evidence > still.log_evidence
+    assert without.covariance.shape == (1, 1)
+    assert without.products[0].own.shape == smooth.products[0].own.shape
+    assert without_absent_jumps(likelihood, sticking) is sticking
