@@ -49,7 +49,7 @@ def throws(running):
 def test_a_run_gives_result_report_events_and_audit(running, ada, throws):
     with diagnosing(running.parts, gap_fakes.quick), Listener(ada) as listener:
         run = start(ada, newest_count=7, material_m=0.05)
-        assert (run["state"], run["throw_count"]) == ("queued", 7)
+        assert run["state"] in ("queued", "running") and run["throw_count"] == 7
         view = ended(ada, run)
         wait_for(lambda: listener.of("gap.updated")[-1:])
         wait_for(lambda: listener.of("gap.updated")[-1]["run"]["state"] == "done")
