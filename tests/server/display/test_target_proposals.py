@@ -16,7 +16,9 @@ from server.schemas.console import ModeReach, ReachView, ViewRequest
 from server.viewer.state import Reach
 
 CARD = SimpleNamespace(
-    target_range_max_m=10.9, reach_at_height_m=((-1.0, 10.9), (0.0, 10.9), (2.0, 9.0))
+    mode=Mode.PLANAR,
+    target_range_max_m=10.9,
+    reach_at_height_m=((-1.0, 10.9), (0.0, 10.9), (2.0, 9.0)),
 )
 
 
@@ -36,7 +38,7 @@ class Shelf:
         return reach_m(CARD, height_m) if Mode.PLANAR in modes else 0.0
 
     def on_machine(self, mode: Mode, policy_sha256: str | None) -> object:
-        card = SimpleNamespace(**vars(CARD), mode=mode, target_range_min_m=5.5)
+        card = SimpleNamespace(**{**vars(CARD), "mode": mode}, target_range_min_m=5.5)
         return SimpleNamespace(
             card=SimpleNamespace(**vars(card), target_height_min_m=-1.0, target_height_max_m=2.0)
         )
