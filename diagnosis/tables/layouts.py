@@ -5,6 +5,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from diagnosis.tables.cells import RefusedTableError, is_blank, is_number, parse_times_s
-from diagnosis.tables.text_files import find_separator, read_lines
+from diagnosis.tables.text_files import find_separator, read_lines, require_readable
 from machine.conventions import IntArray
 
 MIN_ROWS: Final = 20
@@ -49,7 +50,7 @@ def read_raw_table(path: Path) -> RawTable:
     Raises:
         RefusedTableError: the file is missing, too large, not text, too short, or has no column names.
     """
-    lines, numbers, notes = read_lines(path)
+    lines, numbers, notes, foreign = read_lines(path)
     is_data = np.array([_COMMENT.match(line) is None for line in lines], dtype=np.bool_)
     data = [line for line, keep in zip(lines, is_data, strict=True) if keep]
     if len(data) < MIN_ROWS:
@@ -72,6 +73,8 @@ def read_raw_table(path: Path) -> RawTable:
         ]
         raw = _read_controldesk(grid) or _read_twincat(path, grid)
         raw = raw or _read_common(path, grid, names)
+    words = (*map(str, raw.cells.columns), *raw.units.values())
+    require_readable(path, foreign, raw.cells.index.tolist(), words)
     return _check_rows(path, raw._replace(notes=[*notes, *raw.notes]))
 
 
@@ -135,6 +138,13 @@ def _read_controldesk(grid: pd.DataFrame) -> RawTable | None:
     if not {"trace_names", "trace_values"} <= set(marks):
         return None
     names = ["time", *top[marks["trace_names"]][2:]]
+    if "path" in marks:
+        # Ports of blocks are all called In1: the block is the last part of the path.
+        blocks = ["time", *(cell.rpartition("/")[2] for cell in top[marks["path"]][2:])]
+        names = [
+            block if block and names.count(name) > 1 else name
+            for name, block in zip_longest(names, blocks[: len(names)], fillvalue="")
+        ]
     units = ["s", *top[marks["trace_units"]][2:]] if "trace_units" in marks else []
     note = (
         "ControlDesk: names from trace_names, units from trace_units, the first column is the time"

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -38,8 +38,10 @@ CONTAINERS: Final = (
     (b"<", f"is XML or a web page: {_AS_CSV}"),
 )
 """First bytes of files that are no tables, and what to do with them."""
+MAX_FOREIGN_LINES: Final = 1000
+"""More of them than lines above a header: some are in the table."""
 _FOREIGN_WORD: Final = re.compile(
-    r"[^\x00-\x7f]{3,}|(?<!\w)[^\W\d_a-zA-Zµàèéòù]+(?!\w)|[\x80-\x9f¡-¯¶¸»¿]"
+    r"[^\x00-\x7f]{3,}|(?<!\w)[^\W\d_a-zA-Zµàèéòù]+(?!\w)|[\x80-\x9f¡-¯¶¸»¿\ufffd]"
 )
 """What texts of Western Europe do not hold, but those of other encodings do when they are read as such."""
 
@@ -50,6 +52,8 @@ class TextLines(NamedTuple):
     lines: list[str]
     numbers: list[int]
     notes: list[str]
+    foreign: dict[int, str]
+    """Text of neither encoding by the number of its line; usable only where the line is left out."""
 
 
 def read_lines(path: Path) -> TextLines:
@@ -66,12 +70,12 @@ def read_lines(path: Path) -> TextLines:
                 "give the part with the motion, or every tenth row"
             )
         refuse_other_kinds(path)
-        text, notes = _decode(path)
+        text, notes, foreign = _decode(path)
     except OSError as error:
         raise RefusedTableError(f"cannot open {path}: {error.strerror}") from error
     every = text.replace("\x00", "").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     kept = [k for k, line in enumerate(every) if line.strip()]
-    return TextLines([every[k] for k in kept], [k + 1 for k in kept], notes)
+    return TextLines([every[k] for k in kept], [k + 1 for k in kept], notes, foreign)
 
 
 def refuse_other_kinds(path: Path) -> None:
@@ -93,22 +97,46 @@ def refuse_other_kinds(path: Path) -> None:
         )
 
 
-def _decode(path: Path) -> tuple[str, list[str]]:
+def _decode(path: Path) -> tuple[str, list[str], dict[int, str]]:
     data = path.read_bytes()
     try:
         if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return data.decode("utf-16"), []
-        return data.decode("utf-8-sig"), []
+            return data.decode("utf-16"), [], {}
+        return data.decode("utf-8-sig"), [], {}
     except UnicodeDecodeError:
         pass
     text = data.decode("cp1252", errors="replace")
-    if (wrong := _FOREIGN_WORD.search(text)) is not None or "\ufffd" in text:
-        place = wrong.start() if wrong is not None else text.index("\ufffd")
+    foreign: dict[int, str] = {}
+    number, counted = 1, 0
+    for found in _FOREIGN_WORD.finditer(text):
+        number += text.count("\n", counted, found.start())
+        counted = found.start()
+        foreign.setdefault(number, text[counted : counted + 12].split("\n")[0])
+        if len(foreign) > MAX_FOREIGN_LINES:
+            break
+    return text, ["not UTF-8: read as Windows-1252 (European spreadsheets)"], foreign
+
+
+def require_readable(
+    path: Path, foreign: dict[int, str], rows: Sequence[int], words: Iterable[str]
+) -> None:
+    """Refuse text of an unknown encoding in what is used of a file: its rows, and the words above them.
+
+    Raises:
+        RefusedTableError: with the first such row.
+    """
+    if not foreign:
+        return
+    in_rows = foreign.keys() & set(rows)
+    above = [number for number in foreign if number < min(rows, default=0)]
+    if above and any(_FOREIGN_WORD.search(word) for word in words):
+        in_rows = {above[-1]}
+    if in_rows:
+        number = min(in_rows)
         raise RefusedTableError(
-            f"row {text.count(chr(10), 0, place) + 1} of {path.name} is neither UTF-8 nor Windows-1252 "
-            f"({text[place : place + 12].split(chr(10))[0]!r}): save the file as UTF-8"
+            f"row {number} of {path.name} is neither UTF-8 nor Windows-1252 ({foreign[number]!r}): save the "
+            "file as UTF-8"
         )
-    return text, ["not UTF-8: read as Windows-1252 (European spreadsheets)"]
 
 
 def find_separator(lines: Sequence[str]) -> str:

@@ -161,6 +161,21 @@ def test_windows_encoding_keeps_the_degree_sign(tmp_path: Path) -> None:
     assert any("Windows-1252" in note for note in table.notes)
 
 
+def test_another_encoding_matters_where_the_file_is_used(tmp_path: Path) -> None:
+    path, day = tmp_path / "a.csv", "오전".encode("cp949")
+    rows = b"".join(b"%d,%d,x\n" % (k, 2 * k) for k in COUNT)
+    path.write_bytes(b"recorded," + day + b"\n\nt,v,note\n" + rows)
+    table = read_table(path)
+    assert list(table.columns) == ["t", "v", "note"]
+    assert table.numbers("v").tolist() == [2 * k for k in COUNT]
+    path.write_bytes(b"t,v," + day + b"\n" + rows)
+    with pytest.raises(RefusedTableError, match=r"row 1 of a\.csv is neither UTF-8"):
+        read_table(path)
+    path.write_bytes(b"t,v,note\n" + rows + b"99,99," + day + b"\n")
+    with pytest.raises(RefusedTableError, match=r"row 42 of a\.csv is neither UTF-8"):
+        read_table(path)
+
+
 def test_stand_ins_for_no_value_are_left_out_and_counted(tmp_path: Path) -> None:
     for stand_in in (-999, 32767, 1e10):
         values = [0.01 * k for k in COUNT]
@@ -196,6 +211,12 @@ def test_names_that_occur_twice_are_numbered_and_not_asked_for(tmp_path: Path) -
 
 def test_layouts_of_measuring_programs(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
+    ports = "trace_names,,lever,In1,In1\npath,,Root/Valve,Root/Angles/boom,Root/Angles/arm\n"
+    path.write_text(
+        ports + "".join(f"{'trace_values' if k == 0 else ''},{k},{k},1,2\n" for k in COUNT),
+        encoding="utf-8",
+    )
+    assert list(read_table(path).columns) == ["time", "lever", "boom", "arm"]
     head = "descriptions,x\ntrace_names,,lever,arm\ntrace_units,,%,deg\nflags,,2,2\n"
     body = [f"{'trace_values' if k == 0 else ''},{0.1 * k:.1f},{k},{2 * k}" for k in COUNT]
     path.write_text(head + "\n".join(body))
