@@ -74,7 +74,7 @@ def read_raw_table(path: Path) -> RawTable:
         raw = _read_controldesk(grid) or _read_twincat(path, grid)
         raw = raw or _read_common(path, grid, names)
     words = (*map(str, raw.cells.columns), *raw.units.values())
-    require_readable(path, foreign, raw.cells.index.tolist(), words)
+    require_readable(path, foreign, list(raw.cells.index), words)
     return _check_rows(path, raw._replace(notes=[*notes, *raw.notes]))
 
 
