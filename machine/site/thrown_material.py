@@ -25,6 +25,11 @@ class ThrownMaterial(BaseModel):
     """Of one grain, with its frontal area."""
 
 
+def load_kg(material: ThrownMaterial | None) -> float:
+    """Mass of a plan's bulk material; 0: the ball."""
+    return 0.0 if material is None else material.mass_kg
+
+
 class MaterialFootprint(BaseModel):
     """How a load of bulk material came to lie about the point where it landed, as measured."""
 

@@ -26,6 +26,7 @@ from machine.messages import (
 )
 from machine.policy_card import PolicyCard
 from machine.reach import check_target
+from machine.site.thrown_material import load_kg
 from runtime.throw.freshness import why_stale
 from runtime.throw.protocol import (
     ABORTABLE,
@@ -276,7 +277,7 @@ def _plan_refusal(
             f"{card.policy_sha256[:12]} ({card.policy_id}). Plan again.",
         )
     try:
-        check_target(card, plan.target, _load_kg(plan))
+        check_target(card, plan.target, load_kg(plan.material))
     except RefusedError as error:
         return CommandRefusal(error.reason, error.detail)
     return _aim_refusal(plan, card, facts) or _zone_refusal(plan, facts)
@@ -295,16 +296,11 @@ def _aim_refusal(plan: ThrowPlan, card: PolicyCard, facts: Facts) -> CommandRefu
             f"{facts.calibration_sha256[:12]}. Preview again.",
         )
     try:
-        check_target(card, plan.aim_target, _load_kg(plan))
+        check_target(card, plan.aim_target, load_kg(plan.material))
     except RefusedError as error:
         detail = f"With aim correction v{plan.aim.version_count}: {error.detail}"
         return CommandRefusal(error.reason, detail)
     return None
-
-
-def _load_kg(plan: ThrowPlan) -> float:
-    """Mass of the bulk material of a plan; 0: the ball."""
-    return 0.0 if plan.material is None else plan.material.mass_kg
 
 
 def _zone_refusal(plan: ThrowPlan, facts: Facts) -> CommandRefusal | None:

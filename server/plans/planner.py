@@ -22,7 +22,7 @@ from machine.messages import (
     Target,
 )
 from machine.reach import check_target
-from machine.site.thrown_material import ThrownMaterial
+from machine.site.thrown_material import ThrownMaterial, load_kg
 from machine.spec import MachineSpec
 from server.accounts.accounts import Session
 from server.clock import new_id, utc_now
@@ -117,9 +117,9 @@ class Planner:
         policy = self._policies.on_machine(request.mode, aboard)
         row = self._new_row(machine_id, request, session, known.state, policy)
         target = request.target.target()
-        load_kg = _load_kg(row)
-        refusal = self._refusal(policy, known.state, target, load_kg) or _aim_refusal(
-            policy, row, target, load_kg
+        mass_kg = load_kg(plan_material(row))
+        refusal = self._refusal(policy, known.state, target, mass_kg) or _aim_refusal(
+            policy, row, target, mass_kg
         )
         if refusal is not None:
             row.state = PlanState.REFUSED.value
@@ -181,10 +181,10 @@ class Planner:
         )
 
     def _refusal(
-        self, policy: StoredPolicy, state: MachineState, target: Target, load_kg: float
+        self, policy: StoredPolicy, state: MachineState, target: Target, mass_kg: float
     ) -> RefusedError | None:
         try:
-            check_target(policy.card, target, load_kg)
+            check_target(policy.card, target, mass_kg)
         except RefusedError as error:
             return error
         if state.model_sha256 != self._spec.sha256:
@@ -332,21 +332,15 @@ def _no_material(_machine_id: str, _target: Target) -> None:
     return None
 
 
-def _load_kg(row: Plan) -> float:
-    """Mass of the bulk material of a plan; 0: the ball."""
-    material = plan_material(row)
-    return 0.0 if material is None else material.mass_kg
-
-
 def _aim_refusal(
-    policy: StoredPolicy, row: Plan, target: Target, load_kg: float
+    policy: StoredPolicy, row: Plan, target: Target, mass_kg: float
 ) -> RefusedError | None:
     """Refusal of a target whose corrected aim is out of the policy's reach."""
     aim = plan_aim(row)
     if aim is None:
         return None
     try:
-        check_target(policy.card, aim.aimed(target), load_kg)
+        check_target(policy.card, aim.aimed(target), mass_kg)
     except RefusedError as error:
         detail = f"With aim correction v{aim.version_count}: {error.detail}"
         return RefusedError(error.reason, detail)

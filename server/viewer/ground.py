@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from machine.conventions import Array
+from machine.conventions import Array, IntArray
 from machine.site.objects import SiteKind, SiteObject
 from server.viewer import shapes
-from server.viewer.theme import Theme
+from server.viewer.theme import Rgb, Theme
 
 GROUND_RADIUS_M = 400.0
 GRID_RADIUS_M = 60.0
@@ -139,15 +139,12 @@ class GroundNodes:
         for index, load in enumerate(material.next_loads):
             x_m, y_m, z_m = load.at_m
             self._material += [
-                self._scene.add_mesh_simple(
+                self._sheet(
                     f"/next_loads/{index}",
-                    load.vertices_m.astype(np.float32),
-                    load.faces.astype(np.uint32),
-                    color=self._theme.accent,
+                    load.vertices_m,
+                    load.faces,
+                    self._theme.accent,
                     opacity=NEXT_LOAD_RATIO,
-                    side="double",
-                    cast_shadow=False,
-                    receive_shadow=False,
                 ),
                 self._scene.add_label(
                     f"/next_loads/{index}/label",
@@ -158,6 +155,23 @@ class GroundNodes:
                 ),
             ]
 
+    def _sheet(
+        self, name: str, vertices_m: Array, faces: IntArray, color: Rgb,
+        *, opacity: float | None = None, flat_shading: bool = False,
+    ) -> viser.SceneNodeHandle:  # fmt: skip
+        """A surface without thickness, seen from both sides."""
+        return self._scene.add_mesh_simple(
+            name,
+            vertices_m.astype(np.float32),
+            faces.astype(np.uint32),
+            color=color,
+            opacity=opacity,
+            flat_shading=flat_shading,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
     def _draw_surveyed(self, ground: shapes.SurveyedGround | None) -> None:
         """Ground that is not level; below level it takes the level ground's place."""
         hole = [] if ground is None or ground.hole_m is None else [ground.hole_m]
@@ -165,31 +179,15 @@ class GroundNodes:
             self._hole = hole
             self._lay_anew()
         if ground is not None:
-            self._material.append(
-                self._scene.add_mesh_simple(
-                    "/surveyed",
-                    ground.vertices_m.astype(np.float32),
-                    ground.faces.astype(np.uint32),
-                    color=self._theme.ground,
-                    flat_shading=True,
-                    side="double",
-                    cast_shadow=False,
-                    receive_shadow=False,
-                    position=(0.0, 0.0, GROUND_LIFT_M),
-                )
+            sheet = self._sheet(
+                "/surveyed", ground.vertices_m, ground.faces, self._theme.ground, flat_shading=True
             )
+            sheet.position = (0.0, 0.0, GROUND_LIFT_M)
+            self._material.append(sheet)
 
     def _lay_material(self, material: shapes.LaidMaterial) -> None:
         self._material.append(
-            self._scene.add_mesh_simple(
-                "/material",
-                material.vertices_m.astype(np.float32),
-                material.faces.astype(np.uint32),
-                color=self._theme.material,
-                side="double",
-                cast_shadow=False,
-                receive_shadow=False,
-            )
+            self._sheet("/material", material.vertices_m, material.faces, self._theme.material)
         )
         if len(material.contours_m):
             self._material.append(

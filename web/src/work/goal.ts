@@ -81,7 +81,7 @@ export function loadReachRatio(mode: "2d" | "3d", load_kg: number): number | nul
   return below[1] + part * (above[1] - below[1]);
 }
 
-/** "With 380 kg: to 9.81 m." */
+/** "With 380 kg it reaches 9.25 m on the ground." */
 export function loadReachWords(reach: Reach & { range_max_m: number }, load_kg: number): string {
   const share = loadReachRatio(reach.mode, load_kg);
   const load = `With ${fixed(load_kg, 0)} kg`;
