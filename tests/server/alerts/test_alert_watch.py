@@ -27,7 +27,8 @@ def test_a_lost_machine_opens_an_alert_that_ends_when_it_is_back(running, ada):
         opened = datetime.fromisoformat(row["opened_utc"])
         seen = running.parts.registry.get("m001").last_seen_utc
         # By the server's own times: a busy computer delays the test, not what the server noted.
-        assert timedelta(0) <= opened - seen < timedelta(seconds=10)
+        # A last state may be taken after the machine's token went, so `seen` may be the later one.
+        assert abs(opened - seen) < timedelta(seconds=10)
         told = wait_for(
             lambda: [
                 event
