@@ -22,6 +22,10 @@ class ConnectionLimits:
 
     headers_s: float = 15.0
     """From the connection, or the first byte of a later request, to the end of the headers."""
+    piece_count: int = 64
+    """Pieces in which a request may arrive, however small; a browser sends one or two."""
+    mean_piece_bytes: int = 128
+    """Of more pieces, at least; reading costs as much for one byte as for all of a network's segment."""
     silence_s: float = 30.0
     """Without another byte of a request's body; a machine on a weak network sends its log slowly."""
     per_address_count: int = 128
@@ -74,6 +78,8 @@ class TimedHttpProtocol(H11Protocol):
     _timer: asyncio.TimerHandle | None = None
     _address = ""
     _heard_s = 0.0
+    _piece_count = 0
+    _byte_count = 0
     _is_waiting = False
     _is_websocket = False
 
@@ -93,6 +99,10 @@ class TimedHttpProtocol(H11Protocol):
             self._wait_no_more()
         elif not self._is_waiting and not self.transport.is_closing():
             self._wait(self.idle_limit.limits.headers_s)
+        if self._is_waiting:
+            self._count_pieces(len(data))
+        else:
+            self._piece_count = self._byte_count = 0
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Leave the connection to the WebSocket protocol."""
@@ -104,6 +114,16 @@ class TimedHttpProtocol(H11Protocol):
         """Forget it."""
         self._wait_no_more()
         super().connection_lost(exc)
+
+    def _count_pieces(self, byte_count: int) -> None:
+        """Close the connection when its request comes in many small pieces."""
+        limits = self.idle_limit.limits
+        self._piece_count += 1
+        self._byte_count += byte_count
+        needed_bytes = limits.mean_piece_bytes * self._piece_count
+        if self._piece_count > limits.piece_count and self._byte_count < needed_bytes:
+            self._wait_no_more()
+            self.idle_limit.close(self._address, self, "its request comes in small pieces")
 
     def _wait(self, patience_s: float) -> None:
         self._is_waiting = True

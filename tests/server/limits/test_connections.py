@@ -99,6 +99,21 @@ def test_a_body_that_comes_slowly_is_waited_for(
     assert (idle_limit.count, idle_limit.closed_count) == (0, 0)
 
 
+@pytest.mark.parametrize("begun", [b"GET / HTTP/1.1\r\nHost: h\r\nX: ", BEGUN_POST])
+def test_a_request_in_pieces_of_one_byte_is_not_read_on(
+    opened: socket.socket, idle_limit: IdleConnectionLimit, begun: bytes
+) -> None:
+    idle_limit.limits = ConnectionLimits(piece_count=4)
+    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    opened.sendall(begun)
+    with contextlib.suppress(ConnectionError):
+        for _ in range(10):
+            opened.sendall(b"x")
+            time.sleep(0.02)
+    assert read_to_the_end(opened) == b""
+    assert idle_limit.closed_count == 1
+
+
 def test_an_answered_connection_may_rest(
     opened: socket.socket, idle_limit: IdleConnectionLimit
 ) -> None:
