@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 # Before numpy is loaded, and for processes that tests start: BLAS threads of two test processes on two cores
@@ -47,32 +48,37 @@ WHOLE_FOLDERS = ("training",)
 """Compiled environments of the session take long to build: once, not in every worker."""
 
 
-SLOW_FILES = (
-    "tests/server/machines/test_second_router.py",
-    "tests/server/test_viewer_browser.py",
-    "tests/server/validation/test_shadow_runs.py",
-    "tests/evaluation/test_accuracy_report.py",
-)
-"""Few and slow tests: the scheduler would take files with few tests last, and one worker ran on alone."""
+def _unit_of(nodeid: str) -> str:
+    """The file, or the whole folder, whose tests run in one worker."""
+    path = nodeid.split("::", 1)[0]
+    folder = path.split("/")[1]
+    return folder if folder in WHOLE_FOLDERS else path
 
 
 class FolderScheduling(LoadFileScheduling):
     """Tests of a file, or of a whole folder, run in one worker."""
 
-    def schedule(self) -> None:
-        super().schedule()
-        for path in reversed(SLOW_FILES):
-            if path in self.workqueue:
-                self.workqueue.move_to_end(path, last=False)
-
     def _split_scope(self, nodeid: str) -> str:
-        path = nodeid.split("::", 1)[0]
-        folder = path.split("/")[1]
-        return folder if folder in WHOLE_FOLDERS else path
+        return _unit_of(nodeid)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> FolderScheduling:
+    # The order is that of the collection, below.
+    config.option.loadscopereorder = False
     return FolderScheduling(config, log)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Several workers begin with the files that say so; those with the fewest tests come last."""
+    if not hasattr(config, "workerinput"):
+        return
+    counts = Counter(_unit_of(item.nodeid) for item in items)
+    items.sort(
+        key=lambda item: (
+            item.get_closest_marker("begins_first") is None,
+            -counts[_unit_of(item.nodeid)],
+        )
+    )
 
 
 RELEASE_SPEED_M_PER_S = 0.6

@@ -18,6 +18,7 @@ from sim_twin.commissioning.machine_measurement import MachineMeasurement
 from sim_twin.commissioning.response_fit import ResponseFit
 from sim_twin.twin.oil_spring import OilSpringDrive
 from sim_twin.twin.profile import load_profile, nominal_profile
+from tests.cases import each
 
 SPEC = load_spec()
 PLANT = "tests.sim_twin.minimal_plant:MinimalPlant"
@@ -195,7 +196,7 @@ def test_another_day_adds_reference_throws_and_measures_nothing_anew(
     assert len(measured) == 2 * count
 
 
-@pytest.mark.parametrize(
+@each(
     ("more", "reason"),
     [
         (("--day", "1 May"), "--day 1 May"),

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from cli.main import main
+from tests.cases import each
 
 
 def result(policy: str, sd_m: float, landed: int = 200) -> dict[str, Any]:
@@ -38,7 +39,7 @@ def test_compare_says_which_version_is_better(
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("second", "words"),
     [
         ({"mode": "2d"}, "b.json is no result of `downrange evaluate --json`"),

@@ -8,6 +8,7 @@ from cli.main import main
 from machine.messages import EventKind
 from machine.spec import load_spec
 from runtime.records.log_reader import read_throw_log
+from tests.cases import each
 
 
 def record(policies: Path, out: Path, *more: str) -> int:
@@ -122,7 +123,7 @@ def test_modes_take_turns_under_the_machines_own_name_and_clock(
         assert later.impact is None or later.impact_t_mono_ns > later.control["t_mono_ns"][0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("more", "reason"),
     [
         (("--machine-id", "Yard 1"), "--machine-id"),

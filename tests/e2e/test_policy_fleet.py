@@ -131,6 +131,7 @@ def fleet(measured: Path, tmp_path: Path) -> Iterator[Stack]:
         yield demo
 
 
+@pytest.mark.long
 @pytest.mark.timeout(1200)
 def test_a_version_goes_from_upload_to_the_fleet_and_back(
     fleet: Stack, open_page: Callable[..., Page], tmp_path: Path

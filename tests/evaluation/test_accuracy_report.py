@@ -18,6 +18,7 @@ from sim_twin.confidence_intervals import deviation_interval, mean_interval, pro
 from sim_twin.throws.campaign import ThrowOutcome, ThrowResult
 
 SPEC = load_spec()
+pytestmark = pytest.mark.begins_first
 
 
 def throw(down: float, cross: float, outcome: ThrowOutcome = ThrowOutcome.LANDED) -> ThrowResult:

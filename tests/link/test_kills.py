@@ -15,6 +15,11 @@ CONTROL = "runtime.process.control_process"
 LINK = "runtime.process.link_process"
 
 
+def long(*values: str):
+    """A case for `make test-long`; `make test` has another moment of the same kill."""
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
 @pytest.fixture(autouse=True)
 def records_are_whole(yard):
     """After each test, per boot: every sequence number once, in order, from 1."""
@@ -33,7 +38,7 @@ def wait_for_end(server: Server, throw_id: str) -> str:
     return server.ends(throw_id)[0]
 
 
-@pytest.mark.parametrize("moment", ["throw_started", "release_commanded"])
+@pytest.mark.parametrize("moment", [long("throw_started"), "release_commanded"])
 def test_control_killed(yard, moment):
     server = yard.server
     throw_id = yard.fire_until(moment)
@@ -55,7 +60,7 @@ def test_control_killed(yard, moment):
 
 
 @pytest.mark.parametrize(
-    ("moment", "outcome"), [("throw_started", "aborted"), ("release_commanded", "landed")]
+    ("moment", "outcome"), [long("throw_started", "aborted"), ("release_commanded", "landed")]
 )
 def test_link_killed(yard, moment, outcome):
     server = yard.server
@@ -74,7 +79,7 @@ def test_link_killed(yard, moment, outcome):
     assert log.events[-1].kind == "throw_ended"
 
 
-@pytest.mark.parametrize("moment", ["throw_accepted", "impact"])
+@pytest.mark.parametrize("moment", [long("throw_accepted"), "impact"])
 def test_power_cut(yard, moment):
     server = yard.server
     throw_id = yard.fire_until(moment)
@@ -93,7 +98,7 @@ def test_power_cut(yard, moment):
 
 
 @pytest.mark.parametrize(
-    ("moment", "outcome"), [("throw_accepted", "aborted"), ("release_commanded", "landed")]
+    ("moment", "outcome"), [("throw_accepted", "aborted"), long("release_commanded", "landed")]
 )
 def test_hung_link_is_killed_and_stop_arrives_again(yard, moment, outcome):
     server = yard.server

@@ -108,7 +108,14 @@ def test_deploy_refuse_roll_back_and_power_cuts(place):
     assert len(told(yard, "policy_refused")) == 1
 
 
-@pytest.mark.parametrize("victim", ["link", "control", "machine"])
+@pytest.mark.parametrize(
+    "victim",
+    [
+        pytest.param("link", marks=pytest.mark.long),
+        "control",
+        pytest.param("machine", marks=pytest.mark.long),
+    ],
+)
 def test_killed_while_a_version_comes_it_is_there_in_the_end(place, victim):
     yard, server, folder = place
     yard.ready()

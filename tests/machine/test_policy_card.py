@@ -55,7 +55,7 @@ def test_a_whole_folder_loads(folder):
     assert load_card(folder).policy_id == "test-2d"
 
 
-@pytest.mark.parametrize("name", [POLICY_FILE, CARD_FILE])
+@each("name", [POLICY_FILE, CARD_FILE], copied="folder")
 def test_a_missing_file_is_named(folder, name):
     (folder / name).unlink()
     with pytest.raises(PolicyError, match=name):

@@ -13,7 +13,7 @@ from tests.server.viewer_app import ViewerApp, wait_for
 
 SIZE = {"width": 480, "height": 300}
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.e2e, pytest.mark.begins_first, pytest.mark.timeout(180)]
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from machine.site.thrown_material import ThrownMaterial
 from machine.starts import safe_pose
 from runtime.driver import MaterialDriver, ValveCommand
 from sim_twin.virtual_machine import VirtualMachine
+from tests.cases import each
 
 TICK_NS = 10_000_000
 
@@ -88,7 +89,7 @@ def test_grains_of_a_dense_load_shield_each_other_from_the_wind():
     assert 0.0 < drift[0.25] < 0.3 * drift[1e-4]
 
 
-@pytest.mark.parametrize("plan", [{"volume_m3": 0.0}, {"mass_kg": float("nan")}])
+@each("plan", [{"volume_m3": 0.0}, {"mass_kg": float("nan")}])
 def test_a_load_of_nothing_is_refused(plan):
     with pytest.raises(ValueError, match=next(iter(plan))):
         ThrownMaterial.model_validate(grab("gravel").model_dump() | plan)

@@ -23,6 +23,8 @@ from training.progress import CSV_FILE, CURVE_FILE, SUMMARY_FILE, read_rows
 ROOT = Path(__file__).parents[2]
 ITERATIONS, ENVIRONMENTS = 40, 4
 
+pytestmark = pytest.mark.long
+
 
 IDENTIFIED = {
     "machine_id": "m9",

@@ -9,6 +9,7 @@ import pytest
 from diagnosis.loading.measured import CALM_S, hung_at_rest, measured_motion
 from diagnosis.loading.throw_data import ThrowData
 from machine.conventions import ACTIVE_COUNT
+from tests.cases import each
 from tests.diagnosis.loading.test_throw_csv import both, make_log, throw_csv
 
 PROMPT = np.zeros(ACTIVE_COUNT)
@@ -53,7 +54,7 @@ def test_a_gripper_that_moves_at_the_start_gives_no_bias_and_no_tilt(throw: Thro
     assert motion.gyro_rad_per_s[0].min() > 0.4
 
 
-@pytest.mark.parametrize(
+@each(
     ("before_s", "rate_rad_per_s", "hung"),
     [(0.2, 0.0, True), (0.2, 0.06, False), (0.05, 0.0, True), (0.0, 0.0, True), (0.0, 0.06, False)],
 )

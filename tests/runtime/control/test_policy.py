@@ -229,7 +229,7 @@ def test_find_policy(tmp_path):
     assert find_policy(tmp_path, Mode.PLANAR) == tmp_path / "here"
 
 
-@pytest.mark.parametrize("name", ["..", "../elsewhere", "/etc", "."])
+@each("name", ["..", "../elsewhere", "/etc", "."], copied="tmp_path")
 def test_an_id_is_never_a_path(tmp_path, name):
     root = tmp_path / "policies"
     root.mkdir()

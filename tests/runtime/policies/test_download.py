@@ -8,6 +8,7 @@ from machine.policy_card import load_card
 from runtime.policies.download import TransferError, fetch_version, fetch_wanted
 from runtime.policies.slots import PolicySlots
 from runtime.records.log_upload import UploadTarget
+from tests.cases import each
 from tests.runtime.policies.policy_server import PolicyServer, policy_server
 from tests.runtime.quick_policy import write_policy
 
@@ -80,7 +81,7 @@ def test_a_damaged_version_is_fetched_again(server, version, tmp_path):
     assert load_card(fetch(server, slots)).policy_id == "next-2d"
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         {"policy_sha256": "../../../etc"},

@@ -78,10 +78,14 @@ def test_damaged_slots_are_those_of_a_machine_that_never_switched(tmp_path, text
     assert PolicySlots(tmp_path).of(Mode.PLANAR).current == INSTALLED
 
 
+def board_in(folder):
+    installed = write_policies(folder / "installed")
+    return OnBoardPolicies(PolicySlots(folder / "slots"), installed, load_spec())
+
+
 @pytest.fixture
 def board(tmp_path):
-    installed = write_policies(tmp_path / "installed")
-    return OnBoardPolicies(PolicySlots(tmp_path / "slots"), installed, load_spec())
+    return board_in(tmp_path)
 
 
 def put(tmp_path, name, move_rad):
@@ -243,10 +247,11 @@ def refuses(board, sha256, words, mode=Mode.PLANAR):
         board.load(mode, sha256)
 
 
-@pytest.mark.parametrize("case", BEFORE_APPROVAL)
-def test_the_machine_refuses_what_even_its_site_has_signed(tmp_path, board, case):
+@each("case", BEFORE_APPROVAL, copied="tmp_path")
+def test_the_machine_refuses_what_even_its_site_has_signed(tmp_path, case):
     """The site's server may be wrong or taken over: the machine checks the network itself."""
     change, words = BEFORE_APPROVAL[case]
+    board = board_in(tmp_path)
     slots = PolicySlots(tmp_path / "slots")
     folder, _ = put(tmp_path, "first-2d", 0.2)
     change(folder)
@@ -256,9 +261,10 @@ def test_the_machine_refuses_what_even_its_site_has_signed(tmp_path, board, case
     refuses(board, sha256, words)
 
 
-@pytest.mark.parametrize("case", AFTER_APPROVAL)
-def test_the_machine_refuses_what_was_changed_after_it_was_signed(tmp_path, board, case):
+@each("case", AFTER_APPROVAL, copied="tmp_path")
+def test_the_machine_refuses_what_was_changed_after_it_was_signed(tmp_path, case):
     change, words = AFTER_APPROVAL[case]
+    board = board_in(tmp_path)
     slots = PolicySlots(tmp_path / "slots")
     folder, sha256 = put(tmp_path, "first-2d", 0.2)
     first = trust_of(folder)

@@ -93,7 +93,7 @@ def test_a_name_with_other_letters_goes_out_in_ascii(monkeypatch):
     assert receiver.got[0][0]["host"] == f"xn--mller-kva.example:{port}"
 
 
-@pytest.mark.parametrize(
+@each(
     ("url", "header"),
     [
         ("https://[2606:4700::1111]:8443/x", "[2606:4700::1111]:8443"),

@@ -9,6 +9,7 @@ from machine.conventions import Mode
 from machine.errors import PolicyError
 from machine.policy_card import read_policy
 from server.deployments.policy_checks import check_in_child
+from tests.cases import each
 from tests.runtime.quick_policy import write_policy
 
 LONG_S = 300.0
@@ -36,7 +37,7 @@ def test_the_process_takes_what_a_machine_takes(files):
     check_in_child(files, time_limit_s=LONG_S)
 
 
-@pytest.mark.parametrize(
+@each(
     ("check", "limit_s", "words"),
     [
         (hang, 1.0, r"checked-2d takes more than 1 s to load"),

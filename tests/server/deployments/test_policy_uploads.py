@@ -340,7 +340,7 @@ print("done", flush=True)
 """
 
 
-@pytest.mark.parametrize("kill_after", range(1, 8))
+@each("kill_after", range(1, 8), copied="tmp_path")
 def test_a_server_that_is_killed_leaves_a_whole_version_or_none(version, tmp_path, kill_after):
     """SIGKILL after each of the writes that reach the disk; the last case is not killed."""
     target = tmp_path / "uploaded"

@@ -191,6 +191,7 @@ def lost_alerts(client: httpx.Client, state: str) -> list[dict[str, object]]:
     return client.get("/alerts", params={"state": state, "rule": "lost"}).json()["rows"]
 
 
+@pytest.mark.long
 def test_a_machine_at_a_further_router_is_thrown_and_stopped(site: Site, sue: httpx.Client) -> None:
     row = thrown(site, sue)
     assert row["outcome"] == "landed", row
@@ -224,6 +225,7 @@ def killed_in_a_throw(site: Site, client: httpx.Client) -> str:
     raise AssertionError("no throw was seen to begin")
 
 
+@pytest.mark.long
 def test_its_router_dies_in_a_throw(site: Site, sue: httpx.Client) -> None:
     boot_id = site.seen(sue)["state"]["boot_id"]
     for _ in range(5):

@@ -147,25 +147,24 @@ def test_a_manual_mark_is_not_overruled_by_a_late_survey(assembled, ingest, thro
     assert count(assembled, Impact) == 2
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"position_m": [9.2, 0.1], "sd_m": 0.0, "source": "survey"},
-        {"position_m": [float("nan"), 0.1, 0.0], "sd_m": 0.0, "source": "survey"},
-        {"position_m": [float("inf"), 0.1, 0.0], "sd_m": float("nan"), "source": "survey"},
-        {"position_m": "nine", "note": "\x00"},
-        {},
-    ],
+UNUSABLE_IMPACTS = (
+    {"position_m": [9.2, 0.1], "sd_m": 0.0, "source": "survey"},
+    {"position_m": [float("nan"), 0.1, 0.0], "sd_m": 0.0, "source": "survey"},
+    {"position_m": [float("inf"), 0.1, 0.0], "sd_m": float("nan"), "source": "survey"},
+    {"position_m": "nine", "note": "\x00"},
+    {},
 )
-def test_an_unusable_impact_is_kept_as_event_and_blocks_nothing(assembled, ingest, throw_id, bad):
-    ack = ingest.take(
-        batch(
-            event(1, EventKind.IMPACT, throw_id, **bad),
-            event(2, EventKind.THROW_ENDED, throw_id, outcome="landed"),
-        )
-    )
-    assert ack.sequence_count == 2
-    assert (count(assembled, Event), count(assembled, Impact)) == (2, 0)
+
+
+def test_unusable_impacts_are_kept_as_events_and_block_nothing(assembled, ingest, throw_id):
+    unusable = [
+        event(number, EventKind.IMPACT, throw_id, **bad)
+        for number, bad in enumerate(UNUSABLE_IMPACTS, 1)
+    ]
+    ended = event(len(unusable) + 1, EventKind.THROW_ENDED, throw_id, outcome="landed")
+    ack = ingest.take(batch(*unusable, ended))
+    assert ack.sequence_count == len(unusable) + 1
+    assert (count(assembled, Event), count(assembled, Impact)) == (len(unusable) + 1, 0)
     assert read(assembled).outcome == "landed"
 
 

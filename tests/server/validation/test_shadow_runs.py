@@ -2,10 +2,14 @@
 
 from datetime import UTC, datetime
 
+import pytest
+
 from evaluation.campaigns import open_campaign
 from evaluation.log_campaign import RecordedMachine, record_campaign
 from machine.conventions import Mode
 from tests.server.gap_bench import add_throws, forget_throws
+
+pytestmark = pytest.mark.begins_first
 
 
 def record(policies, folder):

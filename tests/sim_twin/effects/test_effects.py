@@ -20,6 +20,7 @@ from sim_twin.twin.profile import (
     nominal_profile,
     save_profile,
 )
+from tests.cases import each
 
 NOMINAL = nominal_profile(load_spec())
 DELAY = Effect(effect="valve_dead_time", joint="boom", parameters={"extra_dead_time_s": 0.05})
@@ -164,7 +165,7 @@ def test_a_profile_of_version_one_is_read_as_one_without_effects(tmp_path: Path)
     assert NOMINAL.schema_version == 3
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"effects": [{"effect": "magic", "parameters": {}}]}, "no effect 'magic'"),

@@ -47,7 +47,9 @@ def test_fire_held_by_a_dead_link_never_runs(yard):
     assert server.kinds(throw_id) == []
 
 
-@pytest.mark.parametrize("has_echo", [True, False], ids=["echo", "no-echo"])
+@pytest.mark.parametrize(
+    "has_echo", [True, pytest.param(False, marks=pytest.mark.long)], ids=["echo", "no-echo"]
+)
 def test_fire_held_five_seconds_and_delivered_is_refused(patient_yard, has_echo):
     yard, server, throw_id = patient_yard, patient_yard.server, patient_yard.new_throw_id()
     yard.ready()
