@@ -4,7 +4,7 @@ import classes from "../fleet/Fleet.module.css";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { count, fixed, metres } from "../words/format";
-import { localStamp, zonedStamp } from "../words/time";
+import { zonedStamp } from "../words/time";
 import { AimChart } from "./AimChart";
 import { type AimMode, type AimVersion, type Proposal, useAim, useAimActions } from "./useAim";
 
@@ -104,13 +104,12 @@ function History({ versions }: { versions: readonly AimVersion[] }) {
       {versions.map((version) => (
         <li key={version.version_count}>
           v{version.version_count} {version.cause === "undone" && "brought back "}by{" "}
-          {version.created_by},{" "}
-          <span title={zonedStamp(version.created_utc)}>{localStamp(version.created_utc)}</span>
+          {version.created_by}, {zonedStamp(version.created_utc)}
           <span className={classes.sub}>
             {version.policy_id}, {count(version.content.throw_count, "throw")}
             {version.ended_utc === null
               ? ", in force"
-              : `; ${version.end_reason} by ${version.ended_by}, ${localStamp(version.ended_utc)}`}
+              : `; ${version.end_reason} by ${version.ended_by}, ${zonedStamp(version.ended_utc)}`}
           </span>
         </li>
       ))}

@@ -6,7 +6,7 @@ import { useNow } from "../session/useNow";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
 import { age } from "../words/format";
-import { ageSeconds, localStamp, zonedStamp } from "../words/time";
+import { ageSeconds, zonedStamp } from "../words/time";
 import classes from "./Alerts.module.css";
 import { type Alert, isSilent, needsLook, RULE_WORDS, toneOf } from "./attention";
 import { useAlertActions } from "./useAlerts";
@@ -40,9 +40,7 @@ export function AlertItem({ alert }: { alert: Alert }) {
         <p className={classes.title}>
           <strong>{alert.machine_id ?? "Server"}</strong>
           <span>{RULE_WORDS[alert.rule]}</span>
-          <span className={classes.note} title={zonedStamp(alert.opened_utc)}>
-            {spanWords(alert, now)}
-          </span>
+          <span className={classes.note}>{spanWords(alert, now)}</span>
         </p>
         <p>{alert.text}</p>
         {alert.rule === "drift" && alert.cleared_utc === null && <DriftOffers alert={alert} />}
@@ -54,9 +52,11 @@ export function AlertItem({ alert }: { alert: Alert }) {
 }
 
 function spanWords(alert: Alert, now: number): string {
-  if (alert.cleared_utc === null) return `since ${age(ageSeconds(alert.opened_utc, now))}`;
+  const opened = zonedStamp(alert.opened_utc);
+  if (alert.cleared_utc === null)
+    return `for ${age(ageSeconds(alert.opened_utc, now))}, since ${opened}`;
   const lasted_s = (Date.parse(alert.cleared_utc) - Date.parse(alert.opened_utc)) / 1000;
-  return `${localStamp(alert.opened_utc)}, for ${age(lasted_s)}`;
+  return `${opened}, for ${age(lasted_s)}`;
 }
 
 function Standing({ alert, now }: { alert: Alert; now: number }) {
@@ -66,13 +66,13 @@ function Standing({ alert, now }: { alert: Alert; now: number }) {
     <p className={classes.note}>
       {alert.acknowledged_by !== null && (
         <span>
-          Seen by {alert.acknowledged_by}, {localStamp(alert.acknowledged_utc)}
+          Seen by {alert.acknowledged_by}, {zonedStamp(alert.acknowledged_utc)}
           {alert.note && `: ${alert.note}`}.{" "}
         </span>
       )}
       {silent && (
         <span>
-          Silent until {localStamp(alert.silenced_until_utc)}, by {alert.silenced_by}.
+          Silent until {zonedStamp(alert.silenced_until_utc)}, by {alert.silenced_by}.
         </span>
       )}
     </p>

@@ -33,3 +33,32 @@ it("keeps its scale while the picked point moves", () => {
   fireEvent.click(plot, { clientX: 420 + 100, clientY: 200 });
   expect(onPick.mock.lastCall?.[0].downrange_m).toBeCloseTo(0.5, 9);
 });
+
+it("names the ellipses on the side where the mark of the impact is not", () => {
+  const ellipse = {
+    mean_downrange_error_m: 0.1,
+    mean_crossrange_error_m: 0,
+    sd_downrange_m: 0.05,
+    sd_crossrange_m: 0.02,
+    correlation_ratio: 0,
+    landed_count: 200,
+    rollout_count: 200,
+  };
+  const at = (text: string) => Number(screen.getByText(text).getAttribute("x"));
+  const { rerender } = render(
+    <LandingPlot
+      ellipse={ellipse}
+      predicted={null}
+      measured={{ downrange_m: 0.2, crossrange_m: 0 }}
+    />,
+  );
+  expect(at("2σ")).toBeLessThan(at("1σ"));
+  rerender(
+    <LandingPlot
+      ellipse={ellipse}
+      predicted={null}
+      measured={{ downrange_m: 0, crossrange_m: 0 }}
+    />,
+  );
+  expect(at("2σ")).toBeGreaterThan(at("1σ"));
+});

@@ -29,6 +29,9 @@ export function LandingPlot({ ellipse, predicted, measured, least_m = 0.04, onPi
   const step_m = niceStep(half_m);
   const x = (m: number) => WIDTH / 2 + m * scale;
   const y = (m: number) => HEIGHT / 2 - m * scale;
+  // The names of the ellipses stand where the mark of the impact does not.
+  const side =
+    ellipse && measured && measured.downrange_m > ellipse.mean_downrange_error_m ? -1 : 1;
   const pick = (event: React.MouseEvent<SVGSVGElement>) => {
     const box = event.currentTarget.getBoundingClientRect();
     const toView = WIDTH / box.width;
@@ -55,8 +58,11 @@ export function LandingPlot({ ellipse, predicted, measured, least_m = 0.04, onPi
           {[1, 2].map((sigma) => (
             <text
               key={sigma}
-              x={x(ellipse.mean_downrange_error_m + sigma * ellipse.sd_downrange_m) + 3}
+              x={
+                x(ellipse.mean_downrange_error_m + side * sigma * ellipse.sd_downrange_m) + 3 * side
+              }
               y={y(ellipse.mean_crossrange_error_m) + 12}
+              textAnchor={side > 0 ? "start" : "end"}
               className={classes.text}
             >
               {sigma}σ

@@ -8,7 +8,7 @@ import type { Schema } from "../session/client";
 import { ScrollTable } from "../validation/ScrollTable";
 import tables from "../validation/Validation.module.css";
 import { errorWords } from "../words/errors";
-import { fixed } from "../words/format";
+import { fixed, unbroken } from "../words/format";
 import classes from "./Compare.module.css";
 import { type Comparison, useComparison } from "./useComparison";
 import { differenceWords, quantityWords, valueWords, verdictWords } from "./words";
@@ -110,8 +110,8 @@ function Differences({ found, comparison }: { found: Source; comparison: Compari
             <td>{quantityWords(row.quantity)}</td>
             <td>{valueWords(row.quantity, row.a)}</td>
             <td>{valueWords(row.quantity, row.b)}</td>
-            <td>{differenceWords(row)}</td>
-            <td data-look={row.verdict === "worse" || undefined}>{verdictWords(row)}</td>
+            <td>{unbroken(differenceWords(row))}</td>
+            <td data-look={row.verdict === "worse" || undefined}>{unbroken(verdictWords(row))}</td>
           </tr>
         ))}
       </tbody>

@@ -5,8 +5,9 @@ import { linkQuality } from "../machine/phase";
 import { useMachineId } from "../machine/useMachine";
 import type { Machine } from "../session/live";
 import { useNow } from "../session/useNow";
-import { age, count, crossrangeWords, downrangeWords } from "../words/format";
-import { ageSeconds, localStamp } from "../words/time";
+import { age, crossrangeWords, downrangeWords } from "../words/format";
+import { Shortened } from "../words/Shortened";
+import { ageSeconds, zonedStamp } from "../words/time";
 import classes from "./Fleet.module.css";
 import { MachineStop } from "./MachineStop";
 import { MissCell } from "./MissCell";
@@ -96,11 +97,9 @@ export function LinkAge({ machine }: { machine: Machine }) {
   const seen = machine.link.last_seen_utc;
   const seen_s = ageSeconds(seen, useNow());
   if (machine.link.is_connected) return <span>{linkQuality(machine).words}</span>;
-  return (
-    <span title={localStamp(seen)}>
-      {seen_s === null ? "never seen" : `last seen ${age(seen_s)} ago`}
-    </span>
-  );
+  if (seen_s === null) return <span>never seen</span>;
+  const words = `last seen ${age(seen_s)} ago`;
+  return <Shortened short={words} whole={`${words}, ${zonedStamp(seen)}`} name="Link" />;
 }
 
 function Modes({ record, isLive }: { record: FleetRecord | null; isLive: boolean }) {
@@ -110,8 +109,16 @@ function Modes({ record, isLive }: { record: FleetRecord | null; isLive: boolean
       {record.modes.map((mode) => (
         <li key={mode.mode}>
           <span className={classes.mode}>{mode.mode.toUpperCase()}</span>
-          <span title={mode.policy_sha256 ?? undefined}>
-            {mode.policy_id ?? "none"}
+          <span>
+            {mode.policy_id && mode.policy_sha256 ? (
+              <Shortened
+                short={mode.policy_id}
+                whole={`${mode.policy_id} ${mode.policy_sha256}`}
+                name={`Version in ${mode.mode.toUpperCase()}`}
+              />
+            ) : (
+              (mode.policy_id ?? "none")
+            )}
             {!isLive && mode.policy_id && <span className={classes.dim}> at last</span>}
           </span>
           <MissCell mode={mode} />
@@ -130,11 +137,7 @@ function LastThrow({ record }: { record: FleetRecord | null }) {
       ? (last.outcome ?? last.phase)
       : `${downrangeWords(last.measured_downrange_error_m)}, ${crossrangeWords(last.measured_crossrange_error_m)}`;
   return (
-    <Link
-      to="/throws/$throwId"
-      params={{ throwId: last.throw_id }}
-      title={`${localStamp(last.created_utc)}, ${count(record.throw_count, "throw")} in all`}
-    >
+    <Link to="/throws/$throwId" params={{ throwId: last.throw_id }}>
       {age(ageSeconds(last.created_utc, now))} ago
       <span className={classes.sub}>{miss}</span>
     </Link>

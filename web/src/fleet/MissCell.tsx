@@ -1,17 +1,22 @@
 import { count, fixed, metres } from "../words/format";
+import { Shortened } from "../words/Shortened";
 import classes from "./Fleet.module.css";
 import { isWorse } from "./rows";
 import type { MissFigures, ModeSummary } from "./useFleet";
 
-/** Mean miss of the newest throws in a mode beside that of the first ones; both in full in the title. */
+/** Mean miss of the newest throws in a mode beside that of the first ones; both in full at a press. */
 export function MissCell({ mode }: { mode: ModeSummary }) {
   const { recent, baseline } = mode;
   if (!recent) return <span className={classes.dim}>no measured throw</span>;
   const worse = isWorse(mode);
   return (
-    <span title={titleOf(recent, baseline)}>
+    <span>
       <strong data-look={worse || undefined} className={classes.figure}>
-        {metres(recent.mean_miss_m)}
+        <Shortened
+          short={metres(recent.mean_miss_m)}
+          whole={wholeOf(recent, baseline)}
+          name={`Mean miss in ${mode.mode.toUpperCase()}`}
+        />
       </strong>{" "}
       <span className={classes.dim}>
         {baseline ? `was ${metres(baseline.mean_miss_m)}` : count(recent.throw_count, "throw")}
@@ -21,9 +26,9 @@ export function MissCell({ mode }: { mode: ModeSummary }) {
   );
 }
 
-function titleOf(recent: MissFigures, baseline: MissFigures | null): string {
+function wholeOf(recent: MissFigures, baseline: MissFigures | null): string {
   const now = `Newest: ${figureWords(recent)}`;
-  return baseline ? `${now}\nFirst: ${figureWords(baseline)}` : now;
+  return baseline ? `${now}.\nFirst: ${figureWords(baseline)}.` : now;
 }
 
 function figureWords(figures: MissFigures): string {

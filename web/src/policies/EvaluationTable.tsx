@@ -26,8 +26,8 @@ function Rows({ rows }: { rows: readonly EvaluationRow[] }) {
           {hasHeights && <th scope="col">Height, m</th>}
           <th scope="col">n</th>
           <th scope="col">Landed</th>
-          <th scope="col">Along: mean, sd</th>
-          <th scope="col">Across: mean, sd</th>
+          <th scope="col">Along, m: mean, sd</th>
+          <th scope="col">Across, m: mean, sd</th>
         </tr>
       </thead>
       <tbody>

@@ -4,6 +4,7 @@ import { cleanup, fireEvent, render, screen, waitFor } from "@testing-library/re
 import { afterEach, beforeAll, describe, expect, it, vi } from "vitest";
 import { api } from "../session/client";
 import { stubResizeObserver } from "../testing";
+import { chooseZone } from "../words/zone";
 import { OnBoard } from "./OnBoard";
 
 const SINCE = "2026-11-27T09:00:00Z";
@@ -45,6 +46,7 @@ afterEach(() => {
   cleanup();
   vi.restoreAllMocks();
   posted = [];
+  chooseZone("");
 });
 
 describe("what a machine has on board", () => {
@@ -68,6 +70,17 @@ describe("what a machine has on board", () => {
     serve([]);
     expect(await screen.findByText("No earlier version.")).toBeTruthy();
     expect((await rollBack()).disabled).toBe(true);
+  });
+
+  it("reads a time in the zone that the person chose", async () => {
+    chooseZone("Asia/Kolkata");
+    serve([OLD]);
+    await screen.findByText("v8");
+    const field = screen.getByLabelText("What ran on m001 at (GMT+5:30)");
+    fireEvent.change(field, { target: { value: "2026-11-27T14:29:59" } });
+    await waitFor(() => expect(screen.getByTestId("had-at").textContent).toBe("2D: v7"));
+    fireEvent.change(field, { target: { value: "2026-11-27T14:30:00" } });
+    await waitFor(() => expect(screen.getByTestId("had-at").textContent).toBe("2D: v8"));
   });
 
   it("tells what ran at a time", async () => {

@@ -1,8 +1,9 @@
 import { Button, TextInput } from "@mantine/core";
-import { useState } from "react";
+import { useEffect, useRef, useState } from "react";
 import { useMay } from "../session/useSession";
 import { errorWords } from "../words/errors";
-import { localStamp, zonedStamp, zoneName } from "../words/time";
+import { Hash } from "../words/Hash";
+import { instantOf, localStamp, zonedStamp, zoneName } from "../words/time";
 import { ConfirmDialog } from "./ConfirmDialog";
 import { nameOf, outcomeWords, pendingOf } from "./life";
 import classes from "./OnBoard.module.css";
@@ -20,6 +21,13 @@ export function OnBoard({ machineId }: { machineId: string }) {
   const known = deployments.data ?? [];
   const isWaiting = known.some((one) => one.outcome === "pending");
   const now = useOnBoard(machineId, null, isWaiting);
+  const { refetch } = now;
+  // The machine's answer to a deployment ends the waiting, and changes what is on board.
+  const wasWaiting = useRef(false);
+  useEffect(() => {
+    if (wasWaiting.current && !isWaiting) void refetch();
+    wasWaiting.current = isWaiting;
+  }, [isWaiting, refetch]);
   return (
     <section className={classes.panel} aria-label={`On board ${machineId}`}>
       <h2>On board {machineId}</h2>
@@ -60,7 +68,8 @@ function ModeRow({ machineId, entry, pending }: RowProps) {
     <li>
       <span className={classes.mode}>{entry.mode.toUpperCase()}</span>
       <span>
-        <strong title={entry.policy_sha256 ?? undefined}>{nameOf(entry)}</strong>
+        <strong>{nameOf(entry)}</strong>{" "}
+        <Hash value={entry.policy_sha256} name={`Version in ${entry.mode.toUpperCase()}`} />
         <span className={classes.note}> since {zonedStamp(entry.since_utc)}</span>
         {pending && (
           <span className={classes.pending} role="status">
@@ -112,14 +121,13 @@ function rollBackRefusal(mayDeploy: boolean, hasEarlier: boolean, isPending: boo
 /** What ran on the machine at a moment that a person names. */
 function HadAt({ machineId }: { machineId: string }) {
   const [local, setLocal] = useState("");
-  const date = local ? new Date(local) : null;
-  const at = date && !Number.isNaN(date.getTime()) ? date.toISOString() : null;
+  const at = instantOf(local);
   return (
     <div className={classes.had}>
       <TextInput
         type="datetime-local"
         step={1}
-        label={`What ran on ${machineId} at (${zoneName(date ?? new Date())})`}
+        label={`What ran on ${machineId} at (${zoneName(at ? new Date(at) : new Date())})`}
         value={local}
         onChange={(event) => setLocal(event.currentTarget.value)}
       />
@@ -164,8 +172,8 @@ function History({ deployments }: { deployments: readonly Deployment[] }) {
             <tr key={`${one.mode}-${one.deployment_count}`}>
               <td>{localStamp(one.created_utc)}</td>
               <td>{one.mode.toUpperCase()}</td>
-              <td title={one.policy_sha256}>
-                {nameOf(one)}
+              <td>
+                {nameOf(one)} <Hash value={one.policy_sha256} name="Version" />
                 {one.is_rollback && " (rolled back)"}
               </td>
               <td>{one.created_by}</td>

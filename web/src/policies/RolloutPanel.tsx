@@ -5,7 +5,7 @@ import { useMay } from "../session/useSession";
 import { ScrollTable } from "../validation/ScrollTable";
 import { errorWords } from "../words/errors";
 import { percent } from "../words/format";
-import { localStamp, zonedStamp, zoneName } from "../words/time";
+import { localStamp, zoneName } from "../words/time";
 import { ConfirmDialog } from "./ConfirmDialog";
 import classes from "./OnBoard.module.css";
 import { RolloutDialog } from "./RolloutDialog";
@@ -159,10 +159,8 @@ function OneRollout({ rollout, mayDeploy }: { rollout: Rollout; mayDeploy: boole
           {rollout.steps.map((step) => (
             <li key={`${step.at_utc}-${step.state}`}>
               <strong>{STATE_WORDS[step.state]}</strong>, stage {step.stage_count + 1},{" "}
-              <time dateTime={step.at_utc} title={zonedStamp(step.at_utc)}>
-                {localStamp(step.at_utc)}
-              </time>{" "}
-              by {step.actor}: {step.sentence}
+              <time dateTime={step.at_utc}>{localStamp(step.at_utc)}</time> by {step.actor}:{" "}
+              {step.sentence}
             </li>
           ))}
         </ol>

@@ -2,6 +2,7 @@ import { ActionIcon } from "@mantine/core";
 import { IconPlayerPauseFilled, IconPlayerPlayFilled } from "@tabler/icons-react";
 import type { Band } from "../charts/seriesPlot";
 import { fixed } from "../words/format";
+import { phaseAt } from "./panels";
 import classes from "./Scrubber.module.css";
 
 type Props = {
@@ -19,6 +20,7 @@ const STEP_S = 0.02;
 export function Scrubber({ duration_s, at_s, isPlaying, bands, onSeek, onToggle }: Props) {
   const shown = bands.filter((band) => band.name !== "flight");
   const flight = bands.find((band) => band.name === "flight");
+  const phase = phaseAt(bands, at_s);
   const share = (value_s: number) => `${(100 * value_s) / Math.max(duration_s, 0.01)}%`;
   return (
     <div className={classes.scrubber}>
@@ -39,7 +41,6 @@ export function Scrubber({ duration_s, at_s, isPlaying, bands, onSeek, onToggle 
               className={classes.band}
               data-odd={index % 2 === 1 || undefined}
               style={{ left: share(band.start_s), width: share(band.end_s - band.start_s) }}
-              title={band.name}
             >
               <span className={classes.name}>{band.name}</span>
             </span>
@@ -48,7 +49,6 @@ export function Scrubber({ duration_s, at_s, isPlaying, bands, onSeek, onToggle 
             <span
               className={classes.flight}
               style={{ left: share(flight.start_s), width: share(flight.end_s - flight.start_s) }}
-              title="flight"
             />
           )}
         </div>
@@ -60,12 +60,12 @@ export function Scrubber({ duration_s, at_s, isPlaying, bands, onSeek, onToggle 
           step={STEP_S}
           value={at_s}
           aria-label="Time of the replay, seconds"
-          aria-valuetext={`${fixed(at_s)} of ${fixed(duration_s)} seconds`}
+          aria-valuetext={`${fixed(at_s)} of ${fixed(duration_s)} seconds, ${phase}`}
           onChange={(event) => onSeek(Number(event.currentTarget.value))}
         />
       </div>
       <span className={classes.time}>
-        {fixed(at_s)} / {fixed(duration_s)} s
+        {fixed(at_s)} / {fixed(duration_s)} s<span className={classes.phase}>{phase}</span>
       </span>
     </div>
   );

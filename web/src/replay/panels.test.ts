@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { panelsOf } from "./panels";
+import { panelsOf, phaseAt } from "./panels";
 
 const base = {
   throw_id: "t1",
@@ -40,5 +40,24 @@ describe("panels of a throw", () => {
       "position",
     );
     expect(panel?.lines[0]?.values).toEqual([21, null]);
+  });
+});
+
+describe("the phase at a time", () => {
+  const bands = [
+    { name: "swing", start_s: 0, end_s: 1 },
+    { name: "flight", start_s: 0.9, end_s: 2 },
+    { name: "settling", start_s: 1, end_s: 1.5 },
+  ];
+
+  it("is that of the moment, with the flight beside it", () => {
+    expect(phaseAt(bands, 0.5)).toBe("swing");
+    expect(phaseAt(bands, 1.2)).toBe("flight, settling");
+    expect(phaseAt(bands, 1.8)).toBe("flight");
+    expect(phaseAt(bands, 2.5)).toBe("");
+  });
+
+  it("is the newer one where one ends and the next begins", () => {
+    expect(phaseAt(bands, 1)).toBe("flight, settling");
   });
 });

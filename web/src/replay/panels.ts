@@ -1,6 +1,6 @@
 /** Which columns of a throw's log stand in which chart. */
 
-import type { Line } from "../charts/seriesPlot";
+import type { Band, Line } from "../charts/seriesPlot";
 import type { Schema } from "../session/client";
 
 type Series = Schema["ThrowSeries"];
@@ -108,3 +108,14 @@ export function panelsOf(series: Series, quantity: Quantity): Panel[] {
   const rows = JOINTS.flatMap((name) => [joint(series, name), valve(series, name)]);
   return [swing(series), supply(series), ...rows].filter((panel) => panel.lines.length > 0);
 }
+
+/** Phase at a time of the replay, and that the load flies: "settling, flight"; empty outside of all. */
+export const phaseAt = (bands: readonly Band[], at_s: number): string =>
+  bands
+    .filter((band) => band.start_s <= at_s && at_s <= band.end_s)
+    // Where one ends and the next begins the newer counts.
+    .filter((band, index, all) => band.name === "flight" || !startsLater(all.slice(index + 1)))
+    .map((band) => band.name)
+    .join(", ");
+
+const startsLater = (bands: readonly Band[]) => bands.some((band) => band.name !== "flight");

@@ -4,6 +4,7 @@ import { GateSentence } from "../operate/GateSentence";
 import { api, take } from "../session/client";
 import { errorWords } from "../words/errors";
 import { count } from "../words/format";
+import { Shortened } from "../words/Shortened";
 import { localStamp, zoneName } from "../words/time";
 import classes from "./admin.module.css";
 
@@ -70,8 +71,8 @@ export function AdminPage() {
               <td>{row.action}</td>
               <td data-phase={row.phase}>{row.phase}</td>
               <td>{row.machine_id ?? ""}</td>
-              <td className={classes.detail} title={JSON.stringify(row.detail)}>
-                {detailWords(row.detail)}
+              <td className={classes.detail}>
+                <Detail detail={row.detail} />
               </td>
             </tr>
           ))}
@@ -91,7 +92,14 @@ export function AdminPage() {
   );
 }
 
-/** Ids and what is empty are left to the full text in the title. */
+function Detail({ detail }: { detail: unknown }) {
+  const words = detailWords(detail);
+  const whole = JSON.stringify(detail) ?? "";
+  if (whole.length <= 4) return <>{words}</>;
+  return <Shortened short={words || "ids"} whole={whole} name="Detail" />;
+}
+
+/** Ids and what is empty are left to the whole text. */
 function detailWords(detail: unknown): string {
   if (typeof detail !== "object" || detail === null) return detail === null ? "" : String(detail);
   return Object.entries(detail)

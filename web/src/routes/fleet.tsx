@@ -45,12 +45,8 @@ export function FleetPage() {
         <h1>Fleet</h1>
         {all.length > 0 && <Choice search={search} onChange={change} />}
         <span className={classes.spread} />
-        <Button
-          size="sm"
-          disabled={!mayAdd}
-          title={mayAdd ? undefined : "An admin may add machines."}
-          onClick={() => setAdding(true)}
-        >
+        {!mayAdd && <span className={classes.dim}>An admin may add machines.</span>}
+        <Button size="sm" disabled={!mayAdd} onClick={() => setAdding(true)}>
           Add machine
         </Button>
       </header>

@@ -78,13 +78,11 @@ function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
       {life.tags.length > 0 && <span className={classes.dim}>{life.tags.join(", ")}</span>}
       <Lamp machine={machine} />
       <span className={classes.spread} />
-      <Button
-        variant="default"
-        size="sm"
-        disabled={!mayEdit}
-        title={mayEdit ? undefined : "A supervisor may change them."}
-        onClick={() => setOpen(true)}
-      >
+      {!mayEdit && <span className={classes.dim}>A supervisor may change name and tags.</span>}
+      {mayRetire && isConnected && (
+        <span className={classes.dim}>To retire it, switch the machine off first.</span>
+      )}
+      <Button variant="default" size="sm" disabled={!mayEdit} onClick={() => setOpen(true)}>
         Name and tags
       </Button>
       {mayRetire && (
@@ -92,7 +90,6 @@ function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
           variant="default"
           size="sm"
           disabled={isConnected}
-          title={isConnected ? "Switch the machine off first." : undefined}
           onClick={() => setRetiring(true)}
         >
           Retire

@@ -1,14 +1,8 @@
 import { Link } from "@tanstack/react-router";
 import { memo } from "react";
 import type { Throw } from "../session/live";
-import {
-  bearingShort,
-  bearingWords,
-  crossrangeWords,
-  downrangeWords,
-  fixed,
-  signed,
-} from "../words/format";
+import { bearingWords, crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
+import { Shortened } from "../words/Shortened";
 import { localStamp, shortStamp } from "../words/time";
 import { MissBar } from "./MissBar";
 import { outcomeSentence, statusWord } from "./outcome";
@@ -44,18 +38,13 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
         />
       </td>
       <td>
-        <Link
-          to="/throws/$throwId"
-          params={{ throwId: row.throw_id }}
-          className={classes.link}
-          title={localStamp(row.created_utc)}
-        >
+        <Link to="/throws/$throwId" params={{ throwId: row.throw_id }} className={classes.link}>
           {shortStamp(row.created_utc)}
         </Link>
       </td>
       <td>{row.machine_id}</td>
       <td>{targetWords(row)}</td>
-      <td title={bearingWords(row.target.azimuth_rad)}>{bearingShort(row.target.azimuth_rad)}</td>
+      <td>{bearingWords(row.target.azimuth_rad)}</td>
       <td>
         <Miss
           measured_m={row.measured_downrange_error_m}
@@ -72,15 +61,19 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
           words={crossrangeWords}
         />
       </td>
-      <td
-        title={outcomeSentence(row)}
-        data-outcome={row.outcome ?? row.phase}
-        className={classes.outcome}
-      >
-        {statusWord(row)}
+      <td data-outcome={row.outcome ?? row.phase} className={classes.outcome}>
+        {row.detail ? (
+          <Shortened short={statusWord(row)} whole={outcomeSentence(row)} name="Outcome" />
+        ) : (
+          statusWord(row)
+        )}
       </td>
-      <td className={classes.policy} title={row.policy_sha256}>
-        {row.policy_id}
+      <td className={classes.policy}>
+        <Shortened
+          short={row.policy_id}
+          whole={`${row.policy_id} ${row.policy_sha256}`}
+          name="Policy"
+        />
       </td>
       <td>{row.operator}</td>
       <td className={classes.right}>{fixed(row.pace_ratio)}</td>

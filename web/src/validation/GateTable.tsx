@@ -1,3 +1,4 @@
+import { unbroken } from "../words/format";
 import { ScrollTable } from "./ScrollTable";
 import type { GateCheck } from "./useValidation";
 import classes from "./Validation.module.css";
@@ -28,12 +29,15 @@ export function GateTable({ checks, policyId }: Props) {
               {check.ci95 && (
                 <span className={classes.note}>
                   {" "}
-                  ({gateNumber(check.ci95[0], check.unit)} to{" "}
-                  {gateNumber(check.ci95[1], check.unit)})
+                  (
+                  {unbroken(
+                    `${gateNumber(check.ci95[0], check.unit)} to ${gateNumber(check.ci95[1], check.unit)}`,
+                  )}
+                  )
                 </span>
               )}
             </td>
-            <td>{limitWords(check)}</td>
+            <td>{unbroken(limitWords(check))}</td>
             <td data-look={!check.is_passed || undefined}>
               {check.is_passed ? "passed" : "not passed"}
             </td>

@@ -61,14 +61,6 @@ export function bearingWords(azimuth_rad: Maybe): string {
   return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "left" : "right"}`;
 }
 
-/** The same for narrow tables: "12.0° L", "3.5° R", "0.0°". */
-export function bearingShort(azimuth_rad: Maybe): string {
-  if (missing(azimuth_rad)) return NONE;
-  const deg = (azimuth_rad * 180) / Math.PI;
-  if (Math.abs(deg) < 0.05) return "0.0°";
-  return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "L" : "R"}`;
-}
-
 /** Height of a target off the ground, to follow its range: ", +1.20 m high", ", 0.80 m deep"; nothing on it. */
 export function heightWords(z_m: Maybe, before = ", "): string {
   if (missing(z_m) || Math.abs(z_m) < 0.005) return "";
@@ -102,7 +94,7 @@ export const shortHash = (sha256: string | null | undefined) => sha256?.slice(0,
 
 /** A sentence whose numbers keep their units on the same line. */
 export const unbroken = (text: string) =>
-  text.replace(/(?<=\d) (?=(?:%|m|mm|ms|s|m\/s|rad|kg|Hz)(?![\w/]))/g, "\u00a0");
+  text.replace(/(?<=\d) (?=(?:%|m|mm|ms|s|m\/s|rad|kg|Hz|times|throws?)(?![\w/]))/g, "\u00a0");
 
 /** Count with its noun: "1 throw", "12 throws". */
 export const count = (value: number, noun: string) =>

@@ -3,6 +3,7 @@ import {
   ageSeconds,
   clockTime,
   dayStart,
+  instantOf,
   localStamp,
   shortStamp,
   zonedStamp,
@@ -28,6 +29,14 @@ describe("the chosen zone", () => {
     expect(dayStart("2026-03-29")).toBe("2026-03-28T23:00:00.000Z");
     expect(dayStart("2026-03-29", true)).toBe("2026-03-29T22:00:00.000Z");
     expect(dayStart("2026-10-25", true)).toBe("2026-10-25T23:00:00.000Z");
+  });
+
+  it("reads a time that a person typed", () => {
+    chooseZone("Asia/Kolkata");
+    expect(instantOf("2026-07-02T04:00")).toBe("2026-07-01T22:30:00.000Z");
+    chooseZone("Europe/Zurich");
+    expect(instantOf("2026-10-25T03:00:01")).toBe("2026-10-25T02:00:01.000Z");
+    expect(instantOf("")).toBeNull();
   });
 
   it("is this computer's where the name is unknown", () => {

@@ -59,7 +59,17 @@ export const shortStamp = (iso: string | null | undefined) =>
 /** Begin of a day "2026-11-21" in the chosen zone, as ISO text in UTC; with `next`, of the day after. */
 export function dayStart(day: string, next = false): string {
   const [year = 0, month = 1, date = 1] = day.split("-").map(Number);
-  const wall_ms = Date.UTC(year, month - 1, date + (next ? 1 : 0));
+  return atWall(Date.UTC(year, month - 1, date + (next ? 1 : 0)));
+}
+
+/** ISO text in UTC of "2026-11-21T14:03:21" (seconds may be left out) in the chosen zone; null for no such time. */
+export function instantOf(wall: string): string | null {
+  const wall_ms = Date.parse(`${wall}Z`);
+  return Number.isNaN(wall_ms) ? null : atWall(wall_ms);
+}
+
+/** The moment at which the clock of the chosen zone shows what that of UTC shows at `wall_ms`. */
+function atWall(wall_ms: number): string {
   const offsetAt = (at_ms: number) =>
     Date.parse(`${stampOf(new Date(at_ms)).replace(" ", "T")}Z`) - at_ms;
   // The second pass is for the days on which the clock changes.
