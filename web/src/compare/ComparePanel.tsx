@@ -111,7 +111,7 @@ function Differences({ found, comparison }: { found: Source; comparison: Compari
             <td>{valueWords(row.quantity, row.a)}</td>
             <td>{valueWords(row.quantity, row.b)}</td>
             <td>{unbroken(differenceWords(row))}</td>
-            <td data-look={row.verdict === "worse" || undefined}>{unbroken(verdictWords(row))}</td>
+            <td data-look={row.verdict === "worse" || undefined}>{verdictWords(row)}</td>
           </tr>
         ))}
       </tbody>

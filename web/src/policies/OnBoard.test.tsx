@@ -11,6 +11,8 @@ const SINCE = "2026-11-27T09:00:00Z";
 const NEW = { mode: "2d", policy_sha256: "a".repeat(64), policy_id: "v8", since_utc: SINCE };
 const OLD = { ...NEW, policy_sha256: "b".repeat(64), policy_id: "v7" };
 let posted: unknown[] = [];
+let deployments: unknown[] = [];
+let onBoard = NEW;
 
 type Asked = { params: { query?: { at?: string } } };
 
@@ -19,23 +21,25 @@ function serve(earlier: (typeof OLD)[], permissions = ["policy.deploy"]) {
   const answer = (data: unknown) => Promise.resolve({ data, response: new Response() });
   vi.spyOn(api, "GET").mockImplementation(((path: string, options: Asked) => {
     if (path === "/api/v1/auth/me") return answer({ permissions });
-    if (path.endsWith("/deployments")) return answer([]);
+    if (path.endsWith("/deployments")) return answer(deployments);
     const at = options.params.query?.at;
     const isBefore = at !== undefined && Date.parse(at) < Date.parse(SINCE);
-    const now = [{ ...NEW, version_before: earlier[0]?.policy_id ?? null }];
+    const now = [{ ...onBoard, version_before: earlier[0]?.policy_id ?? null }];
     return answer({ machine_id: "m001", at_utc: SINCE, policies: isBefore ? earlier : now });
   }) as never);
   vi.spyOn(api, "POST").mockImplementation(((path: string, options: unknown) => {
     posted.push([path, options]);
     return answer({});
   }) as never);
+  const client = new QueryClient();
   render(
-    <QueryClientProvider client={new QueryClient()}>
+    <QueryClientProvider client={client}>
       <MantineProvider>
         <OnBoard machineId="m001" />
       </MantineProvider>
     </QueryClientProvider>,
   );
+  return client;
 }
 
 const rollBack = () =>
@@ -46,6 +50,8 @@ afterEach(() => {
   cleanup();
   vi.restoreAllMocks();
   posted = [];
+  deployments = [];
+  onBoard = NEW;
   chooseZone("");
 });
 
@@ -81,6 +87,19 @@ describe("what a machine has on board", () => {
     await waitFor(() => expect(screen.getByTestId("had-at").textContent).toBe("2D: v7"));
     fireEvent.change(field, { target: { value: "2026-11-27T14:30:00" } });
     await waitFor(() => expect(screen.getByTestId("had-at").textContent).toBe("2D: v8"));
+  });
+
+  it("shows another version as soon as the machine has switched to it", async () => {
+    const wish = { ...NEW, deployment_count: 1, created_utc: SINCE, created_by: "ada" };
+    const asked = { ...wish, policy_id: "v9", is_rollback: false, reason: "try", detail: "" };
+    deployments = [{ ...asked, outcome: "pending", ended_utc: null }];
+    const client = serve([OLD]);
+    await screen.findByText(/Switches to v9/);
+    onBoard = { ...NEW, policy_id: "v9" };
+    deployments = [{ ...asked, outcome: "switched", ended_utc: SINCE }];
+    await client.invalidateQueries({ queryKey: ["deployments"] });
+    await waitFor(() => expect(screen.getByRole("list").textContent).toContain("v9 "));
+    expect(screen.queryByText(/Switches to v9/)).toBeNull();
   });
 
   it("tells what ran at a time", async () => {
