@@ -9,19 +9,21 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.chromium import CHROMIUM, COARSE_PICTURES, FLAGS
 from tests.e2e.browser_console import Console
-from tests.e2e.stack import CONSOLE, Demo, ServerAlone, Stack
+from tests.e2e.measured_machine import give
+from tests.e2e.stack import Demo, ServerAlone, Stack
 
 TIMEOUT_MS = 60_000
 """Everything the tests wait for happens in seconds; a busy computer without graphics takes longer."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests with processes of their own come last: they have both cores once the shared demo has ended."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """In one process tests with processes of their own come last, once the shared demo has ended."""
     for item in items:
         if _is_here(item):
             item.add_marker(pytest.mark.e2e)
             item.add_marker(pytest.mark.timeout(600))
-    items.sort(key=lambda item: _is_here(item) and not _uses(item, "demo"))
+    if not hasattr(config, "workerinput"):
+        items.sort(key=lambda item: _is_here(item) and not _uses(item, "demo"))
 
 
 def _is_here(item: pytest.Item) -> bool:
@@ -35,19 +37,13 @@ def _uses(item: pytest.Item | None, fixture: str) -> bool:
 STARTED = pytest.StashKey[tuple[Demo, tempfile.TemporaryDirectory[str]]]()
 
 
-def pytest_collection_finish(session: pytest.Session) -> None:
-    """The demo measures its machine for a minute, on one core, while tests before those of the demo run."""
-    needs = any(_uses(item, "demo") or _uses(item, "measured") for item in session.items)
-    is_one_of_several = hasattr(session.config, "workerinput")
-    if needs and CONSOLE.is_file() and not (is_one_of_several or session.config.option.collectonly):
-        shared_demo(session.config)
-
-
 def shared_demo(config: pytest.Config) -> Demo:
-    """The demo of this run; it is started with the first use, and again after it was stopped."""
+    """The demo of this process; it is started with the first use, and again after it was stopped."""
     if STARTED not in config.stash:
         folder = tempfile.TemporaryDirectory()
-        config.stash[STARTED] = Demo(Path(folder.name)), folder
+        demo = Demo(Path(folder.name))
+        give(demo.machines)
+        config.stash[STARTED] = demo, folder
     demo = config.stash[STARTED][0]
     demo.start()
     return demo
@@ -83,17 +79,8 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def demo(pytestconfig: pytest.Config) -> Stack:
-    """One demo for all tests of a run; tests leave it disarmed and without a lease."""
+    """One demo for all tests of a process; tests leave it disarmed and without a lease."""
     return shared_demo(pytestconfig).ready()
-
-
-@pytest.fixture(scope="module")
-def measured(pytestconfig: pytest.Config) -> Path:
-    """Folder with profile and calibration of the shared demo's machine m001; that demo has ended."""
-    shared = shared_demo(pytestconfig)
-    shared.ready()
-    shared.stop()
-    return shared.machines
 
 
 @pytest.fixture

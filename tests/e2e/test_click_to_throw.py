@@ -1,5 +1,6 @@
-"""The product in one test: click on the ground, see what the throw will do, hold, see where it landed."""
+"""Click on the ground, see what the throw will do, hold, see where it landed, mark and correct it."""
 
+import re
 from collections.abc import Callable
 
 from playwright.sync_api import Page, expect
@@ -18,6 +19,7 @@ from tests.e2e.stack import Stack
 
 GROUND = (0.5, 0.85)
 """Open ground in the 3D view of a page of 1024 by 768, as a share of it."""
+POSITIVE = re.compile(r"^0?\.\d+$|^[1-9]\d*(\.\d+)?$")
 
 
 def _aim(page: Page) -> None:
@@ -63,6 +65,7 @@ def test_click_preview_hold_impact_history_replay(
     across = metres_of(page.get_by_test_id("measured-crossrange").inner_text())
     assert abs(along) < 1.0
     assert abs(across) < 1.0
+    _mark_impact(page)
 
     # The history has it, with the same numbers.
     page.get_by_role("button", name="Give back control").click()
@@ -80,6 +83,34 @@ def test_click_preview_hold_impact_history_replay(
     _print(page)
     _correct_impact(page)
     _machine_page(page)
+
+
+def _mark_impact(page: Page) -> None:
+    """Click where the load came down: in the plot, then in the 3D view; the target stays."""
+    page.get_by_role("button", name="Mark impact").click()
+    form = page.get_by_role("form", name="Mark impact")
+    along, across = form.get_by_label("Long +"), form.get_by_label("Left +")
+    expect(along).not_to_have_value("")
+    plot = form.get_by_role("img", name="Landing around the target")
+    box = plot.bounding_box()
+    assert box is not None
+    # Right of the middle of the plot is long, its upper half is left of the line.
+    plot.click(position={"x": 0.75 * box["width"], "y": 0.25 * box["height"]})
+    expect(along).to_have_value(POSITIVE)
+    expect(across).to_have_value(POSITIVE)
+    # Empty, it cannot be saved until the ground was clicked.
+    along.fill("")
+    save = form.get_by_role("button", name="Save as a new record", disabled=False)
+    click_until(page, GROUND, save)
+    along_m, across_m = float(along.input_value()), float(across.input_value())
+    save.click()
+    expect(form).to_have_count(0)
+    shown = page.get_by_test_id("measured-downrange")
+    expect(shown).to_contain_text(f"{abs(along_m):.2f} m")
+    expect(page.get_by_test_id("measured-crossrange")).to_contain_text(f"{abs(across_m):.2f} m")
+    open_step(page, "Target")
+    expect(page.get_by_label("Range, m")).to_have_value("9.05")
+    expect(page.get_by_label("Azimuth, °")).to_have_value("5")
 
 
 def _machine_page(page: Page) -> None:
@@ -119,13 +150,13 @@ def _print(page: Page) -> None:
 
 def _correct_impact(page: Page) -> None:
     records = page.get_by_role("complementary").get_by_role("listitem")
-    expect(records).to_have_count(1)
+    expect(records).to_have_count(2)
     page.get_by_role("button", name="Correct impact").click()
     page.get_by_label("Long +").fill("0.25")
     page.get_by_label("Left +").fill("-0.1")
     page.get_by_label("Note").fill("tape measure")
     page.get_by_role("button", name="Save as a new record").click()
-    expect(records).to_have_count(2)
+    expect(records).to_have_count(3)
     expect(page.get_by_test_id("measured-downrange")).to_have_text("+0.25 m long")
     expect(page.get_by_test_id("measured-crossrange")).to_have_text("\u22120.10 m right")
     expect(records.filter(has_text="tape measure")).to_contain_text("counts")

@@ -39,6 +39,8 @@ HEALTHY_COUNT = 4
 AIMED_COUNT = 40
 WELL_COUNT = 150
 
+pytestmark = pytest.mark.begins_first
+
 
 def thrown(folder: Path) -> tuple[HealthyMachine, list[Path]]:
     """A machine as it was measured, and logs of its throws: healthy ones, then late ones."""

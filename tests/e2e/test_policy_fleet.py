@@ -9,10 +9,8 @@ from playwright.sync_api import Page, expect
 
 from cli.service.throw_client import ServerError, ThrowClient
 from tests.e2e.axe_findings import findings_of_both_schemes
-from tests.e2e.operator_page import (
-    sign_in,
-    without_view,
-)
+from tests.e2e.measured_machine import give
+from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.retrained_policy import RETRAINED, files_of, retrained
 from tests.e2e.stack import Stack, client, running_demo, until
 
@@ -115,18 +113,13 @@ def _throw(demo: Stack) -> None:
 
 
 @pytest.fixture
-def fleet(measured: Path, tmp_path: Path) -> Iterator[Stack]:
+def fleet(tmp_path: Path) -> Iterator[Stack]:
     """A demo with three machines; it ends after the pages are closed.
 
     All begin with what was measured on the first, which is the one that throws.
     """
     data = tmp_path / "fleet"
-    (data / "machines").mkdir(parents=True)
-    for path in ("profile.json", "calibration.json", "site.json"):
-        text = (measured / f"m001.{path}").read_text(encoding="utf-8")
-        for machine_id in MACHINES:
-            own = text.replace('"machine_id": "m001"', f'"machine_id": "{machine_id}"')
-            (data / "machines" / f"{machine_id}.{path}").write_text(own, encoding="utf-8")
+    give(data / "machines", MACHINES)
     with running_demo(data, machine_count=len(MACHINES)) as demo:
         yield demo
 

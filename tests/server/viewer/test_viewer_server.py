@@ -8,6 +8,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from server.viewer.viewer_server import SECRET_HEADER, SESSION_HEADER, ViewerServer
+from tests.cases import each
 from tests.server.viewer_app import CAMERA, PROTOCOL, wait_for
 
 
@@ -29,7 +30,7 @@ def dial(gate: ViewerServer, headers: dict[str, str]) -> ClientConnection:
     )
 
 
-@pytest.mark.parametrize(
+@each(
     "headers",
     [
         {},

@@ -1,4 +1,4 @@
-"""What the pointer says beside a click for a target: drag the target, click where the load came down."""
+"""The target is dragged in the 3D view."""
 
 import contextlib
 import re
@@ -11,7 +11,6 @@ from tests.e2e.operator_page import (
     open_step,
     sign_in,
     take_control,
-    throw_until_landed,
 )
 from tests.e2e.stack import Stack
 
@@ -20,7 +19,6 @@ GROUND = (0.45, 0.8)
 DRAG_PX = (60.0, 20.0)
 TARGET = re.compile(r"Target.*?(\d+\.\d+)\s*m", re.DOTALL)
 REACH_M = 10.9
-POSITIVE = re.compile(r"^0?\.\d+$|^[1-9]\d*(\.\d+)?$")
 
 
 COUNT_ESTIMATES = """() => {
@@ -104,44 +102,4 @@ def test_the_target_is_dragged_and_its_ellipse_follows(
 
     # Where it was let go it is previewed in full.
     expect(numbers).to_contain_text("of 200")
-    page.get_by_role("button", name="Give back control").click()
-
-
-def test_an_impact_is_marked_by_click_in_plot_and_view(
-    demo: Stack, open_page: Callable[..., Page]
-) -> None:
-    page = open_page(demo)
-    sign_in(page, demo)
-    take_control(page)
-    open_step(page, "Target")
-    page.get_by_label("Range, m").fill("9")
-    page.get_by_label("Azimuth, °").fill("5")
-    page.get_by_label("Azimuth, °").press("Tab")
-    throw_until_landed(page, "key")
-
-    page.get_by_role("button", name="Mark impact").click()
-    form = page.get_by_role("form", name="Mark impact")
-    along, across = form.get_by_label("Long +"), form.get_by_label("Left +")
-    expect(along).not_to_have_value("")
-    plot = form.get_by_role("img", name="Landing around the target")
-    box = plot.bounding_box()
-    assert box is not None
-    # Right of the middle of the plot is long, its upper half is left of the line.
-    plot.click(position={"x": 0.75 * box["width"], "y": 0.25 * box["height"]})
-    expect(along).to_have_value(POSITIVE)
-    expect(across).to_have_value(POSITIVE)
-
-    # Empty, it cannot be saved until the ground was clicked.
-    along.fill("")
-    save = form.get_by_role("button", name="Save as a new record", disabled=False)
-    click_until(page, GROUND, save)
-    along_m, across_m = float(along.input_value()), float(across.input_value())
-    save.click()
-    expect(form).to_have_count(0)
-    shown = page.get_by_test_id("measured-downrange")
-    expect(shown).to_contain_text(f"{abs(along_m):.2f} m")
-    expect(page.get_by_test_id("measured-crossrange")).to_contain_text(f"{abs(across_m):.2f} m")
-    # The click was for the impact: the target stayed.
-    open_step(page, "Target")
-    assert _polar(page) == ("9", "5")
     page.get_by_role("button", name="Give back control").click()
