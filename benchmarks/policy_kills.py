@@ -31,9 +31,10 @@ import httpx
 import tyro
 
 from benchmarks.observed_machine import ALIVE_PERIOD_S
-from benchmarks.policy_yard import MACHINES, MODE, Machine, Yard, wait_until
+from benchmarks.policy_yard import MACHINES, MODE, Machine, Yard
 from benchmarks.result_file import RESULTS, Row, describe, percentile, row, write_result
 from cli.service import rollback
+from tests.waiting import until
 
 SEED = 38
 KILLS = {
@@ -96,7 +97,7 @@ class Kills:
         self.yard, self.rng = yard, rng
         self.usual_s: dict[str, float] = {}
         self.figures: dict[tuple[str, str], Figures] = {}
-        wait_until(self._all_held, "both machines", 180.0)
+        until(self._all_held, "both machines", 180.0)
         self.versions = [yard.make_version() for _ in range(VERSION_COUNT)]
         for version in self.versions:
             yard.upload(version).raise_for_status()
@@ -106,13 +107,13 @@ class Kills:
             # A version before the one in use, so that both can go back.
             for _ in range(2):
                 work = self.deploy(machine)
-                wait_until(work.is_done, "the first deployments", FINISH_S)
+                until(work.is_done, "the first deployments", FINISH_S)
         self.usual_s["validation"] = VALIDATION_S
         for step in ("upload", "transfer", "switch", "rollback"):
             began_s = time.monotonic()
             work = self.begin(step)
             began_s = max(began_s, self._began_s)
-            wait_until(work.is_done, step, FINISH_S)
+            until(work.is_done, step, FINISH_S)
             self.usual_s[step] = time.monotonic() - began_s
             self._expect(work.finish())
         print("usual durations, s:", {k: round(v, 2) for k, v in self.usual_s.items()}, flush=True)
@@ -147,7 +148,7 @@ class Kills:
             else:
                 whole = machine.slots.version_folder(wanted)
                 work.is_done = whole.exists
-            wait_until(lambda: place.exists() or work.is_done(), f"begin of {step}", FINISH_S)
+            until(lambda: place.exists() or work.is_done(), f"begin of {step}", FINISH_S)
         self._began_s = time.monotonic()
         return work
 
@@ -188,7 +189,7 @@ class Kills:
             return client.get(path).json()["state"] in ("queued", "running", "done")
 
         def finish() -> str:
-            wait_until(is_known, "validation goes on", FINISH_S)
+            until(is_known, "validation goes on", FINISH_S)
             return "went on"
 
         return Work(is_known, finish, machine)
@@ -227,9 +228,9 @@ class Kills:
             return newest if newest["outcome"] != "pending" else None
 
         def finish() -> str:
-            newest = wait_until(ended, f"deployment to {machine.machine_id}", FINISH_S)
+            newest = until(ended, f"deployment to {machine.machine_id}", FINISH_S)
             if newest["outcome"] == "switched":
-                wait_until(
+                until(
                     lambda: yard.held(machine.machine_id) == wanted, "the version in use", FINISH_S
                 )
                 return "went on"
@@ -254,10 +255,8 @@ class Kills:
             return machine.slots.of(MODE).current == target
 
         def finish() -> str:
-            wait_until(is_back, f"rollback at {machine.machine_id}", FINISH_S)
-            wait_until(
-                lambda: self.yard.held(machine.machine_id) == target, "the version in use", 60.0
-            )
+            until(is_back, f"rollback at {machine.machine_id}", FINISH_S)
+            until(lambda: self.yard.held(machine.machine_id) == target, "the version in use", 60.0)
             return "went on"
 
         return Work(is_back, finish, machine)
@@ -274,7 +273,7 @@ class Kills:
         began_s = time.monotonic()
         self._kill(victim, machine)
         try:
-            wait_until(self._all_held, "machines are connected again", FINISH_S)
+            until(self._all_held, "machines are connected again", FINISH_S)
             outcome = work.finish()
         except TimeoutError as error:
             outcome = str(error)
@@ -285,7 +284,7 @@ class Kills:
         for one in self.yard.machines:
             found += one.problems()
             with contextlib.suppress(TimeoutError):
-                wait_until(lambda one=one: self._is_in_history(one), "history", 30.0)
+                until(lambda one=one: self._is_in_history(one), "history", 30.0)
                 continue
             found.append(f"{one.machine_id}: the history is not what the machine holds")
         figures.problems += found

@@ -11,8 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -30,6 +28,7 @@ from runtime.policies.slots import PolicySlots
 from scripts.golden_vectors import add_golden_vectors
 from tests.link.relay import Relay
 from tests.ports import free_port
+from tests.waiting import until
 
 ROOT = Path(__file__).parents[1]
 BASE = ROOT / "policies" / "m545-2d-v7"
@@ -65,16 +64,6 @@ def hashes(folder: Path) -> dict[str, str]:
         for name in FILES
         if (folder / name).is_file()
     }
-
-
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float) -> Any:
-    """Poll; raises TimeoutError with what did not come."""
-    end_s = time.monotonic() + timeout_s
-    while time.monotonic() < end_s:
-        if found := condition():
-            return found
-        time.sleep(0.005)
-    raise TimeoutError(f"{what}: not within {timeout_s:.0f} s")
 
 
 class Group:
@@ -214,7 +203,7 @@ class Yard:
             DOWNRANGE_PREVIEW_WORKER_COUNT="1",
             DOWNRANGE_MACHINE_SLOT_COUNT=str(len(MACHINES)),
         )
-        wait_until(self.is_up, "the server answers", START_S)
+        until(self.is_up, "the server answers", START_S)
 
     def is_up(self) -> bool:
         """Whether the server answers."""

@@ -15,7 +15,8 @@ from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.browser_console import Console
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.retrained_policy import RETRAINED, files_of, retrained, write_card
-from tests.e2e.stack import Stack, client, until
+from tests.e2e.stack import Stack, client
+from tests.waiting import until
 
 OLDER, NEWER = "m545-2d-v6", "m545-2d-v7"
 

@@ -12,7 +12,8 @@ from tests.e2e.axe_findings import findings_of_both_schemes
 from tests.e2e.measured_machine import give
 from tests.e2e.operator_page import sign_in, without_view
 from tests.e2e.retrained_policy import RETRAINED, files_of, retrained
-from tests.e2e.stack import Stack, client, running_demo, until
+from tests.e2e.stack import Stack, client, running_demo
+from tests.waiting import until
 
 BEFORE = "m545-2d-v7"
 MACHINES = ("m001", "m002", "m003")

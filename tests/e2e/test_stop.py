@@ -6,7 +6,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.operator_page import gate, lamp, sign_in, take_control, without_view
-from tests.e2e.stack import Stack, client, until
+from tests.e2e.stack import Stack, client
+from tests.waiting import until
 
 PAGES = ("/operate", "/throws", "/policies", "/fleet")
 

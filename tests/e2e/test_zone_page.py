@@ -16,7 +16,8 @@ from tests.e2e.operator_page import (
     throw_until_landed,
     without_view,
 )
-from tests.e2e.stack import Stack, client, until
+from tests.e2e.stack import Stack, client
+from tests.waiting import until
 
 ZONES = "/machines/m001/zones"
 CORNERS = ((0.70, 0.62), (0.80, 0.52))

@@ -9,7 +9,8 @@ from playwright.sync_api import Error, Page, sync_playwright
 from machine.starts import safe_pose
 from server.viewer.state import Reach
 from tests.chromium import CHROMIUM, FLAGS
-from tests.server.viewer_app import ViewerApp, wait_for
+from tests.server.viewer_app import ViewerApp
+from tests.waiting import until
 
 SIZE = {"width": 480, "height": 300}
 
@@ -44,7 +45,7 @@ def states(page: Page) -> list[str]:
 
 
 def wait_state(page: Page, state: str, count: int = 1) -> None:
-    wait_for(
+    until(
         lambda: page.wait_for_timeout(100) or states(page).count(state) >= count,
         state,
         timeout_s=90.0,
@@ -85,7 +86,7 @@ def background(page: Page) -> str:
 
 
 def assert_picked(app: ViewerApp, page: Page, count: int) -> None:
-    wait_for(lambda: page.wait_for_timeout(50) or len(app.picks) >= count, "the pick")
+    until(lambda: page.wait_for_timeout(50) or len(app.picks) >= count, "the pick")
     session_id, (x, y, z) = app.picks[-1]
     assert session_id == "s1"
     assert 2.0 < x < 14.0
@@ -95,7 +96,7 @@ def assert_picked(app: ViewerApp, page: Page, count: int) -> None:
 
 def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page: Page) -> None:
     wait_state(page, "drawn")
-    wait_for(
+    until(
         lambda: page.wait_for_timeout(200) or yellow_pixels(page) > 300,
         "the machine's paint on the canvas",
         timeout_s=90.0,
@@ -110,7 +111,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
     # The sky behind the picture follows the scene's theme.
     for theme, sky in (("dark", "rgb(26, 29, 33)"), ("light", "rgb(226, 231, 236)")):
         app.scene.set_theme("s1", theme)
-        wait_for(
+        until(
             lambda sky=sky: page.wait_for_timeout(100) or background(page) == sky,
             f"a {theme} sky",
             timeout_s=90.0,
@@ -119,7 +120,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
     # A picture that got another shape is fitted: as much of the machine from left to right as before.
     fovs = [client.camera.fov for client in app.scene.gate.server.get_clients().values()]
     page.set_viewport_size({"width": 300, "height": 480})
-    wait_for(
+    until(
         lambda: (
             page.wait_for_timeout(100)
             or min(c.camera.fov for c in app.scene.gate.server.get_clients().values())
@@ -129,7 +130,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
         timeout_s=90.0,
     )
     page.set_viewport_size(SIZE)
-    wait_for(
+    until(
         lambda: (
             page.wait_for_timeout(100)
             or min(c.camera.fov for c in app.scene.gate.server.get_clients().values())
@@ -158,9 +159,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
     page.evaluate("window.focus(); document.body.focus()")
     app.scene.gate.server._websock_server.disconnect_all_clients()
     wait_state(page, "connected", 2)
-    wait_for(
-        lambda: page.wait_for_timeout(100) or app.scene.client_count("s1") == 1, "the view again"
-    )
+    until(lambda: page.wait_for_timeout(100) or app.scene.client_count("s1") == 1, "the view again")
 
     # The session ends: the page says so and gives up.
     app.ended.add("s1")
@@ -171,7 +170,7 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
 def test_the_page_cannot_be_led_to_another_server(app: ViewerApp, page: Page) -> None:
     page.goto(f"{app.origin}/viewer/?websocket=ws://evil.example/&playbackPath=//evil.example/x")
     assert page.evaluate("location.search") == ""
-    wait_for(
+    until(
         lambda: page.wait_for_timeout(100) or app.scene.client_count("s1"),
         "our own server's view",
         timeout_s=60.0,

@@ -20,6 +20,7 @@ from machine.spec import load_spec
 from server.viewer.pick import PickRefusedError
 from server.viewer.scene import ViewerScene
 from server.viewer_proxy.proxy import ViewerProxy
+from tests.waiting import until
 
 PROTOCOL = f"viser-v{viser.__version__}"
 PARENT = """<!doctype html><html><head><link rel="icon" href="data:,"></head>
@@ -65,7 +66,7 @@ class ViewerApp:
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, daemon=True)
         self._thread.start()
-        wait_for(lambda: self._server.started, "the test service to start")
+        until(lambda: self._server.started, "the test service to start")
         self.port: int = self._server.servers[0].sockets[0].getsockname()[1]
 
     async def _session_of(self, connection: HTTPConnection) -> Session | None:
@@ -80,14 +81,6 @@ class ViewerApp:
         self._server.should_exit = True
         self._thread.join(timeout=30.0)
         self.scene.close()
-
-
-def wait_for(is_true: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not is_true():
-        if time.monotonic() > deadline_s:
-            raise AssertionError(f"Waited {timeout_s} s for {what}")
-        time.sleep(0.01)
 
 
 CAMERA: dict[str, Any] = {

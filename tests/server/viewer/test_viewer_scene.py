@@ -15,7 +15,8 @@ from server.viewer.shapes import LaidMaterial, LoadFootprint
 from server.viewer.stage import lost_text
 from server.viewer.state import Reach, ShownPlan
 from tests.cases import each
-from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, drag, wait_for
+from tests.server.viewer_app import CAMERA, ViewClient, ViewerApp, click, drag
+from tests.waiting import until
 
 POSE = safe_pose(0.3)
 ELLIPSE = LandingEllipse(
@@ -185,7 +186,7 @@ def test_a_click_marks_the_target_and_tells(
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
     client.until(lambda: client.nodes.get("/target", {}).get("position"), "the mark")
     assert client.nodes["/target"]["position"] == pytest.approx([9.0, 3.0, 1.03])
-    wait_for(lambda: app.picks and app.picks[-1][0] == session, "the pick")
+    until(lambda: app.picks and app.picks[-1][0] == session, "the pick")
     assert app.picks[-1][1] == pytest.approx((9.0, 3.0, 1.0), abs=1e-5)
 
 
@@ -215,12 +216,12 @@ def test_clicks_that_give_no_target_are_reported_and_draw_nothing(
 
     monkeypatch.setattr(app.scene._stage, "_clicked", noting)
     client.send(click((0.0, 0.0, 7.0), (1.0, 0.0, -0.01)))
-    wait_for(lambda: len(app.refusals) > refusals, "the refusal")
+    until(lambda: len(app.refusals) > refusals, "the refusal")
     app.scene.set_picking(session, False)
     state = app.scene._stage.session(session)
-    wait_for(lambda: state is not None and not state.is_picking, "picking to be off")
+    until(lambda: state is not None and not state.is_picking, "picking to be off")
     client.send(click((0.0, 0.0, 7.0), (1.5, 0.5, -1.0)))
-    wait_for(lambda: len(handled) == 2, "the second click to be handled")
+    until(lambda: len(handled) == 2, "the second click to be handled")
     app.scene.set_reach(session, Reach(7.5))
     client.until(lambda: "/reach/static" in client.nodes, "what was asked later")
     assert "/target" not in client.nodes
@@ -262,7 +263,7 @@ def test_a_dragged_target_takes_its_ellipse_along(
     for x_m in (8.5, 8.0, 7.5):
         client.send(drag("update", (x_m, 1.0, 0.0), owner))
     client.send(drag("end", (7.5, 1.0, 0.0), owner))
-    wait_for(
+    until(
         lambda: app.picks[before:] and app.picks[-1][1] == pytest.approx((7.5, 1.0, 0.0)),
         "the last place of the pointer",
     )
@@ -286,10 +287,10 @@ def test_clicks_for_a_point_leave_the_target(
     app.scene.set_target(session, (9.0, 0.0, 0.0))
     app.scene.set_pick_for(session, "point")
     client.until(lambda: "/target" in client.nodes, "the target")
-    wait_for(lambda: app.scene._stage.session(session).pick_for == "point", "the mode of clicks")
+    until(lambda: app.scene._stage.session(session).pick_for == "point", "the mode of clicks")
     before = len(app.picks)
     client.send(click((0.0, 0.0, 5.0), (1.5, 0.5, -1.0)))
-    wait_for(lambda: len(app.picks) > before, "the point")
+    until(lambda: len(app.picks) > before, "the point")
     state = app.scene._stage.session(session)
     assert state is not None
     assert state.target_m == (9.0, 0.0, 0.0)
@@ -332,7 +333,7 @@ def test_a_replay_hides_the_live_machine(app: ViewerApp, session: str, client: V
     assert state is not None
     assert (state.at_s, state.duration_s, state.is_playing) == (30.0, pytest.approx(30.0), False)
     app.scene.replay_control(session, is_playing=True)
-    wait_for(lambda: 0.0 < (app.scene.replay_state(session) or state).at_s < 30.0, "it to play on")
+    until(lambda: 0.0 < (app.scene.replay_state(session) or state).at_s < 30.0, "it to play on")
     app.scene.stop_replay(session)
     client.until(lambda: "/replay" not in client.nodes, "the replay to go")
     client.until(lambda: client.nodes["/live"]["visible"] is True, "the live machine")
@@ -480,7 +481,7 @@ def test_the_oldest_session_that_nobody_watches_is_forgotten(
     names = [f"{session}{i}" for i in range(6)]
     for name in names:
         app.scene.set_picking(name, True)
-    wait_for(lambda: app.scene._stage.session(names[-1]), "the newest")
+    until(lambda: app.scene._stage.session(names[-1]), "the newest")
     assert app.scene._stage.session(session) is not None
     assert app.scene._stage.session(names[0]) is None
     for name in names:

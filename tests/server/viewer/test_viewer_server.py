@@ -9,7 +9,8 @@ from websockets.typing import Subprotocol
 
 from server.viewer.viewer_server import SECRET_HEADER, SESSION_HEADER, ViewerServer
 from tests.cases import each
-from tests.server.viewer_app import CAMERA, PROTOCOL, wait_for
+from tests.server.viewer_app import CAMERA, PROTOCOL
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +57,12 @@ def test_the_session_of_the_header_is_known_and_the_handle_tells_when_it_is_gone
 ) -> None:
     with dial(gate, {SESSION_HEADER: "s7", SECRET_HEADER: gate.secret}) as socket:
         socket.send(msgpack.packb(CAMERA))
-        wait_for(gate.server.get_clients, "the client to be known")
+        until(gate.server.get_clients, "the client to be known")
         ((client_id, client),) = gate.server.get_clients().items()
         assert gate.session_of(client_id) == "s7"
         assert gate.is_open(client)
-    wait_for(lambda: not gate.is_open(client), "the handle to be closed")
-    wait_for(lambda: gate.session_of(client_id) is None, "the session to be forgotten")
+    until(lambda: not gate.is_open(client), "the handle to be closed")
+    until(lambda: gate.session_of(client_id) is None, "the session to be forgotten")
 
 
 def test_a_tunnel_cannot_be_asked_for(gate: ViewerServer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,7 +73,7 @@ def test_a_tunnel_cannot_be_asked_for(gate: ViewerServer, monkeypatch: pytest.Mo
         socket.send(msgpack.packb({"type": "ShareUrlRequest"}))
         socket.send(msgpack.packb({"type": "ShareUrlDisconnect"}))
         socket.send(msgpack.packb(CAMERA))
-        wait_for(gate.server.get_clients, "the frames to be handled")
+        until(gate.server.get_clients, "the frames to be handled")
     assert asked == []
 
 

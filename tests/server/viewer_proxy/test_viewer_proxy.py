@@ -14,7 +14,8 @@ from websockets.typing import Origin, Subprotocol
 import server.viewer_proxy.proxy as proxy_module
 from server.viewer_proxy.proxy import CLOSED_MALFORMED, CLOSED_SESSION_ENDED, FrameBudget
 from tests.cases import each
-from tests.server.viewer_app import CAMERA, PROTOCOL, ViewClient, ViewerApp, click, wait_for
+from tests.server.viewer_app import CAMERA, PROTOCOL, ViewClient, ViewerApp, click
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +140,7 @@ def test_a_browser_cannot_choose_its_session_by_a_header(app: ViewerApp) -> None
         proxy=None,
     )
     client.send(msgpack.packb(CAMERA))
-    wait_for(lambda: app.scene.client_count("thief"), "the thief's own view")
+    until(lambda: app.scene.client_count("thief"), "the thief's own view")
     assert app.scene.client_count("victim") == 0
     client.close()
 
@@ -187,7 +188,7 @@ def test_crafted_frames_never_reach_viser(app: ViewerApp, monkeypatch: pytest.Mo
     for message in CRAFTED:
         client.send(message)
     client.send(CAMERA)
-    wait_for(lambda: reached, "the camera to arrive")
+    until(lambda: reached, "the camera to arrive")
     assert reached == ["ViewerCameraMessage"]
     assert app.proxy.dropped_count == dropped + len(CRAFTED)
     client.close()
@@ -212,11 +213,11 @@ def test_a_click_makes_the_round_trip(app: ViewerApp) -> None:
     app.scene.show_machine("s2", "m001")
     client = ViewClient(app, "s2")
     client.send(CAMERA)
-    wait_for(lambda: app.scene.client_count("s2"), "the view to be drawn")
+    until(lambda: app.scene.client_count("s2"), "the view to be drawn")
     client.send(click((-8.0, 0.0, 8.0), (2.0, 0.25, -1.0)))
     client.until(lambda: "/target" in client.nodes, "the target mark")
     assert client.nodes["/target"]["position"][:2] == pytest.approx([8.0, 2.0])
-    wait_for(lambda: app.picks, "the pick")
+    until(lambda: app.picks, "the pick")
     assert app.picks[-1] == ("s2", pytest.approx((8.0, 2.0, 0.0)))
     client.close()
 
@@ -228,11 +229,11 @@ def test_the_end_of_a_session_closes_its_sockets_and_no_others(app: ViewerApp) -
     leaving, staying = ViewClient(app, "leaving"), ViewClient(app, "staying")
     for client in (leaving, staying):
         client.send(CAMERA)
-    wait_for(lambda: app.scene.client_count("leaving"), "the view")
-    wait_for(lambda: app.scene.client_count("staying"), "the other view")
+    until(lambda: app.scene.client_count("leaving"), "the view")
+    until(lambda: app.scene.client_count("staying"), "the other view")
     asyncio.run_coroutine_threadsafe(app.proxy.close_session("leaving"), _loop_of(app)).result(30.0)
     assert close_code(leaving) == CLOSED_SESSION_ENDED
-    wait_for(lambda: app.scene.client_count("leaving") == 0, "the view to go")
+    until(lambda: app.scene.client_count("leaving") == 0, "the view to go")
     staying.send(CAMERA)
     assert staying.socket.ping().wait(30.0)
     staying.close()
@@ -248,17 +249,17 @@ def test_a_session_that_ran_out_is_noticed(app: ViewerApp, monkeypatch: pytest.M
 def test_a_browser_that_leaves_is_forgotten(app: ViewerApp) -> None:
     client = ViewClient(app, "brief")
     client.send(CAMERA)
-    wait_for(lambda: app.scene.client_count("brief"), "the view")
+    until(lambda: app.scene.client_count("brief"), "the view")
     client.close()
-    wait_for(lambda: app.scene.client_count("brief") == 0, "the view to go")
-    wait_for(lambda: "brief" not in app.proxy._open, "the socket to go")
+    until(lambda: app.scene.client_count("brief") == 0, "the view to go")
+    until(lambda: "brief" not in app.proxy._open, "the socket to go")
 
 
 def test_status_tells_whether_this_session_is_drawn(app: ViewerApp) -> None:
     cookies = {"sid": "looking"}
     client = ViewClient(app, "looking")
     client.send(CAMERA)
-    wait_for(lambda: app.scene.client_count("looking"), "the view")
+    until(lambda: app.scene.client_count("looking"), "the view")
     answer = httpx.get(f"{app.origin}/viewer/status", cookies=cookies)
     assert answer.json() == {"is_ready": True, "client_count": 1}
     client.close()
@@ -287,7 +288,7 @@ def test_many_browsers_come_and_go_without_leaving_threads(app: ViewerApp) -> No
         for client in clients:
             client.send(CAMERA)
             client.close()
-    wait_for(lambda: not app.proxy._open, "all sockets to go")
+    until(lambda: not app.proxy._open, "all sockets to go")
     time.sleep(0.1)
     # viser's callback pool may grow up to its 32 workers, the views themselves own no thread.
     assert threading.active_count() <= before + 32
