@@ -90,6 +90,7 @@ def test_a_campaign_throws_at_every_place(swing_policies: Path):
     assert [(r.range_m, r.height_m, r.throw_count) for r in rows] == [(6.0, 0.0, 2), (6.0, 0.3, 2)]
 
 
+@pytest.mark.long
 def test_units_are_registered_and_put_beside_unit_0(
     swing_policies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -32,6 +32,7 @@ def test_no_processes_and_no_scheduler_are_said():
         pass
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own start and end
 def test_a_scheduler_with_two_workers_gives_the_same(
     swing_policies: Path, monkeypatch: pytest.MonkeyPatch

@@ -26,6 +26,7 @@ def find_uv() -> str | None:
     return str(beside) if beside.exists() else shutil.which("uv")
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_runtime_installs_and_imports_alone(tmp_path):
     uv = find_uv()

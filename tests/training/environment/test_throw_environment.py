@@ -167,6 +167,7 @@ def test_machines_differ_within_the_stated_bounds(throws: Throws):
     assert np.linalg.norm(draw.grasp_m, axis=-1).max() <= passive.grasp_error_m + 1e-6
 
 
+@pytest.mark.long
 def test_velocity_commands_are_disturbed_as_much_as_stated(throws: Throws):
     state, response = throws.fresh, throws.env.task.response
     seen: list[np.ndarray] = []
@@ -219,6 +220,7 @@ def _forced(throws: Throws, state: EnvironmentState, count: int = 16) -> np.ndar
     return np.mean(tries, axis=0)
 
 
+@pytest.mark.long
 def test_the_papers_configuration_forces_one_release_in_twenty_near_the_target(paper: Throws):
     episode = paper.env.task.episode
     assert episode.override_probability_ratio == 0.05
