@@ -78,7 +78,7 @@ types-check: $(STAMP)/web
 	@$(BIN)/python scripts/vocabulary.py build/vocabulary.ts
 	@cmp build/vocabulary.ts web/src/api/vocabulary.ts || { echo "web/src/api/vocabulary.ts is old: run make types"; exit 1; }
 
-# Two jobs at a time: two cores are enough. Each job's output is shown when it ends.
+# Three jobs on two cores: some mostly wait. Each job's output is shown when it ends.
 BESIDE := $(MAKE) --no-print-directory --jobs 3 --output-sync=target
 
 test: setup  ## All checks and tests of every commit, those of the whole demo in a real browser included

@@ -60,3 +60,12 @@ def test_a_truck_bed_is_filled_load_by_load(demo: Stack, open_page: Callable[...
     page.get_by_role("button", name="End the job").click()
     expect(page.get_by_role("button", name="New job")).to_be_enabled()
     expect(page.get_by_role("link", name="Report")).to_be_visible()
+
+    # The history has the height of the bed, aimed at and measured.
+    page.get_by_role("navigation", name="Pages").get_by_role("link", name="Throws").click()
+    row = page.locator("tbody tr[data-throw]").first
+    expect(row).to_contain_text("Landed")
+    expect(row).to_contain_text("+1.20")
+    row.get_by_role("link").click()
+    records = page.get_by_role("complementary").get_by_role("listitem")
+    expect(records).to_contain_text("m high")
