@@ -15,9 +15,11 @@ import numpy as np
 
 from diagnosis.loading.clock_audit import ClockAudit
 from diagnosis.single_stage.actuation_problem import (
+    MIN_SPEED_NOISES,
     ActuationProblem,
     find_sine_period,
     make_actuation_problem,
+    measure_steps,
 )
 from diagnosis.single_stage.command_kind import (
     FittedKind,
@@ -29,9 +31,11 @@ from diagnosis.single_stage.structure_selection import Selection, select_structu
 from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import CommandScale, JointRecord, read_command_scale
 from diagnosis.tables.step_responses import (
+    DirectionReading,
     StepResponse,
     find_late_onset,
     find_step_responses,
+    read_directions,
     shows_lost_travel,
     tabulate,
 )
@@ -56,8 +60,6 @@ MIN_UNEXPLAINED_RATIO: Final = 0.1
 """Unexplained share of the motion below which clocks are not checked."""
 MAX_SPAN_S: Final = 150.0
 """Longest part of a record that is used, s; the tick is then 30 ms."""
-MIN_SPEED_NOISES: Final = 4.0
-"""Speed, in standard deviations of its noise, below which a joint does not move."""
 MAX_ONSET_PERIODS: Final = 3.0
 """Difference of measured and explained onset, in sample periods, up to which they agree."""
 MAX_ONSET_S: Final = 0.1
@@ -103,6 +105,7 @@ def diagnose_actuation(
     period_s = 1.0 / audit.rate_hz
     scale = read_command_scale(record, command_words, period_s)
     notes = [*scale.notes]
+    all_steps = measure_steps(record, scale, period_s)
     if span_s > MAX_SPAN_S:
         record = select_busiest_part(record, scale.rest)
         first = float(record.time_s[0])
@@ -117,6 +120,8 @@ def diagnose_actuation(
     unit = record.unit if problem.kind == "position" else f"{record.unit}/s"
     _refuse_unrelated_motion(problem, selection, unit)
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
+    all_steps = all_steps if problem.kind == "speed" else ()
+    readings = read_directions(all_steps)
     steps = find_steps(problem, problem.measured_ticks())
     tolerance_s = max(MAX_ONSET_PERIODS * period_s, MAX_ONSET_S)
     late = find_late_onset(steps, find_steps(problem, problem.simulate(best)), tolerance_s)
@@ -133,7 +138,8 @@ def diagnose_actuation(
         "gain_per_full_command": {"value": best["speed_per_command"], "unit": unit},
         "window_s": len(problem.window) * problem.step_s,
         "noise": {"value": problem.noise, "unit": unit},
-        "steps": tabulate(steps, unit),
+        "steps": tabulate(all_steps, unit),
+        "directions": [{**reading._asdict(), "speed_unit": unit} for reading in readings],
         "not_separable": [
             *NOT_SEPARABLE,
             *([] if any(o.effect == "backlash" for o in problem.options) else [BACKLASH_NEEDS]),
@@ -150,6 +156,9 @@ def diagnose_actuation(
     )
     if late:
         found = found.model_copy(update={"sentence": f"{found.sentence} Yet {late}."})
+    if found.verdict is VerdictKind.UNKNOWN and readings:
+        words = "; ".join(_describe_direction(reading, unit) for reading in readings)
+        found = found.model_copy(update={"sentence": f"{found.sentence} Its steps show: {words}."})
     is_sine = find_sine_period(problem.command, problem.step_s) is not None
     return _without_separation(found, joint) if is_sine else found
 
@@ -161,6 +170,16 @@ def find_steps(problem: ActuationProblem, speed: Array) -> tuple[StepResponse, .
     return find_step_responses(
         problem.command, speed, problem.step_s, MIN_SPEED_NOISES * problem.noise
     )
+
+
+def _describe_direction(reading: DirectionReading, unit: str) -> str:
+    """Dead time, dead band and saturation of one direction, as the steps show them."""
+    words = f"{reading.direction}, dead time {reading.dead_time_s:.2f} s"
+    if reading.dead_band_ratio is not None:
+        words += f", dead band {reading.dead_band_ratio:.0%} of full command"
+    if reading.saturation_ratio is not None:
+        words += f", no faster above {reading.saturation_ratio:.0%}"
+    return f"{words}, up to {reading.top_speed:.2g} {unit}, {reading.steps_count} steps"
 
 
 def _without_separation(found: Diagnosis, joint: str | None) -> Diagnosis:

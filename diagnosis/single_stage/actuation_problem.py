@@ -26,6 +26,7 @@ from diagnosis.single_stage.joint_response import (
 )
 from diagnosis.tables.cells import RefusedTableError
 from diagnosis.tables.joint_record import CommandScale, JointRecord
+from diagnosis.tables.step_responses import StepResponse, find_step_responses
 from diagnosis.tables.time_series import estimate_noise
 from machine.conventions import Array, BoolArray, IntArray
 from sim_twin.recurrences import apply_play
@@ -49,6 +50,8 @@ RESTING_RATIO: Final = 0.1
 """Share of the top speed, and of full command, below which the joint rests at the start of the record."""
 BLOCKS_COUNT: Final = 15
 """Most blocks of a record; a block lasts at least 1 s."""
+MIN_SPEED_NOISES: Final = 4.0
+"""Speed, in standard deviations of its noise, below which a joint does not move."""
 MIN_SAMPLES: Final = 30
 """Fewest residuals."""
 STOP_FILTER_PERIODS: Final = 5
@@ -186,17 +189,10 @@ def make_actuation_problem(
     span_s = float(time_s[-1])
     step_s = period_s / max(1, math.ceil(period_s / MAX_TICK_S))
     step_s = max(step_s, MIN_TICK_S, span_s / MAX_TICKS)
-    grid_s = np.arange(0.0, span_s, step_s)
-    command = scale.on_grid(record, grid_s)
-    output = np.interp(grid_s, time_s, record.output)
     use_window = kind == "speed" and not record.is_speed
-    window = np.array([])
-    raw_noise = estimate_sample_noise(record.output)
-    noise = raw_noise
-    measured = output
-    if use_window:
-        window, noise = design_differentiator(output, raw_noise, step_s, period_s)
-        measured = np.convolve(np.pad(output, len(window) // 2, "edge"), window, "valid")
+    grid_s, command, output, measured, window, noise = _grid_record(
+        record, scale, period_s, step_s, use_window
+    )
     edge = len(window) // 2 + 1
     stride = max(1, round(max(period_s, len(grid_s) * step_s / MAX_SAMPLES) / step_s))
     sample = np.arange(edge, len(grid_s) - edge, stride)
@@ -204,6 +200,7 @@ def make_actuation_problem(
     notes: tuple[str, ...] = ()
     if use_window:
         smooth_ticks = round(STOP_FILTER_PERIODS * period_s / step_s)
+        raw_noise = estimate_sample_noise(record.output)
         gridded = _GriddedMotion(command, output, measured, raw_noise, step_s, smooth_ticks)
         sample, notes = _exclude_end_stops(gridded, sample, len(window) // 2, record.unit)
     if sample.size < MIN_SAMPLES:
@@ -243,6 +240,63 @@ def make_actuation_problem(
         starts_at_rest=starts_at_rest,
         notes=notes,
     )
+
+
+def measure_steps(
+    record: JointRecord, scale: CommandScale, period_s: float
+) -> tuple[StepResponse, ...]:
+    """Responses to all steps of a record at its own rate, each up to the next end stop or gap."""
+    step_s = max(period_s, MIN_TICK_S)
+    grid_s, command, output, speed, window, noise = _grid_record(
+        record, scale, period_s, step_s, not record.is_speed
+    )
+    edge = len(window) // 2 + 1
+    sample = np.arange(edge, len(grid_s) - edge)
+    time_s = record.time_s - record.time_s[0]
+    sample = sample[_mask_gaps(time_s, grid_s, max(5.0 * period_s, 0.1), edge - 1)[sample]]
+    if sample.size < MIN_SAMPLES:
+        return ()
+    if not record.is_speed:
+        raw_noise = estimate_sample_noise(record.output)
+        gridded = _GriddedMotion(command, output, speed, raw_noise, step_s, STOP_FILTER_PERIODS)
+        sample, _ = _exclude_end_stops(gridded, sample, edge - 1, record.unit)
+    known = np.full(len(grid_s), math.nan)
+    known[sample] = speed[sample]
+    return find_step_responses(command, known, step_s, MIN_SPEED_NOISES * noise)
+
+
+class _GriddedRecord(NamedTuple):
+    """A record on an even grid, (ticks,) each."""
+
+    grid_s: Array
+    command: Array
+    output: Array
+    measured: Array
+    """The output, or its speed."""
+    window: Array
+    """Kernel of the differentiator; empty without."""
+    noise: float
+    """Standard deviation of `measured`."""
+
+
+def _grid_record(
+    record: JointRecord,
+    scale: CommandScale,
+    period_s: float,
+    step_s: float,
+    use_window: bool,
+) -> _GriddedRecord:
+    """A record on a grid of `step_s`, differentiated if asked."""
+    time_s = record.time_s - record.time_s[0]
+    grid_s = np.arange(0.0, float(time_s[-1]), step_s)
+    command = scale.on_grid(record, grid_s)
+    output = np.interp(grid_s, time_s, record.output)
+    noise = estimate_sample_noise(record.output)
+    if not use_window:
+        return _GriddedRecord(grid_s, command, output, output, np.array([]), noise)
+    window, noise = design_differentiator(output, noise, step_s, period_s)
+    measured = np.convolve(np.pad(output, len(window) // 2, "edge"), window, "valid")
+    return _GriddedRecord(grid_s, command, output, measured, window, noise)
 
 
 def _scale_place(position: Array) -> Array:

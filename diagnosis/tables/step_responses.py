@@ -25,6 +25,10 @@ RESTING_SPEED_RATIO: Final = 0.1
 """Speed before a step, as a share of that after it, below which the joint rests."""
 MIN_STARTS_COUNT: Final = 2
 """Fewest starts with and without a reversal that show lost travel."""
+NEARLY_TOP_RATIO: Final = 0.93
+"""Share of the largest steady speed from which a level is as fast as any."""
+SATURATED_SPAN_RATIO: Final = 1.2
+"""Ratio of the largest to the smallest such level from which the joint is saturated there."""
 LOST_TRAVEL_SIGNIFICANCE: Final = 3.0
 """Lost travel, in its standard errors, from which it shows."""
 
@@ -36,11 +40,12 @@ class StepResponse(NamedTuple):
     level: float
     """Command, as a share of full."""
     onset_s: float
-    """From the step to where the tangent through 20 and 60 % of the steady speed meets zero."""
+    """From the step to where the tangent through 20 and 60 % of the steady speed meets zero, at most three
+    ticks before the joint is seen to move."""
     rise_s: float
     """From there to 63 % of the steady speed."""
     steady_speed: float
-    """Median of the last third of the step, unit/s."""
+    """Median over the travel of the last two thirds of the step, unit/s; a stay at an end counts little."""
     is_reversal: bool
     """Whether the joint moved the other way before."""
 
@@ -52,7 +57,7 @@ def find_step_responses(
 
     Args:
         command: (ticks,) rest at 0, full at 1.
-        speed: (ticks,) nan where it is not known.
+        speed: (ticks,) nan where it is not known; a step counts up to there, as up to an end stop.
         step_s: tick.
         least_speed: speed below which the joint does not move.
     """
@@ -62,16 +67,16 @@ def find_step_responses(
     found: list[StepResponse] = []
     way = 0.0
     for (rest, start), (begin, end) in pairwise(held):
+        after = _until_unknown(speed[start:end])
+        steady = _median_over_travel(after[len(after) // 3 :]) if len(after) else math.nan
         is_step = (
             begin - start <= MAX_EDGE_TICKS
             and (start - rest) * step_s >= MIN_REST_S
-            and (end - begin) * step_s >= MIN_HOLD_S
+            and len(after) * step_s >= MIN_HOLD_S
             and abs(command[rest]) <= REST_RATIO
             and abs(command[begin]) >= MIN_LEVEL_RATIO
         )
-        after = speed[start:end]
-        steady = float(np.median(after[-len(after) // 3 :]))
-        if is_step and np.all(np.isfinite(after)):
+        if is_step:
             before = abs(float(np.mean(speed[start - MAX_EDGE_TICKS : start])))
             if before <= max(RESTING_SPEED_RATIO * abs(steady), least_speed):
                 is_reversal = way * steady < 0.0
@@ -85,6 +90,19 @@ def find_step_responses(
     return tuple(found)
 
 
+def _until_unknown(speed: Array) -> Array:
+    """The beginning of a speed (ticks,), up to where it is not known."""
+    is_known = np.isfinite(speed)
+    return speed if is_known.all() else speed[: int(np.argmin(is_known))]
+
+
+def _median_over_travel(speed: Array) -> float:
+    """Speed (ticks,) above and below which the joint travels equally far."""
+    order = np.argsort(speed)
+    travel = np.cumsum(np.abs(speed[order]))
+    return float(speed[order][int(np.searchsorted(travel, 0.5 * travel[-1]))])
+
+
 def _measure(
     tick: int, level: float, after: Array, steady: float, step_s: float, least_speed: float
 ) -> StepResponse:
@@ -92,7 +110,9 @@ def _measure(
         return StepResponse(tick, level, math.nan, math.nan, steady, False)
     share = after / steady
     low_s, middle_s, high_s = (float(np.argmax(share >= one)) * step_s for one in (0.2, 0.6, 0.63))
-    onset_s = low_s - 0.5 * (middle_s - low_s)
+    is_moving = after * math.copysign(1.0, steady) > least_speed
+    moves_s = float(np.argmax(is_moving) - MAX_EDGE_TICKS) * step_s
+    onset_s = max(low_s - 0.5 * (middle_s - low_s), moves_s)
     return StepResponse(tick, level, onset_s, high_s - onset_s, steady, False)
 
 
@@ -117,6 +137,61 @@ def tabulate(steps: Sequence[StepResponse], unit: str) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+class DirectionReading(NamedTuple):
+    """What the steps of one direction show; None where they do not show it."""
+
+    direction: str
+    dead_time_s: float
+    """Median onset."""
+    dead_band_ratio: float | None
+    """Command, as a share of full, at which a line through the two smallest moving levels has no speed."""
+    saturation_ratio: float | None
+    """Smallest of several levels whose speed is nearly the largest one."""
+    top_speed: float
+    """Largest steady speed, unit/s."""
+    steps_count: int
+
+
+def read_directions(steps: Sequence[StepResponse]) -> tuple[DirectionReading, ...]:
+    """What a person reads off the steps, for each direction with at least two that moved the joint."""
+    found: list[DirectionReading] = []
+    for name, way in (("positive", 1.0), ("negative", -1.0)):
+        ours = [step for step in steps if step.level * way > 0.0]
+        moving = [step for step in ours if math.isfinite(step.onset_s)]
+        if len(moving) < MIN_STARTS_COUNT:
+            continue
+        levels = sorted({round(abs(step.level), 2) for step in moving})
+        speeds = [
+            abs(float(np.median([s.steady_speed for s in moving if round(abs(s.level), 2) == one])))
+            for one in levels
+        ]
+        resting = [abs(s.level) for s in ours if not math.isfinite(s.onset_s)]
+        fast = [
+            one
+            for one, speed in zip(levels, speeds, strict=True)
+            if speed >= NEARLY_TOP_RATIO * max(speeds)
+        ]
+        found.append(
+            DirectionReading(
+                name,
+                float(np.median([step.onset_s for step in moving])),
+                _dead_band(levels, speeds, max(resting, default=0.0)),
+                fast[0] if fast[-1] >= SATURATED_SPAN_RATIO * fast[0] else None,
+                max(speeds),
+                len(ours),
+            )
+        )
+    return tuple(found)
+
+
+def _dead_band(levels: Sequence[float], speeds: Sequence[float], resting: float) -> float | None:
+    """Level without speed, between the largest level at rest and the smallest that moves."""
+    if len(levels) < 2 or speeds[1] <= speeds[0]:
+        return None
+    slope = (speeds[1] - speeds[0]) / (levels[1] - levels[0])
+    return min(max(levels[0] - speeds[0] / slope, resting), levels[0])
 
 
 def shows_lost_travel(steps: Sequence[StepResponse]) -> bool:

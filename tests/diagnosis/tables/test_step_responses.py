@@ -7,6 +7,7 @@ from diagnosis.tables.step_responses import (
     StepResponse,
     find_late_onset,
     find_step_responses,
+    read_directions,
     shows_lost_travel,
     tabulate,
 )
@@ -63,3 +64,42 @@ def test_effects_that_move_the_joint_at_another_time_are_named() -> None:
     words = find_late_onset(steps, _response(0.05, 0.1, 0.0), 0.1)
     assert words.startswith("positive steps begin to move the joint after 0.3 s")
     assert "negative steps" in words
+
+
+def test_a_step_counts_up_to_an_end_stop_and_a_stay_there_is_no_speed() -> None:
+    command, speed = np.zeros(800), np.zeros(800)
+    command[100:300] = command[400:700] = 0.8
+    speed[120:300] = speed[420:560] = 0.4
+    speed[200:320] = np.nan
+    excluded, stayed = find_step_responses(command, speed, TICK_S, 0.02)
+    for step in (excluded, stayed):
+        assert step.onset_s == pytest.approx(0.2, abs=0.03)
+        assert step.steady_speed == pytest.approx(0.4)
+
+
+def test_no_joint_moves_before_it_moves() -> None:
+    command, speed = np.zeros(600), np.zeros(600)
+    command[100:500] = 0.8
+    # Creeps at first: a line through two far speeds would begin before the step.
+    speed[130:500] = np.clip(0.1 + 0.3 * np.arange(370) * TICK_S / 2.0, 0.0, 0.4)
+    (step,) = find_step_responses(command, speed, TICK_S, 0.02)
+    assert step.onset_s == pytest.approx(0.3, abs=0.04)
+
+
+def test_dead_time_dead_band_and_saturation_are_read_off_for_each_direction() -> None:
+    levels = (0.2, 0.4, 0.6, 0.8, 1.0)
+    command, speed = np.zeros(3200), np.zeros(3200)
+    for k, level in enumerate((*levels, *(-one for one in levels))):
+        at = 100 + 300 * k
+        late, band, most = (20, 0.3, 0.4) if level > 0.0 else (30, 0.1, 9.0)
+        command[at : at + 200] = level
+        speed[at + late : at + 200] = np.sign(level) * np.clip(abs(level) - band, 0.0, most)
+    up, down = read_directions(find_step_responses(command, speed, TICK_S, 0.02))
+    assert (up.direction, down.direction) == ("positive", "negative")
+    assert up.dead_time_s == pytest.approx(0.2, abs=0.03)
+    assert down.dead_time_s == pytest.approx(0.3, abs=0.03)
+    assert up.dead_band_ratio == pytest.approx(0.3, abs=0.02)
+    assert down.dead_band_ratio == pytest.approx(0.1, abs=0.02)
+    assert (up.saturation_ratio, down.saturation_ratio) == (0.8, None)
+    assert (up.top_speed, down.top_speed) == (pytest.approx(0.4), pytest.approx(0.9))
+    assert (up.steps_count, down.steps_count) == (5, 5)
