@@ -14,9 +14,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.stats import binomtest
 
-from benchmarks.result_file import RESULTS, Row, Value, describe, row, write_result
+from benchmarks.result_file import RESULTS, Row, describe, ratio, row, write_result
 from diagnosis.identification.free_swing import identify_swing
 from diagnosis.identification.quantity import Quantity
 from diagnosis.identification.release_delay import identify_release
@@ -137,14 +136,6 @@ def main() -> None:
     )
 
 
-def coverage(inside: int, total: int) -> Value:
-    """Share of intervals that contain the reference, with Wilson's 95 % interval."""
-    if total == 0:
-        return Value(value=None)
-    interval = binomtest(inside, total).proportion_ci(method="wilson")
-    return Value(value=inside / total, low=float(interval.low), high=float(interval.high))
-
-
 def against_truth(runs: list[dict[str, Any]]) -> list[Row]:
     """Print and return errors against the unit's parameters."""
     print("quantity            n  mean error  rms error  rms half width  inside 90 %")
@@ -168,7 +159,7 @@ def against_truth(runs: list[dict[str, Any]]) -> list[Row]:
         values = {
             "mean_error": error.mean(),
             "rms_error": np.sqrt((error**2).mean()),
-            "coverage_ratio": coverage(round(inside * len(rows)), len(rows)),
+            "coverage_ratio": ratio(round(inside * len(rows)), len(rows)),
         }
         lines.append(row(len(rows), {"quantity": name, "reference": "parameter"}, values))
     return lines
@@ -197,7 +188,7 @@ def against_other_seeds(runs: list[dict[str, Any]]) -> list[Row]:
         print(
             f"{kind:<28} {total:3d} of {asked} known, {share} contain the mean of the other seeds"
         )
-        values = {"mean_error": None, "rms_error": None, "coverage_ratio": coverage(inside, total)}
+        values = {"mean_error": None, "rms_error": None, "coverage_ratio": ratio(inside, total)}
         lines.append(row(total, {"quantity": kind, "reference": "other seeds"}, values))
     return lines
 

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from sim_twin.confidence_intervals import proportion_interval
+
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
 
@@ -119,6 +121,14 @@ def row(n: int, labels: Mapping[str, object], values: Mapping[str, float | Value
 def plain(value: float | None) -> Value:
     """A value without an interval; None where it is not finite."""
     return Value(value=None if value is None or not np.isfinite(value) else float(value))
+
+
+def ratio(hits: int, count: int) -> Value:
+    """A ratio with its 95 % interval by Wilson's score; unknown of nothing."""
+    if count == 0:
+        return Value(value=None)
+    low, high = proportion_interval(hits, count, 0.95)
+    return Value(value=hits / count, low=low, high=high)
 
 
 def percentile(samples: Sequence[float] | np.ndarray, percent: float) -> Value:

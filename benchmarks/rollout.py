@@ -14,11 +14,18 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from benchmarks.result_file import RESULTS, Row, Value, describe, percentile, row, write_result
+from benchmarks.result_file import (
+    RESULTS,
+    Row,
+    describe,
+    percentile,
+    ratio,
+    row,
+    write_result,
+)
 from evaluation.validation.gates import DEFAULT_GATES
 from server.rollouts.rollout_rules import Decision, MachineStanding, Next, decide
 from server.rollouts.stage_test import FALSE_ALARM_RATIO, StageThrow, stage_test
-from sim_twin.confidence_intervals import proportion_interval
 
 STAGES = (1, 5, 14)
 """Machines of each stage."""
@@ -121,11 +128,6 @@ def roll_out(rng: np.random.Generator, fleet: list[SimulatedMachine]) -> Ending:
                     machine.since += machine.throw(rng, 1, machine.ratio)
 
 
-def ratio_of(hits: int, count: int) -> Value:
-    low, high = proportion_interval(hits, count, 0.95)
-    return Value(value=hits / count, low=low, high=high)
-
-
 def measure(scenario: str, reference_count: int, rollouts: int) -> Row:
     endings: list[tuple[Ending, str]] = []
     for number in range(rollouts):
@@ -149,10 +151,10 @@ def measure(scenario: str, reference_count: int, rollouts: int) -> Row:
         rollouts,
         {"rollouts": scenario, "throws_before": reference_count},
         {
-            "completed_ratio": ratio_of(ends.count(Next.COMPLETE), rollouts),
-            "paused_ratio": ratio_of(ends.count(Next.PAUSE), rollouts),
-            "rolled_back_ratio": ratio_of(ends.count(Next.ROLL_BACK), rollouts),
-            "caught_ratio": ratio_of(len(caught), rollouts) if scenario != "healthy" else None,
+            "completed_ratio": ratio(ends.count(Next.COMPLETE), rollouts),
+            "paused_ratio": ratio(ends.count(Next.PAUSE), rollouts),
+            "rolled_back_ratio": ratio(ends.count(Next.ROLL_BACK), rollouts),
+            "caught_ratio": ratio(len(caught), rollouts) if scenario != "healthy" else None,
             "caught_after_throws_count": percentile(caught, 50),
         },
     )

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.stats import binomtest
 
-from benchmarks.result_file import Row, Value, describe, row, write_result
+from benchmarks.result_file import Row, describe, ratio, row, write_result
 from diagnosis.single_stage.csv_diagnosis import (
     diagnose_actuation_csv,
     diagnose_flight_csv,
@@ -137,18 +136,10 @@ def measure(name: str, count: int, folder: Path) -> Row:
                 asked += 1
                 held += low <= value <= high
     values = {
-        "all_causes_right_ratio": _ratio(right, count),
-        "intervals_that_hold_ratio": _ratio(held, asked),
+        "all_causes_right_ratio": ratio(right, count),
+        "intervals_that_hold_ratio": ratio(held, asked),
     }
     return row(count, {"tool": tool, "data": data}, values)
-
-
-def _ratio(count: int, total: int) -> Value:
-    """A ratio with its 95 % Wilson interval."""
-    if total == 0:
-        return Value(value=None)
-    ends = binomtest(count, total).proportion_ci(0.95, "wilson")
-    return Value(value=count / total, low=float(ends.low), high=float(ends.high))
 
 
 def main() -> None:

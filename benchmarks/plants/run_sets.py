@@ -14,11 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
-from scipy.stats import binomtest
-
 from benchmarks.plants.contents import PLANTS
 from benchmarks.plants.make_sets import ThrowSet, run, unit_folder
-from benchmarks.result_file import Row, Value, describe, row, write_result
+from benchmarks.result_file import Row, describe, ratio, row, write_result
 from diagnosis.loading.kept_reference import kept_reference
 
 EffectSet = frozenset[tuple[str, str | None]]
@@ -93,12 +91,6 @@ def judge(truth: ThrowSet, answer: dict[str, Any]) -> dict[str, bool]:
             }
 
 
-def share(right: int, n: int) -> Value:
-    """A share with its Wilson interval, 95 %."""
-    interval = binomtest(right, n).proportion_ci(method="wilson")
-    return Value(value=right / n, low=float(interval.low), high=float(interval.high))
-
-
 def rows(
     sets: Sequence[ThrowSet], answers: Sequence[dict[str, Any]], reference_throws: str
 ) -> list[Row]:
@@ -109,7 +101,7 @@ def rows(
         for name in judged[0] if judged else ():
             right = sum(one[name] for one in judged)
             labels = {"reference_throws": reference_throws, "sets": kind, "answer": name}
-            values = {"count": right, "share_ratio": share(right, len(judged))}
+            values = {"count": right, "share_ratio": ratio(right, len(judged))}
             made.append(row(len(judged), labels, values))
     return made
 
