@@ -19,7 +19,9 @@ export function MissCell({ mode }: { mode: ModeSummary }) {
         />
       </strong>{" "}
       <span className={classes.dim}>
-        {baseline ? `was ${metres(baseline.mean_miss_m)}` : count(recent.throw_count, "throw")}
+        {baseline
+          ? `was ${metres(baseline.mean_miss_m)}`
+          : `in ${count(recent.throw_count, "throw")}`}
         {worse && ", more than chance"}
       </span>
     </span>

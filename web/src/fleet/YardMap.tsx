@@ -16,6 +16,7 @@ import classes from "./YardMap.module.css";
 import {
   boxOf,
   footprint,
+  labelPlaces,
   type Place,
   type PlanView,
   polygon,
@@ -25,6 +26,8 @@ import {
 
 const BAR_PX = 120;
 const MARK_M = 1.5;
+/** The largest mark of a machine on the plan, two lines of text. */
+const LABEL_PX = [208, 52] as const;
 
 type Placed = { row: FleetRow; found: MapMachine; place: Place };
 
@@ -104,6 +107,10 @@ function Plan({ placed, mark }: PlanProps) {
   const { ref, width, height } = useSize<HTMLDivElement>();
   const box = boxOf(placed.flatMap(extent));
   const view = box && width > 0 ? viewOf(box, width, height) : null;
+  const points = view
+    ? placed.map(({ place }) => [view.x(place.x_m), view.y(place.y_m)] as const)
+    : [];
+  const labels = labelPlaces(points, [width, height], LABEL_PX);
   return (
     <div ref={ref} className={classes.plan}>
       {view && (
@@ -112,13 +119,20 @@ function Plan({ placed, mark }: PlanProps) {
             {placed.map((one) => (
               <Ground key={one.found.machine_id} {...one} view={view} />
             ))}
+            {points.map(([x, y], index) => (
+              <path
+                key={placed[index]?.found.machine_id}
+                className={classes.leader}
+                d={`M${x} ${y}L${labels[index]?.join(" ")}`}
+              />
+            ))}
             <Bar view={view} height={height} />
           </svg>
-          {placed.map(({ row, place }) => (
+          {placed.map(({ row }, index) => (
             <div
               key={row.machine.machine_id}
               className={classes.at}
-              style={{ left: view.x(place.x_m), top: view.y(place.y_m) }}
+              style={{ left: labels[index]?.[0], top: labels[index]?.[1], maxWidth: LABEL_PX[0] }}
             >
               {mark(row)}
             </div>

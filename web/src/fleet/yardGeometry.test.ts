@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { boxOf, footprint, polygon, toYard, viewOf } from "./yardGeometry";
+import { boxOf, footprint, labelPlaces, polygon, toYard, viewOf } from "./yardGeometry";
 
 const close = (point: readonly number[], wanted: readonly number[]) => {
   expect(point.length).toBe(wanted.length);
@@ -79,5 +79,30 @@ describe("the plan of the yard", () => {
         view,
       ),
     ).toBe("0.0,10.0 2.0,5.0");
+  });
+
+  it("keeps labels in the picture and off each other", () => {
+    const size = [200, 50] as const;
+    const picture = [280, 500] as const;
+    const labels = labelPlaces(
+      [
+        [55, 240],
+        [135, 240],
+        [215, 240],
+      ],
+      picture,
+      size,
+    );
+    for (const [x, y] of labels) {
+      expect(x - size[0] / 2).toBeGreaterThanOrEqual(0);
+      expect(x + size[0] / 2).toBeLessThanOrEqual(picture[0]);
+      expect(y + size[1]).toBeLessThanOrEqual(picture[1]);
+    }
+    const [first, second, third] = labels.map(([, y]) => y) as [number, number, number];
+    expect(first).toBe(254);
+    expect(second - first).toBeGreaterThanOrEqual(size[1]);
+    expect(third - second).toBeGreaterThanOrEqual(size[1]);
+    // Where there is room each stands under its own point.
+    close(labelPlaces([[500, 90]], [1000, 400], size)[0] ?? [], [500, 104]);
   });
 });

@@ -69,6 +69,35 @@ export function viewOf(box: Box, width: number, height: number, margin = 28): Pl
   };
 }
 
+export type Pixels = readonly [x: number, y: number];
+
+/**
+ * Top middle of a label under each point, in pixels: inside the picture, and below the labels of points before
+ * it where they would lie on each other.
+ */
+export function labelPlaces(
+  points: readonly Pixels[],
+  [width, height]: Pixels,
+  label: Pixels,
+  gap = 14,
+): Pixels[] {
+  const half = Math.min(label[0], width) / 2;
+  const placed: Pixels[] = [];
+  for (const [point_x, point_y] of points) {
+    const x = Math.min(Math.max(point_x, half), width - half);
+    const overlapped = (y: number) =>
+      placed.filter(
+        ([other_x, other_y]) =>
+          Math.abs(other_x - x) < label[0] && Math.abs(other_y - y) < label[1],
+      );
+    let y = point_y + gap;
+    for (let over = overlapped(y); over.length > 0; over = overlapped(y))
+      y = Math.max(...over.map(([, other_y]) => other_y)) + label[1];
+    placed.push([x, Math.max(0, Math.min(y, height - label[1]))]);
+  }
+  return placed;
+}
+
 /** Points of an SVG polygon. */
 export const polygon = (corners: readonly Point[], view: PlanView) =>
   corners.map(([x, y]) => `${view.x(x).toFixed(1)},${view.y(y).toFixed(1)}`).join(" ");

@@ -18,7 +18,7 @@ export function TopBar() {
     <header className={classes.bar}>
       <MachinePicker />
       {machine && <Lamp machine={machine} isLive={isLive} />}
-      {machine && <LeaseControl machine={machine} />}
+      {machine && <LeaseControl machine={machine} isLive={isLive} />}
       <div className={classes.space} />
       {machine && <LinkBadge machine={machine} isLive={isLive} />}
       <Clock />

@@ -8,8 +8,8 @@ import { isMoving } from "./phase";
 import { TakeOver } from "./TakeOver";
 import { useIsHolder, useLeaseActions } from "./useLease";
 
-/** Who holds the machine, and the one thing to do about it. */
-export function LeaseControl({ machine }: { machine: Machine }) {
+/** Who holds the machine, and the one thing to do about it; nothing is taken on a page that is not live. */
+export function LeaseControl({ machine, isLive = true }: { machine: Machine; isLive?: boolean }) {
   const isHolder = useIsHolder(machine);
   const mayLease = useMay("lease");
   const mayTake = useMay("lease.take");
@@ -39,6 +39,7 @@ export function LeaseControl({ machine }: { machine: Machine }) {
           variant="default"
           size="sm"
           loading={acquire.isPending}
+          disabled={!isLive}
           onClick={() => acquire.mutate()}
         >
           Take control

@@ -1,7 +1,7 @@
 import { Link } from "@tanstack/react-router";
 import { memo } from "react";
 import type { Throw } from "../session/live";
-import { bearingWords, crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
+import { bearingShort, crossrangeWords, downrangeWords, fixed, signed } from "../words/format";
 import { Shortened } from "../words/Shortened";
 import { localStamp, shortStamp } from "../words/time";
 import { MissBar } from "./MissBar";
@@ -44,7 +44,7 @@ export const ThrowTableRow = memo(function ThrowTableRow(props: Props) {
       </td>
       <td>{row.machine_id}</td>
       <td>{targetWords(row)}</td>
-      <td>{bearingWords(row.target.azimuth_rad)}</td>
+      <td>{bearingShort(row.target.azimuth_rad)}</td>
       <td>
         <Miss
           measured_m={row.measured_downrange_error_m}

@@ -1,7 +1,7 @@
 /** Rows of a page of the history that hold every word of a text. */
 
 import type { Throw } from "../session/live";
-import { bearingWords, fixed } from "../words/format";
+import { bearingShort, fixed } from "../words/format";
 import { localStamp } from "../words/time";
 import { statusWord } from "./outcome";
 
@@ -12,7 +12,7 @@ const textOf = (row: Throw) =>
     row.machine_id,
     row.mode,
     fixed(row.target.range_m),
-    bearingWords(row.target.azimuth_rad),
+    bearingShort(row.target.azimuth_rad),
     statusWord(row),
     row.policy_id,
     row.operator,

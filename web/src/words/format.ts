@@ -61,6 +61,14 @@ export function bearingWords(azimuth_rad: Maybe): string {
   return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "left" : "right"}`;
 }
 
+/** The same for narrow tables: "12.0° L", "3.5° R", "0.0°". */
+export function bearingShort(azimuth_rad: Maybe): string {
+  if (missing(azimuth_rad)) return NONE;
+  const deg = (azimuth_rad * 180) / Math.PI;
+  if (Math.abs(deg) < 0.05) return "0.0°";
+  return `${fixed(Math.abs(deg), 1)}° ${deg > 0 ? "L" : "R"}`;
+}
+
 /** Height of a target off the ground, to follow its range: ", +1.20 m high", ", 0.80 m deep"; nothing on it. */
 export function heightWords(z_m: Maybe, before = ", "): string {
   if (missing(z_m) || Math.abs(z_m) < 0.005) return "";

@@ -18,10 +18,11 @@ import { figures } from "./words";
 export function JobView({ jobId }: { jobId: string }) {
   const job = useJob(jobId);
   if (job.isError && !job.data) return <GateSentence sentence={errorWords(job.error)} />;
-  return job.data ? <Loaded job={job.data} /> : null;
+  // What was kept from an earlier visit may lack a load: its plan is not offered to aim at.
+  return job.data ? <Loaded job={job.data} isFresh={job.isFetchedAfterMount} /> : null;
 }
 
-function Loaded({ job }: { job: Job }) {
+function Loaded({ job, isFresh }: { job: Job; isFresh: boolean }) {
   const change = useJobChange(job);
   const surface = useSurface(job);
   const mayEdit = useMay("throw");
@@ -42,7 +43,7 @@ function Loaded({ job }: { job: Job }) {
         ))}
       </dl>
       <div className={classes.middle} data-ended={!isOpen || undefined}>
-        {isOpen && (
+        {isOpen && isFresh && (
           <NextLoads
             job={job}
             mayEdit={mayEdit}

@@ -94,6 +94,23 @@ describe("sections", () => {
     expect(across.every((point) => Math.abs(point.now_m) < 1e-9)).toBe(true);
   });
 
+  it("show a wall of one cell at its full height, however the place is turned", () => {
+    for (const turn_rad of [0, 0.4, -0.92]) {
+      const bed = { x_m: 7, y_m: 0, length_m: 2, width_m: 1, turn_rad };
+      const walled = heights((x, y) => {
+        const [along, across] = toLocal(bed, [x, y]);
+        const out = Math.max(Math.abs(along) - 1, Math.abs(across) - 0.5);
+        return out > 0.15 ? 0 : out > 0 ? 1.8 : 1.2;
+      });
+      const surface = { ...GRID, start_m: walled, height_m: walled, wanted_m: walled };
+      for (const direction of ["along", "across"] as const) {
+        const points = section(surface, bed, direction);
+        const sides = [points.filter((one) => one.at_m < 0), points.filter((one) => one.at_m > 0)];
+        for (const side of sides) expect(Math.max(...side.map((one) => one.now_m))).toBe(1.8);
+      }
+    }
+  });
+
   it("end at the grid", () => {
     const surface = { ...GRID, start_m: CONE, height_m: CONE, wanted_m: CONE };
     const points = section(surface, { ...place, y_m: 2.5 }, "along");

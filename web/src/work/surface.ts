@@ -127,6 +127,25 @@ export function heightAt(grid: Grid, heights: Heights | null, [x, y]: Point): nu
   return (1 - t) * ((1 - s) * at(0, 0) + s * at(0, 1)) + t * ((1 - s) * at(1, 0) + s * at(1, 1));
 }
 
+/** As `heightAt`; beside and on walls, which are thinner than two cells, that of the nearest cell: their full height. */
+function edgedHeightAt(grid: Grid, heights: Heights, [x, y]: Point): number | null {
+  const height_m = heightAt(grid, heights, [x, y]);
+  if (height_m === null) return null;
+  const cell = cellOf(grid);
+  const at = (row: number, column: number) => heights[row]?.[column] ?? height_m;
+  const u = (x - (grid.x_m[0] ?? 0)) / cell;
+  const v = (y - (grid.y_m[0] ?? 0)) / cell;
+  const [column, row] = [Math.floor(u), Math.floor(v)];
+  const corners = [
+    at(row, column),
+    at(row, column + 1),
+    at(row + 1, column),
+    at(row + 1, column + 1),
+  ];
+  if (Math.max(...corners) - Math.min(...corners) < WALL_SLOPE * cell) return height_m;
+  return at(Math.round(v), Math.round(u));
+}
+
 const clamp = (value: number) => Math.min(Math.max(value, 0), 1);
 
 export type SectionPoint = {
@@ -148,13 +167,15 @@ export function section(
 ): SectionPoint[] {
   const half_m = (direction === "along" ? place.length_m : place.width_m) / 2;
   const cell = cellOf(surface);
-  const count = Math.ceil((half_m + MARGIN_M) / cell);
+  // Half a cell, lest a wall stand between two points.
+  const step_m = cell / 2;
+  const count = Math.ceil((half_m + MARGIN_M) / step_m);
   const points: SectionPoint[] = [];
   for (let step = -count; step <= count; step += 1) {
-    const at_m = step * cell;
+    const at_m = step * step_m;
     const point = fromLocal(place, direction === "along" ? [at_m, 0] : [0, at_m]);
-    const now_m = heightAt(surface, surface.height_m, point);
-    const start_m = heightAt(surface, surface.start_m, point);
+    const now_m = edgedHeightAt(surface, surface.height_m, point);
+    const start_m = edgedHeightAt(surface, surface.start_m, point);
     if (now_m === null || start_m === null) continue;
     const isInside = Math.abs(at_m) <= half_m - cell / 2;
     const wanted_m = isInside ? heightAt(surface, surface.wanted_m, point) : null;

@@ -50,6 +50,8 @@ export function useJob(jobId: string) {
   return useQuery({
     queryKey: [JOBS, "one", jobId],
     queryFn: () => take(api.GET("/api/v1/jobs/{job_id}", { params: { path: { job_id: jobId } } })),
+    // A load may have been thrown since the page was last open.
+    refetchOnMount: "always",
   });
 }
 
