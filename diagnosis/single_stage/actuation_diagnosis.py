@@ -122,9 +122,7 @@ def diagnose_actuation(
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
     all_steps = all_steps if problem.kind == "speed" else ()
     readings = read_directions(all_steps)
-    steps = find_steps(problem, problem.measured_ticks())
-    tolerance_s = max(MAX_ONSET_PERIODS * period_s, MAX_ONSET_S)
-    late = find_late_onset(steps, find_steps(problem, problem.simulate(best)), tolerance_s)
+    late = _late_onset(problem, best, period_s)
     if late:
         selection = replace(selection, unknown_probability=LATE_ONSET_PROBABILITY)
     evidence: dict[str, Any] = {
@@ -154,11 +152,7 @@ def diagnose_actuation(
         evidence,
         _plots(problem, base, best, unit),
     )
-    if late:
-        found = found.model_copy(update={"sentence": f"{found.sentence} Yet {late}."})
-    if found.verdict is VerdictKind.UNKNOWN and readings:
-        words = "; ".join(_describe_direction(reading, unit) for reading in readings)
-        found = found.model_copy(update={"sentence": f"{found.sentence} Its steps show: {words}."})
+    found = _with_steps(found, late, readings, unit)
     is_sine = find_sine_period(problem.command, problem.step_s) is not None
     return _without_separation(found, joint) if is_sine else found
 
@@ -170,6 +164,24 @@ def find_steps(problem: ActuationProblem, speed: Array) -> tuple[StepResponse, .
     return find_step_responses(
         problem.command, speed, problem.step_s, MIN_SPEED_NOISES * problem.noise
     )
+
+
+def _late_onset(problem: ActuationProblem, best: Mapping[str, float], period_s: float) -> str:
+    """Where the best effects move the joint at another time than its steps show; empty if nowhere."""
+    tolerance_s = max(MAX_ONSET_PERIODS * period_s, MAX_ONSET_S)
+    measured = find_steps(problem, problem.measured_ticks())
+    return find_late_onset(measured, find_steps(problem, problem.simulate(best)), tolerance_s)
+
+
+def _with_steps(
+    found: Diagnosis, late: str, readings: tuple[DirectionReading, ...], unit: str
+) -> Diagnosis:
+    """The result with what the steps say against it or, where the cause is unknown, beside it."""
+    sentence = f"{found.sentence} Yet {late}." if late else found.sentence
+    if found.verdict is VerdictKind.UNKNOWN and readings:
+        words = "; ".join(_describe_direction(reading, unit) for reading in readings)
+        sentence += f" Its steps show: {words}."
+    return found.model_copy(update={"sentence": sentence})
 
 
 def _describe_direction(reading: DirectionReading, unit: str) -> str:
