@@ -169,7 +169,9 @@ def test_the_view_draws_picks_and_reconnects_without_focus(app: ViewerApp, page:
 
 def test_the_page_cannot_be_led_to_another_server(app: ViewerApp, page: Page) -> None:
     page.goto(f"{app.origin}/viewer/?websocket=ws://evil.example/&playbackPath=//evil.example/x")
-    assert page.evaluate("location.search") == ""
+    # The library then names our own server there, sooner or later.
+    for foreign in ("evil", "playbackPath"):
+        assert foreign not in page.evaluate("location.search")
     until(
         lambda: page.wait_for_timeout(100) or app.scene.client_count("s1"),
         "our own server's view",
