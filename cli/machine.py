@@ -174,9 +174,13 @@ def enrol(
         raise UsageError(f"--server {server!r} is no address; as in https://console.example")
     if read_enrolment(data) is not None:
         raise UsageError(f"{data} belongs to an enrolled machine; name another --data")
-    for path in (root_ca_file, calibration, policies):
+    for option, path in (
+        ("--root-ca-file", root_ca_file),
+        ("--calibration", calibration),
+        ("--policies", policies),
+    ):
         if path is not None and not path.exists():
-            raise UsageError(f"{path} does not exist")
+            raise UsageError(f"{option} {path.absolute()} does not exist; name where it is")
     # A token works once: whatever can be wrong here is found before it is used.
     options, driver = driver_options(driver_option), driver_name(driver)
     data.mkdir(parents=True, exist_ok=True)

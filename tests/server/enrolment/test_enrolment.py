@@ -128,7 +128,7 @@ def test_a_mistake_at_the_machine_does_not_use_the_token_up(running, tmp_path, c
         words = ["machine", "enrol", "--server", running.url, "--token", added["token"]]
         missing = str(tmp_path / "missing.json")
         assert main([*words, "--data", str(tmp_path / "data"), "--calibration", missing]) == 1
-        assert "missing.json does not exist" in capsys.readouterr().err
+        assert f"--calibration {missing} does not exist" in capsys.readouterr().err
         assert root.get("/machines/crane-8/enrolment").json()["stage"] == "waiting"
 
         # A server that shows another key than the page did: the machine is not set up.

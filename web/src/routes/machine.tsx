@@ -78,10 +78,6 @@ function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
       {life.tags.length > 0 && <span className={classes.dim}>{life.tags.join(", ")}</span>}
       <Lamp machine={machine} />
       <span className={classes.spread} />
-      {!mayEdit && <span className={classes.dim}>A supervisor may change name and tags.</span>}
-      {mayRetire && isConnected && (
-        <span className={classes.dim}>To retire it, switch the machine off first.</span>
-      )}
       <Button variant="default" size="sm" disabled={!mayEdit} onClick={() => setOpen(true)}>
         Name and tags
       </Button>
@@ -99,6 +95,10 @@ function Head({ machine, life }: { machine: Machine; life: MachineLife }) {
         Operate
       </Button>
       <MachineStop machineId={id} />
+      {!mayEdit && <p className={classes.why}>A supervisor may change name and tags.</p>}
+      {mayRetire && isConnected && (
+        <p className={classes.why}>To retire it, switch the machine off first.</p>
+      )}
       {isRetiring && (
         <RetireMachine
           machineId={id}
