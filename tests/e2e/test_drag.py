@@ -4,6 +4,7 @@ import contextlib
 import re
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.operator_page import (
@@ -18,7 +19,8 @@ GROUND = (0.45, 0.8)
 """Open ground within reach in the 3D view of a page of 1024 by 768, as a share of it."""
 DRAG_PX = (60.0, 20.0)
 TARGET = re.compile(r"Target.*?(\d+\.\d+)\s*m", re.DOTALL)
-REACH_M = 10.9
+LEAST_M, REACH_M = 6.2, 10.7
+"""Ranges of 2D throws, with something to spare."""
 
 
 COUNT_ESTIMATES = """() => {
@@ -48,12 +50,30 @@ def _click_within_reach(page: Page) -> tuple[float, float]:
     for _ in range(4):
         text = heading.inner_text()
         found = TARGET.search(text)
-        if found is not None and float(found.group(1)) < REACH_M:
+        if found is not None and LEAST_M < float(found.group(1)) < REACH_M:
             return at
         page.mouse.click(*at)
         with contextlib.suppress(AssertionError):
             expect(heading).not_to_have_text(text, timeout=15_000.0)
     raise AssertionError(f"four clicks on the ground and none within reach; the last: {text}")
+
+
+def _let_go_within_reach(page: Page, start: tuple[float, float]) -> None:
+    """Drag the held target on until it lies within reach, and let go.
+
+    The camera may have turned, so that what lies under a pixel is known from the page alone.
+    """
+    range_m = page.get_by_label("Range, m")
+    for x_px in (-DRAG_PX[0], 0.0, 0.5 * DRAG_PX[0], DRAG_PX[0]):
+        for y_px in (0.0, -DRAG_PX[1], DRAG_PX[1]):
+            before = range_m.input_value()
+            page.mouse.move(start[0] + x_px, start[1] + y_px, steps=12)
+            with contextlib.suppress(AssertionError):
+                expect(range_m).not_to_have_value(before, timeout=5_000.0)
+            if LEAST_M < float(range_m.input_value()) < REACH_M:
+                page.mouse.up()
+                return
+    raise AssertionError("the target was dragged about and never lay within reach")
 
 
 def _drag(page: Page, start: tuple[float, float]) -> None:
@@ -78,6 +98,9 @@ def _drag(page: Page, start: tuple[float, float]) -> None:
     raise AssertionError("four drags and the target stayed")
 
 
+# A drag that begins before the mark is drawn turns the camera: a busy computer without graphics may never get
+# hold of the mark.
+@pytest.mark.long
 def test_the_target_is_dragged_and_its_ellipse_follows(
     demo: Stack, open_page: Callable[..., Page]
 ) -> None:
@@ -96,9 +119,8 @@ def test_the_target_is_dragged_and_its_ellipse_follows(
     held = _polar(page)
     assert held != before
     page.wait_for_function("window.estimates > 0")
-    page.mouse.move(at[0] - DRAG_PX[0], at[1], steps=12)
+    _let_go_within_reach(page, at)
     expect(page.get_by_label("Azimuth, °")).not_to_have_value(held[1])
-    page.mouse.up()
 
     # Where it was let go it is previewed in full.
     expect(numbers).to_contain_text("of 200")
