@@ -120,8 +120,8 @@ def diagnose_actuation(
     unit = record.unit if problem.kind == "position" else f"{record.unit}/s"
     _refuse_unrelated_motion(problem, selection, unit)
     base, best = selection.base.fit.as_mapping(), selection.best.fit.as_mapping()
-    all_steps = all_steps if problem.kind == "speed" else ()
-    readings = read_directions(all_steps)
+    steps = all_steps if problem.kind == "speed" else ()
+    readings = read_directions(steps)
     late = _late_onset(problem, best, period_s)
     if late:
         selection = replace(selection, unknown_probability=LATE_ONSET_PROBABILITY)
@@ -136,7 +136,7 @@ def diagnose_actuation(
         "gain_per_full_command": {"value": best["speed_per_command"], "unit": unit},
         "window_s": len(problem.window) * problem.step_s,
         "noise": {"value": problem.noise, "unit": unit},
-        "steps": tabulate(all_steps, unit),
+        "steps": tabulate(steps, unit),
         "directions": [{**reading._asdict(), "speed_unit": unit} for reading in readings],
         "not_separable": [
             *NOT_SEPARABLE,

@@ -26,9 +26,11 @@ RESTING_SPEED_RATIO: Final = 0.1
 MIN_STARTS_COUNT: Final = 2
 """Fewest starts with and without a reversal that show lost travel."""
 NEARLY_TOP_RATIO: Final = 0.93
-"""Share of the largest steady speed from which a level is as fast as any."""
+"""Share of the largest steady speed from which a level is as fast as any: at one command it varies by some
+percent with place and load."""
 SATURATED_SPAN_RATIO: Final = 1.2
-"""Ratio of the largest to the smallest such level from which the joint is saturated there."""
+"""Ratio of the largest to the smallest such level from which the joint is saturated: proportional ones would
+differ by more than twice what `NEARLY_TOP_RATIO` lets pass."""
 LOST_TRAVEL_SIGNIFICANCE: Final = 3.0
 """Lost travel, in its standard errors, from which it shows."""
 
