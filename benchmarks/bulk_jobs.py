@@ -5,7 +5,7 @@
 Half of the jobs fill a truck, half build a pile, each with gravel, sand or wood chips. Every rule has the
 same stock, the wanted volume of the job, and meets the same truth, which differs from the planner's model:
 angle of repose by up to 12 % of its tangent, landing bias with 0.08 m of standard deviation per axis, landing
-scatter 0.8 to 1.5 times the assumed one, grabs that differ by 8 %.
+scatter 0.8 to 1.5 times and footprints 0.7 to 1.4 times as wide as assumed, grabs that differ by 8 %.
 
 Greedy throws full grabs at the place where most is missing under the footprint; fixed throws at three places
 along the length in turn. Intervals by bootstrap over jobs.
@@ -80,6 +80,7 @@ def draw(seed: int, index: int) -> Setting:
         slope_ratio=stuff.slope_ratio * rng.uniform(0.88, 1.12),
         bias_m=(float(rng.normal(0.0, 0.08)), float(rng.normal(0.0, 0.08))),
         scatter_ratio=float(rng.uniform(0.8, 1.5)),
+        footprint_ratio=float(rng.uniform(0.7, 1.4)),
     )
     if kind == "truck":
         length_m, width_m = rng.uniform(3.4, 4.4), rng.uniform(2.0, 2.4)
@@ -94,7 +95,7 @@ def draw(seed: int, index: int) -> Setting:
         goal = pile_goal(start, foot, 1.1, stuff.slope_ratio)
         struck = float((goal.wanted_m - start.height_m).sum()) * grid.cell_area_m2
         height_m = 0.5
-    throws = measured_model(load_card(CARD), load_spec(), stuff, SCATTER, height_m)
+    throws = measured_model(load_card(CARD), load_spec(), stuff, SCATTER, height_m, GRAB_M3)
     return Setting(start, goal, throws, truth, struck)
 
 

@@ -1,9 +1,9 @@
 """Footprint of a released load of bulk material: where its grains land about the aimed point.
 
-The gripper's jaws let the grains go during a window of time while the tool swings on. A grain leaves with
-the velocity of the grip at its moment, and with a random share of the jaws' speed; then it flies with its own
-drag. Grains are taken as independent in the air: a dense load shields its inner grains, so that the spread by
-drag is an upper bound.
+The gripper's jaws let the grains go during a window of time while the tool swings on. A grain leaves from
+its place in the grab with the velocity of the grip at its moment, and with a random share of the jaws' speed;
+then it flies with its own drag. Grains are taken as independent in the air: a dense load shields its inner
+grains, so that the spread by drag is an upper bound.
 """
 
 import math
@@ -29,7 +29,7 @@ RELEASE_ELEVATION_RAD = math.radians(35.0)
 SWING_RADIUS_M = 5.0
 """Distance of the grip from the axis about which the arm swings at the release."""
 GRAIN_COUNT = 200
-POUR_COUNT = 12
+POUR_COUNT = 24
 """Points of pouring that stand for a load's grains."""
 
 
@@ -52,6 +52,10 @@ class Footprint(NamedTuple):
     grains_m: Array
     """(N, 2) landing points, mean 0: the aim takes the mean into account."""
 
+    def scaled(self, ratio: Array) -> "Footprint":
+        """Wider by ratios (2) downrange and crossrange."""
+        return Footprint(self.covariance_m2 * np.outer(ratio, ratio), self.grains_m * ratio)
+
 
 def release_towards(range_m: float, height_m: float) -> GripRelease:
     """GripRelease of a throw whose load lands at a range and height, without drag.
@@ -72,11 +76,12 @@ def footprint(
     release: GripRelease,
     height_m: float,
     material: Material,
+    grab_m3: float,
     spec: MachineSpec,
     rng: np.random.Generator,
     grain_count: int = GRAIN_COUNT,
 ) -> Footprint:
-    """Simulate grains of a load up to a surface at a height."""
+    """Simulate grains of a load up to a surface at a height; a grab is as wide as it is high."""
     leave_s = LEAVING_RATIO * spec.release.delay_s * rng.uniform(-0.5, 0.5, grain_count)
     turn = release.swing_rad_per_s * leave_s
     speed = math.hypot(release.speed_range_m_per_s, release.speed_up_m_per_s)
@@ -92,6 +97,7 @@ def footprint(
         ],
         -1,
     )
+    position += np.cbrt(grab_m3) * rng.uniform(-0.5, 0.5, (grain_count, 3))
     size = np.exp(rng.normal(0.0, material.grain_spread_ratio, grain_count))
     end = landing(position, velocity, height_m, material.drag_per_m / size).position_m[:, :2]
     end = end[np.isfinite(end).all(-1)]

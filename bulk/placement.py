@@ -65,6 +65,7 @@ class LoadPlacement:
                 release_towards(step_m, self._level_m),
                 self._level_m,
                 self._job.material,
+                self._job.file.grab_m3,
                 self._spec,
                 np.random.default_rng(0),
             )

@@ -42,8 +42,9 @@ def open_card(policies: Path, policy: Path | None, mode: Mode) -> tuple[Path, Po
 
 
 def previewed_model(
-    folder: Path, card: PolicyCard, spec: MachineSpec, material: Material, height_m: float
-) -> ThrowModel:
+    folder: Path, card: PolicyCard, spec: MachineSpec, material: Material, height_m: float,
+    grab_m3: float,
+) -> ThrowModel:  # fmt: skip
     """Model from previews of the policy in the nominal twin, thrown to a height (takes seconds).
 
     Raises:
@@ -75,7 +76,7 @@ def previewed_model(
             releases.append(release_of(shown, spec))
     if not scatter:
         raise UsageError(f"no previewed throw of {card.policy_id} lands at height {height_m:.2f} m")
-    return make_model(card, spec, material, scatter, releases, height_m)
+    return make_model(card, spec, material, scatter, releases, height_m, grab_m3)
 
 
 def release_of(shown: ThrowPreview, spec: MachineSpec) -> GripRelease:

@@ -40,6 +40,8 @@ class Truth:
     """Mean landing error downrange and crossrange."""
     scatter_ratio: float = 1.0
     """True scatter of the landings over the planner's."""
+    footprint_ratio: float = 1.0
+    """True spread of a load's grains over the planner's."""
     grab_spread_ratio: float = 0.08
     """Standard deviation of a grab's volume over the one asked for."""
 
@@ -91,6 +93,7 @@ def simulate_job(
             load, (truth.scatter_ratio * sd[0], truth.scatter_ratio * sd[1]), truth.bias_m, rng
         )
         mark = throws.footprint_near(math.hypot(load.x_m, load.y_m))
+        mark = mark.scaled(np.full(2, truth.footprint_ratio))
         points = pour_points(mark, landed, rng)
         run.versions.append(run.final.height_m)
         run.final = surface.pour(points, volume / len(points), truth.slope_ratio)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,9 @@ from machine.policy_card import PolicyCard
 from machine.reach import MIN_RANGE_M, load_reach_ratio, reach_m
 from machine.spec import MachineSpec
 
+PREDICTED_COUNT = 4
+"""Measured loads that weigh as much as the prediction: enough that two odd ones do not decide."""
+
 
 class LandingScatter(NamedTuple):
     """Scatter of landings at a range; downrange and crossrange are taken as independent."""
@@ -22,6 +25,16 @@ class LandingScatter(NamedTuple):
     range_m: float
     sd_downrange_m: float
     sd_crossrange_m: float
+
+
+class MeasuredLoad(NamedTuple):
+    """A load that was thrown and measured; pairs are downrange and crossrange."""
+
+    range_m: float
+    error_m: tuple[float, float]
+    """Of its centre from the target."""
+    variance_m2: tuple[float, float]
+    """Of the places of its grains about its centre."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +81,33 @@ class ThrowModel:
         turns = np.stack([turned(angle) for angle in bearing.tolist()])
         return turns @ local @ turns.transpose(0, 2, 1)
 
+    def learned(self, loads: Sequence[MeasuredLoad]) -> "ThrowModel":
+        """With the spread that loads of the same material showed; the prediction weighs as much as a few.
+
+        Variances keep their course over the range. Mean misses count as scatter.
+        """
+        if not loads:
+            return self
+        ranges = [load.range_m for load in loads]
+        grains = np.stack([np.diagonal(mark.covariance_m2) for mark in self.footprints])
+        landing = self._growth(
+            ranges, self.landing_variance_m2, [load.error_m for load in loads], 2
+        )
+        grain = self._growth(ranges, grains, [load.variance_m2 for load in loads], 1)
+        return replace(
+            self,
+            landing_variance_m2=self.landing_variance_m2 * landing,
+            footprints=tuple(mark.scaled(np.sqrt(grain)) for mark in self.footprints),
+        )
+
+    def _growth(
+        self, ranges: list[float], predicted: Array, measured: list[tuple[float, float]], power: int
+    ) -> Array:
+        """(2) ratios of measured over predicted (N, 2) variances, with the weight of the prediction."""
+        expected = np.stack([np.interp(ranges, self.range_m, predicted[:, i]) for i in (0, 1)], -1)
+        ratios = np.array(measured) ** power / expected
+        return (PREDICTED_COUNT + ratios.sum(axis=0)) / (PREDICTED_COUNT + len(ratios))
+
     def landing_sd_m(self, range_m: float) -> tuple[float, float]:
         """Standard deviations of landings downrange and crossrange."""
         down, cross = (
@@ -82,7 +122,7 @@ class ThrowModel:
 
 def measured_model(
     card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
-    height_m: float,
+    height_m: float, grab_m3: float,
 ) -> ThrowModel:  # fmt: skip
     """Model from measured scatter, with typical releases.
 
@@ -93,12 +133,12 @@ def measured_model(
     if not ranges.size or (np.diff(ranges) <= 0.0).any():
         raise UsageError("the landing scatter needs one range or more, increasing")
     releases = [release_towards(max(item.range_m, 5.0), height_m) for item in scatter]
-    return make_model(card, spec, material, scatter, releases, height_m)
+    return make_model(card, spec, material, scatter, releases, height_m, grab_m3)
 
 
 def make_model(
     card: PolicyCard, spec: MachineSpec, material: Material, scatter: Sequence[LandingScatter],
-    releases: Sequence[GripRelease], height_m: float,
+    releases: Sequence[GripRelease], height_m: float, grab_m3: float,
 ) -> ThrowModel:  # fmt: skip
     """Model from scatter and releases at the same ranges, increasing."""
     rng = np.random.default_rng(0)
@@ -109,5 +149,7 @@ def make_model(
         landing_variance_m2=np.array(
             [(item.sd_downrange_m**2, item.sd_crossrange_m**2) for item in scatter]
         ),
-        footprints=tuple(footprint(item, height_m, material, spec, rng) for item in releases),
+        footprints=tuple(
+            footprint(item, height_m, material, grab_m3, spec, rng) for item in releases
+        ),
     )

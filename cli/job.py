@@ -145,8 +145,8 @@ def _throws(job: BulkJob, policies: Path, policy: Path | None) -> ThrowModel:
     height_m = middle_height_m(job)
     if job.file.landing:
         scatter = [LandingScatter(**item.model_dump()) for item in job.file.landing]
-        return measured_model(card, spec, job.material, scatter, height_m)
-    return previewed_model(folder, card, spec, job.material, height_m)
+        return measured_model(card, spec, job.material, scatter, height_m, job.file.grab_m3)
+    return previewed_model(folder, card, spec, job.material, height_m, job.file.grab_m3)
 
 
 ACTIONS = {"plan": plan, "simulate": simulate, "report": report}

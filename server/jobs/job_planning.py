@@ -7,7 +7,7 @@ from pathlib import Path
 from bulk.job_file import BulkJob, JobFile, surveyed_job
 from bulk.placement import middle_height_m
 from bulk.planner import LoadPlanner, PlannedLoad
-from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from bulk.throw_model import LandingScatter, MeasuredLoad, ThrowModel, measured_model
 from machine.conventions import Array
 from machine.errors import DownrangeError
 from machine.policy_card import PolicyCard
@@ -31,13 +31,15 @@ class PlanTask:
     card: PolicyCard
     landing: tuple[LandingScatter, ...]
     """Measured; empty: predicted in the twin."""
+    loads: tuple[MeasuredLoad, ...]
+    """Measured ones of the same material."""
     model: ThrowModel | None
     """Of the same task before; predicting it takes seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
-    """Loads that are proposed, and the throws that they were planned with."""
+    """Loads that are proposed, and the throws that they were planned with, before what loads showed."""
 
     loads: tuple[PlannedLoad, ...]
     model: ThrowModel
@@ -55,19 +57,20 @@ def planned_loads(task: PlanTask) -> PlanAnswer:
     """
     job = surveyed_job(task.file, task.ground)
     model = task.model or _model(task, job)
-    planner = LoadPlanner(job.goal, job.field, model, task.file.grab_m3, task.zones)
+    throws = model.learned(task.loads)
+    planner = LoadPlanner(job.goal, job.field, throws, task.file.grab_m3, task.zones)
     present = replace(job.field, height_m=task.height_m)
     return PlanAnswer(planner.next_loads(present, task.passed_m), model)
 
 
 def _model(task: PlanTask, job: BulkJob) -> ThrowModel:
-    spec, height_m = load_spec(), middle_height_m(job)
+    spec, height_m, grab_m3 = load_spec(), middle_height_m(job), task.file.grab_m3
     if task.landing:
-        return measured_model(task.card, spec, job.material, task.landing, height_m)
+        return measured_model(task.card, spec, job.material, task.landing, height_m, grab_m3)
     # Imported here: the server's own process does not need the simulator.
     from bulk.previewed_throws import previewed_model
 
-    return previewed_model(task.policy_dir, task.card, spec, job.material, height_m)
+    return previewed_model(task.policy_dir, task.card, spec, job.material, height_m, grab_m3)
 
 
 def plan_in_child(task: PlanTask, is_cancelled: Callable[[], bool]) -> PlanAnswer:

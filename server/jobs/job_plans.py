@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from bulk.height_field import HeightField
 from bulk.job_file import JobFile
@@ -24,7 +24,7 @@ from server.jobs.job_ground import JobGround
 from server.jobs.job_planning import PlanLoads, PlanTask
 from server.jobs.job_store import JobRecord, Planned
 from server.jobs.job_views import JobProposal, PlanningState
-from server.jobs.throw_loads import measured_scatter
+from server.jobs.throw_loads import measured_loads, measured_scatter
 from server.machines.machine_registry import MachineRegistry
 from server.plans.policy_store import PolicyStore, StoredPolicy
 from server.plans.site_store import SiteStore
@@ -37,6 +37,15 @@ logger = logging.getLogger(__name__)
 USUAL_SCATTER: Final = LandingScatter(8.0, 0.15, 0.1)
 """For the check of a new job, before the scatter of its throws is known; assumed."""
 MODEL_COUNT: Final = 16
+
+
+class KeptModel(NamedTuple):
+    """Throws that the last plan of a job was made with."""
+
+    made_from: object
+    predicted: ThrowModel
+    learned: ThrowModel
+    """With what measured loads showed."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -68,8 +77,8 @@ class JobPlans:
         self._zones = zones
         self._spec = spec
         self._plan = plan
-        self._models: dict[str, tuple[object, ThrowModel]] = {}
-        """Of the last plan of a job, by what it was made from."""
+        self._models: dict[str, KeptModel] = {}
+        """By job."""
         self.on_planned: list[Callable[[str, int, Planned], None]] = []
         """Called with job, its version, and what the plan gave."""
         self._queue = JobQueue[OpenPlan]("plans of loads", "job_plans_full", self._run)
@@ -114,7 +123,7 @@ class JobPlans:
         card = self.policy(machine_id, Mode(file.mode)).card
         job = ground.job
         model = measured_model(
-            card, self._spec, job.material, [USUAL_SCATTER], middle_height_m(job)
+            card, self._spec, job.material, [USUAL_SCATTER], middle_height_m(job), file.grab_m3
         )
         zones = self._zones.approved(machine_id).zones
         LoadPlanner(job.goal, job.field, model, file.grab_m3, zones)
@@ -133,7 +142,7 @@ class JobPlans:
         if kept is None:
             raise ConflictError("not_planned", "The next loads are being planned; wait for them.")
         zones = self._zones.approved(row.machine_id).zones
-        planner = LoadPlanner(ground.job.goal, ground.job.field, kept[1], file.grab_m3, zones)
+        planner = LoadPlanner(ground.job.goal, ground.job.field, kept.learned, file.grab_m3, zones)
         load = planner.load_at(field, to.x_m, to.y_m, to.volume_m3)
         return self._proposal(load, to.proposal_count, file, self._sites.objects(row.machine_id))
 
@@ -156,6 +165,13 @@ class JobPlans:
             landing = measured_scatter(
                 database, row.machine_id, file.mode, policy.card.policy_sha256
             )
+            loads = measured_loads(
+                database,
+                row.machine_id,
+                file.mode,
+                policy.card.policy_sha256,
+                plan.ground.job.material.name,
+            )
         key = (policy.card.policy_sha256, landing)
         kept = self._models.get(row.job_id)
         answer = self._plan(
@@ -168,17 +184,18 @@ class JobPlans:
                 policy_dir=policy.folder,
                 card=policy.card,
                 landing=landing,
-                model=None if kept is None or kept[0] != key else kept[1],
+                loads=loads,
+                model=None if kept is None or kept.made_from != key else kept.predicted,
             ),
             lambda: self._queue.must_end(plan),
         )
-        self._models[row.job_id] = (key, answer.model)
+        self._models[row.job_id] = KeptModel(key, answer.model, answer.model.learned(loads))
         while len(self._models) > MODEL_COUNT:
             self._models.pop(next(iter(self._models)))
         objects = self._sites.objects(row.machine_id)
         return Planned(
             PlanningState.READY if answer.loads else PlanningState.NOTHING_LEFT,
-            landing_by="measured" if landing else "predicted",
+            landing_by="measured" if landing or loads else "predicted",
             proposals=tuple(
                 self._proposal(load, number, file, objects)
                 for number, load in enumerate(answer.loads, start=1)

@@ -9,8 +9,9 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session as DatabaseSession
 
+from bulk.footprint import turned
 from bulk.job_file import material_of
-from bulk.throw_model import LandingScatter
+from bulk.throw_model import LandingScatter, MeasuredLoad
 from machine.conventions import Array
 from machine.messages import Target
 from machine.site.thrown_material import MaterialFootprint, ThrownMaterial
@@ -21,7 +22,8 @@ from server.jobs.job_views import JobProposal, LandedBy
 from server.plans.landing_errors import point_of
 from server.schemas.history import Outcome
 from server.store.job_tables import JobLoad, JobRow
-from server.store.models import Impact, Throw
+from server.store.models import Impact, Plan, Throw
+from server.store.throw_filters import threw_a_ball
 from server.throws.impacts import target_of
 
 SAME_TARGET_M: Final = 0.05
@@ -32,6 +34,8 @@ SCATTER_COUNT: Final = 20
 """Measured throws of about one range that give their scatter to a sixth."""
 SAME_LANDING_M: Final = 1e-3
 NEWEST_COUNT: Final = 300
+NEWEST_LOADS_COUNT: Final = 40
+"""Measured loads whose spread counts: those of about two trucks."""
 BIN_M: Final = 1.0
 LEAST_SD_M: Final = 0.01
 
@@ -190,7 +194,7 @@ def _listed(covariance_m2: tuple[float, float, float] | None) -> list[float] | N
 def measured_scatter(
     database: DatabaseSession, machine_id: str, mode: str, policy_sha256: str
 ) -> tuple[LandingScatter, ...]:
-    """Scatter of a machine's newest measured throws by range; empty where they are too few."""
+    """Scatter of a machine's newest measured throws of a ball by range; empty where they are too few."""
     query = (
         select(Throw.range_m, Throw.measured_downrange_error_m, Throw.measured_crossrange_error_m)
         .where(
@@ -200,12 +204,49 @@ def measured_scatter(
             Throw.outcome == Outcome.LANDED.value,
             Throw.measured_downrange_error_m.is_not(None),
             Throw.measured_crossrange_error_m.is_not(None),
+            threw_a_ball(),
         )
         .order_by(Throw.throw_id.desc())
         .limit(NEWEST_COUNT)
     )
     rows = [tuple(row) for row in database.execute(query)]
     return scatter_by_range(np.array(rows, dtype=np.float64).reshape(-1, 3))
+
+
+def measured_loads(
+    database: DatabaseSession, machine_id: str, mode: str, policy_sha256: str, material: str
+) -> tuple[MeasuredLoad, ...]:
+    """A machine's newest loads of a material whose footprints were measured."""
+    query = (
+        select(Throw)
+        .join(Plan, Plan.plan_id == Throw.plan_id)
+        .where(
+            Throw.machine_id == machine_id,
+            Throw.mode == mode,
+            Throw.policy_sha256 == policy_sha256,
+            Throw.outcome == Outcome.LANDED.value,
+            Throw.measured_downrange_error_m.is_not(None),
+            Throw.measured_crossrange_error_m.is_not(None),
+            Plan.material["name"].as_string() == material,
+        )
+        .order_by(Throw.throw_id.desc())
+        .limit(NEWEST_LOADS_COUNT)
+    )
+    throws = database.scalars(query).all()
+    footprints = footprints_of(database, [throw.throw_id for throw in throws])
+    return tuple(
+        _measured_load(throw, footprints[throw.throw_id])
+        for throw in throws
+        if throw.throw_id in footprints
+    )
+
+
+def _measured_load(throw: Throw, lies: MaterialFootprint) -> MeasuredLoad:
+    xx, xy, yy = lies.covariance_m2
+    turn = turned(math.atan2(throw.target_y_m, throw.target_x_m))
+    along, across = np.diagonal(turn.T @ np.array([[xx, xy], [xy, yy]]) @ turn).tolist()
+    error_m = throw.measured_downrange_error_m or 0.0, throw.measured_crossrange_error_m or 0.0
+    return MeasuredLoad(throw.range_m, error_m, (along, across))
 
 
 def scatter_by_range(throws_m: Array) -> tuple[LandingScatter, ...]:

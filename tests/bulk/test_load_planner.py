@@ -11,7 +11,7 @@ from bulk.height_field import Container, Rectangle, level_field, make_grid
 from bulk.material import material
 from bulk.planner import LoadPlanner
 from bulk.simulation import Truth, planned_rule, simulate_job
-from bulk.throw_model import LandingScatter, ThrowModel, measured_model
+from bulk.throw_model import LandingScatter, MeasuredLoad, ThrowModel, measured_model
 from machine.errors import UsageError
 from machine.policy_card import load_card
 from machine.site.zones import Zone
@@ -25,7 +25,7 @@ GRAVEL = material("gravel")
 
 def throws(sd_m: float = 0.05) -> ThrowModel:
     scatter = [LandingScatter(7.0, sd_m, sd_m), LandingScatter(10.0, 2.0 * sd_m, sd_m)]
-    return measured_model(CARD, load_spec(), GRAVEL, scatter, 1.2)
+    return measured_model(CARD, load_spec(), GRAVEL, scatter, 1.2, 0.25)
 
 
 def test_a_full_truck_needs_no_load():
@@ -90,6 +90,36 @@ def test_a_simulated_truck_is_filled_and_its_volume_closes():
     assert (run.versions[0] == start.height_m).all()
 
 
+def test_measured_loads_widen_or_narrow_what_is_expected_the_more_of_them_there_are():
+    known = throws()
+    there = np.array([8.0]), np.array([0.0])
+    before = known.covariance_m2(*there)[0]
+    grains = np.diagonal(known.footprint_near(8.0).covariance_m2)
+    wide = [MeasuredLoad(8.0, (0.3, -0.3), (4.0 * grains[0], grains[1])) for _ in range(40)]
+    assert known.learned([]) is known
+    few, many = (known.learned(wide[:n]).covariance_m2(*there)[0] for n in (2, 40))
+    assert before[0, 0] < few[0, 0] < many[0, 0]
+    assert many[0, 0] == pytest.approx(4.0 * grains[0] + 0.09, rel=0.15)
+    assert many[1, 1] == pytest.approx(grains[1] + 0.09, rel=0.15)
+    narrow = [MeasuredLoad(8.0, (0.0, 0.0), (0.25 * grains[0], 0.25 * grains[1]))] * 40
+    assert (np.diagonal(known.learned(narrow).covariance_m2(*there)[0]) < 0.4 * before.max()).all()
+    mark = known.learned(wide).footprint_near(8.0)
+    assert np.cov(mark.grains_m.T) == pytest.approx(mark.covariance_m2)
+
+
+def test_a_wider_footprint_spills_more():
+    start = level_field(GRID, [BED])
+    goal = truck_goal(start, 0, 0.9)
+    known = throws()
+    variances = tuple(4.0 * np.diagonal(known.footprint_near(8.0).covariance_m2))
+    wide = known.learned([MeasuredLoad(8.0, (0.0, 0.0), variances)] * 20)
+    spills = [
+        LoadPlanner(goal, start, model, 0.2).load_at(start, 8.6, 0.5, 0.2).spill_ratio
+        for model in (known, wide)
+    ]
+    assert 0.0 <= spills[0] < 0.5 * spills[1]
+
+
 def test_a_heap_is_cleared_into_a_box():
     heap = Rectangle(5.0, 0.0, 1.6, 1.6)
     start = level_field(GRID, [BED]).pour(np.array([[5.0, 0.0]]), 0.3, GRAVEL.slope_ratio)
@@ -114,11 +144,11 @@ def test_a_pile_goal_has_sides_at_the_angle_of_repose():
 def test_grains_spread_more_on_longer_throws_and_start_from_the_aim():
     spec, rng = load_spec(), np.random.default_rng(0)
     near, far = (
-        footprint(release_towards(r, 0.0), 0.0, GRAVEL, spec, rng).covariance_m2
+        footprint(release_towards(r, 0.0), 0.0, GRAVEL, 0.25, spec, rng).covariance_m2
         for r in (6.5, 10.0)
     )
     assert far[0, 0] > near[0, 0] > 0.0
-    mark = footprint(release_towards(8.0, 0.0), 0.0, GRAVEL, spec, rng)
+    mark = footprint(release_towards(8.0, 0.0), 0.0, GRAVEL, 0.25, spec, rng)
     assert np.abs(mark.grains_m.mean(axis=0)).max() < 1e-9
     turned = throws().covariance_m2(np.array([8.0, 0.0]), np.array([0.0, 8.0]))
     assert turned[1] == pytest.approx(turned[0][::-1, ::-1] * np.array([[1, -1], [-1, 1]]))

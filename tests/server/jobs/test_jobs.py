@@ -175,7 +175,7 @@ def test_a_throw_at_a_proposal_is_a_load_and_follows_its_impact_until_it_is_undo
     assert len(first_next.faces) > 10 and first_next.text == "1: 0.20 m³"
     assert len(laid.faces) > 10 and len(laid.contours_m) > 4
     middle = laid.vertices_m.mean(axis=0)
-    assert np.hypot(middle[0] - 8.4, middle[1] - 0.3) < 0.3, "drawn where it fell"
+    assert np.hypot(middle[0] - 8.4, middle[1] - 0.3) < 0.5, "drawn where it fell"
     assert laid.vertices_m[:, 2].max() < 0.7, "no wall belongs to it"
     undone = yard.jobs.undo(begun.job_id, change(followed), yard.ada)
     assert len(yard.jobs.material("m001").faces) == 0
@@ -382,6 +382,7 @@ def test_a_process_of_its_own_plans_alike_and_says_what_cannot_be_done():
         policy_dir=folder,
         card=load_card(folder),
         landing=(LandingScatter(8.0, 0.05, 0.05),),
+        loads=(),
         model=None,
     )
     assert plan_in_child(task, lambda: False).loads == planned_loads(task).loads
